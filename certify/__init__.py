@@ -1,0 +1,1 @@
+"""Contraction certificates for shallow ReLU recurrent networks. Never imports usvlearn."""

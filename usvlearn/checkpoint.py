@@ -1,0 +1,184 @@
+"""A parameter set on disk: one safetensors file, whose header also holds the metadata and a checksum over both.
+
+Written to a temporary file, flushed to the disk and renamed, so that a reader sees a whole file or none. Imports no
+torch: aboard a small computer there is none.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from usvlearn.errors import CheckpointError
+from usvlearn.signals import named_leaves, rebuild
+
+SCHEMA = 1
+SUFFIX = ".safetensors"
+KEY = "usvlearn"  # of the metadata in the safetensors header
+
+
+def save(path: str | Path, state: Any, **metadata: Any) -> Path:
+    """Write a state, complete, with what a person needs to know of it; atomic and durable.
+
+    Args:
+        path: of the file; its folder is made. An existing file is replaced only by a whole one.
+        state: a tree of arrays or tensors.
+        **metadata: JSON values: estimator, configuration, boat, run, time …
+
+    Returns:
+        The path.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = save(folder + "/a.safetensors", {"theta": np.ones(2)}, boat="heron")
+    ...     state, metadata = load(path)
+    >>> state["theta"], metadata["boat"]
+    (array([1., 1.]), 'heron')
+    """
+    path = Path(path)
+    leaves = {name: _numpy(leaf) for name, leaf in named_leaves(state)}
+    facts = {"schema": SCHEMA, **metadata}
+    facts["sha256"] = _digest(leaves, facts)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, save_tensors(leaves, {KEY: json.dumps(facts)}))
+    return path
+
+
+def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read a parameter set: arrays by dotted name, and the metadata.
+
+    Raises:
+        CheckpointError: no such file, not a checkpoint, another schema, or a checksum that does not fit.
+    """
+    path = Path(path)
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise CheckpointError(
+            f"{path}: cannot be read ({error.strerror}): give the path of a checkpoint"
+        ) from error
+    try:
+        leaves = load_tensors(content)
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        facts = json.loads(header["__metadata__"][KEY])
+    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        raise CheckpointError(
+            f"{path}: is not a usvlearn checkpoint or is damaged ({error}): use the set saved before it"
+        ) from error
+    if facts.get("schema") != SCHEMA:
+        raise CheckpointError(
+            f"{path}: has the schema {facts.get('schema')!r}, this version reads {SCHEMA}: "
+            "read it with the version of usvlearn that wrote it"
+        )
+    if facts.pop("sha256", None) != _digest(leaves, facts):
+        raise CheckpointError(f"{path}: is damaged (its checksum does not fit): use the set saved before it")
+    return leaves, facts
+
+
+def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
+    """Read a parameter set into the shape of `template`, a state of the estimator that is to go on from it.
+
+    Args:
+        path: of the checkpoint.
+        template: a state whose leaves tell names, shapes and dtypes; NumPy or torch.
+        estimator: name that the metadata must carry.
+
+    Raises:
+        CheckpointError: as `load`, or it belongs to another estimator or has other leaves or shapes.
+    """
+    leaves, facts = load(path)
+    found = facts.get("estimator")
+    if estimator is not None and found != estimator:
+        raise CheckpointError(
+            f"{path}: belongs to the estimator {found!r}, expected {estimator!r}: name one of {found}"
+        )
+    wanted = dict(named_leaves(template))
+    for kind, names in (
+        ("lacks", wanted.keys() - leaves.keys()),
+        ("has beyond it", leaves.keys() - wanted.keys()),
+    ):
+        if names:
+            raise CheckpointError(
+                f"{path}: does not fit this estimator, it {kind} {', '.join(sorted(names)[:5])}: "
+                "use the configuration that it was saved with"
+            )
+    for name, leaf in wanted.items():
+        if tuple(leaf.shape) != leaves[name].shape:
+            raise CheckpointError(
+                f"{path}: {name} has the shape {leaves[name].shape}, expected {tuple(leaf.shape)}: "
+                "use the configuration that it was saved with"
+            )
+    return rebuild(template, {name: _like(leaf, leaves[name]) for name, leaf in wanted.items()}), facts
+
+
+def checkpoints(folder: str | Path) -> list[Path]:
+    """The parameter sets in a folder, oldest first (by name, which counts up)."""
+    return sorted(Path(folder).glob(f"*{SUFFIX}"))
+
+
+def restore_newest(
+    folder: str | Path, template: Any, estimator: str | None = None
+) -> tuple[Any, dict[str, Any]]:
+    """Restore the newest readable parameter set of a folder; an unreadable one is passed over with a warning.
+
+    Raises:
+        CheckpointError: none can be read.
+    """
+    paths = checkpoints(folder)
+    for path in reversed(paths):
+        try:
+            return restore(path, template, estimator)
+        except CheckpointError as error:
+            warnings.warn(f"{error}; trying the one before", stacklevel=2)
+    raise CheckpointError(f"{folder}: none of its {len(paths)} checkpoints can be read: give another folder")
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that a kill at any moment leaves the old one or the new one, never a part."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    if hasattr(os, "O_DIRECTORY"):
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+
+def _numpy(leaf) -> np.ndarray:
+    array = leaf if isinstance(leaf, np.ndarray) else leaf.detach().cpu().numpy()
+    return np.ascontiguousarray(array).reshape(array.shape)
+
+
+def _like(leaf, array: np.ndarray):
+    if isinstance(leaf, np.ndarray):
+        return array.astype(leaf.dtype)
+    import torch
+
+    return torch.from_numpy(array.copy()).to(dtype=leaf.dtype, device=leaf.device)
+
+
+def _digest(leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> str:
+    total = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for name in sorted(leaves):
+        array = leaves[name]
+        total.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        total.update(array.tobytes())
+    return total.hexdigest()

@@ -1,0 +1,131 @@
+"""The online-step protocol: state in, state out; predict before you learn."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.errors import ShapeError
+from usvlearn.signals import Inputs, Sample, named_leaves, select, tree_map
+
+State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
+
+
+class Estimator(nn.Module, abc.ABC):
+    """Predicts the surge speed one step ahead and learns from what was then measured.
+
+    Three kinds of number: what is identified online lives in the *state* and is never written to `self`; what is
+    tuned is a *hyperparameter* (`Positive`, `UnitInterval`), learnable by gradient and broadcast against the batch;
+    what is known is a *constant* (a buffer). Every method is pure, so one object serves any batch of vehicles.
+
+    A new estimator defines `init`, `predict` and `update`, `start` if its state remembers a speed, and `monitor` if there
+    is something to watch.
+    """
+
+    @abc.abstractmethod
+    def init(self, batch: Sequence[int] = ()) -> State:
+        """The state before the first sample, leaves `(*batch, ...)`."""
+
+    @abc.abstractmethod
+    def predict(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
+        """Time update: the state one step on, without learning, and the predicted surge, m/s, `(*batch,)`."""
+
+    @abc.abstractmethod
+    def update(self, state: State, inputs: Inputs, surge: Tensor) -> State:
+        """Measurement update by `surge`, m/s, from the state that was given to `predict`."""
+
+    def start(self, state: State, surge: Tensor) -> State:
+        """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
+        return state
+
+    def monitor(self, state: State) -> dict[str, Tensor]:
+        """What a person wants to see of a state, by name: physical parameters, margins; `(*batch,)` each."""
+        return {}
+
+    def forward(self, state: State, sample: Sample) -> tuple[State, Tensor]:  # final
+        """Learn where measured, coast where not, hold where stale, take the speed where a segment starts.
+
+        Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.
+        """
+        starts = (sample.inputs.dt == 0) & sample.surge.isfinite()
+        steps = sample.fresh & (sample.inputs.dt != 0)
+        usable = steps & sample.measured & sample.surge.isfinite()
+        # Whatever stands in a masked sample is replaced before it is computed with: NaN would reach the gradients.
+        inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
+        coasted, surge = self.predict(state, inputs)
+        target = torch.where(usable, sample.surge, surge.detach())
+        learned = self.update(state, inputs, target)
+        started = self.start(state, torch.where(starts, sample.surge, 0.0))
+        held = select(starts, started, state)
+        return select(usable, learned, select(steps, coasted, held)), torch.where(steps, surge, math.nan)
+
+
+def rollout(
+    estimator: Estimator,
+    state: State,
+    samples: Sample,
+    record: Callable[[State], Any] | None = None,
+    detach_every: int | None = None,
+) -> tuple[State, Tensor, Any]:
+    """Run an estimator over samples, predicting before learning.
+
+    Args:
+        estimator: any `Estimator`.
+        state: the state to start from, leaves `(*batch, ...)`.
+        samples: leaves `(time, *batch)`, of the estimator's dtype.
+        record: picks a tree of tensors from each new state (parameters, members' predictions).
+        detach_every: truncates back-propagation every so many steps.
+
+    Returns:
+        The last state; the predictions, m/s, `(time, *batch)`; what `record` picked, stacked over time (or None).
+
+    Raises:
+        ShapeError: the samples' dtype or batch does not fit the state.
+
+    >>> from usvlearn import AID, Inputs, Sample
+    >>> t = torch.ones(50, dtype=torch.float64)
+    >>> samples = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t, t > 0, t > 0)
+    >>> aid = AID(mass=28.0)
+    >>> state, surge, _ = rollout(aid, aid.init(), samples)
+    >>> abs(float(surge[-1]) - 1.5) < 0.01
+    True
+    """
+    _check(state, samples)
+    predictions, records = [], []
+    steps = [Sample(Inputs(*x), *y) for x, y in _unbind(samples)]
+    for k, sample in enumerate(steps):
+        if detach_every and k % detach_every == 0:
+            state = tree_map(Tensor.detach, state)
+        state, surge = estimator(state, sample)
+        predictions.append(surge)
+        if record is not None:
+            records.append(record(state))
+    stacked = tree_map(lambda *leaves: torch.stack(leaves), *records) if records else None
+    return state, torch.stack(predictions), stacked
+
+
+def _unbind(samples: Sample):
+    inputs = zip(*(x.unbind(0) for x in samples.inputs), strict=True)
+    return zip(inputs, zip(*(x.unbind(0) for x in samples[1:]), strict=True), strict=True)
+
+
+def _check(state: State, samples: Sample) -> None:
+    name, leaf = next(iter(named_leaves(state)))
+    batch, dtype = tuple(samples.surge.shape[1:]), samples.surge.dtype
+    if len(samples.surge) == 0:
+        raise ShapeError("samples: found 0 time steps, expected at least 1")
+    if leaf.dtype != dtype:
+        raise ShapeError(
+            f"samples are {dtype}, the state's {name} is {leaf.dtype}: convert the estimator with "
+            f".to({dtype}) before init, or the samples"
+        )
+    if tuple(leaf.shape[: len(batch)]) != batch:
+        raise ShapeError(
+            f"samples have the batch {batch}, the state's {name} has the shape {tuple(leaf.shape)}: "
+            f"make the state with estimator.init({batch})"
+        )

@@ -1,0 +1,208 @@
+"""A shallow ReLU recurrent network with one state, learned online by Adam (paper, section IV-B).
+
+With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ_R]:
+
+    z = w₁ x + W₂ u + b,   x⁺ = aᵀ relu(z)                                        (1)
+    L = ½ (x⁺ − x_meas)² + η/2 Σ ψ_i (a_i² + w_{1i}²),                            (2)
+    ψ_i = 1 where |a_i| + |w_{1i}|/(n+1) > 1/(n+1), else 0
+
+The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing (theory, section 4).
+The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂ = f(f(x₋, u₋), u), and the gradient runs
+through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
+
+    ∂L/∂a = e (relu(z) + s relu(z₋)),   ∂L/∂z = e a d,   ∂L/∂z₋ = e s a d₋         (3)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from certify.conditions import simple_margin, tight_margin
+from usvlearn.errors import ConfigError, check_choice, check_positive
+from usvlearn.estimator import Estimator
+from usvlearn.hyper import Positive
+from usvlearn.signals import Inputs
+
+BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8  # Adam's, as the paper has them
+
+
+class RNNWeights(NamedTuple):
+    """The weights of (1)."""
+
+    a: Tensor  # (*batch, n)
+    w1: Tensor  # (*batch, n)
+    W2: Tensor  # (*batch, n, 4)
+    b: Tensor  # (*batch, n)
+
+
+class RNNState(NamedTuple):
+    """What the network learned, Adam's memory, and the step before for the unrolled loss."""
+
+    weights: RNNWeights
+    moment1: Tensor  # (*batch, 7n) Adam's mean gradient, in the order a, w1, W2 (row by row), b
+    moment2: Tensor  # (*batch, 7n) Adam's mean squared gradient
+    updates: Tensor  # (*batch,) count of updates
+    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
+    surge_before: Tensor  # (*batch,) speed one step earlier, m/s
+    inputs_before: Tensor  # (*batch, 4) u of that step
+    unbroken: Tensor  # (*batch,) bool: that step led to `surge`
+
+
+def network_inputs(inputs: Inputs) -> Tensor:
+    """u of (1), `(*batch, 4)`."""
+    heading = inputs.heading
+    return torch.stack(
+        [0.5 + 0.5 * heading.sin(), 0.5 + 0.5 * heading.cos(), inputs.command_left, inputs.command_right], -1
+    )
+
+
+def network(weights: RNNWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """x⁺ of (1), `(*batch,)`, and z, `(*batch, n)`.
+
+    >>> one = torch.ones(1)
+    >>> network(RNNWeights(one, one, torch.zeros(1, 4), one), torch.tensor(0.25), torch.zeros(4))[0]
+    tensor(1.2500)
+    """
+    a, w1, W2, b = weights
+    z = w1 * x[..., None] + (W2 * u[..., None, :]).sum(-1) + b
+    return (a * z.relu()).sum(-1), z
+
+
+def gradient(
+    weights: RNNWeights,
+    x: Tensor,  # (*batch,) scaled speed from which the last step departs
+    u: Tensor,  # (*batch, 4)
+    target: Tensor,  # (*batch,) scaled measurement
+    penalty: Tensor,  # η, broadcasts against (*batch,)
+    before: tuple[Tensor, Tensor, Tensor] | None = None,  # x₋, u₋, unbroken, for the unrolled loss
+) -> Tensor:
+    """The gradient of (2) with respect to the weights, `(*batch, 7n)` in the order a, w1, W2, b."""
+    a, w1 = weights.a, weights.w1
+    if before is not None:
+        x_before, u_before, unbroken = before
+        x_between, z_before = network(weights, x_before, u_before)
+        x = torch.where(unbroken, x_between, x)
+    predicted, z = network(weights, x, u)
+    e = (predicted - target)[..., None]
+    grad_a = z.relu() * e
+    slope = a * (z > 0)
+    grad_z = slope * e
+    grad_w1 = grad_z * x[..., None]
+    grad_W2 = grad_z[..., None] * u[..., None, :]
+    grad_b = grad_z
+    if before is not None:  # (3)
+        through = e * ((slope * w1).sum(-1) * unbroken)[..., None]  # e s
+        grad_z_before = through * a * (z_before > 0)
+        grad_a = grad_a + through * z_before.relu()
+        grad_w1 = grad_w1 + grad_z_before * x_before[..., None]
+        grad_W2 = grad_W2 + grad_z_before[..., None] * u_before[..., None, :]
+        grad_b = grad_b + grad_z_before
+    bound = 1.0 / (a.shape[-1] + 1)
+    shrink = penalty[..., None] * (a.abs() + bound * w1.abs() > bound)  # η ψ
+    return torch.cat([grad_a + shrink * a, grad_w1 + shrink * w1, grad_W2.flatten(-2), grad_b], -1)
+
+
+class RNN(Estimator):
+    """Shallow ReLU network, n = 20 neurons and 140 weights by default, one Adam step a sample.
+
+    Args:
+        neurons: n.
+        surge_max: v_max, m/s, which scales the speed onto [0, 0.5].
+        rate: Adam's learning rate at the first update; broadcasts against the batch.
+        decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
+        penalty: η; broadcasts against the batch.
+        unroll: steps through which the loss is taken, 1 or 2.
+        feedback: "measured" predicts from the last measured speed, "estimate" from the network's own.
+        seed: of the initial weights.
+
+    >>> rnn = RNN(surge_max=2.74)
+    >>> sum(w.numel() for w in rnn.init().weights)
+    140
+    """
+
+    def __init__(
+        self,
+        neurons: int = 20,
+        surge_max: float = 3.0,
+        rate=5e-3,
+        decay: int | None = 1000,
+        penalty=1e-4,
+        unroll: int = 1,
+        feedback: str = "measured",
+        seed: int = 0,
+    ):
+        super().__init__()
+        if unroll not in (1, 2):
+            raise ConfigError(f"unroll: found {unroll!r}, expected 1 or 2")
+        if not (isinstance(neurons, int) and neurons > 0):
+            raise ConfigError(f"neurons: found {neurons!r}, expected a positive whole number")
+        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
+        self.surge_max = check_positive("surge_max", surge_max, "of m/s")
+        self.decay = None if decay is None else check_positive("decay", decay, "of updates")
+        self.scale, self.unroll = 0.5 / surge_max, unroll
+        self.rate, self.penalty = Positive(rate), Positive(penalty)
+        generator = torch.Generator().manual_seed(seed)
+
+        def draw(shape: tuple[int, ...], fan_in: int) -> nn.Parameter:
+            uniform = torch.rand(shape, generator=generator, dtype=torch.float64)
+            return nn.Parameter((2 * uniform - 1) / math.sqrt(fan_in))
+
+        n = neurons
+        self.a, self.w1, self.W2, self.b = draw((n,), n), draw((n,), 5), draw((n, 4), 5), draw((n,), 5)
+
+    def init(self, batch: Sequence[int] = ()) -> RNNState:
+        batch, n = tuple(batch), len(self.a)
+        weights = RNNWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
+        zero = self.a.new_zeros
+        unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)
+        moments = zero((*batch, 7 * n)), zero((*batch, 7 * n))
+        return RNNState(weights, *moments, zero(batch), zero(batch), zero(batch), zero((*batch, 4)), unbroken)
+
+    def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
+        x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
+        surge = x / self.scale
+        coasted = surge.clamp(
+            -2 * self.surge_max, 2 * self.surge_max
+        )  # what it may depart from when it coasts
+        return state._replace(surge=coasted, unbroken=torch.zeros_like(state.unbroken)), surge
+
+    def update(self, state: RNNState, inputs: Inputs, surge: Tensor) -> RNNState:
+        u, x = network_inputs(inputs), self.scale * state.surge
+        before = None
+        if self.unroll == 2:
+            before = self.scale * state.surge_before, state.inputs_before, state.unbroken
+        grad = gradient(state.weights, x, u, self.scale * surge, self.penalty(), before)
+        weights, moment1, moment2 = self._adam(state, grad)
+        if self.feedback == "estimate":
+            estimate = network(state.weights, x, u)[0] / self.scale
+            surge = estimate.clamp(-2 * self.surge_max, 2 * self.surge_max)
+        unbroken = torch.ones_like(state.unbroken)
+        return RNNState(weights, moment1, moment2, state.updates + 1, surge, state.surge, u, unbroken)
+
+    def start(self, state: RNNState, surge: Tensor) -> RNNState:
+        return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
+
+    def monitor(self, state: RNNState) -> dict[str, Tensor]:
+        a, w1 = state.weights.a, state.weights.w1
+        return {"margin_simple": simple_margin(a, w1), "margin_tight": tight_margin(a, w1)}
+
+    def _adam(self, state: RNNState, grad: Tensor) -> tuple[RNNWeights, Tensor, Tensor]:
+        """One step of Adam (Kingma & Ba 2015, algorithm 1)."""
+        rate, count = self.rate(), state.updates + 1
+        if self.decay is not None:
+            rate = rate * (1 + (state.updates / self.decay).floor()).rsqrt()
+        m = BETA1 * state.moment1 + (1 - BETA1) * grad
+        v = BETA2 * state.moment2 + (1 - BETA2) * grad * grad
+        step_size = (rate / (1 - BETA1**count))[..., None]
+        v_hat = v / (1 - BETA2**count)[..., None]
+        seen = v_hat > 0  # the slope of the root at 0 is infinite: it must not reach the gradients
+        step = step_size * m / (torch.where(seen, v_hat, 1.0).sqrt() * seen + EPSILON)
+        n = state.weights.a.shape[-1]
+        da, dw1, dW2, db = step.split((n, n, 4 * n, n), -1)
+        a, w1, W2, b = state.weights
+        return RNNWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, 4)), b - db), m, v

@@ -1,0 +1,64 @@
+"""Hyperparameters: tuned numbers that stay legal, can be learned by gradient, and broadcast against the batch."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.errors import ConfigError
+
+
+def as_tensor(value) -> Tensor:
+    """A float64 tensor from numbers (precision of a forgetting factor near 1); float tensors keep their dtype."""
+    if isinstance(value, Tensor) and value.is_floating_point():
+        return value.detach().clone()
+    try:
+        return torch.as_tensor(value, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ConfigError(f"found {value!r}, expected a number or numbers") from error
+
+
+class Positive(nn.Module):
+    """A positive number, stored as its logarithm.
+
+    Args:
+        value: number or tensor of any shape that broadcasts against the batch, as `(grid, 1)`.
+        learnable: whether gradients reach it.
+
+    Raises:
+        ConfigError: a value is not positive and finite.
+
+    >>> Positive(0.5)()
+    tensor(0.5000, dtype=torch.float64, grad_fn=<ExpBackward0>)
+    """
+
+    def __init__(self, value, learnable: bool = True):
+        super().__init__()
+        value = as_tensor(value)
+        if not bool(((value > 0) & value.isfinite()).all()):
+            raise ConfigError(f"found {value.tolist()}, expected a positive number")
+        self.log = nn.Parameter(value.log(), requires_grad=learnable)
+
+    def forward(self) -> Tensor:
+        return self.log.exp()
+
+
+class UnitInterval(nn.Module):
+    """A number strictly between 0 and 1, stored as its logit.
+
+    Raises:
+        ConfigError: a value is not inside (0, 1).
+
+    >>> round(UnitInterval(0.995)().item(), 6)
+    0.995
+    """
+
+    def __init__(self, value, learnable: bool = True):
+        super().__init__()
+        value = as_tensor(value)
+        if not bool(((value > 0) & (value < 1)).all()):
+            raise ConfigError(f"found {value.tolist()}, expected a number between 0 and 1, both excluded")
+        self.logit = nn.Parameter(value.logit(), requires_grad=learnable)
+
+    def forward(self) -> Tensor:
+        return self.logit.sigmoid()

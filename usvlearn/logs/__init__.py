@@ -1,0 +1,1 @@
+"""Logs to samples: readers, channels, alignment. Imports no torch."""

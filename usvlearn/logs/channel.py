@@ -1,0 +1,182 @@
+"""What a log is made of: channels of stamped numbers in SI units, and where in a file they are found."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, LogFormatError, check_choice
+
+CHANNELS = ("command_left", "command_right", "heading", "yaw_rate", "surge")
+REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be had from the heading
+
+# unit -> (factor, offset): SI value = factor * value + offset
+UNITS = {
+    "1": (1.0, 0.0),
+    "percent": (0.01, 0.0),
+    "m/s": (1.0, 0.0),
+    "km/h": (1 / 3.6, 0.0),
+    "knots": (1852 / 3600, 0.0),
+    "rad": (1.0, 0.0),
+    "deg": (math.pi / 180, 0.0),
+    "rad/s": (1.0, 0.0),
+    "deg/s": (math.pi / 180, 0.0),
+    "enu_rad": (-1.0, math.pi / 2),  # yaw from east, counter-clockwise
+    "enu_deg": (-math.pi / 180, math.pi / 2),
+    "enu_rad/s": (-1.0, 0.0),
+    "enu_deg/s": (-math.pi / 180, 0.0),
+}
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where a channel is found in a log, and how its numbers become SI units.
+
+    value_SI = factor(unit) * (value - zero) / span, plus the unit's offset.
+
+    Args:
+        name: column (CSV), variable (MOOS) or topic (ROS); `*` matches anything, as in `*left_thruster`.
+        field: field of a ROS message, dotted; several, comma-separated, give their Euclidean norm.
+        unit: one of `UNITS`.
+        zero: raw value that means zero.
+        span: raw distance from zero to full scale (commands) or 1; a negative one reverses a side.
+        held: the value stands until the next message, however old (commands that are posted only on change).
+        window: staleness window, s.
+        delay: how long after its stamp a value shows in the measured speed, s (thruster and filter lag).
+
+    >>> Source("thr_left", zero=1511, span=-400).convert(np.array([1511.0, 1111.0]))
+    array([0., 1.])
+    """
+
+    name: str
+    field: str | None = None
+    unit: str = "1"
+    zero: float = 0.0
+    span: float = 1.0
+    held: bool = False
+    window: float = 0.2
+    delay: float = 0.0
+
+    def __post_init__(self):
+        check_choice(f"unit of {self.name}", self.unit, tuple(UNITS))
+        if not math.isfinite(self.span) or self.span == 0:
+            raise ConfigError(f"span of {self.name}: found {self.span!r}, expected a number other than 0")
+        if not self.window > 0:
+            raise ConfigError(f"window of {self.name}: found {self.window!r}, expected a positive time in s")
+        if not 0 <= self.delay < math.inf:
+            raise ConfigError(f"delay of {self.name}: found {self.delay!r}, expected a time of 0 s or more")
+
+    def convert(self, raw: np.ndarray) -> np.ndarray:
+        """Raw values to SI units; shape unchanged."""
+        factor, offset = UNITS[self.unit]
+        return factor * (raw - self.zero) / self.span + offset
+
+
+class Channel(NamedTuple):
+    """One quantity of a log, in the order in which it was logged."""
+
+    time: np.ndarray  # (n,) float64, s since the log's start; may run backwards, repeat or be negative
+    value: np.ndarray  # (n,) float64, SI units; NaN where the log had no number
+    order: np.ndarray  # (n,) int64, place in the log (line, row, message): how channels interleave
+    held: bool = False  # stands until the next message
+    window: float = 0.2  # staleness window, s
+    delay: float = 0.0  # from a stamp to its effect on the measured speed, s
+
+
+class Recording(NamedTuple):
+    """One log of one boat."""
+
+    boat: str
+    run: str
+    channels: dict[str, Channel]
+    dropped: dict[str, dict[str, int]]  # channel -> cause -> count, what the reader could not use
+
+
+def match_name(pattern: str, available: Iterable[str], where: str) -> str:
+    """The one name in `available` that `pattern` means; a leading slash does not matter.
+
+    Raises:
+        LogFormatError: none or several match; the message names what the log has.
+
+    >>> match_name("*left_thruster", ["/left_thruster", "/right_thruster"], "a.bag")
+    '/left_thruster'
+    """
+    names = sorted(set(available))
+    exact = [name for name in names if name.lstrip("/") == pattern.lstrip("/")]
+    found = exact or [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise LogFormatError(
+            f"{where}: channel {pattern!r} matches {', '.join(found)}: name one of them in data.channels"
+        )
+    close = difflib.get_close_matches(pattern, names, n=3, cutoff=0.5)
+    hint = f" Did you mean {' or '.join(close)}?" if close else ""
+    listing = ", ".join(names[:60]) + (f", and {len(names) - 60} more" if len(names) > 60 else "")
+    raise LogFormatError(f"{where}: no channel {pattern!r}.{hint} The log has: {listing or 'nothing'}.")
+
+
+def parse_numbers(cells: Sequence[str]) -> np.ndarray:
+    """Cells of text as float64, NaN where a cell is not a number.
+
+    >>> parse_numbers(["1.5", "", "nan", "off"])
+    array([1.5, nan, nan, nan])
+    """
+    try:
+        return np.array(cells, dtype=np.float64)
+    except ValueError:  # some cell is not a number: one by one
+        return np.array([_number(cell) for cell in cells], dtype=np.float64)
+
+
+def _number(cell: str) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return math.nan
+
+
+def build_channel(
+    where: str,
+    source: Source,
+    time: np.ndarray,  # (n,) s since the log's start, NaN where the stamp was unreadable
+    raw: np.ndarray,  # (n,) values as logged, NaN where there was no number
+    order: Sequence[int],  # (n,) place in the log
+    cells: Sequence | None = None,  # (n,) what the log held, to tell empty cells and to show in an error
+) -> tuple[Channel, dict[str, int]]:
+    """A channel in SI units from what a reader found, and how much of it was dropped, by cause.
+
+    Raises:
+        LogFormatError: nothing usable is left.
+
+    >>> cells, stamps = ["50", "", "x"], np.array([0.0, 0.1, 0.2])
+    >>> raw = parse_numbers(cells)
+    >>> channel, dropped = build_channel("a.csv", Source("L", span=100), stamps, raw, [2, 3, 4], cells)
+    >>> channel.value, dropped
+    (array([0.5]), {'empty': 1, 'not_a_number': 1})
+    """
+    usable = np.isfinite(time) & np.isfinite(raw)
+    dropped: Counter[str] = Counter()
+    for row in np.flatnonzero(~usable):
+        if cells is not None and isinstance(cells[row], str) and not cells[row].strip():
+            dropped["empty"] += 1
+        else:
+            dropped["no_time" if np.isfinite(raw[row]) else "not_a_number"] += 1
+    if not usable.any():
+        causes = ", ".join(f"{count} {cause}" for cause, count in dropped.items())
+        shown = f" ({causes}; the first is {cells[0] if cells is not None else raw[0]!r})" if len(raw) else ""
+        raise LogFormatError(
+            f"{where}: expected numbers in {source.name!r}, found none among its {len(raw)} values{shown}: "
+            "name another source, or leave this log out"
+        )
+    order = np.asarray(order, dtype=np.int64)[usable]
+    channel = Channel(
+        time[usable], source.convert(raw[usable]), order, source.held, source.window, source.delay
+    )
+    return channel, dict(dropped)

@@ -1,0 +1,154 @@
+"""ROS bags (ROS 1 `.bag`, ROS 2 `.mcap` and `.db3`), read by the package rosbags: no ROS is needed."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError, MissingExtraError, check_choice
+from usvlearn.logs.channel import Channel, Source, build_channel, match_name
+
+CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt is that of a clock that was never set
+
+
+@dataclass(frozen=True)
+class Rosbag:
+    """Reads a ROS bag. `Source.name` is a topic, `Source.field` a field of its messages.
+
+    A field is a dotted path (`twist.linear.x`; default `data`; a number indexes an array). Several,
+    comma-separated, give their Euclidean norm. A quaternion gives its yaw in rad, counter-clockwise about z.
+
+    Args:
+        clock: `header` takes the stamp in a message's header, and the time of receipt for messages without
+            one or with one more than 1 s from the receipt; `receive` always takes the time of receipt.
+
+    >>> Rosbag().suffixes
+    ('.bag', '.mcap', '.db3')
+    >>> Rosbag(clock="gps")
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: data.reader.clock: found 'gps', expected one of header, receive
+    """
+
+    clock: str = "header"
+
+    suffixes: ClassVar[tuple[str, ...]] = (".bag", ".mcap", ".db3")
+
+    def __post_init__(self):
+        check_choice("data.reader.clock", self.clock, ("header", "receive"))
+
+    def read(
+        self, path: Path, sources: dict[str, Source]
+    ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+        """The channels of a bag and what could not be used: channel -> cause -> count.
+
+        Args:
+            path: the bag.
+            sources: channel -> where it is found.
+
+        Raises:
+            LogFormatError: the file is no readable bag, or lacks a topic or a field.
+            MissingExtraError: rosbags is not installed.
+        """
+        try:
+            from rosbags.highlevel import AnyReader
+            from rosbags.typesys import Stores, get_typestore
+        except ImportError as error:
+            raise MissingExtraError("rosbags", "logs", "reading ROS bags") from error
+        try:
+            with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+                return self._read(path, bag, sources)
+        except LogFormatError:
+            raise
+        except Exception as error:  # rosbags answers damage with many types, AssertionError among them
+            if isinstance(error, OSError) and error.errno:
+                raise
+            mend = (
+                "run `rosbag reindex` on it" if "index" in str(error) else "leave it out, or name its reader"
+            )
+            what = str(error).rstrip(".") or type(error).__name__
+            raise LogFormatError(f"{path}: expected a whole ROS bag, found: {what}: {mend}") from error
+
+    def _read(self, path: Path, bag, sources: dict[str, Source]):
+        readings: dict[str, list[str]] = defaultdict(list)  # topic -> channels
+        for channel, source in sources.items():
+            where = f"{path}: data.channels.{channel}.name"
+            readings[match_name(source.name, {c.topic for c in bag.connections}, where)].append(channel)
+
+        time: dict[str, list[float]] = {channel: [] for channel in sources}
+        value: dict[str, list[float]] = {channel: [] for channel in sources}
+        order: dict[str, list[int]] = {channel: [] for channel in sources}
+        start = bag.start_time
+        wanted = [connection for connection in bag.connections if connection.topic in readings]
+        for number, (connection, received, data) in enumerate(bag.messages(wanted)):
+            message = bag.deserialize(data, connection.msgtype)
+            seconds = (self._stamp(message, received) - start) * 1e-9
+            for channel in readings[connection.topic]:
+                where = f"{path}: data.channels.{channel}.field"
+                time[channel].append(seconds)
+                value[channel].append(_read_field(message, sources[channel].field or "data", where))
+                order[channel].append(number)
+
+        channels, dropped = {}, {}
+        for channel, source in sources.items():
+            stamps, raw = np.array(time[channel], float), np.array(value[channel], float)
+            channels[channel], dropped[channel] = build_channel(
+                f"{path}: {channel}", source, stamps, raw, order[channel]
+            )
+        return channels, dropped
+
+    def _stamp(self, message, received: int) -> int:
+        """Nanoseconds since 1970."""
+        header = getattr(message, "header", None)
+        if self.clock == "receive" or header is None:
+            return received
+        stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
+        return stamp if abs(stamp - received) <= CLOCK_LIMIT * 1e9 else received
+
+
+def _read_field(message, field: str, where: str) -> float:
+    """The number at a dotted path, or the norm of several."""
+    if "," not in field:
+        return _read_one(message, field.strip(), where)
+    return math.hypot(*(_read_one(message, part.strip(), where) for part in field.split(",")))
+
+
+def _read_one(message, field: str, where: str) -> float:
+    value: Any = message
+    for step in field.split("."):
+        if step.isdigit() and hasattr(value, "__len__") and int(step) < len(value):
+            value = value[int(step)]
+        elif is_dataclass(value) and hasattr(value, step):
+            value = getattr(value, step)
+        else:
+            raise LogFormatError(f"{where}: no field {step!r} in {field!r}. {_listing(value)}")
+    if all(hasattr(value, axis) for axis in "xyzw"):
+        return yaw(value.x, value.y, value.z, value.w)
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        raise LogFormatError(f"{where}: expected a number in {field!r}. {_listing(value)}") from None
+
+
+def _listing(value) -> str:
+    if not is_dataclass(value):
+        return f"It holds {type(value).__name__} {str(value)[:40]!r}: name a field that is a number"
+    names = ", ".join(item.name for item in fields(value) if not item.name.startswith("__"))
+    return f"The fields here are: {names or 'none'}; name one of them"
+
+
+def yaw(x: float, y: float, z: float, w: float) -> float:
+    """Yaw of a quaternion of any length, rad, counter-clockwise about z; NaN for the zero quaternion.
+
+    psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
+
+    >>> round(yaw(0.0, 0.0, 2.0, 2.0), 6)
+    1.570796
+    """
+    if not (x or y or z or w):
+        return math.nan
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

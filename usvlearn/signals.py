@@ -1,0 +1,130 @@
+"""The vocabulary that every layer shares: what an estimator sees, and how states are walked.
+
+Imports numpy alone: the same types carry NumPy arrays (logs, a boat without torch) and torch tensors
+(estimators). A *tree* is an array or tensor, a NamedTuple of trees, or a dict of trees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Array = Any  # numpy.ndarray or torch.Tensor
+
+
+class Inputs(NamedTuple):
+    """All that may be seen before a prediction. Leaves are `(*batch,)`."""
+
+    command_left: Array  # xi_L in force over the step, share of full scale, -1 ... 1
+    command_right: Array  # xi_R, likewise
+    heading: Array  # rad, 0 north, clockwise
+    yaw_rate: Array  # rad/s
+    dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
+
+
+class Sample(NamedTuple):
+    """One aligned time step. Leaves are `(*batch,)`, or `(time, *batch)` for a run.
+
+    `measured` implies `fresh`. A sample whose `inputs.dt` is 0 makes no step: it opens a segment (the start of
+    a run, the end of an outage) and only tells the speed from which the next step departs.
+    """
+
+    inputs: Inputs
+    surge: Array  # measured forward speed at the end of the step, m/s; NaN where there was none
+    fresh: Array  # bool: every input arrived inside its staleness window
+    measured: Array  # bool: and so did the speed
+
+
+class Run(NamedTuple):
+    """A mission of one boat, or of a fleet as lanes, on the grid of `dt`."""
+
+    time: np.ndarray  # (time,) s since the run's start
+    samples: Sample  # leaves (time, *batch)
+    names: tuple[str, ...]  # the run's name per boat; "" for a boat that had no such run
+    lengths: tuple[int, ...]  # steps per boat; what lies behind is padding, never fresh
+
+
+class Fleet(NamedTuple):
+    """All runs of all boats, in the order in which they are replayed."""
+
+    boats: tuple[str, ...]
+    runs: tuple[Run, ...]  # samples are (time, boats)
+    rejected: dict[str, dict[str, dict[str, int]]]  # boat -> channel -> cause -> count
+
+    def steps_before(self, run: int, step: int = 0) -> int:
+        """Steps of all runs before a place in the run with that index."""
+        return sum(len(one.time) for one in self.runs[:run]) + step
+
+    @property
+    def steps(self) -> int:
+        """Steps of all runs together, of the longest boat in each."""
+        return self.steps_before(len(self.runs))
+
+
+def tree_map(f: Callable, *trees):
+    """Apply `f` to corresponding leaves of equally structured trees.
+
+    >>> tree_map(lambda x, y: x + y, {"a": 1, "b": 2}, {"a": 10, "b": 20})
+    {'a': 11, 'b': 22}
+    """
+    first = trees[0]
+    if isinstance(first, dict):
+        return {key: tree_map(f, *(tree[key] for tree in trees)) for key in first}
+    if isinstance(first, tuple):
+        return type(first)(*(tree_map(f, *children) for children in zip(*trees, strict=True)))
+    return f(*trees)
+
+
+def named_leaves(tree, name: str = "") -> Iterator[tuple[str, Array]]:
+    """Yield every leaf with its dotted path.
+
+    >>> dict(named_leaves({"aid": {"theta": 1}, "surge": 2}))
+    {'aid.theta': 1, 'surge': 2}
+    """
+    if isinstance(tree, dict):
+        items = tree.items()
+    elif isinstance(tree, tuple):
+        items = zip(tree._fields, tree, strict=True)
+    else:
+        yield name, tree
+        return
+    for key, child in items:
+        yield from named_leaves(child, f"{name}.{key}" if name else key)
+
+
+def rebuild(template, leaves: dict[str, Array], name: str = ""):
+    """The inverse of `named_leaves`: a tree shaped like `template` from leaves by dotted path.
+
+    >>> rebuild({"aid": {"theta": 0}, "surge": 0}, {"aid.theta": 1, "surge": 2})
+    {'aid': {'theta': 1}, 'surge': 2}
+    """
+    names = iter([path for path, _ in named_leaves(template, name)])
+    return tree_map(lambda _: leaves[next(names)], template)
+
+
+def select(mask: Array, new, old):
+    """Leafwise `where(mask, new, old)`; `mask` is `(*batch,)`, leaves are `(*batch, ...)`.
+
+    A leaf that is the same object on both sides is passed through untouched.
+
+    >>> select(np.array([True, False]), np.array([1, 2]), np.array([3, 4]))
+    array([1, 4])
+    """
+    if isinstance(mask, np.ndarray):
+        where = np.where
+    else:
+        from torch import where
+
+    shaped = {0: mask}  # the mask with trailing axes, by how many
+
+    def pick(n, o):
+        if n is o:
+            return n
+        extra = n.ndim - mask.ndim
+        if extra not in shaped:
+            shaped[extra] = mask.reshape(mask.shape + (1,) * extra)
+        return where(shaped[extra], n, o)
+
+    return tree_map(pick, new, old)

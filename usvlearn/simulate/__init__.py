@@ -1,0 +1,1 @@
+"""Simulated vessels, missions and sensors: boats whose true parameters are known. Needs torch."""

@@ -1,0 +1,252 @@
+"""A season of a simulated fleet: boats of one plant, their missions, what their logs hold.
+
+All missions of all boats are lanes of one batch `(missions, boats)`, stepped together. Boat k and mission j
+draw from generators seeded by (seed, purpose, j, k), so that a boat does not depend on how many others there
+are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usvlearn.errors import ConfigError, check_choice, check_positive
+from usvlearn.logs.channel import Recording
+from usvlearn.simulate.autopilot import Autopilot, Reference, steer
+from usvlearn.simulate.plants import plant as plant_named
+from usvlearn.simulate.scenario import MISSIONS, Mission, aborted, paused
+from usvlearn.simulate.sensors import Sensors, Truth, measure
+from usvlearn.simulate.vessel import Vessel, at_rest, over_ground, steady_surge, step
+
+LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
+SUBSTEPS_HZ = 10.0  # the motion is stepped at least so often, 1/s
+HULL, BED, RIVER, COURSE, EVENT, SENSOR = range(6)  # purposes of a generator
+
+
+def _rng(seed: int, purpose: int, mission: int = 0, boat: int = 0) -> np.random.Generator:
+    return np.random.default_rng([seed, purpose, mission, boat])
+
+
+def fleet_names(n: int, plant: str) -> list[str]:
+    """The boats' names, in order.
+
+    >>> fleet_names(2, "heron"), fleet_names(1, "heron")
+    (['heron1', 'heron2'], ['heron'])
+    """
+    return [plant] if n == 1 else [f"{plant}{k + 1}" for k in range(n)]
+
+
+def fleet_vessels(
+    n: int = 8,
+    spread: float = 1.0,
+    plant: str = "heron",
+    seed: int = 0,
+    missions: int = 1,
+    drift: float = 0.2,
+) -> Vessel:
+    """The true parameters of every boat on every mission: leaves `(missions, n, ...)` where they vary.
+
+    With draws z, z' uniform in the bounds and p = drift * j/(missions - 1) at mission j:
+
+        mass = nominal (1 + spread * 0.25 ((1-p) z + p z')),     z in 0 ... 1
+        thrust of a side, drag: likewise with 0.3 and 0.2,       z in -1 ... 1
+
+    Args:
+        n: boats.
+        spread: 0 makes all boats the plant, 1 spreads them as a fleet in use.
+        drift: how far a boat moves over the season towards another draw, 0 ... 1.
+
+    >>> fleet_vessels(3, missions=2).mass.shape
+    torch.Size([2, 3])
+    """
+    nominal = plant_named(plant)
+    low = np.array([0.0, -1.0, -1.0, -1.0])  # mass, left, right, drag
+    draws = np.stack(
+        [_rng(seed, HULL, 0, k).uniform(low, 1.0, (2, 4)) for k in range(n)], axis=1
+    )  # (2, n, 4)
+    gone = drift * np.linspace(0.0, 1.0, missions)[:, None, None]
+    share = (1 - gone) * draws[0] + gone * draws[1]  # (missions, n, 4)
+    factor = torch.from_numpy(1 + spread * np.array([LEAK, WEAR, WEAR, DRAG]) * share)
+    mass, sides, hull = factor[..., 0], factor[..., 1:3], factor[..., 3]
+    return nominal._replace(
+        mass=nominal.mass * mass,
+        **{name: getattr(nominal, name) * hull for name in Vessel._fields if name.startswith("drag")},
+        thrust_table=nominal.thrust_table * sides[..., None],
+        thrust_linear=nominal.thrust_linear * sides,
+        thrust_quadratic=nominal.thrust_quadratic * sides,
+        thrust_speed=nominal.thrust_speed * sides,
+    )
+
+
+def fleet_missions(
+    n: int,
+    ticks: Sequence[int],
+    hz: float,
+    seed: int,
+    kinds: Sequence[str] = tuple(MISSIONS),
+    aborted_share: float = 0.1,
+    paused_share: float = 0.1,
+) -> tuple[list[str], list[list[Mission]]]:
+    """The name of each mission, and its course per boat.
+
+    The kinds are dealt like cards, so that each comes as often. A convoy has one course for all boats.
+
+    Args:
+        ticks: length of each mission, ticks of the autopilot.
+
+    >>> names, courses = fleet_missions(2, [400, 400], 4.0, seed=0, kinds=["convoy"], aborted_share=0.0)
+    >>> names, len(courses[0])
+    (['001_convoy', '002_convoy'], 2)
+    """
+    names, courses = [], []
+    for j, length in enumerate(ticks):
+        deck, card = divmod(j, len(kinds))
+        kind = kinds[_rng(seed, COURSE, deck, 0).permutation(len(kinds))[card]]
+        row = []
+        for k in range(n):
+            course = MISSIONS[kind](_rng(seed, COURSE, j, 1 if kind == "convoy" else k + 1), length, hz)
+            event = _rng(seed, EVENT, j, k)
+            dice = event.random()
+            if dice < aborted_share:
+                course = aborted(event, course, hz)
+            elif dice < aborted_share + paused_share:
+                course = paused(event, course)
+            row.append(course)
+        names.append(f"{j + 1:03d}_{kind}")
+        courses.append(row)
+    return names, courses
+
+
+def sail(
+    vessel: Vessel, courses: list[list[Mission]], current: Tensor, direction: Tensor, autopilot: Autopilot
+) -> tuple[float, Tensor, Tensor, Tensor]:
+    """All missions of all boats with the autopilot in the loop, to the length of the longest one.
+
+    Args:
+        vessel: leaves broadcast against `(missions, boats, ...)`.
+        courses: `[mission][boat]`.
+        current, direction: m/s and rad, broadcast against `(missions, boats)`.
+
+    Returns:
+        The step in s, surge over ground and heading at its multiples `(steps + 1, missions, boats)`, and the
+        commands `(ticks, missions, boats, 2)`.
+
+    >>> course = MISSIONS["patrol"](np.random.default_rng(0), 400, 4.0)
+    >>> still = torch.zeros((), dtype=torch.float64)
+    >>> dt, surge, heading, commands = sail(plant_named("heron"), [[course]], still, still, Autopilot())
+    >>> surge.shape, commands.shape
+    (torch.Size([1201, 1, 1]), torch.Size([400, 1, 1, 2]))
+    """
+    substeps = math.ceil(SUBSTEPS_HZ / autopilot.hz)
+    dt = 1 / (autopilot.hz * substeps)
+    batch = (len(courses), len(courses[0]))
+    reference = _stacked(courses)
+    ticks = reference.power.shape[0]
+    top = steady_surge(vessel, torch.ones(2, dtype=torch.float64))
+    state = at_rest(batch, heading=reference.heading[0])
+    integral = torch.zeros(batch, dtype=torch.float64)
+    surge, heading = torch.empty((2, ticks * substeps + 1, *batch), dtype=torch.float64)
+    commands = torch.empty((ticks, *batch, 2), dtype=torch.float64)
+    with torch.no_grad():
+        for k in range(ticks):
+            told = Reference(*(leaf[k] for leaf in reference))
+            seen = over_ground(state.surge, state.heading, current, direction) / top
+            integral, commands[k] = steer(autopilot, integral, told, seen, state.heading)
+            for i in range(k * substeps, (k + 1) * substeps):
+                surge[i], heading[i] = state.surge, state.heading
+                state = step(vessel, state, commands[k], dt)
+        surge[-1], heading[-1] = state.surge, state.heading
+        surge += current * torch.cos(direction - heading)
+    return dt, surge, heading, commands
+
+
+def _stacked(courses: list[list[Mission]]) -> Reference:
+    """All courses as `(ticks, missions, boats)`; behind its end a course has no power."""
+    ticks = max(course.power.size for row in courses for course in row)
+    stacked = torch.zeros((4, ticks, len(courses), len(courses[0])), dtype=torch.float64)
+    for j, row in enumerate(courses):
+        for k, course in enumerate(row):
+            stacked[:, : course.power.size, j, k] = torch.from_numpy(np.stack(course))
+    return Reference(*stacked)
+
+
+def fleet(
+    n: int = 8,
+    spread: float = 1.0,
+    hours: float = 1.0,
+    plant: str = "heron",
+    mission_minutes: float = 15.0,
+    seed: int = 0,
+    drift: float = 0.2,
+    current: float = 0.3,
+    missions: Sequence[str] = tuple(MISSIONS),
+    aborted_share: float = 0.1,
+    paused_share: float = 0.1,
+    autopilot: Autopilot | None = None,
+    sensors: Sensors | None = None,
+) -> list[Recording]:
+    """The logs of a fleet's season, boat by boat in the order of the missions.
+
+    Args:
+        n: boats, named after the plant.
+        spread: 0 makes all boats equal, 1 spreads them (see `fleet_vessels`).
+        hours: time of each boat on the water, all missions together.
+        plant: heron, kingfisher, vtec, otter or wamv.
+        mission_minutes: length of a mission; the last one takes what is left of `hours`.
+        seed: the same seed gives the same logs, bit by bit.
+        drift: how far a boat's parameters move over the season, 0 ... 1.
+        current: fastest river current, m/s; each mission has its own, the river keeps its bed.
+        missions: kinds to deal from: convoy, patrol, lawn_mower, station_keeping.
+        aborted_share: share of the missions that end early, at 30 ... 80 % of their length.
+        paused_share: share of the missions with a spell of idle thrusters.
+        autopilot: gains of the controller; by default it never backs up.
+        sensors: rates, errors and losses.
+
+    Returns:
+        Recordings; `dropped` counts the messages that were lost.
+
+    >>> log = fleet(n=1, hours=0.05, seed=3)[0]
+    >>> log.boat, sorted(log.channels)
+    ('heron', ['command_left', 'command_right', 'heading', 'surge'])
+    """
+    for name, value in (("n", n), ("hours", hours), ("mission_minutes", mission_minutes)):
+        check_positive(name, value)
+    for name, value in (("spread", spread), ("drift", drift), ("current", current), ("seed", seed)):
+        if not 0 <= value < math.inf:
+            raise ConfigError(f"{name}: found {value!r}, expected 0 or a positive number")
+    for kind in missions:
+        check_choice("missions", kind, tuple(MISSIONS))
+    autopilot, sensors = autopilot or Autopilot(), sensors or Sensors()
+    whole, each = round(3600 * hours * autopilot.hz), round(60 * mission_minutes * autopilot.hz)
+    ticks = [min(each, whole - start) for start in range(0, whole, each)]
+
+    vessel = fleet_vessels(n, spread, plant, seed, len(ticks), drift)
+    names, courses = fleet_missions(n, ticks, autopilot.hz, seed, missions, aborted_share, paused_share)
+    flow, direction = _river(seed, len(ticks), current)
+    dt, surge, heading, commands = sail(vessel, courses, flow, direction, autopilot)
+
+    substeps = round(1 / (dt * autopilot.hz))
+    surge, heading, commands = surge.numpy(), heading.numpy(), commands.numpy()
+    recordings = []
+    for k, boat in enumerate(fleet_names(n, plant)):
+        for j, name in enumerate(names):
+            ticks_here = courses[j][k].power.size
+            steps = slice(ticks_here * substeps + 1)
+            truth = Truth(
+                dt, surge[steps, j, k], heading[steps, j, k], 1 / autopilot.hz, commands[:ticks_here, j, k]
+            )
+            recordings.append(Recording(boat, name, *measure(_rng(seed, SENSOR, j, k), truth, sensors)))
+    return recordings
+
+
+def _river(seed: int, missions: int, current: float) -> tuple[Tensor, Tensor]:
+    """Speed and direction of the water on each mission, `(missions, 1)`."""
+    bed = _rng(seed, BED).uniform(0, 2 * math.pi)
+    rngs = [_rng(seed, RIVER, j) for j in range(missions)]
+    flow = [(current * rng.random(), bed + rng.normal(0, 0.2)) for rng in rngs]
+    speed, direction = torch.tensor(flow, dtype=torch.float64).unsqueeze(-1).unbind(1)
+    return speed, direction

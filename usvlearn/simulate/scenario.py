@@ -1,0 +1,137 @@
+"""What boats are sent to do: courses of references for the autopilot, each drawn from a random generator.
+
+Every mission starts and ends with idle thrusters; together they mix speeds, turns and coasting, so that each
+term of the motion model is excited.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Mission(NamedTuple):
+    """A course of references, one per tick of the autopilot (see `autopilot.Reference`)."""
+
+    surge: np.ndarray  # (ticks,) speed over ground, share of the top speed; NaN where the throttle is open
+    throttle: np.ndarray  # (ticks,) mean of both commands where it is open, share of full scale
+    heading: np.ndarray  # (ticks,) rad
+    power: np.ndarray  # (ticks,) 1, or 0 where both thrusters are off
+
+
+def legs(rng: np.random.Generator, ticks: int, hz: float, shortest: float, longest: float) -> np.ndarray:
+    """The number of the leg at each tick, `(ticks,)`; legs last `shortest` ... `longest` s.
+
+    >>> legs(np.random.default_rng(0), 6, 4.0, 0.5, 0.5).tolist()
+    [0, 0, 1, 1, 2, 2]
+    """
+    least, most = max(1, round(shortest * hz)), max(1, round(longest * hz))
+    lasts = rng.integers(least, most + 1, size=ticks // least + 1)
+    return np.repeat(np.arange(lasts.size), lasts)[:ticks]
+
+
+def convoy(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
+    """Keep one's place in a column: a speed that is set now and then and swells with the gap, a winding way.
+
+    >>> convoy(np.random.default_rng(0), 2400, 4.0).surge.shape
+    (2400,)
+    """
+    time = np.arange(ticks) / hz
+    leg = legs(rng, ticks, hz, 30.0, 120.0)
+    surge = rng.uniform(0.25, 0.85, leg[-1] + 1)[leg]
+    period, phase = rng.uniform(8.0, 25.0), rng.uniform(0, 2 * math.pi)
+    surge = surge * (1 + 0.12 * np.sin(2 * math.pi * time / period + phase))
+    bend = legs(rng, ticks, hz, 15.0, 60.0)
+    heading = rng.uniform(0, 2 * math.pi) + np.cumsum(rng.normal(0, 0.03, bend[-1] + 1)[bend]) / hz
+    return _idle_ends(Mission(surge, np.zeros(ticks), heading, np.ones(ticks)), hz)
+
+
+def patrol(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
+    """Go round a polygon with an open throttle that is set anew on every leg, and coast at times.
+
+    >>> bool(np.isnan(patrol(np.random.default_rng(0), 2400, 4.0).surge).all())
+    True
+    """
+    leg = legs(rng, ticks, hz, 25.0, 70.0)
+    turn = rng.choice([-1.0, 1.0]) * rng.uniform(0.5, 2.1, leg[-1] + 1)
+    heading = (rng.uniform(0, 2 * math.pi) + np.cumsum(turn))[leg]
+    spell = legs(rng, ticks, hz, 8.0, 40.0)
+    throttle = rng.uniform(0.15, 1.0, spell[-1] + 1)[spell]
+    power = (rng.random(spell[-1] + 1) > 0.15)[spell].astype(float)
+    return _idle_ends(Mission(np.full(ticks, np.nan), throttle, heading, power), hz)
+
+
+def lawn_mower(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
+    """Survey parallel lines at a speed that is kept within a line, with two square turns between lines.
+
+    >>> lines = lawn_mower(np.random.default_rng(0), 2400, 4.0).heading
+    >>> len(set(lines.round(6)))  # up, across, down
+    3
+    """
+    line, across = round(rng.uniform(30.0, 70.0) * hz), round(rng.uniform(6.0, 14.0) * hz)
+    track = np.arange(ticks) // (line + across)
+    crossing = np.arange(ticks) % (line + across) >= line
+    side = rng.choice([-1.0, 1.0]) * math.pi / 2
+    heading = rng.uniform(0, 2 * math.pi) + side * np.where(crossing, 1, 2 * (track % 2))
+    surge = rng.uniform(0.3, 0.9, track[-1] + 1)[track]
+    surge = np.where(crossing, np.minimum(surge, 0.4), surge)
+    return _idle_ends(Mission(surge, np.zeros(ticks), heading, np.ones(ticks)), hz)
+
+
+def station_keeping(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
+    """Hold a place: bursts of throttle, some astern where the autopilot may, turns on the spot, coasting.
+
+    >>> bool(0 < station_keeping(np.random.default_rng(0), 2400, 4.0).power.mean() < 1)
+    True
+    """
+    spell = legs(rng, ticks, hz, 4.0, 16.0)
+    count = spell[-1] + 1
+    throttle = rng.uniform(-0.4, 0.8, count)[spell]
+    heading = (rng.uniform(0, 2 * math.pi) + np.cumsum(rng.normal(0, 0.7, count)))[spell]
+    power = (rng.random(count) > 0.4)[spell].astype(float)
+    return _idle_ends(Mission(np.full(ticks, np.nan), throttle, heading, power), hz)
+
+
+def paused(rng: np.random.Generator, mission: Mission) -> Mission:
+    """The mission with the thrusters off for a spell in its middle, 10 ... 25 % of it.
+
+    >>> ahead = Mission(*np.ones((4, 100)))
+    >>> bool(10 <= (paused(np.random.default_rng(0), ahead).power == 0).sum() <= 25)
+    True
+    """
+    ticks = mission.power.size
+    off, start = round(ticks * rng.uniform(0.1, 0.25)), round(ticks * rng.uniform(0.25, 0.6))
+    power = mission.power.copy()
+    power[start : start + off] = 0.0
+    return mission._replace(power=power)
+
+
+def aborted(rng: np.random.Generator, mission: Mission, hz: float, coast: float = 15.0) -> Mission:
+    """The mission cut short at 30 ... 80 % of its length, the thrusters off over its last `coast` s.
+
+    >>> ahead = Mission(*np.ones((4, 1000)))
+    >>> 300 <= aborted(np.random.default_rng(0), ahead, 4.0).power.size <= 800
+    True
+    """
+    ticks = max(1, round(mission.power.size * rng.uniform(0.3, 0.8)))
+    short = Mission(*(leaf[:ticks].copy() for leaf in mission))
+    short.power[max(0, ticks - round(coast * hz)) :] = 0.0
+    return short
+
+
+def _idle_ends(mission: Mission, hz: float, start: float = 5.0, end: float = 15.0) -> Mission:
+    ticks = mission.power.size
+    mission.power[: min(round(start * hz), ticks // 8)] = 0.0
+    mission.power[ticks - min(round(end * hz), ticks // 8) :] = 0.0
+    return mission
+
+
+MISSIONS: dict[str, Callable[[np.random.Generator, int, float], Mission]] = {
+    "convoy": convoy,
+    "patrol": patrol,
+    "lawn_mower": lawn_mower,
+    "station_keeping": station_keeping,
+}

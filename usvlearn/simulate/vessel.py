@@ -1,0 +1,216 @@
+"""A thruster-driven vessel in surge and yaw, differentiable and batched.
+
+    m surge_dot = c_q |v| v + c_l v + c_x |r| v + sum_{i=L,R} tau_i          c_q, c_l, c_x <= 0       (1)
+    tau_i = table_i(xi_i) + alpha_i xi_i + beta_i xi_i |xi_i| + gamma_i xi_i |v|                      (2)
+    lag xi_dot = command - xi                                                                         (3)
+    yaw_lag r_dot = yaw_gain (tau_L - tau_R) - r,    heading_dot = r                                  (4)
+
+v is the surge speed through the water, r the yaw rate, xi the speed of a thruster as a share of full scale.
+(1) and (2) are the motion model of the estimators in its signed form; |r| v equals their |r v| ahead and,
+unlike it, brakes astern too. Parameters are leaves of `Vessel`, so that a trajectory has gradients with
+respect to them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Vessel(NamedTuple):
+    """Parameters; leaves broadcast against `(*batch,)`, those of the thrusters end in (left, right)."""
+
+    mass: Tensor  # (*batch,) kg, added mass included
+    drag_quadratic: Tensor  # (*batch,) c_q, N s^2/m^2
+    drag_linear: Tensor  # (*batch,) c_l, N s/m
+    drag_cross: Tensor  # (*batch,) c_x, N s^2/(m rad)
+    knee: (
+        Tensor  # (*batch,) m/s: above this |v| the next two replace c_q and c_l; infinite where there is none
+    )
+    drag_quadratic_fast: Tensor  # (*batch,) N s^2/m^2
+    drag_linear_fast: Tensor  # (*batch,) N s/m
+    thrust_table: Tensor  # (*batch, 2, nodes) N at evenly spaced xi from -1 to 1: dead band, saturation
+    thrust_linear: Tensor  # (*batch, 2) alpha, N
+    thrust_quadratic: Tensor  # (*batch, 2) beta, N
+    thrust_speed: Tensor  # (*batch, 2) gamma, N s/m
+    lag: Tensor  # (*batch,) s, of a thruster
+    yaw_gain: Tensor  # (*batch,) rad/s of settled yaw rate per N of difference between the sides
+    yaw_lag: Tensor  # (*batch,) s
+
+
+class VesselState(NamedTuple):
+    """Where the vessel is in its motion. Leaves are `(*batch,)` except `shaft`."""
+
+    surge: Tensor  # (*batch,) m/s through the water
+    heading: Tensor  # (*batch,) rad, 0 north, clockwise, not wrapped
+    yaw_rate: Tensor  # (*batch,) rad/s
+    shaft: Tensor  # (*batch, 2) thruster speed, left and right, share of full scale
+
+
+def at_rest(batch: tuple[int, ...] = (), heading: Tensor | float = 0.0, dtype=torch.float64) -> VesselState:
+    """The state of a vessel that lies still.
+
+    >>> at_rest((3,)).shaft.shape
+    torch.Size([3, 2])
+    """
+    zero = torch.zeros(batch, dtype=dtype)
+    return VesselState(zero, zero + heading, zero, torch.zeros(*batch, 2, dtype=dtype))
+
+
+def drag(vessel: Vessel, surge: Tensor, yaw_rate: Tensor | float = 0.0) -> Tensor:
+    """Force of the water on the hull, N, `(*batch,)`: the first three terms of (1).
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> round(float(drag(heron(), torch.tensor(2.0, dtype=torch.float64))), 3)
+    -44.668
+    """
+    return resistance(vessel, abs(surge), vessel.drag_cross * abs(yaw_rate)) * surge
+
+
+def resistance(vessel: Vessel, speed: Tensor, cross: Tensor) -> Tensor:
+    """Drag over surge, c_q |v| + c_l + cross, N s/m, `(*batch,)`.
+
+    Args:
+        speed: |v|, m/s.
+        cross: c_x |r|, N s/m.
+    """
+    fast = speed > vessel.knee
+    quadratic = torch.where(fast, vessel.drag_quadratic_fast, vessel.drag_quadratic)
+    linear = torch.where(fast, vessel.drag_linear_fast, vessel.drag_linear)
+    return quadratic * speed + (linear + cross)
+
+
+def static_thrust(vessel: Vessel, shaft: Tensor) -> Tensor:
+    """Force of each thruster without the term in the speed, N, `(*batch, 2)`: (2) with gamma = 0.
+
+    The table is interpolated linearly; beyond its ends (|xi| > 1) the thruster is saturated.
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> static_thrust(heron(), torch.tensor([0.9, 3.0], dtype=torch.float64)).tolist()
+    [30.8, 33.6]
+    """
+    shaft = shaft.clamp(-1.0, 1.0)
+    nodes = vessel.thrust_table.shape[-1]
+    shape = torch.broadcast_shapes(shaft.shape, vessel.thrust_table.shape[:-1])
+    place = ((shaft + 1) * ((nodes - 1) / 2)).expand(shape)
+    below = place.detach().floor().clamp(max=nodes - 2)
+    index = below.long().unsqueeze(-1)
+    table = vessel.thrust_table.expand(*shape, nodes)
+    low = table.gather(-1, index).reshape(shape)
+    high = table.gather(-1, index + 1).reshape(shape)
+    curve = low + (high - low) * (place - below)
+    return curve + (vessel.thrust_linear + vessel.thrust_quadratic * abs(shaft)) * shaft
+
+
+def thrust(vessel: Vessel, shaft: Tensor, surge: Tensor) -> Tensor:
+    """Force of each thruster, N, `(*batch, 2)`: (2)."""
+    lift = vessel.thrust_speed * shaft.clamp(-1.0, 1.0)
+    return static_thrust(vessel, shaft) + lift * abs(surge).unsqueeze(-1)
+
+
+def step(vessel: Vessel, state: VesselState, command: Tensor, dt: float) -> VesselState:
+    """The state `dt` later under a command that is held: (1) by Runge-Kutta 4, (3) and (4) exactly.
+
+    Over the step the thrust is that of the mean thruster speed, exact once the thrusters have spun up.
+
+    Args:
+        command: `(*batch, 2)` left and right, share of full scale; saturates at -1 and 1.
+        dt: s; stable at 0.1 s and below for every vessel of `plants`.
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> state = at_rest()
+    >>> for _ in range(200):
+    ...     state = step(heron(), state, torch.ones(2, dtype=torch.float64), 0.1)
+    >>> round(float(state.surge), 2)
+    2.74
+    """
+    command = command.clamp(-1.0, 1.0)
+    lag = vessel.lag.unsqueeze(-1)
+    decay = torch.exp(-dt / lag)
+    gap = state.shaft - command
+    left = gap * decay
+    shaft = command + left  # (3)
+    mean = command + (gap - left) * (lag / dt)  # (3), averaged over the step
+    static = static_thrust(vessel, mean)
+    lift = vessel.thrust_speed * mean
+
+    tau = static + lift * abs(state.surge).unsqueeze(-1)  # (2)
+    settled = vessel.yaw_gain * (tau[..., 0] - tau[..., 1])
+    decay = torch.exp(-dt / vessel.yaw_lag)
+    gap = state.yaw_rate - settled
+    left = gap * decay
+    yaw_rate = settled + left  # (4)
+    turned = settled * dt + (gap - left) * vessel.yaw_lag
+    heading = state.heading + turned
+
+    static, lift, cross = static.sum(-1), lift.sum(-1), vessel.drag_cross * abs(turned / dt)
+
+    def surge_dot(surge):  # (1)
+        speed = abs(surge)
+        return (resistance(vessel, speed, cross) * surge + (static + lift * speed)) / vessel.mass
+
+    v = state.surge
+    k1 = surge_dot(v)
+    k2 = surge_dot(v + dt / 2 * k1)
+    k3 = surge_dot(v + dt / 2 * k2)
+    k4 = surge_dot(v + dt * k3)
+    return VesselState(v + dt / 6 * (k1 + 2 * (k2 + k3) + k4), heading, yaw_rate, shaft)
+
+
+def simulate(vessel: Vessel, state: VesselState, commands: Tensor, dt: float) -> VesselState:
+    """The trajectory under a course of commands.
+
+    Args:
+        commands: `(time, *batch, 2)`, each held for `dt` s.
+
+    Returns:
+        States after each step: leaves `(time, *batch, ...)`.
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> simulate(heron(), at_rest((3,)), torch.ones(5, 3, 2, dtype=torch.float64), 0.1).surge.shape
+    torch.Size([5, 3])
+    """
+    states = []
+    for command in commands.unbind(0):
+        state = step(vessel, state, command, dt)
+        states.append(state)
+    return VesselState(*(torch.stack(leaves) for leaves in zip(*states, strict=True)))
+
+
+def over_ground(surge: Tensor, heading: Tensor, current: Tensor, direction: Tensor) -> Tensor:
+    """Surge speed over ground, m/s: through the water, plus the current's part along the heading.
+
+    All arguments broadcast.
+
+    Args:
+        current: speed of the water over ground, m/s.
+        direction: where the water flows to, rad, 0 north, clockwise.
+
+    >>> north, south = torch.tensor(0.0), torch.tensor(torch.pi)
+    >>> over_ground(torch.tensor(1.0), north, torch.tensor(0.25), south).item()
+    0.75
+    """
+    return surge + current * torch.cos(direction - heading)
+
+
+def steady_surge(vessel: Vessel, command: Tensor, highest: float = 50.0) -> Tensor:
+    """The speed at which drag and thrust balance while going straight, m/s, `(*batch,)`, by bisection.
+
+    Args:
+        command: `(*batch, 2)` share of full scale.
+        highest: bound of the search, m/s.
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> round(float(steady_surge(heron(), torch.ones(2, dtype=torch.float64))), 3)
+    2.741
+    """
+    with torch.no_grad():
+        balance = drag(vessel, torch.zeros_like(command[..., 0])) * 0
+        low, high = balance - highest, balance + highest
+        for _ in range(60):  # 100 m/s / 2^60 is below float64's resolution
+            middle = (low + high) / 2
+            ahead = drag(vessel, middle) + thrust(vessel, command, middle).sum(-1) > 0
+            low, high = torch.where(ahead, middle, low), torch.where(ahead, high, middle)
+        return (low + high) / 2
