@@ -26,9 +26,7 @@ def jobs(folder: Path) -> list[tuple[str, dict]]:
         name = " ".join(OmegaConf.load(overrides)) or overrides.parents[1].name
         found.append((name, json.loads(results.read_text()) if results.exists() else {}))
     if not found:
-        raise ConfigError(
-            f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written"
-        )
+        raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
     return found
 
 

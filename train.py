@@ -45,7 +45,7 @@ def train(cfg: DictConfig, folder: Path) -> float:
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
     save_every = max(1, round(60 * cfg.save_minutes / cfg.align.dt))
     settings = OmegaConf.to_container(cfg, resolve=True)
-    run = RunFolder(folder, fleet, save_every, {"configuration": settings, "version": __version__})
+    run = RunFolder(folder, fleet, {"configuration": settings, "version": __version__})
     start = run.begin(ensemble.init((len(fleet.boats),)), cfg.resume)
     if start.note:
         console.print(start.note)
@@ -66,9 +66,9 @@ def train(cfg: DictConfig, folder: Path) -> float:
         except MissingExtraError as error:
             console.print(f"no figure: {error}")
 
-    for table in (rejection_table(fleet.rejected), score_table(boats), fleet_table(boats)):
-        if table is not None:
-            console.print(table)
+    tables = [rejection_table(fleet.rejected), score_table(boats), fleet_table(boats) if len(boats) > 1 else None]
+    for table in filter(None, tables):
+        console.print(table)
     objective = mean_mae(boats)[cfg.output]
     results = {"boats": boats, "rejected": fleet.rejected, "seconds": time.perf_counter() - began}
     results |= {"objective": objective, "output": cfg.output}

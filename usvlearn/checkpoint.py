@@ -64,9 +64,7 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise CheckpointError(
-            f"{path}: cannot be read ({error.strerror}): give the path of a checkpoint"
-        ) from error
+        raise CheckpointError(f"{path}: cannot be read ({error.strerror}): give the path of a checkpoint") from error
     try:
         leaves = load_tensors(content)
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
@@ -83,6 +81,11 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     if facts.pop("sha256", None) != _digest(leaves, facts):
         raise CheckpointError(f"{path}: is damaged (its checksum does not fit): use the set saved before it")
     return leaves, facts
+
+
+def verify(path: str | Path) -> None:
+    """Raise a CheckpointError unless the file is whole, of this schema, and its checksum fits."""
+    load(path)
 
 
 def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
@@ -126,9 +129,7 @@ def checkpoints(folder: str | Path) -> list[Path]:
     return sorted(Path(folder).glob(f"*{SUFFIX}"))
 
 
-def restore_newest(
-    folder: str | Path, template: Any, estimator: str | None = None
-) -> tuple[Any, dict[str, Any]]:
+def restore_newest(folder: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
     """Restore the newest readable parameter set of a folder; an unreadable one is passed over with a warning.
 
     Raises:

@@ -26,8 +26,7 @@ class MissingExtraError(UsvlearnError, ImportError):
 
     def __init__(self, package: str, extra: str, purpose: str):
         super().__init__(
-            f"{purpose} needs the package {package}, which is not installed: "
-            f"run `pip install 'usvlearn[{extra}]'`"
+            f"{purpose} needs the package {package}, which is not installed: run `pip install 'usvlearn[{extra}]'`"
         )
 
 

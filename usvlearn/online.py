@@ -47,9 +47,7 @@ class Online:
     def step(self, sample: Sample) -> Tensor:
         """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s."""
         inputs, surge, fresh, measured = sample
-        sample = Sample(
-            Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured)
-        )
+        sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
         self.state, predicted = self.estimator(self.state, sample)
         return predicted
 

@@ -140,9 +140,7 @@ class Ensemble(Estimator):
         super().__init__()
         combiners = {"average": Average()} if combiners is None else dict(combiners)
         if not members or not combiners:
-            raise ConfigError(
-                f"ensemble: found {len(members)} members, expected at least one, and one combiner"
-            )
+            raise ConfigError(f"ensemble: found {len(members)} members, expected at least one, and one combiner")
         if twice := set(members) & set(combiners):
             raise ConfigError(f"ensemble: {', '.join(sorted(twice))} names both a member and a combiner")
         self.names = (*members, *combiners)
@@ -156,8 +154,7 @@ class Ensemble(Estimator):
             if not chosen or (unknown := sorted(set(chosen) - set(members))):
                 raise ConfigError(
                     f"ensemble combiner {name}: found members {', '.join(chosen) or 'none'}, "
-                    f"expected some of {', '.join(members)}"
-                    + (f" (unknown: {', '.join(unknown)})" if chosen else "")
+                    f"expected some of {', '.join(members)}" + (f" (unknown: {', '.join(unknown)})" if chosen else "")
                 )
             self._index[name] = [list(members).index(member) for member in chosen]
 
@@ -166,8 +163,7 @@ class Ensemble(Estimator):
         members = {name: member.init(batch) for name, member in self.members.items()}
         like = next(m.surge for m in members.values() if hasattr(m, "surge"))
         combiners = {
-            name: combiner.init(batch, len(self._index[name]), like)
-            for name, combiner in self.combiners.items()
+            name: combiner.init(batch, len(self._index[name]), like) for name, combiner in self.combiners.items()
         }
         return EnsembleState(members, combiners, like.new_zeros((*batch, len(self.names))))
 
@@ -175,9 +171,7 @@ class Ensemble(Estimator):
         coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
         predictions = self._combine(state, [surge for _, surge in coasted.values()])
         members = {name: new for name, (new, _) in coasted.items()}
-        return EnsembleState(members, state.combiners, predictions), predictions[
-            ..., self.names.index(self.output)
-        ]
+        return EnsembleState(members, state.combiners, predictions), predictions[..., self.names.index(self.output)]
 
     def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
         single = [member.predict(state.members[name], inputs)[1] for name, member in self.members.items()]

@@ -118,9 +118,7 @@ class RLS(Estimator):
     def update(self, state: RLSState, inputs: Inputs, surge: Tensor) -> RLSState:
         base, phi = self.model(state.surge, inputs)
         estimate = base + (phi * state.theta).sum(-1)
-        theta, factor = rls_step(
-            state.theta, state.factor, phi, surge - estimate, self.forgetting(), self.trace_max
-        )
+        theta, factor = rls_step(state.theta, state.factor, phi, surge - estimate, self.forgetting(), self.trace_max)
         if self.feedback == "estimate":
             surge = estimate.clamp(-self.surge_max, self.surge_max)
         return RLSState(theta, factor, surge)

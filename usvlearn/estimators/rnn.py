@@ -166,9 +166,7 @@ class RNN(Estimator):
     def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
         x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
         surge = x / self.scale
-        coasted = surge.clamp(
-            -2 * self.surge_max, 2 * self.surge_max
-        )  # what it may depart from when it coasts
+        coasted = surge.clamp(-2 * self.surge_max, 2 * self.surge_max)  # what it may depart from when it coasts
         return state._replace(surge=coasted, unbroken=torch.zeros_like(state.unbroken)), surge
 
     def update(self, state: RNNState, inputs: Inputs, surge: Tensor) -> RNNState:

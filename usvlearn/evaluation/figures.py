@@ -20,9 +20,7 @@ COLOURS = (
 )  # Okabe & Ito
 
 
-def prediction_figure(
-    time: np.ndarray, surge: np.ndarray, predictions: np.ndarray, names: Sequence[str], title: str
-):
+def prediction_figure(time: np.ndarray, surge: np.ndarray, predictions: np.ndarray, names: Sequence[str], title: str):
     """Measured and predicted surge over time, above the errors' distributions.
 
     Args:
@@ -53,9 +51,7 @@ def prediction_figure(
             below.hist(finite.clip(-limit, limit), bins=bins, histtype="step", **style)
     low, high = np.nanmin(surge), np.nanmax(surge)
     margin = 0.15 * (high - low) + 0.05
-    above.set(
-        xlabel="time in the run, s", ylabel="surge, m/s", title=title, ylim=(low - margin, high + margin)
-    )
+    above.set(xlabel="time in the run, s", ylabel="surge, m/s", title=title, ylim=(low - margin, high + margin))
     below.set(xlabel="predicted − measured, m/s (beyond the edge: in the last bin)", ylabel="steps")
     above.legend(ncols=4, fontsize="small")
     return figure

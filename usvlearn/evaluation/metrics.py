@@ -59,6 +59,4 @@ def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:
     {'aid': 0.2}
     """
     names = dict.fromkeys(name for rows in boats.values() for name in rows)
-    return {
-        name: float(np.mean([rows[name]["mae"] for rows in boats.values() if name in rows])) for name in names
-    }
+    return {name: float(np.mean([rows[name]["mae"] for rows in boats.values() if name in rows])) for name in names}

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from rich.table import Table
 
+from usvlearn.evaluation.metrics import mean_mae
+
 COLUMNS = ("mae", "median", "rmse")
 
 
@@ -27,20 +29,19 @@ def score_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
 
 
 def fleet_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
-    """One row per boat, one column per estimator: MAE in m/s, and the mean over boats."""
-    table = Table(title="One-step prediction of surge, MAE in m/s", title_justify="left")
-    names = list(next(iter(boats.values())))
-    table.add_column("boat")
-    for name in names:
-        table.add_column(name, justify="right")
-    table.add_column("steps", justify="right")
-    for boat, rows in boats.items():
-        best = min(row["mae"] for row in rows.values())
-        cells = [f"[bold]{r['mae']:.4f}[/]" if r["mae"] == best else f"{r['mae']:.4f}" for r in rows.values()]
-        table.add_row(boat, *cells, str(max(row["steps"] for row in rows.values())))
-    table.add_section()
-    means = [sum(rows[name]["mae"] for rows in boats.values()) / len(boats) for name in names]
-    table.add_row("mean", *(f"{mean:.4f}" for mean in means), "")
+    """One row per estimator, one column per boat and their mean: MAE in m/s, the best of each column bold."""
+    table = Table(title="The fleet: MAE in m/s", title_justify="left")
+    columns = {boat: {name: row["mae"] for name, row in rows.items()} for boat, rows in boats.items()}
+    columns["mean"] = mean_mae(boats)
+    table.add_column("estimator")
+    for boat in columns:
+        table.add_column(boat, justify="right")
+    for name in columns["mean"]:
+        cells = [
+            f"[bold]{maes[name]:.4f}[/]" if maes[name] == min(maes.values()) else f"{maes[name]:.4f}"
+            for maes in columns.values()
+        ]
+        table.add_row(name, *cells)
     return table
 
 
@@ -66,13 +67,9 @@ def sweep_table(jobs: Sequence[tuple[str, Mapping]]) -> Table:
     table.add_column("job")
     for name in names:
         table.add_column(name, justify="right")
-
-    def mean(result: Mapping, name: str) -> float:
-        maes = [rows[name]["mae"] for rows in result["boats"].values() if name in rows]
-        return sum(maes) / len(maes) if maes else float("nan")
-
     for job, result in sorted(done, key=lambda item: item[1]["objective"]):
-        table.add_row(job, *(f"{mean(result, name):.4f}" for name in names))
+        maes = mean_mae(result["boats"])
+        table.add_row(job, *(f"{maes[name]:.4f}" if name in maes else "–" for name in names))
     for job, reason in failed:
         table.add_row(job, f"failed: {reason}", style="red")
     return table

@@ -10,7 +10,7 @@ import torch
 
 from usvlearn.estimator import rollout
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
-from usvlearn.signals import Fleet, Run, tree_map
+from usvlearn.signals import Fleet, tree_map
 
 
 class Position(NamedTuple):
@@ -20,6 +20,9 @@ class Position(NamedTuple):
     step: int
 
 
+BEGIN = Position(0, 0)
+
+
 class Chunk(NamedTuple):
     """A stretch of one run, replayed."""
 
@@ -27,14 +30,14 @@ class Chunk(NamedTuple):
     end: Position
     state: EnsembleState  # at the end; leaves (boats, ...)
     predictions: np.ndarray  # (time, boats, estimators) m/s, NaN where no step was made
-    due: tuple[bool, ...]  # per boat: whether a parameter set is to be saved at the end
+    save: bool  # whether parameter sets are due at the end
 
 
 def replay(
     ensemble: Ensemble,
     fleet: Fleet,
     state: EnsembleState,
-    begin: Position = Position(0, 0),
+    begin: Position = BEGIN,
     every: int = 750,
     save_every: int = 750,
 ) -> Iterator[Chunk]:
@@ -48,51 +51,31 @@ def replay(
         state: to start from, leaves `(boats, ...)`.
         begin: what is already done.
         every: steps in a chunk, at most.
-        save_every: steps between two parameter sets of a boat; one more falls due at the end of each of its runs.
+        save_every: steps between two parameter sets; more fall due at the end of each run.
 
     Yields:
         Chunks in order; together they cover each run once.
     """
     dtype = state.predictions.dtype
     for index in range(begin.run, len(fleet.runs)):
-        run = fleet.runs[index]
+        samples, length = fleet.runs[index].samples, len(fleet.runs[index].time)
         done = begin.step if index == begin.run else 0
-        for stop in _stops(run, every, save_every):
+        for stop in sorted({*range(every, length, every), *range(save_every, length, save_every), length}):
             if stop <= done:
                 continue
-            samples = tree_map(lambda x, a=done, b=stop: _tensor(x[a:b], dtype), run.samples)
+            part = tree_map(lambda x, a=done, b=stop: x[a:b], samples)
             with torch.no_grad():
-                state, _, predictions = rollout(ensemble, state, samples, record=lambda s: s.predictions)
-            stepped = run.samples.fresh[done:stop, :, None] & (run.samples.inputs.dt[done:stop, :, None] != 0)
-            due = tuple(is_due(n, stop, save_every) for n in run.lengths)
+                tensors = tree_map(lambda x: _tensor(x, dtype), part)
+                state, _, predictions = rollout(ensemble, state, tensors, record=lambda s: s.predictions)
+            stepped = part.fresh & (part.inputs.dt != 0)
             yield Chunk(
                 Position(index, done),
                 Position(index, stop),
                 state,
-                np.where(stepped, predictions.numpy(), np.nan),
-                due,
+                np.where(stepped[..., None], predictions.numpy(), np.nan),
+                stop == length or stop % save_every == 0,
             )
             done = stop
-
-
-def is_due(length: int, step: int, save_every: int) -> bool:
-    """Whether a boat whose run has `length` steps saves a parameter set at `step`."""
-    return 0 < step <= length and (step == length or step % save_every == 0)
-
-
-def last_due(length: int, step: int, save_every: int) -> int:
-    """The last step up to `step` at which a boat whose run has `length` steps saves; 0 where there is none.
-
-    >>> last_due(1000, 800, 750), last_due(1000, 1200, 750), last_due(1000, 700, 750)
-    (750, 1000, 0)
-    """
-    return length if step >= length else step // save_every * save_every
-
-
-def _stops(run: Run, every: int, save_every: int) -> list[int]:
-    longest = max(run.lengths)
-    stops = {*range(every, longest, every), *range(save_every, longest, save_every), *run.lengths} - {0}
-    return sorted(stops)
 
 
 def _tensor(x: np.ndarray, dtype: torch.dtype) -> torch.Tensor:

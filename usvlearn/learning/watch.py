@@ -30,9 +30,7 @@ class Watch:
 
     def __init__(self, board: Board, fleet: Fleet, ensemble: Ensemble):
         self.board, self.fleet, self.ensemble = board, fleet, ensemble
-        self._errors: deque[np.ndarray] = (
-            deque()
-        )  # (time, boats, estimators), the last WINDOW steps or a little more
+        self._errors: deque[np.ndarray] = deque()  # (time, boats, estimators), the last WINDOW steps or a little more
 
     def show(self, chunk: Chunk) -> None:
         """One point of every curve."""
@@ -54,9 +52,7 @@ class Watch:
             row = dict(zip(names, mae[lane].tolist(), strict=True))
             self.board.scalars(f"online/mae/{boat}", row, step)
             if base := row.get(PERSISTENCE):
-                self.board.scalars(
-                    f"online/skill/{boat}", {name: 1 - x / base for name, x in row.items()}, step
-                )
+                self.board.scalars(f"online/skill/{boat}", {name: 1 - x / base for name, x in row.items()}, step)
             self.board.scalars(f"state/{boat}", {key: value[lane] for key, value in numbers.items()}, step)
 
     def finish(self, settings: Mapping, maes: Mapping[str, float], predictions: Sequence[np.ndarray]) -> None:

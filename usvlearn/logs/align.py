@@ -134,12 +134,8 @@ class Aligner:
         if missing := [name for name in REQUIRED if name not in channels]:
             raise LogFormatError(f"channels: {', '.join(missing)} missing, expected {', '.join(REQUIRED)}")
         if channels["surge"].delay:
-            raise ConfigError(
-                "delay of surge: expected 0: give the inputs the delay with which they act on it"
-            )
-        self.tracks = {
-            name: Track(bool(c.held), float(c.window), float(c.delay)) for name, c in channels.items()
-        }
+            raise ConfigError("delay of surge: expected 0: give the inputs the delay with which they act on it")
+        self.tracks = {name: Track(bool(c.held), float(c.window), float(c.delay)) for name, c in channels.items()}
         self.rejected = {name: Counter() for name in (*self.tracks, "yaw_rate")}
         self._newest = -math.inf  # newest stamp of any channel
         self._behind = 0  # messages in a row that lie far behind it
@@ -220,9 +216,7 @@ class Aligner:
         """The sample of the step from `start` to `end`."""
         speed = self.tracks["surge"]
         i = speed.at(end)
-        measured = (
-            i >= 0 and speed.times[i] > start + EPSILON and end - speed.times[i] <= speed.window + EPSILON
-        )
+        measured = i >= 0 and speed.times[i] > start + EPSILON and end - speed.times[i] <= speed.window + EPSILON
         surge = speed.values[i] if measured else math.nan
         if not measured:
             self.rejected["surge"]["stale"] += 1

@@ -36,9 +36,7 @@ class Alog:
 
     suffixes: ClassVar[tuple[str, ...]] = (".alog",)
 
-    def read(
-        self, path: Path, sources: dict[str, Source]
-    ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         """The channels of a log and what could not be used: channel -> cause -> count.
 
         Args:
@@ -64,9 +62,7 @@ class Alog:
             order, time, cells = rows[matched[channel]]
             raw = parse_numbers(cells)
             where = f"{path}: {channel}"
-            channels[channel], dropped[channel] = build_channel(
-                where, source, parse_numbers(time), raw, order, cells
-            )
+            channels[channel], dropped[channel] = build_channel(where, source, parse_numbers(time), raw, order, cells)
         return channels, dropped
 
 

@@ -176,7 +176,5 @@ def build_channel(
             "name another source, or leave this log out"
         )
     order = np.asarray(order, dtype=np.int64)[usable]
-    channel = Channel(
-        time[usable], source.convert(raw[usable]), order, source.held, source.window, source.delay
-    )
+    channel = Channel(time[usable], source.convert(raw[usable]), order, source.held, source.window, source.delay)
     return channel, dict(dropped)

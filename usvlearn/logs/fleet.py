@@ -38,9 +38,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
                     total[cause] = total.get(cause, 0) + count
         steps = int(aligned.samples.measured.sum())
         if steps < SHORTEST:
-            short.append(
-                f"{recording.boat}/{recording.run} has {steps} (rejected: {_causes(aligned.rejected)})"
-            )
+            short.append(f"{recording.boat}/{recording.run} has {steps} (rejected: {_causes(aligned.rejected)})")
         else:
             boats.setdefault(recording.boat, []).append((recording.run, aligned))
     if not boats:

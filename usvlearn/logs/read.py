@@ -23,9 +23,7 @@ class Reader(Protocol):
 
     suffixes: tuple[str, ...]
 
-    def read(
-        self, path: Path, sources: dict[str, Source]
-    ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]: ...
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]: ...
 
 
 def read_recordings(
@@ -93,9 +91,7 @@ def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, lis
     if path is None or str(path) in ("", "???"):
         raise ConfigError("data.path is not set: set data.path=FILE, a folder of logs, or a pattern")
     if not isinstance(path, str | os.PathLike):
-        raise ConfigError(
-            f"data.path: found {path!r}, expected a file, a folder, a pattern or BOAT: FILE entries"
-        )
+        raise ConfigError(f"data.path: found {path!r}, expected a file, a folder, a pattern or BOAT: FILE entries")
     text = os.path.expanduser(os.fspath(path))
     here = Path(text)
     if here.is_file():
@@ -108,9 +104,7 @@ def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, lis
         pattern = text
     else:
         close = difflib.get_close_matches(here.name, _names(here.parent), n=1)
-        hint = (
-            f"did you mean {here.parent / close[0]}?" if close else f"set it to a folder or log ({endings})"
-        )
+        hint = f"did you mean {here.parent / close[0]}?" if close else f"set it to a folder or log ({endings})"
         raise ConfigError(f"data.path: found {text!r}, but {here.absolute()} does not exist: {hint}")
     found = [Path(name) for name in glob.glob(pattern, recursive=True) if os.path.isfile(name)]
     files = [file for file in found if file.suffix.lower() in suffixes]
@@ -147,8 +141,7 @@ def _sources(channels: Mapping[str, Source | Mapping | None]) -> dict[str, Sourc
     for name in REQUIRED:
         if name not in sources:
             raise ConfigError(
-                f"data.channels: found no {name}, expected {', '.join(REQUIRED)}: "
-                f"set data.channels.{name}.name"
+                f"data.channels: found no {name}, expected {', '.join(REQUIRED)}: set data.channels.{name}.name"
             )
     return sources
 

@@ -41,9 +41,7 @@ class Rosbag:
     def __post_init__(self):
         check_choice("data.reader.clock", self.clock, ("header", "receive"))
 
-    def read(
-        self, path: Path, sources: dict[str, Source]
-    ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         """The channels of a bag and what could not be used: channel -> cause -> count.
 
         Args:
@@ -67,9 +65,7 @@ class Rosbag:
         except Exception as error:  # rosbags answers damage with many types, AssertionError among them
             if isinstance(error, OSError) and error.errno:
                 raise
-            mend = (
-                "run `rosbag reindex` on it" if "index" in str(error) else "leave it out, or name its reader"
-            )
+            mend = "run `rosbag reindex` on it" if "index" in str(error) else "leave it out, or name its reader"
             what = str(error).rstrip(".") or type(error).__name__
             raise LogFormatError(f"{path}: expected a whole ROS bag, found: {what}: {mend}") from error
 

@@ -50,9 +50,7 @@ class Table:
         if len(self.delimiter) != 1:
             raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character")
 
-    def read(
-        self, path: Path, sources: dict[str, Source]
-    ) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         """The channels of a table and what could not be used: channel -> cause -> count.
 
         Args:

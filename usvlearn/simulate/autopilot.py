@@ -85,9 +85,8 @@ def steer(
     charged = (integral + autopilot.integral / autopilot.hz * error).clamp(autopilot.lowest, 1.0)  # 2.
     integral = torch.where(controlled, charged, reference.throttle)
     throttle = (integral + autopilot.proportional * error).clamp(autopilot.lowest, 1.0)
-    turn = (autopilot.heading * wrap(reference.heading - heading)).clamp(
-        -autopilot.turn_max, autopilot.turn_max
-    )  # 3.
+    turn = autopilot.heading * wrap(reference.heading - heading)  # 3.
+    turn = turn.clamp(-autopilot.turn_max, autopilot.turn_max)
     command = torch.stack((throttle + turn, throttle - turn), dim=-1).clamp(autopilot.lowest, 1.0)  # 4.
     steps = (command * reference.power.unsqueeze(-1) / autopilot.resolution).round()
     return integral, steps * autopilot.resolution

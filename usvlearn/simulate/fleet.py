@@ -65,11 +65,10 @@ def fleet_vessels(
     """
     nominal = plant_named(plant)
     low = np.array([0.0, -1.0, -1.0, -1.0])  # mass, left, right, drag
-    draws = np.stack(
-        [_rng(seed, HULL, 0, k).uniform(low, 1.0, (2, 4)) for k in range(n)], axis=1
-    )  # (2, n, 4)
+    draws = [_rng(seed, HULL, 0, k).uniform(low, 1.0, (2, 4)) for k in range(n)]
+    first, other = np.stack(draws, axis=1)  # (n, 4)
     gone = drift * np.linspace(0.0, 1.0, missions)[:, None, None]
-    share = (1 - gone) * draws[0] + gone * draws[1]  # (missions, n, 4)
+    share = (1 - gone) * first + gone * other  # (missions, n, 4)
     factor = torch.from_numpy(1 + spread * np.array([LEAK, WEAR, WEAR, DRAG]) * share)
     mass, sides, hull = factor[..., 0], factor[..., 1:3], factor[..., 3]
     return nominal._replace(
@@ -236,9 +235,8 @@ def fleet(
         for j, name in enumerate(names):
             ticks_here = courses[j][k].power.size
             steps = slice(ticks_here * substeps + 1)
-            truth = Truth(
-                dt, surge[steps, j, k], heading[steps, j, k], 1 / autopilot.hz, commands[:ticks_here, j, k]
-            )
+            motion = surge[steps, j, k], heading[steps, j, k]
+            truth = Truth(dt, *motion, 1 / autopilot.hz, commands[:ticks_here, j, k])
             recordings.append(Recording(boat, name, *measure(_rng(seed, SENSOR, j, k), truth, sensors)))
     return recordings
 

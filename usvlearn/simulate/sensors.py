@@ -16,6 +16,8 @@ import numpy as np
 from usvlearn.errors import ConfigError, check_choice, check_positive
 from usvlearn.logs.channel import Channel
 
+Posted = tuple[np.ndarray, np.ndarray]  # stamps and values of a channel's messages, (n,) each
+
 
 @dataclass(frozen=True)
 class Sensors:
@@ -74,9 +76,7 @@ class Sensors:
             if not (0 <= value <= most and math.isfinite(value)):
                 raise ConfigError(f"{name}: found {value!r}, expected a number from 0 to {most}")
         if not 0 <= self.outage[0] <= self.outage[1]:
-            raise ConfigError(
-                f"outage: found {self.outage!r}, expected the shortest and the longest time in s"
-            )
+            raise ConfigError(f"outage: found {self.outage!r}, expected the shortest and longest time in s")
         if self.jitter * max(self.surge_hz, self.heading_hz) >= 0.25:
             raise ConfigError(
                 f"jitter: found {self.jitter} s, expected less than a quarter of the shortest period, "
@@ -113,9 +113,9 @@ def measure(
     for name, (time, value) in zip(names, posted, strict=True):
         kept, dropped[name] = _kept(rng, time, span, sensors)
         arrival = time + rng.uniform(0, sensors.latency, time.size)
-        arrived.append(
-            [column[kept][np.argsort(arrival[kept], kind="stable")] for column in (time, value, arrival)]
-        )
+        kept = np.flatnonzero(kept)
+        kept = kept[np.argsort(arrival[kept], kind="stable")]
+        arrived.append((time[kept], value[kept], arrival[kept]))
     orders = _ranks([arrival for _, _, arrival in arrived])
     channels = {
         name: Channel(time, value, order, held and name.startswith("command"), window[i])
@@ -134,9 +134,7 @@ def _at(truth_column: np.ndarray, dt: float, time: np.ndarray) -> np.ndarray:
     return np.interp(time, np.arange(truth_column.size) * dt, truth_column)
 
 
-def _commands(
-    rng: np.random.Generator, truth: Truth, sensors: Sensors
-) -> list[tuple[np.ndarray, np.ndarray]]:
+def _commands(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> list[Posted]:
     """Both commands are posted up to two jitters after they take force, each on its own."""
     posted = []
     for value in truth.commands.T:
@@ -148,25 +146,23 @@ def _commands(
     return posted
 
 
-def _heading(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> tuple[np.ndarray, np.ndarray]:
+def _heading(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> Posted:
     """A compass: 0 ... 2 pi."""
     time = _stamps(rng, sensors.heading_hz, truth.dt * (truth.heading.size - 1), sensors.jitter)
     noise = rng.normal(0, sensors.heading_noise, time.size)
     return time, np.mod(_at(truth.heading, truth.dt, time) + noise, 2 * math.pi)
 
 
-def _surge(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> tuple[np.ndarray, np.ndarray]:
+def _surge(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> Posted:
     """GPS: quantised truth + white noise + outliers; near standstill truth + low-passed white noise."""
     time = _stamps(rng, sensors.surge_hz, truth.dt * (truth.surge.size - 1), sensors.jitter)
     speed = _at(truth.surge, truth.dt, time)
     noise = rng.normal(0, sensors.surge_noise, time.size)
-    outliers = (
-        (rng.random(time.size) < sensors.outlier_share) * rng.standard_t(2, time.size) * sensors.outlier_scale
-    )
+    hit = rng.random(time.size) < sensors.outlier_share
+    outliers = hit * rng.standard_t(2, time.size) * sensors.outlier_scale
     keep = math.exp(-1 / (sensors.filter_time * sensors.surge_hz))
-    kernel = (1 - keep) * keep ** np.arange(
-        math.ceil(7 * sensors.filter_time * sensors.surge_hz)
-    )  # e^-7 is left
+    taps = math.ceil(7 * sensors.filter_time * sensors.surge_hz)  # e^-7 is left behind the last
+    kernel = (1 - keep) * keep ** np.arange(taps)
     filtered = speed + np.convolve(noise, kernel)[: time.size]
     raw = np.round((speed + noise + outliers) / sensors.surge_quantum) * sensors.surge_quantum
     return time, np.where(np.abs(filtered) < sensors.surge_filtered, filtered, raw)

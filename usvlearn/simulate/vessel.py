@@ -26,9 +26,7 @@ class Vessel(NamedTuple):
     drag_quadratic: Tensor  # (*batch,) c_q, N s^2/m^2
     drag_linear: Tensor  # (*batch,) c_l, N s/m
     drag_cross: Tensor  # (*batch,) c_x, N s^2/(m rad)
-    knee: (
-        Tensor  # (*batch,) m/s: above this |v| the next two replace c_q and c_l; infinite where there is none
-    )
+    knee: Tensor  # (*batch,) m/s: above this |v| the next two replace c_q and c_l; may be infinite
     drag_quadratic_fast: Tensor  # (*batch,) N s^2/m^2
     drag_linear_fast: Tensor  # (*batch,) N s/m
     thrust_table: Tensor  # (*batch, 2, nodes) N at evenly spaced xi from -1 to 1: dead band, saturation

@@ -1,0 +1,31 @@
+"""What the tests share: seeded samples, and the place of the real logs."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from usvlearn import Inputs, Sample
+
+torch.set_num_threads(1)
+REAL_LOGS = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def real_logs() -> Path:
+    """The folder of recorded logs beside the repository; the test is skipped where it is absent."""
+    if not REAL_LOGS.is_dir():
+        pytest.skip("recorded logs are not part of the repository and are not beside it")
+    return REAL_LOGS
+
+
+def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) -> Sample:
+    """Random inputs and speeds, all fresh and measured."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform() -> torch.Tensor:
+        return torch.rand(steps, *batch, generator=generator, dtype=dtype)
+
+    yes = torch.ones(steps, *batch, dtype=torch.bool)
+    inputs = Inputs(uniform(), uniform(), 6 * uniform(), uniform() - 0.5, torch.full((steps, *batch), 0.4, dtype=dtype))
+    return Sample(inputs, 2 * uniform(), yes, yes)

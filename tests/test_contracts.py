@@ -1,0 +1,224 @@
+"""Properties that every estimator has, whatever it learns."""
+
+import io
+import itertools
+import math
+
+import pytest
+import torch
+
+from tests.conftest import random_samples
+from tests.estimators import ESTIMATORS
+from usvlearn import Inputs, Online, Sample, rollout
+from usvlearn.signals import named_leaves, tree_map
+
+BATCHES = [(), (3,), (2, 3)]
+each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
+each_batch = pytest.mark.parametrize("batch", BATCHES, ids=str)
+
+
+def leaves(tree):
+    return dict(named_leaves(tree))
+
+
+def at(samples, k):
+    return tree_map(lambda x: x[k], samples)
+
+
+def assert_same(found, expected, **tolerance):
+    found, expected = leaves(found), leaves(expected)
+    assert found.keys() == expected.keys()
+    for name in expected:
+        torch.testing.assert_close(found[name], expected[name], msg=lambda m, n=name: f"{n}: {m}", **tolerance)
+
+
+def troubled(*batch):
+    """Samples with a missing speed, NaN inputs, stale steps and a new segment."""
+    samples = random_samples(12, *batch)
+    surge, fresh, measured = samples.surge.clone(), samples.fresh.clone(), samples.measured.clone()
+    dt, left = samples.inputs.dt.clone(), samples.inputs.command_left.clone()
+    surge[3] = math.nan  # said to be measured, but is not
+    measured[4], surge[4] = False, math.nan
+    fresh[5], measured[5], left[5], surge[5] = False, False, math.nan, math.nan
+    fresh[6], measured[6], left[6] = False, False, math.inf
+    fresh[7], measured[7], dt[7], left[7] = False, False, 0.0, math.nan  # a segment starts
+    return Sample(samples.inputs._replace(dt=dt, command_left=left), surge, fresh, measured)
+
+
+@each_estimator
+@each_batch
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
+def test_shapes_and_dtypes(name, batch, dtype):
+    estimator = ESTIMATORS[name]().to(dtype)
+    state = estimator.init(batch)
+    end, surge, _ = rollout(estimator, state, random_samples(4, *batch, dtype=dtype))
+    assert surge.shape == (4, *batch) and surge.dtype == dtype
+    for key, leaf in leaves(state).items():
+        assert leaf.shape[: len(batch)] == batch, key
+        assert leaf.dtype in (dtype, torch.bool), key
+        assert leaves(end)[key].shape == leaf.shape and leaves(end)[key].dtype == leaf.dtype, key
+
+
+@each_estimator
+@each_batch
+def test_lanes_equal_single_runs(name, batch):
+    estimator, samples = ESTIMATORS[name](), random_samples(15, *batch)
+    end, surge, _ = rollout(estimator, estimator.init(batch), samples)
+    for lane in itertools.product(*map(range, batch)):
+        end1, surge1, _ = rollout(estimator, estimator.init(), tree_map(lambda x, i=lane: x[(slice(None), *i)], samples))
+        torch.testing.assert_close(surge[(slice(None), *lane)], surge1, rtol=1e-12, atol=1e-12)
+        assert_same(tree_map(lambda x, i=lane: x[i], end), end1, rtol=1e-12, atol=1e-12)
+
+
+@each_estimator
+def test_vmap_equals_batch(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(3, 4)
+    state = estimator.init((4,))
+    for k in range(3):
+        mapped = torch.vmap(lambda s, x: estimator(s, x))(state, at(samples, k))
+        state, surge = estimator(state, at(samples, k))
+        torch.testing.assert_close(mapped[1], surge)
+        assert_same(mapped[0], state)
+
+
+@each_estimator
+def test_prediction_is_causal(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(12)
+    _, surge, _ = rollout(estimator, estimator.init(), samples)
+    other = samples.surge.clone()
+    other[7] += 1.0
+    _, changed, _ = rollout(estimator, estimator.init(), samples._replace(surge=other))
+    assert torch.equal(surge[:8], changed[:8])
+    assert not torch.allclose(surge[8:], changed[8:])
+
+
+@each_estimator
+@each_batch
+def test_bad_samples_are_masked(name, batch):
+    estimator, samples = ESTIMATORS[name](), troubled(*batch)
+    state = estimator.init(batch)
+    for k in range(12):
+        before = state
+        state, surge = estimator(state, at(samples, k))
+        assert all(x.isfinite().all() for x in leaves(state).values()), k
+        if k in (5, 6):  # stale: held, bit for bit
+            assert surge.isnan().all()
+            assert all(torch.equal(x, y) for x, y in zip(leaves(state).values(), leaves(before).values(), strict=True))
+        elif k == 7:  # a start: no prediction, nothing learned
+            assert surge.isnan().all()
+        else:
+            assert surge.isfinite().all()
+
+
+@each_estimator
+def test_a_start_is_the_speed_to_depart_from(name):
+    """After an outage nothing remembers the speed before it: only learned parameters may differ from a fresh start."""
+    estimator, samples = ESTIMATORS[name](), random_samples(5)
+    state, _, _ = rollout(estimator, estimator.init(), samples)
+    opening = Sample(Inputs(*(torch.zeros((), dtype=torch.float64) for _ in Inputs._fields)),
+                     torch.tensor(1.3, dtype=torch.float64), torch.tensor(False), torch.tensor(False))  # fmt: skip
+    started, _ = estimator(state, opening)
+    again, _ = estimator(started, opening._replace(surge=torch.tensor(0.2, dtype=torch.float64)))
+    again, _ = estimator(again, opening)
+    assert_same(again, started, rtol=0, atol=0)
+
+
+@each_estimator
+def test_gradients_through_bad_samples_are_finite_and_reach_every_hyperparameter(name):
+    estimator, samples = ESTIMATORS[name](), troubled(3)
+    _, surge, _ = rollout(estimator, estimator.init((3,)), samples)
+    usable = surge.isfinite() & samples.surge.isfinite()
+    loss = torch.where(usable, surge - torch.where(usable, samples.surge, 0.0), 0.0).square().mean()
+    parameters = {key: p for key, p in estimator.named_parameters() if p.requires_grad}
+    if not parameters:
+        assert not loss.requires_grad
+        return
+    loss.backward()
+    for key, parameter in parameters.items():
+        assert parameter.grad is not None and parameter.grad.isfinite().all(), key
+        assert parameter.grad.abs().max() > 0, key
+
+
+@each_estimator
+def test_gradients_of_hyperparameters_equal_differences(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(6)
+    scalars = {key: p for key, p in estimator.named_parameters() if p.ndim == 0}
+
+    def loss() -> torch.Tensor:
+        return (rollout(estimator, estimator.init(), samples)[1] - samples.surge).square().mean()
+
+    if scalars:
+        loss().backward()
+    for key, parameter in scalars.items():
+        slope, h = parameter.grad.clone(), 1e-6
+        with torch.no_grad():
+            parameter += h
+            up = loss()
+            parameter -= 2 * h
+            down = loss()
+            parameter += h
+        torch.testing.assert_close(slope, (up - down) / (2 * h), rtol=2e-4, atol=1e-9, msg=lambda m, k=key: f"{k}: {m}")
+
+
+@each_estimator
+def test_grid_of_hyperparameters_is_a_batch_axis(name):
+    """A hyperparameter of shape (grid, 1) beside a batch (grid, boats) equals one estimator per grid point."""
+    factors = torch.tensor([0.9, 1.0, 1.1], dtype=torch.float64)
+    scalars = [key for key, p in ESTIMATORS[name]().named_parameters() if p.ndim == 0]
+    samples = random_samples(8, 2)
+    for key in scalars:
+        grid = ESTIMATORS[name]()
+        grid.get_parameter(key).data = grid.get_parameter(key).data * factors[:, None]
+        _, surge, _ = rollout(grid, grid.init((3, 2)), tree_map(lambda x: x[:, None].expand(8, 3, 2), samples))
+        for g, factor in enumerate(factors):
+            one = ESTIMATORS[name]()
+            one.get_parameter(key).data *= factor
+            torch.testing.assert_close(surge[:, g], rollout(one, one.init((2,)), samples)[1], rtol=1e-12, atol=1e-12)
+
+
+@each_estimator
+def test_resume_from_disk_is_exact(name, tmp_path):
+    samples = random_samples(20)
+    whole, half, resumed = (Online(ESTIMATORS[name]()) for _ in range(3))
+    expected = [whole.step(at(samples, k)) for k in range(20)]
+    for k in range(10):
+        half.step(at(samples, k))
+    resumed.load(half.save(tmp_path / "a.safetensors"))
+    found = [resumed.step(at(samples, k)) for k in range(10, 20)]
+    assert torch.equal(torch.stack(found), torch.stack(expected[10:]))
+    assert_same(resumed.state, whole.state, rtol=0, atol=0)
+
+
+@each_estimator
+def test_steps_are_pure(name):
+    """Same arguments, same result; neither the state that was given nor the estimator changes."""
+    estimator, samples = ESTIMATORS[name](), random_samples(6)
+    state, _, _ = rollout(estimator, estimator.init(), samples)
+    kept, parameters = tree_map(torch.clone, state), io.BytesIO()
+    torch.save(estimator.state_dict(), parameters)
+    first, second = (estimator(state, at(samples, 2)) for _ in range(2))
+    assert torch.equal(first[1], second[1])
+    assert_same(first[0], second[0], rtol=0, atol=0)
+    assert_same(state, kept, rtol=0, atol=0)
+    after = io.BytesIO()
+    torch.save(estimator.state_dict(), after)
+    assert after.getvalue() == parameters.getvalue()
+
+
+@each_estimator
+def test_compiles_without_graph_breaks(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(1, 2)
+    state = tree_map(torch.Tensor.detach, estimator.init((2,)))
+    torch.compiler.reset()
+    compiled = torch.compile(estimator, backend="eager", fullgraph=True)(state, at(samples, 0))
+    plain = estimator(state, at(samples, 0))
+    torch.testing.assert_close(compiled[1], plain[1])
+    assert_same(compiled[0], plain[0])
+
+
+@each_estimator
+def test_monitor_names_numbers_per_lane(name):
+    estimator = ESTIMATORS[name]()
+    numbers = estimator.monitor(estimator.init((2, 3)))
+    assert all(value.shape == (2, 3) and value.isfinite().all() for value in numbers.values())
+    assert numbers or name == "persistence"

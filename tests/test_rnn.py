@@ -1,0 +1,110 @@
+"""RNN: its written-out gradient equals autograd's and differences; its Adam equals torch's."""
+
+import pytest
+import torch
+from torch.func import grad
+
+from tests.conftest import random_samples
+from usvlearn import RNN, rollout
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.rnn import RNNWeights, gradient, network, network_inputs
+
+
+def case(n: int, batch=(), seed: int = 0):
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn((*batch, *shape), generator=generator, dtype=torch.float64)
+
+    weights = RNNWeights(normal(n) / n, normal(n), normal(n, 4), normal(n))
+    return weights, normal(), normal(4), normal(), normal(), normal(4)
+
+
+def flatten(w: RNNWeights) -> torch.Tensor:
+    return torch.cat([w.a, w.w1, w.W2.flatten(-2), w.b], -1)
+
+
+def loss(weights, x, u, target, penalty, x_before, u_before, unbroken):
+    """Equation (2) of the module, written down plainly."""
+    if unbroken:
+        x = network(weights, x_before, u_before)[0]
+    predicted, n = network(weights, x, u)[0], len(weights.a)
+    psi = (weights.a.abs() + weights.w1.abs() / (n + 1) > 1 / (n + 1)).to(x.dtype)
+    return 0.5 * (predicted - target) ** 2 + penalty / 2 * (psi * (weights.a**2 + weights.w1**2)).sum()
+
+
+@pytest.mark.parametrize("unbroken", [False, True])
+@pytest.mark.parametrize("n", [1, 6, 20])
+def test_gradient_equals_autograd_and_differences(n, unbroken):
+    weights, x, u, target, x_before, u_before = case(n)
+    penalty, flag = torch.tensor(0.3, dtype=torch.float64), torch.tensor(unbroken)
+    found = gradient(weights, x, u, target, penalty, (x_before, u_before, flag))
+    arguments = (x, u, target, penalty, x_before, u_before, unbroken)
+    torch.testing.assert_close(found, flatten(grad(loss)(weights, *arguments)), rtol=1e-12, atol=1e-12)
+    h, flat = 1e-6, flatten(weights)
+    for k in range(7 * n):
+        costs = []
+        for sign in (1, -1):
+            moved = flat.clone()
+            moved[k] += sign * h
+            a, w1, W2, b = moved.split((n, n, 4 * n, n))
+            costs.append(loss(RNNWeights(a, w1, W2.reshape(n, 4), b), *arguments))
+        torch.testing.assert_close(found[k], (costs[0] - costs[1]) / (2 * h), rtol=1e-5, atol=1e-7)
+
+
+def test_one_step_gradient_is_the_broken_one():
+    weights, x, u, target, x_before, u_before = case(6, batch=(5,))
+    penalty, broken = torch.tensor(0.1, dtype=torch.float64), torch.zeros(5, dtype=torch.bool)
+    one = gradient(weights, x, u, target, penalty)
+    torch.testing.assert_close(one, gradient(weights, x, u, target, penalty, (x_before, u_before, broken)))
+
+
+@pytest.mark.parametrize("decay", [None, 7])
+def test_adam_equals_torch(decay):
+    rnn, samples = RNN(6, rate=0.01, penalty=1e-3, decay=decay), random_samples(40)
+    end, _, _ = rollout(rnn, rnn.init(), samples)
+    start = rnn.init().weights
+    weights = RNNWeights(*(w.detach().clone().requires_grad_() for w in start))
+    optimizer = torch.optim.Adam(list(weights), lr=0.01)
+    v = torch.zeros((), dtype=torch.float64)
+    for k in range(40):
+        for group in optimizer.param_groups:
+            group["lr"] = 0.01 if decay is None else 0.01 / (1 + k // decay) ** 0.5
+        u = network_inputs(type(samples.inputs)(*(x[k] for x in samples.inputs)))
+        optimizer.zero_grad()
+        loss(weights, rnn.scale * v, u, rnn.scale * samples.surge[k], 1e-3, None, None, False).backward()
+        optimizer.step()
+        v = samples.surge[k]
+    for found, expected in zip(end.weights, weights, strict=True):
+        torch.testing.assert_close(found, expected.detach(), rtol=1e-10, atol=1e-12)
+
+
+def test_unrolled_loss_starts_one_step_earlier_only_where_the_step_before_was_made():
+    rnn, samples = RNN(6, unroll=2), random_samples(3)
+    first, _, _ = rollout(rnn, rnn.init(), type(samples)(*map_time(samples, slice(0, 1))))
+    assert bool(first.unbroken) and not bool(rnn.start(first, samples.surge[0]).unbroken)
+    coasted, _ = rnn.predict(first, type(samples.inputs)(*(x[1] for x in samples.inputs)))
+    assert not bool(coasted.unbroken)
+
+
+def map_time(samples, part):
+    return type(samples.inputs)(*(x[part] for x in samples.inputs)), *(x[part] for x in samples[1:])
+
+
+def test_paper_size_and_seeded_weights():
+    assert sum(w.numel() for w in RNN().init().weights) == 140
+    same, other = RNN(seed=1).init().weights, RNN(seed=2).init().weights
+    assert torch.equal(RNN(seed=1).init().weights.W2, same.W2) and not torch.equal(same.W2, other.W2)
+
+
+def test_learns_a_constant_speed():
+    rnn, samples = RNN(surge_max=3.0), random_samples(600)
+    steady = samples._replace(surge=torch.full_like(samples.surge, 1.5))
+    _, surge, _ = rollout(rnn, rnn.init(), steady)
+    assert (surge[-50:] - 1.5).abs().mean() < 0.05
+
+
+@pytest.mark.parametrize("wrong", [{"unroll": 3}, {"neurons": 0}, {"rate": 0.0}, {"surge_max": 0.0}, {"decay": 0}])
+def test_illegal_hyperparameters_are_refused(wrong):
+    with pytest.raises(ConfigError, match="expected"):
+        RNN(**wrong)
