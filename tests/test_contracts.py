@@ -217,6 +217,17 @@ def test_compiles_without_graph_breaks(name):
 
 
 @each_estimator
+def test_learn_is_predict_and_update(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(6)
+    state, _, _ = rollout(estimator, estimator.init(), samples)
+    inputs, target = at(samples, 2).inputs, samples.surge[2]
+    learned, surge = estimator.learn(state, inputs, target)
+    assert torch.equal(surge, estimator.predict(state, inputs)[1])
+    assert_same(learned, estimator.update(state, inputs, target), rtol=0, atol=0)
+    assert_same(learned, estimator(state, at(samples, 2))[0], rtol=0, atol=0)
+
+
+@each_estimator
 def test_monitor_names_numbers_per_lane(name):
     estimator = ESTIMATORS[name]()
     numbers = estimator.monitor(estimator.init((2, 3)))

@@ -47,8 +47,8 @@ def still_truth(minutes=60.0, speed=1.0, dt=0.1):
 
 
 def test_speed_lies_on_the_grid_and_the_filter_is_finer_below():
-    fast = measure(np.random.default_rng(0), still_truth(speed=1.0), Sensors())[0]["surge"]
-    slow = measure(np.random.default_rng(0), still_truth(speed=0.05), Sensors())[0]["surge"]
+    fast = measure(np.random.default_rng(0), still_truth(speed=1.0), Sensors(surge_noise=0.04))[0]["surge"]
+    slow = measure(np.random.default_rng(0), still_truth(speed=0.05), Sensors(surge_noise=0.04))[0]["surge"]
     ticks = fast.value / 0.05
     np.testing.assert_allclose(ticks, np.round(ticks), atol=1e-9)
     assert len(np.unique(np.round(ticks))) > 3
@@ -96,7 +96,7 @@ def test_lost_messages_are_counted_and_outages_leave_gaps():
 
 def test_outliers_have_a_heavy_tail():
     def errors(share):
-        sensors = Sensors(outlier_share=share)
+        sensors = Sensors(surge_noise=0.04, outlier_share=share)
         return measure(np.random.default_rng(6), still_truth(60), sensors)[0]["surge"].value - 1.0
 
     def kurtosis(x):

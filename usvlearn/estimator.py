@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ShapeError
-from usvlearn.signals import Inputs, Sample, named_leaves, select, tree_map
+from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
 
 State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
 
@@ -43,6 +43,13 @@ class Estimator(nn.Module, abc.ABC):
         """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
         return state
 
+    def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
+        """A step on which nothing is masked: `update`'s state and `predict`'s surge.
+
+        For an estimator whose `update` has predicted already to say so; no other result is allowed.
+        """
+        return self.update(state, inputs, surge), self.predict(state, inputs)[1]
+
     def monitor(self, state: State) -> dict[str, Tensor]:
         """What a person wants to see of a state, by name: physical parameters, margins; `(*batch,)` each."""
         return {}
@@ -52,17 +59,35 @@ class Estimator(nn.Module, abc.ABC):
 
         Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.
         """
-        starts = (sample.inputs.dt == 0) & sample.surge.isfinite()
-        steps = sample.fresh & (sample.inputs.dt != 0)
-        usable = steps & sample.measured & sample.surge.isfinite()
-        # Whatever stands in a masked sample is replaced before it is computed with: NaN would reach the gradients.
-        inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
-        coasted, surge = self.predict(state, inputs)
-        target = torch.where(usable, sample.surge, surge.detach())
-        learned = self.update(state, inputs, target)
-        started = self.start(state, torch.where(starts, sample.surge, 0.0))
-        held = select(starts, started, state)
-        return select(usable, learned, select(steps, coasted, held)), torch.where(steps, surge, math.nan)
+        step = clean(sample)
+        coasted, surge = self.predict(state, step.inputs)
+        target = torch.where(step.learns, step.surge, surge.detach())
+        learned = self.update(state, step.inputs, target)
+        started = self.start(state, step.surge)
+
+        def choose(learned: Tensor, coasted: Tensor, started: Tensor, held: Tensor) -> Tensor:
+            return where(step.learns, learned, where(step.steps, coasted, where(step.starts, started, held)))
+
+        return tree_map(choose, learned, coasted, started, state), torch.where(step.steps, surge, math.nan)
+
+
+class Step(NamedTuple):
+    """A sample in which nothing can do harm, and what is to be made of it. Leaves are `(*batch,)`."""
+
+    inputs: Inputs  # 0 where no step is made
+    surge: Tensor  # m/s, 0 where it is not known
+    steps: Tensor  # bool: predict
+    learns: Tensor  # bool: and learn
+    starts: Tensor  # bool: take the speed
+
+
+def clean(sample: Sample) -> Step:
+    """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients."""
+    known, still = sample.surge.isfinite(), sample.inputs.dt == 0
+    steps = sample.fresh & ~still
+    inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
+    surge = torch.where(known, sample.surge, 0.0)
+    return Step(inputs, surge, steps, steps & sample.measured & known, still & known)
 
 
 def rollout(
@@ -96,12 +121,16 @@ def rollout(
     True
     """
     _check(state, samples)
+    learns = clean(samples).learns
+    all_learn = learns.reshape(len(learns), -1).all(1).tolist()
     predictions, records = [], []
-    steps = [Sample(Inputs(*x), *y) for x, y in _unbind(samples)]
-    for k, sample in enumerate(steps):
+    for k, sample in enumerate(_unbind(samples)):
         if detach_every and k % detach_every == 0:
             state = tree_map(Tensor.detach, state)
-        state, surge = estimator(state, sample)
+        if all_learn[k]:  # what forward comes to when no lane is masked
+            state, surge = estimator.learn(state, sample.inputs, sample.surge)
+        else:
+            state, surge = estimator(state, sample)
         predictions.append(surge)
         if record is not None:
             records.append(record(state))
@@ -109,9 +138,10 @@ def rollout(
     return state, torch.stack(predictions), stacked
 
 
-def _unbind(samples: Sample):
+def _unbind(samples: Sample) -> Iterator[Sample]:
     inputs = zip(*(x.unbind(0) for x in samples.inputs), strict=True)
-    return zip(inputs, zip(*(x.unbind(0) for x in samples[1:]), strict=True), strict=True)
+    for x, *y in zip(inputs, *(y.unbind(0) for y in samples[1:]), strict=True):
+        yield Sample(Inputs(*x), *y)
 
 
 def _check(state: State, samples: Sample) -> None:

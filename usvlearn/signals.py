@@ -104,27 +104,17 @@ def rebuild(template, leaves: dict[str, Array], name: str = ""):
     return tree_map(lambda _: leaves[next(names)], template)
 
 
-def select(mask: Array, new, old):
-    """Leafwise `where(mask, new, old)`; `mask` is `(*batch,)`, leaves are `(*batch, ...)`.
+def where(mask: Array, new: Array, old: Array) -> Array:
+    """`new` where `mask`, else `old`; `mask` is `(*batch,)`, the others are `(*batch, ...)`.
 
-    A leaf that is the same object on both sides is passed through untouched.
-
-    >>> select(np.array([True, False]), np.array([1, 2]), np.array([3, 4]))
-    array([1, 4])
+    >>> where(np.array([True, False]), np.ones((2, 3)), np.zeros((2, 3)))
+    array([[1., 1., 1.],
+           [0., 0., 0.]])
     """
+    if new is old:
+        return old
+    mask = mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim))
     if isinstance(mask, np.ndarray):
-        where = np.where
-    else:
-        from torch import where
+        return np.where(mask, new, old)
+    return new.where(mask, old)
 
-    shaped = {0: mask}  # the mask with trailing axes, by how many
-
-    def pick(n, o):
-        if n is o:
-            return n
-        extra = n.ndim - mask.ndim
-        if extra not in shaped:
-            shaped[extra] = mask.reshape(mask.shape + (1,) * extra)
-        return where(shaped[extra], n, o)
-
-    return tree_map(pick, new, old)

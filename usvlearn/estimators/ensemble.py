@@ -148,7 +148,7 @@ class Ensemble(Estimator):
         if self.output not in combiners:
             raise ConfigError(f"ensemble output: found {output!r}, expected one of {', '.join(combiners)}")
         self.members, self.combiners = nn.ModuleDict(members), nn.ModuleDict(combiners)
-        self._index = {}  # combiner -> places of its members
+        self._places: dict[str, list[int]] = {}  # combiner -> places of its members
         for name, combiner in combiners.items():
             chosen = list(members) if combiner.members is None else list(combiner.members)
             if not chosen or (unknown := sorted(set(chosen) - set(members))):
@@ -156,32 +156,38 @@ class Ensemble(Estimator):
                     f"ensemble combiner {name}: found members {', '.join(chosen) or 'none'}, "
                     f"expected some of {', '.join(members)}" + (f" (unknown: {', '.join(unknown)})" if chosen else "")
                 )
-            self._index[name] = [list(members).index(member) for member in chosen]
+            self._places[name] = [list(members).index(member) for member in chosen]
 
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
         batch = tuple(batch)
         members = {name: member.init(batch) for name, member in self.members.items()}
         like = next(m.surge for m in members.values() if hasattr(m, "surge"))
         combiners = {
-            name: combiner.init(batch, len(self._index[name]), like) for name, combiner in self.combiners.items()
+            name: combiner.init(batch, len(self._places[name]), like) for name, combiner in self.combiners.items()
         }
         return EnsembleState(members, combiners, like.new_zeros((*batch, len(self.names))))
 
     def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
         coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
-        predictions = self._combine(state, [surge for _, surge in coasted.values()])
+        single = [surge for _, surge in coasted.values()]
+        combined = self._combine(state, self._choose(single))
         members = {name: new for name, (new, _) in coasted.items()}
-        return EnsembleState(members, state.combiners, predictions), predictions[..., self.names.index(self.output)]
+        published = torch.stack([*single, *combined.values()], -1)
+        return EnsembleState(members, state.combiners, published), combined[self.output]
 
     def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
         single = [member.predict(state.members[name], inputs)[1] for name, member in self.members.items()]
         members = {name: m.update(state.members[name], inputs, surge) for name, m in self.members.items()}
-        predictions = self._combine(state, single)
+        chosen = self._choose(single)
+        published = torch.stack([*single, *self._combine(state, chosen).values()], -1)
         combiners = {
-            name: combiner.learn(state.combiners[name], predictions[..., self._index[name]], surge)
-            for name, combiner in self.combiners.items()
+            name: combiner.learn(state.combiners[name], chosen[name], surge) for name, combiner in self.combiners.items()
         }
-        return EnsembleState(members, combiners, predictions)
+        return EnsembleState(members, combiners, published)
+
+    def learn(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> tuple[EnsembleState, Tensor]:
+        learned = self.update(state, inputs, surge)
+        return learned, learned.predictions[..., self.names.index(self.output)]
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
@@ -196,11 +202,10 @@ class Ensemble(Estimator):
         ]
         return {f"{name}/{key}": value for name, numbers in parts for key, value in numbers.items()}
 
-    def _combine(self, state: EnsembleState, single: list[Tensor]) -> Tensor:
-        """Every prediction, m/s, `(*batch, members + combiners)`."""
-        stacked = torch.stack(torch.broadcast_tensors(*single), -1)
-        combined = [
-            combiner.combine(state.combiners[name], stacked[..., self._index[name]])
-            for name, combiner in self.combiners.items()
-        ]
-        return torch.cat([stacked, torch.stack(torch.broadcast_tensors(*combined), -1)], -1)
+    def _choose(self, single: list[Tensor]) -> dict[str, Tensor]:
+        """What each combiner sees of the members' predictions, m/s, `(*batch, its members)`."""
+        return {name: torch.stack([single[i] for i in places], -1) for name, places in self._places.items()}
+
+    def _combine(self, state: EnsembleState, chosen: dict[str, Tensor]) -> dict[str, Tensor]:
+        """The combiners' predictions, m/s, `(*batch,)` each."""
+        return {name: rule.combine(state.combiners[name], chosen[name]) for name, rule in self.combiners.items()}

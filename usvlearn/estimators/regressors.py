@@ -29,7 +29,7 @@ def surge_regressor(surge: Tensor, inputs: Inputs) -> Tensor:
 def quasi_static_regressor(inputs: Inputs) -> Tensor:
     """Φ of v ≈ Φᵀζ: [ξ_R, ξ_R|ξ_R|, ξ_R³, ξ_L, ξ_L|ξ_L|, ξ_L³, sin θ, cos θ, |r|], shape `(*batch, 9)`."""
     xi = torch.stack([inputs.command_right, inputs.command_left], -1)  # (*batch, 2)
-    thrust = torch.stack([xi, xi * xi.abs(), xi**3], -1)  # (*batch, 2, 3)
+    thrust = torch.stack([xi, xi * xi.abs(), xi * xi * xi], -1)  # (*batch, 2, 3)
     heading = inputs.heading
     rest = torch.stack([heading.sin(), heading.cos(), inputs.yaw_rate.abs()], -1)
     return torch.cat([thrust.flatten(-2), rest], -1)

@@ -129,7 +129,7 @@ class RNN(Estimator):
         self,
         neurons: int = 20,
         surge_max: float = 3.0,
-        rate=5e-3,
+        rate=3e-3,
         decay: int | None = 1000,
         penalty=1e-4,
         unroll: int = 1,
@@ -194,12 +194,12 @@ class RNN(Estimator):
         rate, count = self.rate(), state.updates + 1
         if self.decay is not None:
             rate = rate * (1 + (state.updates / self.decay).floor()).rsqrt()
-        m = BETA1 * state.moment1 + (1 - BETA1) * grad
-        v = BETA2 * state.moment2 + (1 - BETA2) * grad * grad
+        m = state.moment1.lerp(grad, 1 - BETA1)
+        v = state.moment2.lerp(grad * grad, 1 - BETA2)
         step_size = (rate / (1 - BETA1**count))[..., None]
         v_hat = v / (1 - BETA2**count)[..., None]
-        seen = v_hat > 0  # the slope of the root at 0 is infinite: it must not reach the gradients
-        step = step_size * m / (torch.where(seen, v_hat, 1.0).sqrt() * seen + EPSILON)
+        # Clamped because the slope of the root at 0 is infinite: it must not reach the gradients.
+        step = step_size * m / (v_hat.clamp(min=torch.finfo(v.dtype).tiny).sqrt() + EPSILON)
         n = state.weights.a.shape[-1]
         da, dw1, dW2, db = step.split((n, n, 4 * n, n), -1)
         a, w1, W2, b = state.weights

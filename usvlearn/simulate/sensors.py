@@ -46,11 +46,11 @@ class Sensors:
     """
 
     surge_hz: float = 5.0
-    surge_noise: float = 0.04
+    surge_noise: float = 0.02
     surge_quantum: float = 0.05
     surge_filtered: float = 0.2
     filter_time: float = 2.0
-    outlier_share: float = 0.01
+    outlier_share: float = 0.003
     outlier_scale: float = 0.4
     heading_hz: float = 10.0
     heading_noise: float = 0.01

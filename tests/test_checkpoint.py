@@ -1,0 +1,122 @@
+"""Checkpoints: complete, exact, atomic; damage and misfits are told apart and said."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import torch
+
+from usvlearn import AID, RLS, RNN, Ensemble, Online
+from usvlearn import checkpoint as store
+from usvlearn.errors import CheckpointError
+from usvlearn.signals import named_leaves
+
+
+def ensemble():
+    return Ensemble({"aid": AID(28.0), "rls": RLS(), "rnn": RNN(6)})
+
+
+def test_roundtrip_is_exact_and_complete(tmp_path):
+    state = ensemble().init((2,))
+    path = store.save(tmp_path / "deep" / "a.safetensors", state, estimator="Ensemble", boat="heron", time=12.5)
+    found, facts = store.restore(path, state, "Ensemble")
+    expected = dict(named_leaves(state))
+    assert dict(named_leaves(found)).keys() == expected.keys()
+    for name, leaf in named_leaves(found):
+        assert torch.equal(leaf, expected[name]) and leaf.dtype == expected[name].dtype, name
+    assert facts == {"schema": 1, "estimator": "Ensemble", "boat": "heron", "time": 12.5}
+    assert list(path.parent.iterdir()) == [path]  # no temporary file is left
+
+
+def test_rnn_weights_keep_their_names(tmp_path):
+    path = Online(RNN(6)).save(tmp_path / "rnn.safetensors")
+    assert {"weights.a", "weights.w1", "weights.W2", "weights.b"} <= store.load(path)[0].keys()
+
+
+def test_every_flipped_byte_is_noticed(tmp_path):
+    path = store.save(tmp_path / "a.safetensors", {"theta": np.arange(3.0)}, boat="heron")
+    content = path.read_bytes()
+    for place in range(len(content)):
+        damaged = bytearray(content)
+        damaged[place] ^= 0x04
+        path.write_bytes(damaged)
+        with pytest.raises(CheckpointError, match="damaged|schema"):
+            store.load(path)
+    path.write_bytes(content[: len(content) // 2])
+    with pytest.raises(CheckpointError, match="damaged"):
+        store.load(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\xff" * 64, b'{"json": 1}'])
+def test_a_file_that_is_no_checkpoint(tmp_path, content):
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(CheckpointError, match="not a usvlearn checkpoint"):
+        store.load(path)
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        store.load(tmp_path / "none.safetensors")
+
+
+def test_another_schema_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "SCHEMA", 99)
+    path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(1)})
+    monkeypatch.undo()
+    with pytest.raises(CheckpointError, match="schema 99, this version reads 1"):
+        store.load(path)
+
+
+def test_another_estimator_or_size_is_refused(tmp_path):
+    path = Online(RNN(6)).save(tmp_path / "a.safetensors")
+    with pytest.raises(CheckpointError, match="'RNN', expected 'AID'"):
+        Online(AID()).load(path)
+    with pytest.raises(CheckpointError, match=r"weights.a has the shape \(6,\), expected \(7,\)"):
+        Online(RNN(7)).load(path)
+    with pytest.raises(CheckpointError, match="lacks .*theta"):
+        store.restore(path, AID().init())
+
+
+def test_unreadable_newest_falls_back_with_a_warning(tmp_path):
+    online = Online(AID())
+    for k in range(3):
+        online.state = online.state._replace(surge=torch.tensor(float(k), dtype=torch.float64))
+        newest = online.save(tmp_path / f"{k:03d}.safetensors", step=k)
+    newest.write_bytes(newest.read_bytes()[:-1])
+    with pytest.warns(UserWarning, match="002.*trying the one before"):
+        assert online.load(tmp_path)["step"] == 1
+    assert online.state.surge == 1.0
+    for path in store.checkpoints(tmp_path):
+        path.write_bytes(b"")
+    with pytest.warns(UserWarning), pytest.raises(CheckpointError, match="none of its 3"):
+        online.load(tmp_path)
+
+
+WRITER = """
+import sys, numpy as np
+from usvlearn import checkpoint
+k = 0
+while True:
+    checkpoint.save(sys.argv[1] + "/a.safetensors", {"theta": np.full(20_000, float(k))}, k=k)
+    k += 1
+"""
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+def test_kill_at_any_moment_leaves_a_whole_file(tmp_path):
+    """One file is replaced without end, and the writer is killed at some moment."""
+    path = tmp_path / "a.safetensors"
+    for trial in range(6):
+        writer = subprocess.Popen([sys.executable, "-c", WRITER, str(tmp_path)])
+        try:
+            started = time.monotonic()
+            while not path.exists() and time.monotonic() - started < 60:
+                time.sleep(0.005)
+            time.sleep(0.05 + 0.013 * trial)
+        finally:
+            os.kill(writer.pid, signal.SIGKILL)
+            writer.wait()
+        leaves, facts = store.load(path)
+        assert (leaves["theta"] == facts["k"]).all()

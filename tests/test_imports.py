@@ -1,0 +1,94 @@
+"""Who may import whom: the layers of the house, read from the sources."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# module prefix -> what of ours, and which heavy packages, it may import (anywhere, or at its top level)
+LIGHT = {"usvlearn.signals", "usvlearn.errors"}
+OURS = {
+    "certify": set(),
+    "usvlearn.errors": set(),
+    "usvlearn.signals": {"usvlearn.errors"},
+    "usvlearn.checkpoint": LIGHT,
+    "usvlearn.logs": LIGHT | {"usvlearn.logs"},
+    "usvlearn.hyper": LIGHT,
+    "usvlearn.estimator": LIGHT,
+    "usvlearn.estimators": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "certify.conditions"},
+    "usvlearn.simulate": LIGHT | {"usvlearn.simulate", "usvlearn.logs.channel"},
+    "usvlearn.online": LIGHT | {"usvlearn.estimator", "usvlearn.checkpoint"},
+    "usvlearn.learning": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "usvlearn.checkpoint",
+                                  "usvlearn.learning", "usvlearn.evaluation", "usvlearn.tensorboard"},
+    "usvlearn.evaluation": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "usvlearn.checkpoint",
+                                    "usvlearn.evaluation"},
+    "usvlearn.tensorboard": set(),
+}  # fmt: skip
+NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.logs", "usvlearn.evaluation")
+CONFIGURATION = {"hydra", "omegaconf"}
+MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(path: Path, top_level: bool = False) -> set[str]:
+    tree = ast.parse(path.read_text())
+    found = set()
+    for node in tree.body if top_level else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+def within(name: str, allowed) -> bool:
+    return any(name == prefix or name.startswith(prefix + ".") for prefix in allowed)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_modules_import_only_what_their_layer_may(path):
+    name = name_of(path)
+    if name == "usvlearn":
+        return  # its lazy imports are tested below
+    layer = max((prefix for prefix in OURS if within(name, [prefix])), key=len)
+    allowed = OURS[layer] | {layer}
+    for found in imports(path):
+        if within(found, ["usvlearn", "certify"]):
+            # "from usvlearn import checkpoint" names the package too
+            assert found == "usvlearn" or within(found, allowed), f"{name} imports {found}"
+        assert found.split(".")[0] not in CONFIGURATION, f"{name} imports {found}"
+    if within(name, NO_TORCH):
+        assert not any(within(found, ["torch"]) for found in imports(path, top_level=True)), f"{name} imports torch"
+
+
+def test_every_module_has_a_layer():
+    for path in MODULES:
+        name = name_of(path)
+        assert name == "usvlearn" or any(within(name, [prefix]) for prefix in OURS), name
+
+
+def test_package_logs_and_checkpoints_import_without_torch():
+    code = (
+        "import sys, usvlearn, usvlearn.checkpoint, usvlearn.logs.fleet, usvlearn.logs.read, usvlearn.logs.alog\n"
+        "import usvlearn.logs.table, usvlearn.logs.rosbag\n"
+        "usvlearn.Sample, usvlearn.Aligner\n"
+        "sys.exit(any(name in sys.modules for name in ('torch', 'hydra', 'matplotlib', 'rosbags')))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+
+
+def test_public_names_are_there():
+    import usvlearn
+
+    for name in usvlearn.__all__:
+        assert getattr(usvlearn, name).__name__ == name
+    with pytest.raises(AttributeError, match="nothing"):
+        usvlearn.nothing  # noqa: B018
