@@ -71,8 +71,8 @@ def train(cfg: DictConfig, folder: Path) -> float:
         console.print(table)
     objective = mean_mae(boats)[cfg.output]
     results = {"boats": boats, "rejected": fleet.rejected, "seconds": time.perf_counter() - began}
-    results |= {"objective": objective, "output": cfg.output}
-    write_atomically(folder / "results.json", json.dumps(results, indent=2).encode())
+    results |= {"objective": None if objective != objective else objective, "output": cfg.output}
+    write_atomically(folder / "results.json", json.dumps(results, indent=2, allow_nan=False).encode())
     console.print(f"{results['seconds']:.1f} s; results and parameter sets: {folder}")
     console.print(f"To look at the run: tensorboard --logdir {folder}", soft_wrap=True)
     return objective

@@ -1,7 +1,7 @@
 """Closed-form conditions for x⁺ = aᵀ relu(w₁ x + W₂ u + b), x scalar, to contract, from (a, w₁) alone.
 
-With s_i = a_i w_{1i}, P = Σ max(s_i, 0) and N = Σ max(−s_i, 0), the slope of x ↦ x⁺ lies in [−N, P]: K = max(P, N) is the
-exact rate over all activation patterns. A margin is positive exactly where its condition holds.
+With s_i = a_i w_{1i}, P = Σ max(s_i, 0) and N = Σ max(−s_i, 0), the slope of x ↦ x⁺ lies in [−N, P]: K = max(P, N) is
+the exact rate over all activation patterns. A margin is positive exactly where its condition holds.
 """
 
 from __future__ import annotations

@@ -108,7 +108,9 @@ def test_mass_scales_the_parameters_and_nothing_else():
     torch.testing.assert_close(10 * one.theta, ten.theta)
 
 
-@pytest.mark.parametrize("wrong", [{"mass": 0.0}, {"gain": -1.0}, {"gain_ratio": [1.0]}, {"dead_zone": -1.0}, {"feedback": ""}])
+@pytest.mark.parametrize(
+    "wrong", [{"mass": 0.0}, {"gain": -1.0}, {"gain_ratio": [1.0]}, {"dead_zone": -1.0}, {"feedback": ""}]
+)
 def test_illegal_hyperparameters_are_refused(wrong):
     with pytest.raises(ConfigError, match="expected"):
         AID(**wrong)

@@ -177,7 +177,9 @@ def test_a_clock_that_is_set_back_starts_a_new_segment():
 def test_an_outage_emits_nothing_and_starts_anew():
     first, second = log(4.0), log(4.0)
     both = in_order({
-        name: Channel(np.concatenate([c.time, second[name].time + 115]), np.concatenate([c.value, second[name].value]), c.order)
+        name: Channel(
+            np.concatenate([c.time, second[name].time + 115]), np.concatenate([c.value, second[name].value]), c.order
+        )
         for name, c in first.items()
     })  # fmt: skip
     stamps, samples, _ = align(both)
@@ -227,7 +229,8 @@ def test_live_messages_make_the_samples_of_the_replay():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"dt": 0.0}, {"dt": -0.4}, {"inputs": "future"}, {"surge_max": math.nan}, {"patience": -1.0}, {"outage": 0}]
+    "wrong",
+    [{"dt": 0.0}, {"dt": -0.4}, {"inputs": "future"}, {"surge_max": math.nan}, {"patience": -1.0}, {"outage": 0}],
 )
 def test_illegal_options_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):

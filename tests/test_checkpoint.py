@@ -44,7 +44,7 @@ def test_every_flipped_byte_is_noticed(tmp_path):
         damaged = bytearray(content)
         damaged[place] ^= 0x04
         path.write_bytes(damaged)
-        with pytest.raises(CheckpointError, match="damaged|schema"):
+        with pytest.raises(CheckpointError, match=r"damaged|schema"):
             store.load(path)
     path.write_bytes(content[: len(content) // 2])
     with pytest.raises(CheckpointError, match="damaged"):
@@ -75,7 +75,7 @@ def test_another_estimator_or_size_is_refused(tmp_path):
         Online(AID()).load(path)
     with pytest.raises(CheckpointError, match=r"weights.a has the shape \(6,\), expected \(7,\)"):
         Online(RNN(7)).load(path)
-    with pytest.raises(CheckpointError, match="lacks .*theta"):
+    with pytest.raises(CheckpointError, match=r"lacks .*theta"):
         store.restore(path, AID().init())
 
 

@@ -65,7 +65,9 @@ def test_lanes_equal_single_runs(name, batch):
     estimator, samples = ESTIMATORS[name](), random_samples(15, *batch)
     end, surge, _ = rollout(estimator, estimator.init(batch), samples)
     for lane in itertools.product(*map(range, batch)):
-        end1, surge1, _ = rollout(estimator, estimator.init(), tree_map(lambda x, i=lane: x[(slice(None), *i)], samples))
+        end1, surge1, _ = rollout(
+            estimator, estimator.init(), tree_map(lambda x, i=lane: x[(slice(None), *i)], samples)
+        )
         torch.testing.assert_close(surge[(slice(None), *lane)], surge1, rtol=1e-12, atol=1e-12)
         assert_same(tree_map(lambda x, i=lane: x[i], end), end1, rtol=1e-12, atol=1e-12)
 

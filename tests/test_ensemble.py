@@ -39,7 +39,9 @@ def test_recursive_weights_equal_batch_least_squares():
     weights = lam ** torch.arange(len(y) - 1, -1, -1.0, dtype=torch.float64)
     information = lam ** len(y) * torch.eye(3, dtype=torch.float64) / 2.0
     prior = information @ torch.full((3,), 1 / 3, dtype=torch.float64)
-    expected = torch.linalg.solve(information + (phi * weights[:, None]).mT @ phi, prior + (phi * weights[:, None]).mT @ y)
+    expected = torch.linalg.solve(
+        information + (phi * weights[:, None]).mT @ phi, prior + (phi * weights[:, None]).mT @ y
+    )
     torch.testing.assert_close(end.combiners["weighted"].weights, expected, rtol=1e-8, atol=1e-8)
 
 

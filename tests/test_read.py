@@ -151,7 +151,7 @@ def configured(name: str, path: Path) -> list:
     """The recordings that `data=NAME data.path=PATH` reads."""
     hydra = pytest.importorskip("hydra.utils", reason="needs the package hydra-core")
     omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
-    config = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml")
+    config = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data
     config.path = str(path)
     return hydra.instantiate(config)
 
@@ -159,10 +159,11 @@ def configured(name: str, path: Path) -> list:
 @pytest.mark.parametrize("name", ["alog", "csv", "rosbag"])
 def test_generic_configs_list_every_option_of_every_channel(name):
     omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
-    channels = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").channels
+    channels = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data.channels
     options = set(Source.__dataclass_fields__) - (set() if name == "rosbag" else {"field"})
     assert len(channels) == 5
-    assert all(set(source) == options for source in channels.values())
+    for name, source in channels.items():
+        assert set(source) == options - ({"delay"} if name == "surge" else set()), name
 
 
 def test_csv_config_reads_a_plain_table(tmp_path):

@@ -51,9 +51,7 @@ def test_table_converts_to_si_with_zero_span_and_a_reversed_side(tmp_path):
     assert channels["command_left"].held and channels["command_left"].window == 0.7
     assert not channels["surge"].held and channels["surge"].window == 0.2
     assert dropped == {"command_left": {}, "heading": {}, "surge": {}}
-    assert all(
-        c.time.dtype == c.value.dtype == np.float64 and c.order.dtype == np.int64 for c in channels.values()
-    )
+    assert all(c.time.dtype == c.value.dtype == np.float64 and c.order.dtype == np.int64 for c in channels.values())
 
 
 def test_table_counts_bad_cells_by_cause_and_keeps_line_numbers(tmp_path):
@@ -255,10 +253,7 @@ def test_rosbag_config_reads_a_heron(tmp_path):
         "orientation": ("Quaternion", {"x": 0.0, "y": 0.0, "z": half, "w": half}),
         "angular_velocity": ("Vector3", {**zero, "z": 0.2}),
         "linear_acceleration": ("Vector3", zero),
-        **{
-            f"{name}_covariance": np.zeros(9)
-            for name in ("orientation", "angular_velocity", "linear_acceleration")
-        },
+        **{f"{name}_covariance": np.zeros(9) for name in ("orientation", "angular_velocity", "linear_acceleration")},
     }
     speed = {"linear": ("Vector3", {"x": -0.6, "y": 0.8, "z": 5.0}), "angular": ("Vector3", zero)}
     topics = {
@@ -327,8 +322,6 @@ def test_rosbag_errors_name_the_fields_the_topics_and_the_damage(tmp_path):
     whole = path.read_bytes()
     place = whole.index(b"index_pos=") + len("index_pos=")
     (tmp_path / "b.bag").write_bytes(whole[:place] + bytes(8) + whole[place + 8 :])
-    assert "rosbag reindex" in refused(
-        LogFormatError, one, Rosbag(), tmp_path / "b.bag", name="vel", field="x"
-    )
+    assert "rosbag reindex" in refused(LogFormatError, one, Rosbag(), tmp_path / "b.bag", name="vel", field="x")
     (tmp_path / "c.bag").write_bytes(whole[: len(whole) * 3 // 4])
     assert "c.bag" in refused(LogFormatError, one, Rosbag(), tmp_path / "c.bag", name="vel", field="x")

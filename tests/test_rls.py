@@ -64,7 +64,9 @@ def test_textbook_covariance_diverges_where_the_square_root_form_does_not():
 def test_forgetting_pauses_at_the_limit_of_the_trace():
     rls = RLS(QuasiStatic(), forgetting=0.9, covariance=1.0, trace_growth=5.0)
     samples = random_samples(400)
-    idle = samples._replace(inputs=type(samples.inputs)(*(torch.zeros_like(x) for x in samples.inputs[:4]), samples.inputs.dt))
+    idle = samples._replace(
+        inputs=type(samples.inputs)(*(torch.zeros_like(x) for x in samples.inputs[:4]), samples.inputs.dt)
+    )
     end, _, _ = rollout(rls, rls.init(), idle)
     trace = rls.monitor(end)["covariance_trace"]
     assert 45 * 0.9 <= trace <= 45  # nine parameters, five times the start; without the limit 0.9^-400

@@ -23,8 +23,8 @@ class Estimator(nn.Module, abc.ABC):
     tuned is a *hyperparameter* (`Positive`, `UnitInterval`), learnable by gradient and broadcast against the batch;
     what is known is a *constant* (a buffer). Every method is pure, so one object serves any batch of vehicles.
 
-    A new estimator defines `init`, `predict` and `update`, `start` if its state remembers a speed, and `monitor` if there
-    is something to watch.
+    A new estimator defines `init`, `predict` and `update`, `start` if its state remembers a speed, and `monitor` if
+    there is something to watch.
     """
 
     @abc.abstractmethod

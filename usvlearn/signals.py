@@ -117,4 +117,3 @@ def where(mask: Array, new: Array, old: Array) -> Array:
     if isinstance(mask, np.ndarray):
         return np.where(mask, new, old)
     return new.where(mask, old)
-

@@ -1,9 +1,12 @@
 """The only writer of TensorBoard files, and the list of tags.
 
-    online/mae/BOAT/ESTIMATOR       m/s, over the last minutes          online/skill/BOAT/ESTIMATOR   against persistence
-    state/BOAT/ESTIMATOR/NUMBER     what `Estimator.monitor` shows: physical parameters by name, covariance_trace,
-                                    margin_simple, margin_tight, weight_MEMBER
-    rejected/BOAT/CHANNEL/CAUSE     counts over the whole log           prediction/BOAT               a figure
+    online/mae/BOAT/ESTIMATOR      m/s, over the last minutes
+    online/skill/BOAT/ESTIMATOR    1 - MAE/MAE(persistence), likewise
+    state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, covariance_trace,
+                                   margin_simple, margin_tight, weight_MEMBER
+    rejected/BOAT/CHANNEL/CAUSE    counts over the whole log
+    prediction/BOAT                a figure
+    mae/ESTIMATOR                  m/s, mean over boats: what the HPARAMS page compares
 
 The horizontal axis counts the steps of the grid; `hparams` makes one record a run.
 """

@@ -181,7 +181,8 @@ class Ensemble(Estimator):
         chosen = self._choose(single)
         published = torch.stack([*single, *self._combine(state, chosen).values()], -1)
         combiners = {
-            name: combiner.learn(state.combiners[name], chosen[name], surge) for name, combiner in self.combiners.items()
+            name: combiner.learn(state.combiners[name], chosen[name], surge)
+            for name, combiner in self.combiners.items()
         }
         return EnsembleState(members, combiners, published)
 

@@ -89,7 +89,7 @@ class RLS(Estimator):
         self,
         model: nn.Module | None = None,
         forgetting=0.995,
-        covariance=100.0,
+        covariance=10.0,
         trace_growth: float = 100.0,
         feedback: str = "measured",
         surge_max: float = 10.0,

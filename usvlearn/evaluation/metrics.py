@@ -23,7 +23,8 @@ def scores(
 
     Returns:
         Per estimator `mae`, `median`, `rmse` (m/s), `skill` = 1 − MAE/MAE(persistence) (None where persistence was
-        not run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite.
+        not run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite. Where no step
+        was counted the errors are None.
 
     >>> table = scores(np.array([[1.0, 2.0], [2.0, 2.0]]), np.array([1.5, 2.0]), ["aid", "persistence"])
     >>> table["aid"]["mae"], table["aid"]["skill"]
@@ -35,13 +36,13 @@ def scores(
     table = {}
     for k, name in enumerate(names):
         e = error[finite[:, k], k]
-        values = (e.mean(), np.median(e), np.sqrt((e * e).mean())) if len(e) else (np.nan,) * 3
-        table[name] = dict(zip(("mae", "median", "rmse"), map(float, values), strict=True))
-        table[name] |= {"skill": None, "steps": len(e), "diverged": int((~finite[:, k]).sum())}
-    base = table.get(PERSISTENCE, {}).get("mae", 0.0)
-    if base > 0:
+        row: dict[str, float | int | None] = dict.fromkeys(("mae", "median", "rmse", "skill"))
+        if len(e):
+            row |= {"mae": float(e.mean()), "median": float(np.median(e)), "rmse": float(np.sqrt((e * e).mean()))}
+        table[name] = row | {"steps": len(e), "diverged": int((~finite[:, k]).sum())}
+    if base := table.get(PERSISTENCE, {}).get("mae"):
         for row in table.values():
-            row["skill"] = 1 - row["mae"] / base
+            row["skill"] = None if row["mae"] is None else 1 - row["mae"] / base
     return table
 
 
@@ -53,10 +54,14 @@ def fleet_scores(fleet: Fleet, predictions: Sequence[np.ndarray], names: Sequenc
 
 
 def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:
-    """MAE of each estimator, m/s, mean over boats.
+    """MAE of each estimator, m/s, mean over boats; NaN where a boat has none.
 
     >>> mean_mae({"a": {"aid": {"mae": 0.1}}, "b": {"aid": {"mae": 0.3}}})
     {'aid': 0.2}
     """
     names = dict.fromkeys(name for rows in boats.values() for name in rows)
-    return {name: float(np.mean([rows[name]["mae"] for rows in boats.values() if name in rows])) for name in names}
+    means = {}
+    for name in names:
+        maes = [rows[name]["mae"] for rows in boats.values() if name in rows]
+        means[name] = float("nan") if None in maes else sum(maes) / len(maes)
+    return means

@@ -184,7 +184,8 @@ class RunFolder:
                 warnings.warn(f"{error}; going on from before it", stacklevel=2)
                 readable.pop()
         if not readable:
-            raise CheckpointError(f"{source}: holds no place from which every boat can go on: start without resume")
+            warnings.warn(f"{source}: holds no place from which every boat can go on; starting anew", stacklevel=2)
+            return start
         lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
         for (run, _), array in readable:
             predictions[run].append(array)

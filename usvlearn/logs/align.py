@@ -8,11 +8,11 @@ The step k → k+1 runs from the grid time t_k to t_{k+1} = t_k + dt. Its *targe
     next   the value at t_{k+1}, the paper's own form. It leaks: in a closed loop the command logged beside a speed was
            computed from that speed.
 
-An input with a `delay` counts from its stamp plus that delay, so it can only be seen later than stamped. (The speed's own
-delay is the inputs' delay, seen from the other side: declare it there.)
+An input with a `delay` counts from its stamp plus that delay, so it can only be seen later than stamped. (A delay of
+the speed is one of all inputs: declare it there.)
 
-A message is rejected, and counted by channel and cause, when it is not a number (`not_a_number`), beyond a physical limit
-(`out_of_range`), an exact copy (`duplicate`), or stamped before what its channel or the log already had
+A message is rejected, and counted by channel and cause, when it is not a number (`not_a_number`), beyond a physical
+limit (`out_of_range`), an exact copy (`duplicate`), or stamped before what its channel or the log already had
 (`backwards`). Two values under one stamp: the later one stands (`repeated`). A step without a recent message of a
 channel counts as `stale`.
 """
@@ -85,8 +85,8 @@ class Aligner:
     Args:
         dt: step, s.
         inputs: "mean", "last" or "next", as above.
-        channels: what is logged, each with its `held`, `window` and `delay` (a `Channel` or a `Source`). Without "yaw_rate" the
-            heading's slope is taken.
+        channels: what is logged, each with its `held`, `window` and `delay` (a `Channel` or a `Source`). Without
+            "yaw_rate" the heading's slope is taken.
         surge_max, command_max, yaw_rate_max: physical limits, m/s, share of full scale, rad/s.
         patience: how long after a grid time stragglers are waited for, s.
         outage: silence of all channels after which the grid starts anew, s; nothing is emitted for it.

@@ -31,20 +31,25 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     for recording in recordings:
         aligned = align(recording.channels, **options)
         counts = rejected.setdefault(recording.boat, {})
-        for source in (recording.dropped, aligned.rejected):
-            for channel, causes in source.items():
+        found = [
+            (channel, cause, count)
+            for source in (recording.dropped, aligned.rejected)
+            for channel, causes in source.items()
+            for cause, count in causes.items()
+        ]
+        for channel, cause, count in found:
+            if count:
                 total = counts.setdefault(channel, {})
-                for cause, count in causes.items():
-                    total[cause] = total.get(cause, 0) + count
+                total[cause] = total.get(cause, 0) + count
         steps = int(aligned.samples.measured.sum())
         if steps < SHORTEST:
-            short.append(f"{recording.boat}/{recording.run} has {steps} (rejected: {_causes(aligned.rejected)})")
+            short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
         else:
             boats.setdefault(recording.boat, []).append((recording.run, aligned))
     if not boats:
         raise LogFormatError(
-            f"no run has {SHORTEST} measured steps: {'; '.join(short[:3]) or 'there is no recording'}. "
-            "Give a longer log, or widen the channels' window or declare them held"
+            f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
+            "give a longer log, or widen the channels' window or declare them held"
         )
     for text in short:
         warnings.warn(f"run left out, expected at least {SHORTEST} measured steps: {text}", stacklevel=2)

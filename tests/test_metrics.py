@@ -1,0 +1,58 @@
+"""Scores by hand, and how the tables show them."""
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from usvlearn.evaluation.figures import prediction_figure
+from usvlearn.evaluation.metrics import scores
+from usvlearn.evaluation.tables import fleet_table, rejection_table, score_table, sweep_table
+
+SURGE = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+PREDICTIONS = np.array([[1.5, 2.0], [2.0, 4.0], [9.0, 9.0], [3.0, 5.0], [np.nan, np.nan]])
+
+
+def shown(table) -> str:
+    console = Console(file=io.StringIO(), width=120)
+    console.print(table)
+    return console.file.getvalue()
+
+
+def test_scores_count_steps_that_were_measured_and_made():
+    table = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
+    assert table["aid"] == pytest.approx(
+        {"mae": 0.5, "median": 0.5, "rmse": np.sqrt(1.25 / 3), "skill": 1 - 0.5 / (4 / 3), "steps": 3, "diverged": 0}
+    )
+    assert table["persistence"]["skill"] == 0 and table["persistence"]["mae"] == pytest.approx(4 / 3)
+
+
+def test_diverged_predictions_are_counted_and_missing_persistence_is_told():
+    predictions = np.array([[np.inf, 1.0], [np.nan, 2.0], [2.0, 4.0]])
+    table = scores(predictions, np.array([1.0, 2.0, 4.0]), ["aid", "rls"])
+    assert table["aid"]["diverged"] == 2 and table["aid"]["steps"] == 1 and table["aid"]["skill"] is None
+    nothing = scores(np.full((2, 1), np.inf), np.ones(2), ["aid"])
+    assert nothing["aid"]["mae"] is None and nothing["aid"]["diverged"] == 2
+
+
+def test_tables_show_units_and_survive_gaps():
+    rows = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
+    none = scores(np.full((2, 2), np.inf), np.ones(2), ["aid", "persistence"])
+    text = shown(score_table({"heron": rows, "broken": none})) + shown(fleet_table({"heron": rows, "broken": none}))
+    assert "m/s" in text and "0.5000" in text and "0.625" in text and "–" in text
+    assert rejection_table({"heron": {}}) is None
+    assert "17" in shown(rejection_table({"heron": {"surge": {"stale": 17}}}))
+    jobs = [("b=1", {"boats": {"heron": rows}, "objective": 0.5}), ("b=2", {"error": "bad"}), ("b=3", {}),
+            ("b=0", {"boats": {"heron": rows}, "objective": 0.1})]  # fmt: skip
+    text = shown(sweep_table(jobs))
+    assert text.index("b=0") < text.index("b=1") < text.index("failed: bad") < text.index("did not finish")
+
+
+def test_figure_of_predictions():
+    time = np.arange(5.0)
+    figure = prediction_figure(time, SURGE, PREDICTIONS, ["aid", "persistence"], "heron, run 1")
+    above, below = figure.axes
+    assert "m/s" in above.get_ylabel() and "s" in above.get_xlabel() and "m/s" in below.get_xlabel()
+    assert [line.get_label() for line in above.lines] == ["measured", "aid", "persistence"]
+    np.testing.assert_array_equal(above.lines[1].get_ydata(), PREDICTIONS[:, 0])

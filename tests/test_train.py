@@ -1,0 +1,253 @@
+"""The main job from the command line: what it leaves behind, how it goes on, what it says to bad input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from usvlearn import checkpoint
+
+ROOT = Path(__file__).parents[1]
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
+SMALL = ["data.hours=0.1", "data.mission_minutes=3", "estimators.rnn.neurons=4", "save_minutes=1"]
+NAMES = {"aid", "rls", "dynamic_rls", "rnn", "persistence", "average", "weighted"}
+
+
+def command(*arguments: str, script: str = "train.py") -> list[str]:
+    return [sys.executable, str(ROOT / script), *arguments]
+
+
+def run(*arguments: str, folder: Path, script: str = "train.py") -> subprocess.CompletedProcess:
+    return subprocess.run(
+        command(*arguments, script=script), cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=300
+    )
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """A finished run of two simulated boats, two missions each."""
+    folder = tmp_path_factory.mktemp("whole")
+    done = run(*SMALL, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
+    assert done.returncode == 0, done.stderr
+    (folder / "output.txt").write_text(done.stdout)
+    return folder / "run"
+
+
+def results(folder: Path) -> dict:
+    return json.loads((folder / "results.json").read_text())
+
+
+def predictions(folder: Path) -> list[np.ndarray]:
+    return [np.load(path)["predictions"] for path in sorted((folder / "predictions").glob("*.npz"))]
+
+
+def test_results(whole):
+    found = results(whole)
+    assert list(found["boats"]) == ["heron1", "heron2"]
+    for rows in found["boats"].values():
+        assert set(rows) == NAMES
+        for row in rows.values():
+            assert {"mae", "median", "rmse", "skill", "steps"} <= row.keys()
+            assert 0 < row["median"] <= row["rmse"] < 5 and row["mae"] <= row["rmse"] and row["steps"] > 700
+        assert rows["persistence"]["skill"] == 0
+        assert rows["aid"]["skill"] == pytest.approx(1 - rows["aid"]["mae"] / rows["persistence"]["mae"])
+    assert found["rejected"]["heron1"]["surge"]["lost"] > 0
+    assert found["seconds"] > 0
+    maes = [rows[found["output"]]["mae"] for rows in found["boats"].values()]
+    assert found["objective"] == pytest.approx(np.mean(maes))
+
+
+def test_terminal(whole):
+    text = (whole.parent / "output.txt").read_text()
+    assert all(name in text for name in (*NAMES, "heron2", "MAE", "median", "RMSE", "skill", "m/s", "surge"))
+    assert f"tensorboard --logdir {whole}" in text
+
+
+def test_parameter_sets(whole):
+    """One a minute of run time and one at each run's end, complete and told apart."""
+    for boat in ("heron1", "heron2"):
+        paths = checkpoint.checkpoints(whole / "checkpoints" / boat)
+        steps = [facts["step"] for facts in (checkpoint.load(path)[1] for path in paths)]
+        assert steps == [150, 300, 450, 150, 300, 450] or steps[:2] == [150, 300], steps
+        leaves, facts = checkpoint.load(paths[-1])
+        assert facts["boat"] == boat and facts["estimator"] == "Ensemble" and facts["schema"] == 1
+        assert facts["configuration"]["estimators"]["rnn"]["neurons"] == 4
+        assert facts["time"] == pytest.approx(0.4 * (facts["step"] - 1))
+        assert {"members.aid.theta", "members.rnn.weights.w1", "members.rnn.moment2"} <= leaves.keys()
+
+
+def test_tensorboard(whole):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(whole / "tensorboard"))
+    events.Reload()
+    scalars = set(events.Tags()["scalars"])
+    for tag in (
+        "online/mae/heron1/aid", "online/skill/heron2/dynamic_rls", "state/heron1/aid/drag_quadratic",
+        "state/heron1/dynamic_rls/thrust_linear_left", "state/heron2/rls/covariance_trace",
+        "state/heron1/rnn/margin_simple", "state/heron1/rnn/margin_tight", "state/heron1/weighted/weight_aid",
+        "rejected/heron1/surge/lost", "mae/aid",
+    ):  # fmt: skip
+        assert tag in scalars, tag
+    assert "prediction/heron1" in events.Tags()["images"]
+    assert 3 <= len(events.Scalars("online/mae/heron1/aid")) <= 200
+    assert events.Scalars("online/skill/heron1/persistence")[-1].value == 0
+
+
+def test_everything_lies_in_the_runs_folder(whole):
+    assert sorted(p.name for p in whole.parent.iterdir()) == ["output.txt", "run"]
+    assert {"checkpoints", "predictions", "tensorboard", ".hydra", "results.json", "runs.json"} == {
+        p.name for p in whole.iterdir()
+    }
+    assert "gain: 1.0" in (whole / ".hydra" / "config.yaml").read_text()
+
+
+def killed_after(sets: int, folder: Path, *arguments: str) -> None:
+    """Start a run and kill it, with no chance to clean up, once it has saved some parameter sets."""
+    process = subprocess.Popen(command(*arguments), cwd=folder, env=ENVIRONMENT, stdout=subprocess.DEVNULL)
+    started = time.monotonic()
+    while len(list(folder.glob("run/checkpoints/heron1/*.safetensors"))) < sets and process.poll() is None:
+        assert time.monotonic() - started < 120
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def assert_equal_runs(found: Path, expected: Path) -> None:
+    """Every saved state and prediction, bit for bit, and the same results."""
+    for name in ("checkpoints", "predictions"):
+        ours, theirs = (sorted(p.relative_to(f) for p in (f / name).rglob("*.*")) for f in (found, expected))
+        assert ours == theirs
+    for path in sorted((expected / "checkpoints").rglob("*.safetensors")):
+        ours, theirs = (checkpoint.load(f)[0] for f in (found / path.relative_to(expected), path))
+        assert all(np.array_equal(ours[name], theirs[name]) for name in theirs), path.name
+    for ours, theirs in zip(predictions(found), predictions(expected), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert results(found)["boats"] == results(expected)["boats"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+@pytest.mark.parametrize("sets", [1, 4])
+def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
+    arguments = [*SMALL, "data.n=2", f"hydra.run.dir={tmp_path}/run"]
+    killed_after(sets, tmp_path, *arguments)
+    assert not (tmp_path / "run" / "results.json").exists()
+    refused = run(*arguments, folder=tmp_path)
+    assert refused.returncode == 2 and "resume=latest" in refused.stderr
+    newest = max((tmp_path / "run" / "checkpoints" / "heron2").iterdir())
+    newest.write_bytes(newest.read_bytes()[:-7])  # and the disk failed, too
+    resumed = run(*arguments, "resume=latest", folder=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    assert "damaged" in resumed.stderr
+    if sets > 1:
+        assert "going on after step" in resumed.stdout
+    assert_equal_runs(tmp_path / "run", whole)
+
+
+def test_resumed_into_another_folder_is_complete(whole, tmp_path):
+    finished = run(*SMALL, "data.n=2", f"resume={whole}", f"hydra.run.dir={tmp_path}/run", folder=tmp_path)
+    assert finished.returncode == 0, finished.stderr
+    assert_equal_runs(tmp_path / "run", whole)
+
+
+def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
+    """A new season starts from the parameters of the last one."""
+    season = [*SMALL, "data.n=2", "data.seed=5", f"hydra.run.dir={tmp_path}/run"]
+    done = run(*season, f"resume={whole}", folder=tmp_path)
+    assert done.returncode == 0 and "on other runs" in done.stdout, done.stderr
+    anew = run(*season[:-1], f"hydra.run.dir={tmp_path}/anew", folder=tmp_path)
+    assert anew.returncode == 0
+    first = predictions(tmp_path / "run")[0][1:6], predictions(tmp_path / "anew")[0][1:6]
+    assert not np.array_equal(*first)
+    single = run(*SMALL, f"resume={max((whole / 'checkpoints' / 'heron2').iterdir())}",
+                 f"hydra.run.dir={tmp_path}/one", folder=tmp_path)  # fmt: skip
+    assert single.returncode == 0 and "starting from heron2" in single.stdout
+
+
+def test_sweep_has_a_table(tmp_path):
+    arguments = [*SMALL, "estimators.rls.forgetting=0.9,0.99,1.5", "hydra.sweep.dir=sweep"]
+    swept = run("-m", *arguments, folder=tmp_path)
+    assert swept.returncode == 2  # one of its jobs is not legal, and is noted; the rest went on
+    assert swept.stdout.count("results and parameter sets") == 2
+    table = run("runs=sweep", folder=tmp_path, script="evaluate.py")
+    assert table.returncode == 0
+    for text in (swept.stdout, table.stdout):
+        assert "estimators.rls.forgetting=0.9 " in text and "estimators.rls.forgetting=0.99 " in text
+        assert "failed: " in text and "between 0 and 1" in text
+    assert "runs: found no run" in run("runs=nowhere", folder=tmp_path, script="evaluate.py").stderr
+    assert "runs is not set" in run(folder=tmp_path, script="evaluate.py").stderr
+
+
+GOOD = "time,L,R,heading,speed\n" + "".join(f"{0.1 * k},0.5,0.5,90,{0.01 * k}\n" for k in range(100))
+CSV = ["data=csv", "data.channels.command_left.name=L", "data.channels.command_right.name=R",
+       "data.channels.surge.name=speed"]  # fmt: skip
+
+
+def test_a_table_of_ones_own(tmp_path):
+    (tmp_path / "log.csv").write_text(GOOD)
+    done = run(*CSV, "data.path=log.csv", "hydra.run.dir=run", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert results(tmp_path / "run")["boats"]["log"]["aid"]["steps"] == 24
+
+
+BAD_INPUT = {
+    "missing file": (["data.path=none.csv"], None, ["none.csv", "does not exist"]),
+    "no path": ([], None, ["data.path"]),
+    "empty file": (["data.path=log.csv"], "", ["log.csv", "empty"]),
+    "wrong format": (["data.path=log.csv"], "\x00\x01\x02", ["log.csv"]),
+    "no such channel": (["data.path=log.csv", "data.channels.surge.name=sped"], GOOD, ["sped", "speed", "heading"]),
+    "a channel with no numbers": (
+        ["data.path=log.csv"],
+        GOOD.replace(",90,", ",north,"),
+        ["log.csv", "heading", "numbers"],
+    ),
+    "no speed": (["data.path=log.csv", "data.channels.surge.name=null"], GOOD, ["surge"]),
+    "a run of one step": (["data.path=log.csv"], "\n".join(GOOD.splitlines()[:9]), ["run log: 1", "at least 3"]),
+    "zero dt": (["data.path=log.csv", "align.dt=0"], GOOD, ["dt", "positive"]),
+    "negative dt": (["data.path=log.csv", "align.dt=-0.4"], GOOD, ["dt", "-0.4", "positive"]),
+    "inputs": (["data.path=log.csv", "align.inputs=future"], GOOD, ["inputs", "mean, last, next"]),
+    "a gain below zero": (["data.path=log.csv", "estimators.aid.gain=-1"], GOOD, ["-1", "positive"]),
+    "no checkpoint": (["data.path=log.csv", "resume=latest"], GOOD, ["resume=latest", "no run"]),
+    "resume nowhere": (["data.path=log.csv", "resume=nowhere"], GOOD, ["nowhere", "does not exist"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_ends_with_one_sentence(case, tmp_path):
+    arguments, content, said = BAD_INPUT[case]
+    if content is not None:
+        (tmp_path / "log.csv").write_text(content)
+    done = run(*CSV, *arguments, "hydra.run.dir=run", folder=tmp_path)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("error: ") and all(word in last for word in said), last
+    assert not any((tmp_path / "run" / name).exists() for name in ("results.json", "checkpoints", "predictions"))
+
+
+def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, tmp_path):
+    good = max((whole / "checkpoints" / "heron1").iterdir())
+    other = checkpoint.save(tmp_path / "other.safetensors", {"theta": np.ones(9)}, estimator="AID")
+    flipped = tmp_path / "flipped.safetensors"
+    content = bytearray(good.read_bytes())
+    content[-5] ^= 1
+    flipped.write_bytes(content)
+    for path, words in ((other, ["'AID'", "'Ensemble'"]), (flipped, ["damaged", "checksum"])):
+        done = run(*SMALL, f"resume={path}", "hydra.run.dir=run", folder=tmp_path)
+        assert done.returncode == 2 and "Traceback" not in done.stderr
+        assert all(word in done.stderr for word in [path.name, *words]), done.stderr
+    larger = run(*SMALL, "estimators.rnn.neurons=5", f"resume={good}", "hydra.run.dir=run", folder=tmp_path)
+    assert larger.returncode == 2 and "expected (5,)" in larger.stderr
+
+
+@pytest.mark.parametrize("wrong", ["estimators.rls.forgeting=0.9", "data=blueboot", "estimator@estimators.aid=adi"])
+def test_a_mistyped_key_is_refused_in_hydras_words(wrong, tmp_path):
+    done = run(wrong, folder=tmp_path)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert wrong.split("=")[0].split("@")[0].split(".")[-1] in done.stderr
