@@ -6,9 +6,9 @@
                                    margin_simple, margin_tight, weight_MEMBER
     rejected/BOAT/CHANNEL/CAUSE    counts over the whole log
     prediction/BOAT                a figure
-    mae/ESTIMATOR                  m/s, mean over boats: what the HPARAMS page compares
+    total/mae/ESTIMATOR            m/s, whole run, mean over boats: what the HPARAMS page compares
 
-The horizontal axis counts the steps of the grid; `hparams` makes one record a run.
+The horizontal axis counts the steps of the grid. The CUSTOM SCALARS page draws all estimators in one chart.
 """
 
 from __future__ import annotations
@@ -37,12 +37,20 @@ class Board:
         for name, value in values.items():
             self._writer.add_scalar(f"{prefix}/{name}", value, step)
 
+    def charts(self, pages: Mapping[str, Mapping[str, list[str]]]) -> None:
+        """What the CUSTOM SCALARS page draws together: page -> chart -> tags."""
+        layout = {
+            page: {chart: ["Multiline", [f"^{tag}$" for tag in tags]] for chart, tags in charts.items()}
+            for page, charts in pages.items()
+        }
+        self._writer.add_custom_scalars(layout)
+
     def figure(self, tag: str, figure, step: int) -> None:
         """A matplotlib figure."""
         self._writer.add_figure(tag, figure, step)
 
     def hparams(self, settings: Mapping[str, object], results: Mapping[str, float]) -> None:
-        """The one record by which TensorBoard's HPARAMS page compares runs."""
+        """The one record by which TensorBoard's HPARAMS page compares runs; names with a leading _ are left out."""
         flat = dict(_flatten(settings))
         self._writer.add_hparams(flat, dict(results), run_name=".")
 
@@ -59,6 +67,8 @@ class Board:
 def _flatten(tree: Mapping, prefix: str = ""):
     for key, value in tree.items():
         name = f"{prefix}.{key}" if prefix else str(key)
+        if str(key).startswith("_"):
+            continue
         if isinstance(value, Mapping):
             yield from _flatten(value, name)
         elif isinstance(value, bool | int | float | str):

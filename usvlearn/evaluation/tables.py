@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rich.box import SIMPLE_HEAD
+from rich.console import Group
 from rich.table import Table
 
 from usvlearn.evaluation.metrics import mean_mae
@@ -68,6 +69,12 @@ def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> 
             table.add_row(boat if k == 0 else "", channel, causes)
         table.add_section()
     return table if table.row_count else None
+
+
+def report(boats: Mapping[str, Mapping[str, Mapping]], rejected: Mapping) -> Group:
+    """All tables of a run, for the console."""
+    tables = [rejection_table(rejected), score_table(boats), fleet_table(boats) if len(boats) > 1 else None]
+    return Group(*filter(None, tables))
 
 
 def sweep_table(jobs: Sequence[tuple[str, Mapping]]) -> Table:

@@ -3,6 +3,7 @@
 checkpoints/BOAT/RRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
 predictions/RRR_SSSSSSS.npz                what all estimators predicted since the file before, all boats
 runs.json                                  the boats and the lengths of their runs, by name
+results.json                               the scores, at the end
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from usvlearn.estimators.ensemble import EnsembleState
 from usvlearn.learning.replay import BEGIN, Chunk, Position
 from usvlearn.signals import Fleet, tree_map
 
-CHECKPOINTS, PREDICTIONS, RUNS = "checkpoints", "predictions", "runs.json"
+CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
 ESTIMATOR = "Ensemble"
 
 
@@ -34,7 +35,6 @@ class Start(NamedTuple):
 
     state: EnsembleState  # leaves (boats, ...)
     position: Position
-    predictions: list[list[np.ndarray]]  # per run, what was predicted up to there
     note: str  # for the person who started it
 
 
@@ -49,8 +49,14 @@ class RunFolder:
 
     def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any]):
         self.path, self.fleet, self.metadata = Path(path), fleet, dict(metadata)
-        self._pending: list[np.ndarray] = []  # predictions since the last save
+        self._chunks: list[list[np.ndarray]] = [[] for _ in fleet.runs]  # predictions, per run
+        self._pending: list[np.ndarray] = []  # those since the last save
         self._saved = BEGIN
+
+    @property
+    def predictions(self) -> list[np.ndarray]:
+        """What was predicted so far, m/s, `(time, boats, estimators)` per run; earlier sessions included."""
+        return [np.concatenate(chunks) for chunks in self._chunks if chunks]
 
     def begin(self, state: EnsembleState, resume: str | None) -> Start:
         """Where to start from: `state`, or what `resume` ("latest", a run's folder or a checkpoint) has saved.
@@ -62,7 +68,7 @@ class RunFolder:
             ConfigError: without `resume`, the folder already holds parameter sets.
             CheckpointError: with it, nothing readable is found, or it does not fit.
         """
-        start = Start(state, BEGIN, [[] for _ in self.fleet.runs], "")
+        start = Start(state, BEGIN, "")
         if resume is not None:
             source = self._latest() if resume == "latest" else Path(resume)
             if source.is_file():
@@ -83,6 +89,7 @@ class RunFolder:
 
     def save(self, chunk: Chunk) -> None:
         """Write what a chunk makes due: predictions first, since a state is gone on from only with them."""
+        self._chunks[chunk.end.run].append(chunk.predictions)
         self._pending.append(chunk.predictions)
         if not chunk.save:
             return
@@ -108,6 +115,11 @@ class RunFolder:
                     **self.metadata,
                 )
         self._saved = chunk.end
+
+    def finish(self, results: Mapping[str, Any]) -> None:
+        """Write `results.json`; NaN, which JSON has not, becomes null."""
+        text = json.dumps(json.loads(json.dumps(results), parse_constant=lambda _: None), indent=2)
+        write_atomically(self.path / RESULTS, text.encode())
 
     def _runs(self) -> dict[str, list[list]]:
         """Name and length of each run, per boat."""
@@ -162,7 +174,6 @@ class RunFolder:
 
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
-        predictions: list[list[np.ndarray]] = [[] for _ in self.fleet.runs]
         places = [Position(*map(int, path.stem.split("_"))) for path in sorted((source / PREDICTIONS).glob("*.npz"))]
         readable = []
         for place in places:
@@ -188,11 +199,11 @@ class RunFolder:
             return start
         lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
         for (run, _), array in readable:
-            predictions[run].append(array)
+            self._chunks[run].append(array)
         self._bring(source, place)
         state = tree_map(lambda *leaves: torch.stack(leaves), *lanes)
         note = f"going on after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
-        return Start(state, place, predictions, note)
+        return Start(state, place, note)
 
     def _own(self, lane: int, place: Position) -> Position:
         """Where a boat stood when the fleet stood at `place`: its runs may be shorter, or fewer."""

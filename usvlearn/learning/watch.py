@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections import deque
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from usvlearn.errors import MissingExtraError
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.figures import prediction_figure
 from usvlearn.evaluation.metrics import PERSISTENCE
@@ -17,20 +20,36 @@ from usvlearn.tensorboard import Board
 WINDOW = 750  # steps over which errors are averaged
 STEPS_PER_POINT = 50  # and boat: a point of all curves costs about what one step costs
 MOST_POINTS = 1000  # of a curve
+STEPS_PER_FIGURE = 2500  # of the run: a figure costs what some hundred steps cost
 FIGURE_STEPS = 450  # shown in the figure of predictions
 
 
-def interval(fleet: Fleet) -> int:
-    """Steps between two points of the curves, such that drawing them costs a few per cent of a replay."""
-    return max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))
-
-
 class Watch:
-    """Draws a replay's chunks on a board."""
+    """Draws a replay's chunks in TensorBoard.
 
-    def __init__(self, board: Board, fleet: Fleet, ensemble: Ensemble):
-        self.board, self.fleet, self.ensemble = board, fleet, ensemble
+    Args:
+        folder: of the TensorBoard files.
+        fleet: what is replayed.
+        ensemble: what learns.
+    """
+
+    def __init__(self, folder: str | Path, fleet: Fleet, ensemble: Ensemble):
+        self.board, self.fleet, self.ensemble = Board(folder), fleet, ensemble
+        self.every = max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))  # steps between points
         self._errors: deque[np.ndarray] = deque()  # (time, boats, estimators), the last WINDOW steps or a little more
+        self.board.charts({
+            boat: {
+                f"{number}, {unit}": [f"online/{number}/{boat}/{name}" for name in ensemble.names]
+                for number, unit in {"mae": "m/s", "skill": "against persistence"}.items()
+            }
+            for boat in fleet.boats
+        })  # fmt: skip
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.board.close()
 
     def show(self, chunk: Chunk) -> None:
         """One point of every curve."""
@@ -58,29 +77,31 @@ class Watch:
     def finish(self, settings: Mapping, maes: Mapping[str, float], predictions: Sequence[np.ndarray]) -> None:
         """The record of the run, the counts of what was rejected, a figure of the end of each boat's last run.
 
+        A short run of a large fleet has figures of its first boats alone. Without matplotlib there is none, and a
+        warning says so.
+
         Args:
             settings: the run's configuration.
             maes: of the estimators, m/s.
             predictions: m/s, `(time, boats, estimators)` per run.
-
-        Raises:
-            MissingExtraError: there is no matplotlib for the figure; all else is written.
         """
         step = self.fleet.steps
-        self.board.hparams(settings, {f"mae/{name}": mae for name, mae in maes.items()})
+        tuned = {**settings["estimators"], **settings["combiners"], "align": settings["align"]}
+        self.board.hparams(tuned, {f"total/mae/{name}": mae for name, mae in maes.items()})
         for boat, channels in self.fleet.rejected.items():
             for channel, causes in channels.items():
                 self.board.scalars(f"rejected/{boat}/{channel}", causes, step)
-        for lane, boat in enumerate(self.fleet.boats):
-            index = max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane])
-            run = self.fleet.runs[index]
-            part = slice(max(0, run.lengths[lane] - FIGURE_STEPS), run.lengths[lane])
-            surge = np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan)
-            figure = prediction_figure(
-                run.time[part],
-                surge,
-                predictions[index][part, lane],
-                self.ensemble.names,
-                f"{boat}, {run.names[lane]}",
-            )
-            self.board.figure(f"prediction/{boat}", figure, step)
+        try:
+            for lane in range(min(len(self.fleet.boats), max(1, step // STEPS_PER_FIGURE))):
+                self._draw(lane, predictions, step)
+        except MissingExtraError as error:
+            warnings.warn(f"no figure of the predictions: {error}", stacklevel=2)
+
+    def _draw(self, lane: int, predictions: Sequence[np.ndarray], step: int) -> None:
+        index = max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane])
+        run, boat = self.fleet.runs[index], self.fleet.boats[lane]
+        part = slice(max(0, run.lengths[lane] - FIGURE_STEPS), run.lengths[lane])
+        surge = np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan)
+        title = f"{boat}, {run.names[lane]}"
+        figure = prediction_figure(run.time[part], surge, predictions[index][part, lane], self.ensemble.names, title)
+        self.board.figure(f"prediction/{boat}", figure, step)

@@ -1,0 +1,116 @@
+"""What a step, a log line and a curve cost, as ratios measured in one run; writes `benchmarks/results.md`.
+
+python benchmarks/core.py
+"""
+
+import platform
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from usvlearn import AID, RLS, RNN, Average, Ensemble, Persistence, RecursiveWeights, SurgeDynamics, rollout
+from usvlearn.evaluation.metrics import fleet_scores, mean_mae
+from usvlearn.learning.replay import replay
+from usvlearn.learning.run_folder import RunFolder
+from usvlearn.learning.watch import Watch
+from usvlearn.logs.alog import Alog
+from usvlearn.logs.channel import Source
+from usvlearn.logs.fleet import align_fleet
+from usvlearn.signals import tree_map
+from usvlearn.simulate.fleet import fleet as simulated
+
+REPEATS = 5
+SETTINGS = {"estimators": {}, "combiners": {}, "align": {}}
+
+
+def seconds(work: Callable[[], object]) -> float:
+    """Median time of a call."""
+    times = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def ensemble() -> Ensemble:
+    members = {"aid": AID(28.0), "rls": RLS(), "dynamic_rls": RLS(SurgeDynamics(28.0)), "rnn": RNN()}
+    paper = ["aid", "rls", "rnn"]
+    rules = {"average": Average(paper), "weighted": RecursiveWeights(paper)}
+    return Ensemble({**members, "persistence": Persistence()}, rules)
+
+
+def steps(run) -> list[str]:
+    """Time per step and lane of each estimator, in a stream of samples without gradients."""
+    rows = [
+        "| estimator | 1 lane, µs/step | 8 lanes | 512 lanes | µs per lane-step at 512 | gain of lanes |",
+        "|---|" + "---:|" * 5,
+    ]
+    for name, estimator in {**ensemble().members, "ensemble": ensemble()}.items():
+        costs = []
+        for lanes in (1, 8, 512):
+            one = tree_map(lambda x, n=lanes: torch.from_numpy(x[:200, :1]).expand(-1, n), run.samples)
+            state = estimator.init((lanes,))
+            with torch.no_grad():
+                costs.append(seconds(lambda e=estimator, s=state, x=one: rollout(e, s, x)) / 200 * 1e6)
+        first, eight, many = costs
+        rows.append(
+            f"| {name} | {first:.0f} | {eight:.0f} | {many:.0f} | {many / 512:.2f} | {first / (many / 512):.0f}× |"
+        )
+    return rows
+
+
+def logging(fleet) -> str:
+    """Share of a replay that TensorBoard, checkpoints and predictions cost."""
+    model = ensemble()
+
+    def run(watched: bool) -> None:
+        with tempfile.TemporaryDirectory() as folder, Watch(folder, fleet, model) as watch:
+            archive = RunFolder(folder, fleet, {})
+            start = archive.begin(model.init((len(fleet.boats),)), None)
+            for chunk in replay(model, fleet, start.state, every=watch.every):
+                if watched:
+                    archive.save(chunk)
+                    watch.show(chunk)
+            if watched:
+                maes = mean_mae(fleet_scores(fleet, archive.predictions, model.names))
+                watch.finish(SETTINGS, maes, archive.predictions)
+
+    bare, full = seconds(lambda: run(False)), seconds(lambda: run(True))
+    return (
+        f"- {len(fleet.boats)} boats, {fleet.steps} steps: logging and saving cost {full / bare - 1:.1%} of the replay"
+    )
+
+
+def lines() -> str:
+    """A 260k-line `.alog`, against the time to split its lines and nothing else."""
+    names = [f"VAR_{k}" for k in range(60)] + ["NAV_SPEED", "NAV_HEADING", "DESIRED_THRUST_L", "DESIRED_THRUST_R"]
+    rng = np.random.default_rng(0)
+    rows = [f"{k * 0.01:<15.3f} {names[k % 64]:<20} pApp {rng.random():.5f}" for k in range(260_000)]
+    sources = {name: Source(variable) for name, variable in zip(
+        ("surge", "heading", "command_left", "command_right"), names[60:], strict=True)}  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.alog"
+        path.write_text("%% LOGSTART 0\n" + "\n".join(rows) + "\n")
+        ours = seconds(lambda: Alog().read(path, sources))
+        bare = seconds(lambda: [line.split(None, 3) for line in path.open()])
+    return f"- a 260,000-line `.alog` is read in {ours:.2f} s, {ours / bare:.1f} × the time to split its lines"
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    one, eight = (align_fleet(simulated(n=n, hours=0.5, mission_minutes=10.0)) for n in (1, 8))
+    machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
+    text = ["# Core", "", f"Measured by `python benchmarks/core.py` on {machine}; medians of {REPEATS}.", ""]
+    text += [*steps(one.runs[0]), "", logging(one), logging(eight), lines(), ""]
+    print("\n".join(text))
+    (Path(__file__).parent / "results.md").write_text("\n".join(text))
+
+
+if __name__ == "__main__":
+    main()
