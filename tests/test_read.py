@@ -228,3 +228,16 @@ def test_real_headings_turn_the_way_the_yaw_rate_says(boat):
             assert turned @ expected / (expected @ expected) == pytest.approx(1, abs=0.05)
             tried += 1
     assert tried >= 6
+
+
+def test_one_unreadable_log_among_several_is_left_out_with_a_warning(tmp_path):
+    write(tmp_path / "good.csv", "t,L,R,v,psi\n0,0.5,0.5,1.0,90\n")
+    write(tmp_path / "torn.csv", "")
+    channels = {"command_left": "L", "command_right": "R", "surge": "v", "heading": "psi"}
+    channels = {name: Source(column) for name, column in channels.items()}
+    with pytest.warns(UserWarning, match=r"left out: .*torn\.csv.*empty"):
+        recordings = read_recordings(tmp_path, Table("t"), channels)
+    assert [recording.run for recording in recordings] == ["good"]
+    (tmp_path / "good.csv").unlink()
+    with pytest.raises(LogFormatError, match=r"torn\.csv"):
+        read_recordings(tmp_path, Table("t"), channels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 import torch
 from torch import Tensor, nn
@@ -54,7 +54,8 @@ class Estimator(nn.Module, abc.ABC):
         """What a person wants to see of a state, by name: physical parameters, margins; `(*batch,)` each."""
         return {}
 
-    def forward(self, state: State, sample: Sample) -> tuple[State, Tensor]:  # final
+    @final
+    def forward(self, state: State, sample: Sample) -> tuple[State, Tensor]:
         """Learn where measured, coast where not, hold where stale, take the speed where a segment starts.
 
         Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.

@@ -7,6 +7,7 @@ import glob
 import itertools
 import os
 import re
+import warnings
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -35,7 +36,7 @@ def read_recordings(
     """Read all logs of one boat, or of several.
 
     Runs are named by their path below the given folder, without suffix, and sorted so that run_2 comes
-    before run_10.
+    before run_10. Of several logs, one that cannot be read is left out with a warning.
 
     Args:
         path: a log; a folder, with all logs below it; a pattern such as `logs/*/run_?.csv`; or boat -> path.
@@ -45,7 +46,7 @@ def read_recordings(
 
     Raises:
         ConfigError: the path finds no log, or the channels are not declared as expected.
-        LogFormatError: a log cannot be read as declared.
+        LogFormatError: no log can be read as declared; the first one's reason.
 
     >>> from tempfile import TemporaryDirectory
     >>> from usvlearn.logs.table import Table
@@ -71,7 +72,17 @@ def read_recordings(
     root, files = _find(path, reader.suffixes)
     if boat is None:
         boat = files[0].stem if len(files) == 1 and Path(path).is_file() else root.resolve().name
-    return [_read(file, root, reader, sources, str(boat)) for file in files]
+    recordings, unread = [], []
+    for file in files:
+        try:
+            recordings.append(_read(file, root, reader, sources, str(boat)))
+        except LogFormatError as error:
+            unread.append(error)
+    if not recordings:
+        raise unread[0]
+    for error in unread:
+        warnings.warn(f"log left out: {error}", stacklevel=2)
+    return recordings
 
 
 def _read(file: Path, root: Path, reader: Reader, sources: dict[str, Source], boat: str) -> Recording:
