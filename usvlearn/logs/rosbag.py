@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fnmatch
 import math
+import warnings
 from collections import defaultdict
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice
 from usvlearn.logs.channel import Channel, Source, build_channel, match_name
+from usvlearn.logs.rosbag_scan import Scan
 
 CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt is that of a clock that was never set
 
@@ -23,12 +26,15 @@ class Rosbag:
     A field is a dotted path (`twist.linear.x`; default `data`; a number indexes an array). Several,
     comma-separated, give their Euclidean norm. A quaternion gives its yaw in rad, counter-clockwise about z.
 
+    A ROS 1 bag whose recording crashed (`.bag.active`, cut off, no index) is read up to where it breaks off,
+    with a warning.
+
     Args:
         clock: `header` takes the stamp in a message's header, and the time of receipt for messages without
             one or with one more than 1 s from the receipt; `receive` always takes the time of receipt.
 
     >>> Rosbag().suffixes
-    ('.bag', '.mcap', '.db3')
+    ('.bag', '.active', '.mcap', '.db3')
     >>> Rosbag(clock="gps")
     Traceback (most recent call last):
     usvlearn.errors.ConfigError: data.reader.clock: found 'gps', expected one of header, receive
@@ -36,7 +42,7 @@ class Rosbag:
 
     clock: str = "header"
 
-    suffixes: ClassVar[tuple[str, ...]] = (".bag", ".mcap", ".db3")
+    suffixes: ClassVar[tuple[str, ...]] = (".bag", ".active", ".mcap", ".db3")
 
     def __post_init__(self):
         check_choice("data.reader.clock", self.clock, ("header", "receive"))
@@ -49,7 +55,7 @@ class Rosbag:
             sources: channel -> where it is found.
 
         Raises:
-            LogFormatError: the file is no readable bag, or lacks a topic or a field.
+            LogFormatError: the file is no bag, has no readable message, or lacks a topic or a field.
             MissingExtraError: rosbags is not installed.
         """
         try:
@@ -62,12 +68,29 @@ class Rosbag:
                 return self._read(path, bag, sources)
         except LogFormatError:
             raise
-        except Exception as error:  # rosbags answers damage with many types, AssertionError among them
-            if isinstance(error, OSError) and error.errno:
-                raise
-            mend = "run `rosbag reindex` on it" if "index" in str(error) else "leave it out, or name its reader"
-            what = str(error).rstrip(".") or type(error).__name__
-            raise LogFormatError(f"{path}: expected a whole ROS bag, found: {what}: {mend}") from error
+        except Exception as error:  # rosbags answers damage with many types, AssertionError and OSError among them
+            refusal = error
+        return self._recover(path, sources, refusal)
+
+    def _recover(self, path: Path, sources: dict[str, Source], refusal: Exception):
+        """What `read` gives, of a bag that rosbags refuses."""
+        what = " ".join(str(refusal).split())[:200].rstrip(".") or type(refusal).__name__
+        if path.suffix == ".active":
+            what = "its recording was not closed"
+        patterns = [source.name for source in sources.values()]
+        bag = Scan(path, keep=lambda topic: any(_may_match(pattern, topic) for pattern in patterns))
+        if not bag.count:
+            raise LogFormatError(
+                f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
+                "leave it out, or name its reader"
+            ) from refusal
+        ending = f"it breaks off in the one at byte {bag.end} of {bag.size}" if bag.end < bag.size else "all are whole"
+        warnings.warn(
+            f"{path}: the index of this bag is missing or damaged ({what}): recovered {bag.count} messages "
+            f"from its records; {ending}",
+            stacklevel=3,
+        )
+        return self._read(path, bag, sources)
 
     def _read(self, path: Path, bag, sources: dict[str, Source]):
         readings: dict[str, list[str]] = defaultdict(list)  # topic -> channels
@@ -99,11 +122,16 @@ class Rosbag:
 
     def _stamp(self, message, received: int) -> int:
         """Nanoseconds since 1970."""
-        header = getattr(message, "header", None)
-        if self.clock == "receive" or header is None:
+        clock = getattr(getattr(message, "header", None), "stamp", None)
+        if self.clock == "receive" or not hasattr(clock, "nanosec"):
             return received
-        stamp = header.stamp.sec * 10**9 + header.stamp.nanosec
+        stamp = clock.sec * 10**9 + clock.nanosec
         return stamp if abs(stamp - received) <= CLOCK_LIMIT * 1e9 else received
+
+
+def _may_match(pattern: str, topic: str) -> bool:
+    """Whether `match_name` can choose this topic."""
+    return topic.lstrip("/") == pattern.lstrip("/") or fnmatch.fnmatchcase(topic, pattern)
 
 
 def _read_field(message, field: str, where: str) -> float:

@@ -1,0 +1,175 @@
+"""ROS 1 bags whose index is missing or damaged, read record by record up to where they break off.
+
+The records are those of format 2.0, https://wiki.ros.org/Bags/Format/2.0
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+import itertools
+import os
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+MAGIC = b"#ROSBAG V2.0\n"
+MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)  # the field "op" of a record's header
+BLOCK = 1 << 16  # bytes decompressed at a time: the blocks before a damaged one are kept
+
+
+class Connection(NamedTuple):
+    """One publisher of one topic."""
+
+    number: int
+    topic: str
+    msgtype: str
+
+
+class Scan:
+    """What a bag's records hold, with the attributes of `rosbags.highlevel.AnyReader`.
+
+    It is read once, from its start. The first thing that cannot be parsed ends the scan.
+
+    Args:
+        path: the bag.
+        keep: of the topics, those whose messages are wanted: only they are held in memory and deserialised.
+
+    Attributes:
+        connections: sorted by number.
+        start_time: ns since 1970, the earliest message of any topic.
+        count: messages of any topic.
+        end, size: bytes; where the record begins that cannot be parsed (the size if there is none), and the size.
+    """
+
+    def __init__(self, path: Path, keep: Callable[[str], bool]):
+        from rosbags.typesys import Stores, get_typestore
+
+        self.start_time, self.count, self.end, self.size = 2**63 - 1, 0, 0, 0
+        self._keep, self._store = keep, get_typestore(Stores.EMPTY)
+        self._connections: dict[int, Connection] = {}
+        self._messages: dict[int, list[tuple[int, bytes]]] = {}  # number of a kept connection -> (received, data)
+        if not path.is_file():
+            return
+        with path.open("rb") as file:
+            self.size = os.fstat(file.fileno()).st_size
+            if file.read(len(MAGIC)) != MAGIC:
+                return
+            try:
+                while (end := file.tell()) < self.size:
+                    self.end = end
+                    self._record(file, self.size)
+                self.end = self.size
+            except Exception as error:  # garbage raises any type, and from within rosbags, bz2 and lz4
+                if isinstance(error, OSError) and error.errno:
+                    raise
+
+    @property
+    def connections(self) -> list[Connection]:
+        return [self._connections[number] for number in sorted(self._connections)]
+
+    def messages(self, wanted: Iterable[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
+        """The kept messages of these connections, by time of receipt as an index gives them."""
+        logs = [[(connection, *message) for message in self._messages[connection.number]] for connection in wanted]
+        yield from sorted(itertools.chain(*logs), key=lambda message: message[1])
+
+    def deserialize(self, data: bytes, msgtype: str):
+        return self._store.deserialize_ros1(data, msgtype)
+
+    def _record(self, stream: BinaryIO, size: int) -> None:
+        """Takes in the next record of a stream of so many bytes; an exception if it cannot be parsed."""
+        header = _fields(_read(stream, size, _uint32(stream.read(4))))
+        op, length = header["op"][0], _uint32(stream.read(4))
+        if op == CHUNK:
+            self._chunk(stream, size - stream.tell(), length, header["compression"])
+            return
+        data = _read(stream, size, length)
+        if op == CONNECTION:
+            self._connect(_uint32(header["conn"]), header["topic"].decode(), _fields(data))
+        elif op == MESSAGE:
+            self._take(self._connections[_uint32(header["conn"])], header["time"], data)
+        elif op not in (BAG_HEADER, INDEX, CHUNK_INFO):
+            raise ValueError(op)
+
+    def _chunk(self, stream: BinaryIO, left: int, length: int, compression: bytes) -> None:
+        if length == 0 and compression != b"none":
+            length = left  # the length is written when a chunk is closed: this one never was
+        data, whole = _decompress(stream.read(min(length, left)), compression)
+        inner = io.BytesIO(data)
+        while inner.tell() < len(data):
+            self._record(inner, len(data))
+        if length > left or not whole:
+            raise EOFError
+
+    def _connect(self, number: int, topic: str, described: dict[str, bytes]) -> None:
+        from rosbags.typesys import get_types_from_msg
+
+        if number in self._connections:  # it is repeated in every chunk, and in the index
+            return
+        topic = "/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part)
+        package, _, name = described["type"].decode().partition("/")
+        msgtype = f"{package}/msg/{name}"  # as rosbags names it
+        if self._keep(topic):
+            self._store.register(get_types_from_msg(described["message_definition"].decode(), msgtype))
+            if self._store.generate_msgdef(msgtype)[1] != described["md5sum"].decode():
+                raise ValueError(msgtype)
+            self._messages[number] = []
+        self._connections[number] = Connection(number, topic, msgtype)
+
+    def _take(self, connection: Connection, time: bytes, data: bytes) -> None:
+        seconds, nanoseconds = struct.unpack("<II", time)
+        received = seconds * 10**9 + nanoseconds
+        if connection.number in self._messages:
+            self.deserialize(data, connection.msgtype)  # what fails here is where the scan ends
+            self._messages[connection.number].append((received, data))
+        self.start_time = min(self.start_time, received)
+        self.count += 1
+
+
+def _uint32(data: bytes) -> int:
+    return struct.unpack("<I", data)[0]
+
+
+def _read(stream: BinaryIO, size: int, length: int) -> bytes:
+    if stream.tell() + length > size:
+        raise EOFError
+    return stream.read(length)
+
+
+def _fields(header: bytes) -> dict[str, bytes]:
+    """The fields of a header, each its length and `name=value`.
+
+    >>> _fields(b"\\4\\0\\0\\0op=2\\x07\\0\\0\\0topic=/")
+    {'op': b'2', 'topic': b'/'}
+    """
+    fields, place = {}, 0
+    while place < len(header):
+        end = place + 4 + _uint32(header[place : place + 4])
+        name, sign, value = header[place + 4 : end].partition(b"=")
+        if end > len(header) or not sign:
+            raise EOFError
+        fields[name.decode()] = value
+        place = end
+    return fields
+
+
+def _decompress(data: bytes, compression: bytes) -> tuple[bytes, bool]:
+    """A chunk's data as far as it goes, and whether that is all of it."""
+    if compression == b"none":
+        return data, True
+    if compression == b"bz2":
+        stream = bz2.BZ2Decompressor()
+    elif compression == b"lz4":
+        from lz4.frame import LZ4FrameDecompressor
+
+        stream = LZ4FrameDecompressor()
+    else:
+        raise ValueError(compression)
+    parts = []
+    try:
+        for place in range(0, len(data), BLOCK):
+            parts.append(stream.decompress(data[place : place + BLOCK]))
+    except (OSError, RuntimeError, EOFError):  # EOFError: bytes behind the stream's end
+        pass
+    return b"".join(parts), stream.eof
