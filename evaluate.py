@@ -15,16 +15,21 @@ from rich.console import Console
 from usvlearn.errors import ConfigError, UsvlearnError
 from usvlearn.evaluation.tables import sweep_table
 
-console = Console()
+console = Console(markup=False)
 
 
-def jobs(folder: Path) -> list[tuple[str, dict]]:
+def jobs(folder: Path) -> list[tuple[dict[str, str], dict]]:
     """The runs below a folder: what was overridden in each, and its results ({} where it did not finish)."""
     found = []
     for overrides in sorted(folder.glob("**/.hydra/overrides.yaml")):
         results = overrides.parents[1] / "results.json"
-        name = " ".join(OmegaConf.load(overrides)) or overrides.parents[1].name
-        found.append((name, json.loads(results.read_text()) if results.exists() else {}))
+        settings = dict(text.split("=", 1) for text in OmegaConf.load(overrides) if "=" in text)
+        found.append(
+            (
+                settings or {"run": overrides.parents[1].name},
+                json.loads(results.read_text()) if results.exists() else {},
+            )
+        )
     if not found:
         raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
     return found

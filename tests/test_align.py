@@ -237,6 +237,18 @@ def test_illegal_options_are_refused(wrong):
         align(log(), **wrong)
 
 
+def test_a_live_message_that_is_no_number_is_counted_and_an_unknown_channel_is_told():
+    aligner = Aligner(log())
+    for value in (None, "fast", math.nan):
+        assert aligner.push("surge", 0.0, value) == []
+    assert aligner.rejected["surge"]["not_a_number"] == 3
+    assert len(aligner.push("surge", "0.5", "1.5")) == 1
+    with pytest.raises(ConfigError, match="'speed', expected one of command_left"):
+        aligner.push("speed", 0.0, 1.0)
+    with pytest.raises(ConfigError, match="foo"):
+        Aligner({**log(), "foo": log()["surge"]})
+
+
 def test_a_log_without_speed_is_refused():
     channels = log()
     del channels["surge"]

@@ -10,6 +10,7 @@ import torch
 from tests.conftest import random_samples
 from tests.estimators import ESTIMATORS
 from usvlearn import Inputs, Online, Sample, rollout
+from usvlearn.errors import ShapeError
 from usvlearn.signals import named_leaves, tree_map
 
 BATCHES = [(), (3,), (2, 3)]
@@ -110,6 +111,27 @@ def test_bad_samples_are_masked(name, batch):
             assert surge.isnan().all()
         else:
             assert surge.isfinite().all()
+
+
+@each_estimator
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("command_left", math.nan), ("command_right", math.inf), ("heading", -math.inf), ("yaw_rate", math.nan),
+     ("dt", math.nan), ("dt", math.inf), ("dt", -0.4)],
+)  # fmt: skip
+def test_an_input_that_is_no_number_leaves_the_state_as_it_was(name, field, value):
+    """Even where the sample claims to be fresh and measured."""
+    estimator, samples = ESTIMATORS[name](), random_samples(4, 2)
+    state, _, _ = rollout(estimator, estimator.init((2,)), samples)
+    sample = at(samples, 2)
+    bad = getattr(sample.inputs, field).clone()
+    bad[0] = value
+    after, surge = estimator(state, sample._replace(inputs=sample.inputs._replace(**{field: bad})))
+    expected, _ = estimator(state, sample)
+    assert surge[0].isnan() and surge[1].isfinite()
+    for key, leaf in leaves(after).items():
+        assert torch.equal(leaf[0], leaves(state)[key][0]), key
+        assert torch.equal(leaf[1], leaves(expected)[key][1]), key
 
 
 @each_estimator
@@ -216,6 +238,29 @@ def test_compiles_without_graph_breaks(name):
     plain = estimator(state, at(samples, 0))
     torch.testing.assert_close(compiled[1], plain[1])
     assert_same(compiled[0], plain[0])
+
+
+@each_estimator
+def test_samples_that_do_not_fit_are_refused(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(4, 2)
+    state, inputs = estimator.init((2,)), samples.inputs
+    wrong = {
+        "ndarray": tree_map(lambda x: x.numpy(), samples),
+        "float32": tree_map(lambda x: x.float() if x.is_floating_point() else x, samples),
+        "fresh is torch.float64": samples._replace(fresh=samples.surge),
+        "heading has the shape": samples._replace(inputs=inputs._replace(heading=inputs.heading[:, :1])),
+        "at least one step": tree_map(lambda x: x[:0], samples),
+        r"estimator.init\(\(3,\)\)": random_samples(4, 3),
+    }
+    for message, bad in wrong.items():
+        with pytest.raises(ShapeError, match=message):
+            rollout(estimator, state, bad)
+    scalars = [key for key, p in estimator.named_parameters() if p.ndim == 0]
+    for key in scalars:
+        grid = ESTIMATORS[name]()
+        grid.get_parameter(key).data = grid.get_parameter(key).data.expand(5).clone()
+        with pytest.raises(ShapeError, match="broadcasts against the batch"):
+            grid.init((2,))
 
 
 @each_estimator

@@ -54,6 +54,15 @@ def test_recursive_weights_find_the_one_good_member():
     assert persistence > max(aid, rls)
 
 
+def test_ensembles_of_ensembles():
+    inner = {"outer": Ensemble(members()), "persistence": Persistence()}
+    ensemble, samples = Ensemble(inner), random_samples(5, 2)
+    _, surge, _ = rollout(ensemble, ensemble.init((2,)), samples)
+    alone = Ensemble(members())
+    expected = (rollout(alone, alone.init((2,)), samples)[1] + torch.cat([torch.zeros(1, 2), samples.surge[:-1]])) / 2
+    torch.testing.assert_close(surge, expected)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -61,6 +70,9 @@ def test_recursive_weights_find_the_one_good_member():
         ({"combiners": {"aid": Average()}}, "both a member and a combiner"),
         ({"combiners": {"average": Average(["aid", "rnn"])}}, "rnn"),
         ({"output": "boa"}, "boa"),
+        ({"members": {"aid": None}}, "expected an estimator"),
+        ({"members": {"a.b": AID()}}, "plain name"),
+        ({"members": {"keys": AID()}}, "plain name"),
     ],
 )
 def test_illegal_ensembles_are_refused(arguments, message):

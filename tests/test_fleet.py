@@ -6,7 +6,7 @@ import torch
 
 from tests.test_align import log
 from usvlearn import AID, RLS, RNN, Average, Ensemble, Persistence, RecursiveWeights, SurgeDynamics
-from usvlearn.errors import LogFormatError
+from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.learning.replay import Position, replay
 from usvlearn.logs.channel import Recording
 from usvlearn.logs.fleet import align_fleet
@@ -33,7 +33,8 @@ def test_boats_are_lanes_and_shorter_runs_are_padded():
     first, second = fleet.runs
     assert (first.names, first.lengths) == (("one", "first"), (11, 21))
     assert (second.names, second.lengths) == (("two", ""), (16, 0))
-    assert first.samples.surge.shape == (21, 2) and first.time[0] == 0.0
+    assert first.samples.surge.shape == (21, 2) == first.time.shape and (first.time[0] == 0.0).all()
+    assert first.time[10, 0] == pytest.approx(4.0) and np.isnan(first.time[11:, 0]).all()
     assert not first.samples.fresh[11:, 0].any() and not second.samples.fresh[:, 1].any()
     assert np.isnan(first.samples.surge[11:, 0]).all() and (first.samples.inputs.dt[11:, 0] > 0).all()
     assert fleet.rejected["a"]["surge"]["empty"] == 4
@@ -56,6 +57,12 @@ def test_short_runs_are_left_out_with_a_warning_or_refused():
     assert len(fleet.runs) == 1
     with pytest.raises(LogFormatError, match="at least 3"):
         align_fleet([recording("a", "two", 0.5)])
+
+
+@pytest.mark.parametrize("boat", ["", "..", "a/b", "../../zz", "a\\b"])
+def test_a_boat_whose_name_cannot_be_a_folder_is_refused(boat):
+    with pytest.raises(ConfigError, match=r"data\.boat"):
+        align_fleet([recording(boat, "one", 4.0)])
 
 
 def test_eight_boats_as_lanes_equal_eight_single_runs():

@@ -15,7 +15,7 @@ PREDICTIONS = np.array([[1.5, 2.0], [2.0, 4.0], [9.0, 9.0], [3.0, 5.0], [np.nan,
 
 
 def shown(table) -> str:
-    console = Console(file=io.StringIO(), width=120)
+    console = Console(file=io.StringIO(), width=120, markup=False)
     console.print(table)
     return console.file.getvalue()
 
@@ -43,10 +43,12 @@ def test_tables_show_units_and_survive_gaps():
     assert "m/s" in text and "0.5000" in text and "0.625" in text and "–" in text
     assert rejection_table({"heron": {}}) is None
     assert "17" in shown(rejection_table({"heron": {"surge": {"stale": 17}}}))
-    jobs = [("b=1", {"boats": {"heron": rows}, "objective": 0.5}), ("b=2", {"error": "bad"}), ("b=3", {}),
-            ("b=0", {"boats": {"heron": rows}, "objective": 0.1})]  # fmt: skip
+    jobs = [({"c": "9", "a.b.gain": "[one]"}, {"boats": {"heron": rows}, "objective": 0.5}),
+            ({"c": "9", "a.b.gain": "two"}, {"error": "bad"}), ({"c": "9"}, {}),
+            ({"c": "9", "a.b.gain": "zero"}, {"boats": {"heron": rows}, "objective": 0.1})]  # fmt: skip
     text = shown(sweep_table(jobs))
-    assert text.index("b=0") < text.index("b=1") < text.index("failed: bad") < text.index("did not finish")
+    assert "b.gain" in text and "9" not in text.splitlines()[2]  # what is the same in all jobs is not shown
+    assert text.index("zero") < text.index("[one]") < text.index("gain=two: bad") < text.index("did not finish")
 
 
 def test_figure_of_predictions():

@@ -10,8 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
+from hydra.errors import InstantiationException
 
+import train
 from usvlearn import checkpoint
+from usvlearn.errors import bad_input
 
 ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
@@ -160,7 +164,7 @@ def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
     """A new season starts from the parameters of the last one."""
     season = [*SMALL, "data.n=2", "data.seed=5", f"hydra.run.dir={tmp_path}/run"]
     done = run(*season, f"resume={whole}", folder=tmp_path)
-    assert done.returncode == 0 and "on other runs" in done.stdout, done.stderr
+    assert done.returncode == 0 and "from the first run on" in done.stdout, done.stderr
     anew = run(*season[:-1], f"hydra.run.dir={tmp_path}/anew", folder=tmp_path)
     assert anew.returncode == 0
     first = predictions(tmp_path / "run")[0][1:6], predictions(tmp_path / "anew")[0][1:6]
@@ -168,6 +172,17 @@ def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
     single = run(*SMALL, f"resume={max((whole / 'checkpoints' / 'heron2').iterdir())}",
                  f"hydra.run.dir={tmp_path}/one", folder=tmp_path)  # fmt: skip
     assert single.returncode == 0 and "starting from heron2" in single.stdout
+
+
+def test_other_samples_or_another_ensemble_are_never_mixed_in(whole, tmp_path):
+    """In the same folder they are refused; in another they start from the parameters, at the first run."""
+    for other in ("estimators.aid.gain=3", "align.inputs=next", "data.sensors.surge_noise=0.3"):
+        arguments = [*SMALL, "data.n=2", other]
+        refused = run(*arguments, "resume=latest", f"hydra.run.dir={whole}", folder=tmp_path)
+        assert refused.returncode == 2 and "another hydra.run.dir" in refused.stderr, refused.stderr
+    elsewhere = run(*arguments, f"resume={whole}", "hydra.run.dir=run", folder=tmp_path)
+    assert elsewhere.returncode == 0 and "from the first run on" in elsewhere.stdout
+    assert results(tmp_path / "run")["boats"]["heron1"]["persistence"]["mae"] > 0.2  # of the noise, not the old one
 
 
 def test_sweep_has_a_table(tmp_path):
@@ -178,8 +193,8 @@ def test_sweep_has_a_table(tmp_path):
     table = run("runs=sweep", folder=tmp_path, script="evaluate.py")
     assert table.returncode == 0
     for text in (swept.stdout, table.stdout):
-        assert "estimators.rls.forgetting=0.9 " in text and "estimators.rls.forgetting=0.99 " in text
-        assert "failed: " in text and "between 0 and 1" in text
+        assert "rls.forgetting" in text and " 0.9 " in text and " 0.99 " in text
+        assert "failed: " in text and "forgetting: found 1.5, expected a number between 0 and 1" in text
     assert "runs: found no run" in run("runs=nowhere", folder=tmp_path, script="evaluate.py").stderr
     assert "runs is not set" in run(folder=tmp_path, script="evaluate.py").stderr
 
@@ -213,22 +228,43 @@ BAD_INPUT = {
     "negative dt": (["data.path=log.csv", "align.dt=-0.4"], GOOD, ["dt", "-0.4", "positive"]),
     "inputs": (["data.path=log.csv", "align.inputs=future"], GOOD, ["inputs", "mean, last, next"]),
     "a gain below zero": (["data.path=log.csv", "estimators.aid.gain=-1"], GOOD, ["-1", "positive"]),
+    "a boat's name": (["data.path=log.csv", "data.boat=../b"], GOOD, ["data.boat", "../b"]),
+    "no threads": (["data.path=log.csv", "threads=0"], GOOD, ["threads", "positive"]),
+    "minutes": (["data.path=log.csv", "save_minutes=null"], GOOD, ["save_minutes", "None", "positive"]),
+    "a grid": (["data.path=log.csv", "estimators.aid.gain=[0.1,1]"], GOOD, ["gain", "(2,)", "broadcasts"]),
+    "no member": (["data.path=log.csv", "estimators.aid=null"], GOOD, ["aid", "expected an estimator"]),
+    "a type": (["data.path=log.csv", "estimators.rnn.seed=abc"], GOOD, ["seed", "abc"]),
+    "no reader": (["data.path=log.csv", "data.reader=null"], GOOD, ["data"]),
     "no checkpoint": (["data.path=log.csv", "resume=latest"], GOOD, ["resume=latest", "no run"]),
     "resume nowhere": (["data.path=log.csv", "resume=nowhere"], GOOD, ["nowhere", "does not exist"]),
 }
 
 
 @pytest.mark.parametrize("case", BAD_INPUT)
-def test_bad_input_ends_with_one_sentence(case, tmp_path):
+def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
+    """In process: the sentence, and that nothing is half-written."""
     arguments, content, said = BAD_INPUT[case]
     if content is not None:
         (tmp_path / "log.csv").write_text(content)
+    monkeypatch.chdir(tmp_path)
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        cfg = compose("train", [*CSV, *arguments])
+    with pytest.raises(Exception) as caught:
+        train.train(cfg, tmp_path / "run")
+    sentence = bad_input(caught.value, InstantiationException)
+    assert sentence is not None and all(word in sentence for word in said), sentence
+    assert "\n" not in sentence and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("case", ["missing file", "no such channel", "a channel with no numbers", "a grid"])
+def test_bad_input_ends_with_code_2_and_no_traceback(case, tmp_path):
+    arguments, content, said = BAD_INPUT[case]
+    (tmp_path / "log.csv").write_text(content or "")
     done = run(*CSV, *arguments, "hydra.run.dir=run", folder=tmp_path)
-    assert done.returncode == 2, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
+    assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("error: ") and all(word in last for word in said), last
-    assert not any((tmp_path / "run" / name).exists() for name in ("results.json", "checkpoints", "predictions"))
+    assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]
 
 
 def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, tmp_path):

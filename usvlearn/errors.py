@@ -52,12 +52,34 @@ def check_positive(name: str, value: float, unit: str = "") -> float:
     return value
 
 
-def bad_input(error: BaseException | None) -> UsvlearnError | None:
-    """The UsvlearnError behind an exception, if there is one: constructors are called through others.
+def check_not_negative(name: str, value: float, unit: str = "") -> float:
+    """Return `value` if it is a finite number of 0 or more, else raise a ConfigError.
 
-    >>> print(bad_input(KeyError()))
+    >>> check_not_negative("patience", 0.0, "of s")
+    0.0
+    """
+    if not (isinstance(value, int | float) and 0 <= value < float("inf")):
+        raise ConfigError(f"{name}: found {value!r}, expected a number of 0 or more {unit}".rstrip())
+    return value
+
+
+def bad_input(error: BaseException, wrapper: type[BaseException]) -> str | None:
+    """The sentence for the person who gave bad input, or None where the error is a bug.
+
+    Args:
+        error: what was raised.
+        wrapper: the error in which a configured constructor's own is wrapped; its last line names the key.
+
+    >>> bad_input(ConfigError("dt: found 0, expected a positive number"), KeyError)
+    'dt: found 0, expected a positive number'
+    >>> print(bad_input(RuntimeError("a bug"), KeyError))
     None
     """
-    while error is not None and not isinstance(error, UsvlearnError):
-        error = error.__cause__ or error.__context__
-    return error
+    cause: BaseException | None = error
+    while cause is not None and not isinstance(cause, UsvlearnError):
+        cause = cause.__cause__ or cause.__context__
+    if cause is not None:
+        return str(cause)
+    if isinstance(error, wrapper) and isinstance(error.__cause__, TypeError | ValueError):
+        return f"{' '.join(str(error).split())}: correct this key"
+    return None

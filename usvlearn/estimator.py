@@ -84,11 +84,13 @@ class Step(NamedTuple):
 
 def clean(sample: Sample) -> Step:
     """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients."""
-    known, still = sample.surge.isfinite(), sample.inputs.dt == 0
-    steps = sample.fresh & ~still
+    known, dt = sample.surge.isfinite(), sample.inputs.dt
+    steps = sample.fresh & (dt > 0)
+    for x in sample.inputs:
+        steps = steps & x.isfinite()
     inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
     surge = torch.where(known, sample.surge, 0.0)
-    return Step(inputs, surge, steps, steps & sample.measured & known, still & known)
+    return Step(inputs, surge, steps, steps & sample.measured & known, (dt == 0) & known)
 
 
 def rollout(
@@ -118,7 +120,7 @@ def rollout(
     >>> samples = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t, t > 0, t > 0)
     >>> aid = AID(mass=28.0)
     >>> state, surge, _ = rollout(aid, aid.init(), samples)
-    >>> abs(float(surge[-1]) - 1.5) < 0.01
+    >>> abs(float(surge[-1].detach()) - 1.5) < 0.01
     True
     """
     _check(state, samples)
@@ -146,17 +148,28 @@ def _unbind(samples: Sample) -> Iterator[Sample]:
 
 
 def _check(state: State, samples: Sample) -> None:
-    name, leaf = next(iter(named_leaves(state)))
-    batch, dtype = tuple(samples.surge.shape[1:]), samples.surge.dtype
-    if len(samples.surge) == 0:
-        raise ShapeError("samples: found 0 time steps, expected at least 1")
-    if leaf.dtype != dtype:
-        raise ShapeError(
-            f"samples are {dtype}, the state's {name} is {leaf.dtype}: convert the estimator with "
-            f".to({dtype}) before init, or the samples"
-        )
-    if tuple(leaf.shape[: len(batch)]) != batch:
-        raise ShapeError(
-            f"samples have the batch {batch}, the state's {name} has the shape {tuple(leaf.shape)}: "
-            f"make the state with estimator.init({batch})"
-        )
+    """Raise a ShapeError unless the samples fit each other and the state."""
+    expected, dtype = samples.surge.shape, getattr(samples.surge, "dtype", None)
+    for name, leaf in named_leaves(samples):
+        if not isinstance(leaf, Tensor):
+            raise ShapeError(f"samples: {name} is {type(leaf).__name__}, expected a torch tensor: use torch.as_tensor")
+        if leaf.shape != expected or len(expected) == 0 or len(leaf) == 0:
+            raise ShapeError(
+                f"samples: {name} has the shape {tuple(leaf.shape)}, surge {tuple(expected)}: expected (time, "
+                "*batch), of at least one step, the same for all"
+            )
+        wanted = torch.bool if name in ("fresh", "measured") else dtype
+        if leaf.dtype != wanted:
+            raise ShapeError(f"samples: {name} is {leaf.dtype}, expected {wanted}: convert it with .to({wanted})")
+    batch = tuple(expected[1:])
+    for name, leaf in named_leaves(state):
+        if leaf.is_floating_point() and leaf.dtype != dtype:
+            raise ShapeError(
+                f"samples are {dtype}, the state's {name} is {leaf.dtype}: convert the estimator with .to({dtype}) "
+                "before init, or the samples"
+            )
+        if tuple(leaf.shape[: len(batch)]) != batch:
+            raise ShapeError(
+                f"samples have the batch {batch}, the state's {name} has the shape {tuple(leaf.shape)}: "
+                f"make the state with estimator.init({batch})"
+            )

@@ -5,17 +5,17 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from usvlearn.errors import ConfigError
+from usvlearn.errors import ConfigError, ShapeError
 
 
-def as_tensor(value) -> Tensor:
+def as_tensor(value, name: str = "value") -> Tensor:
     """A float64 tensor from numbers (precision of a forgetting factor near 1); float tensors keep their dtype."""
     if isinstance(value, Tensor) and value.is_floating_point():
         return value.detach().clone()
     try:
         return torch.as_tensor(value, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:
-        raise ConfigError(f"found {value!r}, expected a number or numbers") from error
+        raise ConfigError(f"{name}: found {value!r}, expected a number or numbers") from error
 
 
 class Positive(nn.Module):
@@ -23,6 +23,7 @@ class Positive(nn.Module):
 
     Args:
         value: number or tensor of any shape that broadcasts against the batch, as `(grid, 1)`.
+        name: what it is called in an error.
         learnable: whether gradients reach it.
 
     Raises:
@@ -32,11 +33,11 @@ class Positive(nn.Module):
     tensor(0.5000, dtype=torch.float64, grad_fn=<ExpBackward0>)
     """
 
-    def __init__(self, value, learnable: bool = True):
+    def __init__(self, value, name: str = "value", learnable: bool = True):
         super().__init__()
-        value = as_tensor(value)
+        self.name, value = name, as_tensor(value, name)
         if not bool(((value > 0) & value.isfinite()).all()):
-            raise ConfigError(f"found {value.tolist()}, expected a positive number")
+            raise ConfigError(f"{name}: found {value.tolist()}, expected a positive number")
         self.log = nn.Parameter(value.log(), requires_grad=learnable)
 
     def forward(self) -> Tensor:
@@ -53,12 +54,31 @@ class UnitInterval(nn.Module):
     0.995
     """
 
-    def __init__(self, value, learnable: bool = True):
+    def __init__(self, value, name: str = "value", learnable: bool = True):
         super().__init__()
-        value = as_tensor(value)
+        self.name, value = name, as_tensor(value, name)
         if not bool(((value > 0) & (value < 1)).all()):
-            raise ConfigError(f"found {value.tolist()}, expected a number between 0 and 1, both excluded")
+            raise ConfigError(f"{name}: found {value.tolist()}, expected a number between 0 and 1, both excluded")
         self.logit = nn.Parameter(value.logit(), requires_grad=learnable)
 
     def forward(self) -> Tensor:
         return self.logit.sigmoid()
+
+
+def check_broadcast(module: nn.Module, batch: tuple[int, ...]) -> None:
+    """Raise a ShapeError unless every hyperparameter of an estimator broadcasts against the batch of its state.
+
+    >>> check_broadcast(Positive([[0.1], [1.0]], "gain"), (2, 8))
+    """
+    for part in module.modules():
+        if isinstance(part, Positive | UnitInterval):
+            shape = tuple(next(part.parameters()).shape)
+            try:
+                fits = torch.broadcast_shapes(shape, batch) == torch.Size(batch)
+            except RuntimeError:
+                fits = False
+            if not fits:
+                raise ShapeError(
+                    f"{part.name}: found the shape {shape}, expected one that broadcasts against the batch {batch}: "
+                    "a grid is (grid, 1) beside a batch (grid, boats)"
+                )

@@ -40,7 +40,7 @@ class Sample(NamedTuple):
 class Run(NamedTuple):
     """A mission of one boat, or of a fleet as lanes, on the grid of `dt`."""
 
-    time: np.ndarray  # (time,) s since the run's start
+    time: np.ndarray  # (time, boats) s since each log's first step; NaN where padded
     samples: Sample  # leaves (time, *batch)
     names: tuple[str, ...]  # the run's name per boat; "" for a boat that had no such run
     lengths: tuple[int, ...]  # steps per boat; what lies behind is padding, never fresh

@@ -21,10 +21,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from usvlearn.errors import ConfigError, check_choice, check_positive
+from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.regressors import SurgeDynamics
-from usvlearn.hyper import Positive, as_tensor
+from usvlearn.hyper import Positive, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 
@@ -69,14 +69,12 @@ class AID(Estimator):
         super().__init__()
         self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
-        if not dead_zone >= 0:
-            raise ConfigError(f"dead_zone: found {dead_zone!r}, expected a speed of 0 m/s or more")
-        self.dead_zone = dead_zone
+        self.dead_zone = check_not_negative("dead_zone", dead_zone, "of m/s")
         self.model = SurgeDynamics(mass)
-        self.gain = Positive(gain)
+        self.gain = Positive(gain, "gain")
         if feedback == "estimate":
-            self.leak = Positive(leak)
-        ratio, signs = as_tensor(list(gain_ratio)), as_tensor(self.model.signs)
+            self.leak = Positive(leak, "leak")
+        ratio, signs = as_tensor(list(gain_ratio), "gain_ratio"), as_tensor(self.model.signs)
         if ratio.shape != signs.shape or not bool((ratio >= 0).all()):
             raise ConfigError(f"gain_ratio: found {list(gain_ratio)}, expected nine numbers of 0 or more")
         infinity = torch.full_like(signs, torch.inf)
@@ -85,6 +83,7 @@ class AID(Estimator):
         self.register_buffer("upper", torch.where(signs < 0, 0.0, infinity) if project else infinity)
 
     def init(self, batch: Sequence[int] = ()) -> AIDState:
+        check_broadcast(self, tuple(batch))
         zeros = self.gain_ratio.new_zeros
         return AIDState(zeros((*batch, 9)), zeros(tuple(batch)))
 

@@ -15,8 +15,8 @@ from torch import Tensor, nn
 from usvlearn.errors import ConfigError
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.rls import rls_step
-from usvlearn.hyper import Positive, UnitInterval, as_tensor
-from usvlearn.signals import Inputs
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.signals import Inputs, named_leaves
 
 
 class WeightsState(NamedTuple):
@@ -93,7 +93,7 @@ class RecursiveWeights(nn.Module):
     ):
         super().__init__()
         self.members, self.trace_max, self.surge_max = members, trace_max, surge_max
-        self.forgetting, self.covariance = UnitInterval(forgetting), Positive(covariance)
+        self.forgetting, self.covariance = UnitInterval(forgetting, "forgetting"), Positive(covariance, "covariance")
 
     def init(self, batch: Sequence[int], count: int, like: Tensor) -> WeightsState:
         eye = torch.eye(count, dtype=like.dtype, device=like.device)
@@ -141,6 +141,11 @@ class Ensemble(Estimator):
         combiners = {"average": Average()} if combiners is None else dict(combiners)
         if not members or not combiners:
             raise ConfigError(f"ensemble: found {len(members)} members, expected at least one, and one combiner")
+        for name, member in members.items():
+            if not isinstance(member, Estimator):
+                raise ConfigError(f"ensemble member {name}: found {member!r}, expected an estimator")
+            if not name.isidentifier() or hasattr(nn.ModuleDict, name):
+                raise ConfigError(f"ensemble member {name!r}: expected a plain name of letters, digits and _")
         if twice := set(members) & set(combiners):
             raise ConfigError(f"ensemble: {', '.join(sorted(twice))} names both a member and a combiner")
         self.names = (*members, *combiners)
@@ -150,7 +155,8 @@ class Ensemble(Estimator):
         self.members, self.combiners = nn.ModuleDict(members), nn.ModuleDict(combiners)
         self._places: dict[str, list[int]] = {}  # combiner -> places of its members
         for name, combiner in combiners.items():
-            chosen = list(members) if combiner.members is None else list(combiner.members)
+            chosen = list(members) if combiner.members is None else combiner.members
+            chosen = [chosen] if isinstance(chosen, str) else list(chosen)
             if not chosen or (unknown := sorted(set(chosen) - set(members))):
                 raise ConfigError(
                     f"ensemble combiner {name}: found members {', '.join(chosen) or 'none'}, "
@@ -160,8 +166,9 @@ class Ensemble(Estimator):
 
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
         batch = tuple(batch)
+        check_broadcast(self, batch)
         members = {name: member.init(batch) for name, member in self.members.items()}
-        like = next(m.surge for m in members.values() if hasattr(m, "surge"))
+        like = next(leaf for _, leaf in named_leaves(members) if leaf.is_floating_point())
         combiners = {
             name: combiner.init(batch, len(self._places[name]), like) for name, combiner in self.combiners.items()
         }

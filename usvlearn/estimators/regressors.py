@@ -61,7 +61,7 @@ class SurgeDynamics(nn.Module):
 
     def __init__(self, mass=36.0):
         super().__init__()
-        mass = as_tensor(mass)
+        mass = as_tensor(mass, "mass")
         if not bool(((mass > 0) & mass.isfinite()).all()):
             raise ConfigError(f"mass: found {mass.tolist()}, expected a positive number of kg")
         self.register_buffer("mass", mass)

@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from usvlearn.errors import check_choice, check_positive
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.regressors import QuasiStatic
-from usvlearn.hyper import Positive, UnitInterval, as_tensor
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 
@@ -98,12 +98,13 @@ class RLS(Estimator):
         self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.model = QuasiStatic() if model is None else model
-        self.forgetting = UnitInterval(forgetting)
-        self.covariance = Positive(covariance)
+        self.forgetting = UnitInterval(forgetting, "forgetting")
+        self.covariance = Positive(covariance, "covariance")
         growth = check_positive("trace_growth", trace_growth) * len(self.model.names)
         self.register_buffer("trace_max", growth * as_tensor(covariance) * self.model.scale**2)
 
     def init(self, batch: Sequence[int] = ()) -> RLSState:
+        check_broadcast(self, tuple(batch))
         p, like = len(self.model.names), self.covariance.log
         eye = torch.eye(p, dtype=like.dtype, device=like.device)
         root = self.covariance().sqrt() * self.model.scale

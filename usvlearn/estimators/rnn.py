@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from certify.conditions import simple_margin, tight_margin
 from usvlearn.errors import ConfigError, check_choice, check_positive
 from usvlearn.estimator import Estimator
-from usvlearn.hyper import Positive
+from usvlearn.hyper import Positive, check_broadcast
 from usvlearn.signals import Inputs
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8  # Adam's, as the paper has them
@@ -145,7 +145,9 @@ class RNN(Estimator):
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.decay = None if decay is None else check_positive("decay", decay, "of updates")
         self.scale, self.unroll = 0.5 / surge_max, unroll
-        self.rate, self.penalty = Positive(rate), Positive(penalty)
+        self.rate, self.penalty = Positive(rate, "rate"), Positive(penalty, "penalty")
+        if not isinstance(seed, int):
+            raise ConfigError(f"seed: found {seed!r}, expected a whole number")
         generator = torch.Generator().manual_seed(seed)
 
         def draw(shape: tuple[int, ...], fan_in: int) -> nn.Parameter:
@@ -157,6 +159,7 @@ class RNN(Estimator):
 
     def init(self, batch: Sequence[int] = ()) -> RNNState:
         batch, n = tuple(batch), len(self.a)
+        check_broadcast(self, batch)
         weights = RNNWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
         zero = self.a.new_zeros
         unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import nan
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
 from rich.table import Table
+from rich.text import Text
 
 from usvlearn.evaluation.metrics import mean_mae
 
@@ -51,7 +53,7 @@ def fleet_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
         if boat == "mean":
             table.add_section()
         best = _best(maes)
-        cells = [f"[bold]{_number(maes[name])}[/]" if name == best else _number(maes[name]) for name in rows["mean"]]
+        cells = [Text(_number(maes[name]), "bold" if name == best else "") for name in rows["mean"]]
         table.add_row(boat, *cells)
     return table
 
@@ -77,18 +79,35 @@ def report(boats: Mapping[str, Mapping[str, Mapping]], rejected: Mapping) -> Gro
     return Group(*filter(None, tables))
 
 
-def sweep_table(jobs: Sequence[tuple[str, Mapping]]) -> Table:
-    """One row per job of a sweep, the best first: its overrides, and the MAE of each estimator, mean over boats."""
-    done = [(name, result) for name, result in jobs if "boats" in result]
-    failed = [(name, result.get("error", "did not finish")) for name, result in jobs if "boats" not in result]
-    names = list(dict.fromkeys(n for _, r in done for rows in r["boats"].values() for n in rows))
-    table = Table(title="Sweep: MAE in m/s, mean over boats, best job first", title_justify="left", box=SIMPLE_HEAD)
-    table.add_column("job")
+def _told(settings: Mapping[str, str], keys: Sequence[str]) -> str:
+    return " ".join(f"{key}={settings[key]}" for key in keys if key in settings) or " ".join(settings.values())
+
+
+def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
+    """One row per job of a sweep, the best first: what differs in its settings, and each MAE, mean over boats.
+
+    Args:
+        jobs: settings by key, and results as in `results.json`; `{"error": …}` of a job that failed, {} of one that did
+            not finish.
+    """
+    done = [(settings, result) for settings, result in jobs if "boats" in result]
+    keys = dict.fromkeys(key for settings, _ in jobs for key in settings)
+    keys = [key for key in keys if len({settings.get(key) for settings, _ in jobs}) > 1]
+    names = list(dict.fromkeys(name for _, result in done for rows in result["boats"].values() for name in rows))
+    table = Table(
+        title="Sweep: MAE in m/s, mean over boats", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
+    )
+    for key in keys:
+        table.add_column(".".join(key.split(".")[-2:]), overflow="fold")
     for name in names:
-        table.add_column(name, justify="right")
-    for job, result in sorted(done, key=lambda item: item[1]["objective"] or float("inf")):
+        table.add_column(name, justify="right", overflow="fold")
+    for settings, result in sorted(done, key=lambda job: job[1].get("objective") or float("inf")):
         maes = mean_mae(result["boats"])
-        table.add_row(job, *(f"{maes[name]:.4f}" if name in maes else "–" for name in names))
-    for job, reason in failed:
-        table.add_row(job, f"failed: {reason}", style="red")
-    return table
+        cells = [_number(None if maes.get(name, nan) != maes.get(name, nan) else maes[name]) for name in names]
+        table.add_row(*(str(settings.get(key, "")) for key in keys), *cells)
+    failed = [
+        Text(f"failed: {_told(settings, keys)}: {result.get('error', 'did not finish')}")
+        for settings, result in jobs
+        if "boats" not in result
+    ]
+    return Group(*([table] if done else []), *failed)

@@ -2,12 +2,13 @@
 
 checkpoints/BOAT/RRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
 predictions/RRR_SSSSSSS.npz                what all estimators predicted since the file before, all boats
-runs.json                                  the boats and the lengths of their runs, by name
+runs.json                                  which runs, of which samples, through which ensemble
 results.json                               the scores, at the end
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import shutil
@@ -24,7 +25,7 @@ from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble import EnsembleState
 from usvlearn.learning.replay import BEGIN, Chunk, Position
-from usvlearn.signals import Fleet, tree_map
+from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
 ESTIMATOR = "Ensemble"
@@ -61,23 +62,29 @@ class RunFolder:
     def begin(self, state: EnsembleState, resume: str | None) -> Start:
         """Where to start from: `state`, or what `resume` ("latest", a run's folder or a checkpoint) has saved.
 
-        Over the same runs, a folder is gone on from where it stopped, bit for bit; over other runs, its newest
-        parameter sets are what learning starts from.
+        Over the same samples, with the same ensemble, a folder is gone on from where it stopped, bit for bit; else its
+        newest parameter sets are what learning starts from, in another folder.
 
         Raises:
-            ConfigError: without `resume`, the folder already holds parameter sets.
-            CheckpointError: with it, nothing readable is found, or it does not fit.
+            ConfigError: the folder already holds parameter sets that this run would mix with its own.
+            CheckpointError: nothing readable is found to resume from, or it does not fit.
         """
-        start = Start(state, BEGIN, "")
+        start, continued = Start(state, BEGIN, "learning from the start"), False
         if resume is not None:
-            source = self._latest() if resume == "latest" else Path(resume)
+            source = self._latest() if resume == "latest" else Path(str(resume))
             if source.is_file():
                 start = self._from_file(source, start)
             elif source.is_dir():
-                start = (self._continued if self._same_runs(source) else self._from_newest)(source, start)
+                continued = self._is_this_run(source)
+                if not continued and source.resolve() == self.path.resolve():
+                    raise ConfigError(
+                        f"{source}: holds a run over other samples or with another ensemble: to start from its "
+                        f"parameters, give resume={source} and another hydra.run.dir"
+                    )
+                start = (self._continued if continued else self._from_newest)(source, start)
             else:
                 raise CheckpointError(f"resume: {source} does not exist: give a run's folder, a checkpoint or latest")
-        elif _has_sets(self.path):
+        if not continued and _has_sets(self.path):
             raise ConfigError(
                 f"{self.path}: already holds the parameter sets of a run: go on from them with resume=latest, "
                 "or choose another hydra.run.dir"
@@ -111,26 +118,24 @@ class RunFolder:
                     boat=boat,
                     run=run.names[lane],
                     step=place.step,
-                    time=float(run.time[place.step - 1]),
+                    time=float(run.time[place.step - 1, lane]),
                     **self.metadata,
                 )
         self._saved = chunk.end
 
-    def finish(self, results: Mapping[str, Any]) -> None:
-        """Write `results.json`; NaN, which JSON has not, becomes null."""
-        text = json.dumps(json.loads(json.dumps(results), parse_constant=lambda _: None), indent=2)
-        write_atomically(self.path / RESULTS, text.encode())
-
-    def _runs(self) -> dict[str, list[list]]:
-        """Name and length of each run, per boat."""
-        return {
-            boat: [[run.names[lane], run.lengths[lane]] for run in self.fleet.runs]
+    def _runs(self) -> dict[str, Any]:
+        """What makes this run the one it is: per boat, name, length and samples of each run; and the ensemble."""
+        configuration = self.metadata.get("configuration", {})
+        ensemble = json.dumps([configuration.get("estimators"), configuration.get("combiners")], sort_keys=True)
+        boats = {
+            boat: [[run.names[lane], run.lengths[lane], _digest(run, lane)] for run in self.fleet.runs]
             for lane, boat in enumerate(self.fleet.boats)
         }
+        return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
 
     def _latest(self) -> Path:
-        """The folder with the newest parameter set: this one if it has any, else a sibling."""
-        if _has_sets(self.path):
+        """The folder with the newest parameter set: this one if a run began here, else a sibling."""
+        if (self.path / RUNS).exists():
             return self.path
         stamped = [
             (max(path.stat().st_mtime_ns for path in sets), folder)
@@ -143,14 +148,14 @@ class RunFolder:
             )
         return max(stamped)[1]
 
-    def _same_runs(self, source: Path) -> bool:
-        """Whether the runs that a folder was made from are these, or these begin with them."""
+    def _is_this_run(self, source: Path) -> bool:
+        """Whether a folder was made from these samples, or from the first of these runs, by this ensemble."""
         try:
-            old = json.loads((source / RUNS).read_text())
-        except (OSError, ValueError):
+            old, new = json.loads((source / RUNS).read_text()), self._runs()
+            same = old["ensemble"] == new["ensemble"] and list(old["boats"]) == list(new["boats"])
+            return same and all(new["boats"][boat][: len(runs)] == runs for boat, runs in old["boats"].items())
+        except (OSError, ValueError, KeyError, TypeError):
             return False
-        new = self._runs()
-        return list(old) == list(new) and all(new[boat][: len(runs)] == runs for boat, runs in old.items())
 
     def _from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one parameter set."""
@@ -170,7 +175,9 @@ class RunFolder:
                 )
             lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
         state = tree_map(lambda *leaves: torch.stack(leaves), *lanes)
-        return start._replace(state=state, note=f"starting from the newest parameter sets of {source}, on other runs")
+        return start._replace(
+            state=state, note=f"starting from the newest parameter sets of {source}, from the first run on"
+        )
 
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
@@ -183,6 +190,7 @@ class RunFolder:
             except (OSError, ValueError, KeyError, EOFError) as error:
                 warnings.warn(f"{path}: is damaged ({error}); going on from before it", stacklevel=2)
                 break
+        paths: list[Path] = []
         while readable:
             place = readable[-1][0]
             paths = [source / CHECKPOINTS / boat / f"{_stem(self._own(lane, place))}{SUFFIX}"
@@ -195,7 +203,9 @@ class RunFolder:
                 warnings.warn(f"{error}; going on from before it", stacklevel=2)
                 readable.pop()
         if not readable:
-            warnings.warn(f"{source}: holds no place from which every boat can go on; starting anew", stacklevel=2)
+            if places:
+                warnings.warn(f"{source}: holds no place from which every boat can go on; starting anew", stacklevel=2)
+            self._bring(source, BEGIN)
             return start
         lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
         for (run, _), array in readable:
@@ -213,8 +223,11 @@ class RunFolder:
         return place
 
     def _bring(self, source: Path, place: Position) -> None:
-        """Copy what a resumed run rests on, so that its folder is complete."""
+        """Copy what a resumed run rests on, so that its folder is complete; predictions beyond it are made anew."""
         if source.resolve() == self.path.resolve():
+            for old in (source / PREDICTIONS).glob("*.npz"):
+                if Position(*map(int, old.stem.split("_"))) > place:
+                    old.unlink()
             return
         for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
             if Position(*map(int, old.stem.split("_"))) <= place:
@@ -225,6 +238,20 @@ class RunFolder:
 
 def _stem(place: Position) -> str:
     return f"{place.run:03d}_{place.step:07d}"
+
+
+def save_results(folder: Path, results: Mapping[str, Any]) -> None:
+    """Write `results.json`; NaN, which JSON has not, becomes null."""
+    text = json.dumps(json.loads(json.dumps(results), parse_constant=lambda _: None), indent=2)
+    write_atomically(folder / RESULTS, text.encode())
+
+
+def _digest(run: Run, lane: int) -> str:
+    """A sha256 of one boat's samples."""
+    total = hashlib.sha256()
+    for name, leaf in named_leaves(run.samples):
+        total.update(name.encode() + leaf[: run.lengths[lane], lane].tobytes())
+    return total.hexdigest()
 
 
 def _has_sets(folder: Path) -> bool:

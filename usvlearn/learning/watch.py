@@ -103,5 +103,7 @@ class Watch:
         part = slice(max(0, run.lengths[lane] - FIGURE_STEPS), run.lengths[lane])
         surge = np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan)
         title = f"{boat}, {run.names[lane]}"
-        figure = prediction_figure(run.time[part], surge, predictions[index][part, lane], self.ensemble.names, title)
+        figure = prediction_figure(
+            run.time[part, lane], surge, predictions[index][part, lane], self.ensemble.names, title
+        )
         self.board.figure(f"prediction/{boat}", figure, step)

@@ -27,8 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_positive
-from usvlearn.logs.channel import REQUIRED, Channel
+from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not_negative, check_positive
+from usvlearn.logs.channel import CHANNELS, REQUIRED, Channel
 from usvlearn.signals import Inputs, Sample
 
 EPSILON = 1e-6  # s, below which two stamps are one
@@ -121,9 +121,7 @@ class Aligner:
         self.dt = check_positive("dt", dt, "of s")
         self.inputs = check_choice("inputs", inputs, ("mean", "last", "next"))
         self.outage = check_positive("outage", outage, "of s")
-        if not patience >= 0:
-            raise ConfigError(f"patience: found {patience!r}, expected a time of 0 s or more")
-        self.patience = patience
+        self.patience = check_not_negative("patience", patience, "of s")
         self.limits = {
             "command_left": check_positive("command_max", command_max),
             "command_right": command_max,
@@ -133,6 +131,8 @@ class Aligner:
         }
         if missing := [name for name in REQUIRED if name not in channels]:
             raise LogFormatError(f"channels: {', '.join(missing)} missing, expected {', '.join(REQUIRED)}")
+        if unknown := [name for name in channels if name not in CHANNELS]:
+            raise ConfigError(f"channels: found {', '.join(unknown)}, expected some of {', '.join(CHANNELS)}")
         if channels["surge"].delay:
             raise ConfigError("delay of surge: expected 0: give the inputs the delay with which they act on it")
         self.tracks = {name: Track(bool(c.held), float(c.window), float(c.delay)) for name, c in channels.items()}
@@ -144,7 +144,13 @@ class Aligner:
 
     def push(self, channel: str, time: float, value: float) -> list[tuple[float, Sample]]:
         """Take one message in SI units; returns the samples that it completes, each with its grid time, s."""
+        if channel not in self.tracks:
+            raise ConfigError(f"channel: found {channel!r}, expected one of {', '.join(self.tracks)}")
         count = self.rejected[channel]
+        try:
+            time, value = float(time), float(value)
+        except (TypeError, ValueError):
+            time = value = math.nan
         if not (math.isfinite(value) and math.isfinite(time)):
             count["not_a_number"] += 1
             return []

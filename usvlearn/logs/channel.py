@@ -120,7 +120,9 @@ def match_name(pattern: str, available: Iterable[str], where: str) -> str:
     close = difflib.get_close_matches(pattern, names, n=3, cutoff=0.5)
     hint = f" Did you mean {' or '.join(close)}?" if close else ""
     listing = ", ".join(names[:60]) + (f", and {len(names) - 60} more" if len(names) > 60 else "")
-    raise LogFormatError(f"{where}: no channel {pattern!r}.{hint} The log has: {listing or 'nothing'}.")
+    raise LogFormatError(
+        f"{where}: no channel {pattern!r}.{hint} The log has: {listing or 'nothing'}: name one of them"
+    )
 
 
 def parse_numbers(cells: Sequence[str]) -> np.ndarray:

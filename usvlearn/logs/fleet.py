@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from usvlearn.errors import LogFormatError
+from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.align import Aligned, align
 from usvlearn.logs.channel import Recording
 from usvlearn.signals import Fleet, Inputs, Run, Sample, tree_map
@@ -29,6 +29,10 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     rejected: dict[str, dict[str, dict[str, int]]] = {}
     short = []
     for recording in recordings:
+        if recording.boat in ("", ".", "..") or set(recording.boat) & set("/\\"):
+            raise ConfigError(
+                f"boat: found the name {recording.boat!r}, expected one that can name a folder: set data.boat"
+            )
         aligned = align(recording.channels, **options)
         counts = rejected.setdefault(recording.boat, {})
         found = [
@@ -49,7 +53,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     if not boats:
         raise LogFormatError(
             f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
-            "give a longer log, or widen the channels' window or declare them held"
+            "give a longer log, or mend what was rejected (window, held, units and limits of the channels)"
         )
     for text in short:
         warnings.warn(f"run left out, expected at least {SHORTEST} measured steps: {text}", stacklevel=2)
@@ -81,7 +85,10 @@ def _side_by_side(lanes: list[tuple[str, Aligned] | None]) -> Run:
                 padded,
                 one[1].samples,
             )
-    time = longest.time - longest.time[0]
+    time = empty(np.nan)
+    for lane, one in enumerate(lanes):
+        if one is not None:
+            time[: lengths[lane], lane] = one[1].time - one[1].time[0]
     return Run(time, padded, tuple("" if lane is None else lane[0] for lane in lanes), tuple(lengths))
 
 

@@ -59,6 +59,8 @@ def read_recordings(
     >>> [(recording.boat, recording.run) for recording in recordings]
     [('heron', 'run_2'), ('heron', 'run_10')]
     """
+    if not hasattr(reader, "read"):
+        raise ConfigError(f"data.reader: found {reader!r}, expected a reader: Alog, Table or Rosbag")
     if isinstance(path, Mapping):
         if boat is not None or not path:
             found = f"boat {boat!r} beside a path per boat" if path else "no boat"

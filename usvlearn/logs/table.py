@@ -88,6 +88,8 @@ class Table:
             where = f"{path}: data.channels.{channel}.name"
             matched[channel] = match_name(source.name, names, where)
         columns = [self.time, *dict.fromkeys(matched.values())]
+        if twice := [name for name in columns if header.count(name) > 1]:
+            raise LogFormatError(f"{path}: has several columns {twice[0]!r}, expected one: rename all but one")
         places = [header.index(name) for name in columns]
         order, rows, torn = _rows(path, lines, len(header), itemgetter(*places, places[0]))
         cells = dict(zip(columns, zip(*rows, strict=True), strict=False))  # the getter's last place is spare

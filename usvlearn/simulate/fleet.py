@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.errors import ConfigError, check_choice, check_positive
+from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.logs.channel import Recording
 from usvlearn.simulate.autopilot import Autopilot, Reference, steer
 from usvlearn.simulate.plants import plant as plant_named
@@ -215,8 +215,11 @@ def fleet(
     for name, value in (("n", n), ("hours", hours), ("mission_minutes", mission_minutes)):
         check_positive(name, value)
     for name, value in (("spread", spread), ("drift", drift), ("current", current), ("seed", seed)):
-        if not 0 <= value < math.inf:
-            raise ConfigError(f"{name}: found {value!r}, expected 0 or a positive number")
+        check_not_negative(name, value)
+    if drift > 1:
+        raise ConfigError(f"drift: found {drift!r}, expected a share of 0 to 1")
+    if not missions:
+        raise ConfigError(f"missions: found none, expected some of {', '.join(MISSIONS)}")
     for kind in missions:
         check_choice("missions", kind, tuple(MISSIONS))
     autopilot, sensors = autopilot or Autopilot(), sensors or Sensors()
