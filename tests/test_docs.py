@@ -1,5 +1,6 @@
 """The examples of README and CONTRIBUTING run; every YAML composes and instantiates."""
 
+import math
 import re
 import sys
 import types
@@ -42,7 +43,7 @@ def test_a_new_estimator_passes_every_contract(monkeypatch):
         if not name.startswith("test_") or "tmp_path" in test.__code__.co_varnames[: test.__code__.co_argcount]:
             continue
         arguments = test.__code__.co_varnames[: test.__code__.co_argcount]
-        every = {"name": "smoothing", "batch": (2, 3), "dtype": torch.float64}
+        every = {"name": "smoothing", "batch": (2, 3), "dtype": torch.float64, "field": "heading", "value": math.nan}
         if name == "test_monitor_names_numbers_per_lane":
             continue  # it shows nothing, which is allowed
         test(**{argument: every[argument] for argument in arguments})
