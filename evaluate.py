@@ -23,16 +23,23 @@ def jobs(folder: Path) -> list[tuple[dict[str, str], dict]]:
     found = []
     for overrides in sorted(folder.glob("**/.hydra/overrides.yaml")):
         results = overrides.parents[1] / "results.json"
-        settings = dict(text.split("=", 1) for text in OmegaConf.load(overrides) if "=" in text)
+        settings = dict(text.partition("=")[::2] for text in OmegaConf.load(overrides))
         found.append(
             (
                 settings or {"run": overrides.parents[1].name},
-                json.loads(results.read_text()) if results.exists() else {},
+                _read(results),
             )
         )
     if not found:
         raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
     return found
+
+
+def _read(results: Path) -> dict:
+    try:
+        return json.loads(results.read_text())
+    except (OSError, ValueError):
+        return {}
 
 
 class SweepTable(Callback):

@@ -34,14 +34,14 @@ warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
 
 def train(cfg: DictConfig, folder: Path) -> float:
     """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
-    began, settings = time.perf_counter(), OmegaConf.to_container(cfg, resolve=True)
-    torch.set_num_threads(int(check_positive("threads", cfg.threads)))
+    began, settings = time.perf_counter(), {**OmegaConf.to_container(cfg, resolve=True), "resume": None}
+    torch.set_num_threads(max(1, int(check_positive("threads", cfg.threads))))
     save_every = 60 * check_positive("save_minutes", cfg.save_minutes, "of min") / check_positive("dt", cfg.align.dt)
     ensemble = Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
     run = RunFolder(folder, fleet, {"configuration": settings, "version": __version__})
-    start = run.begin(ensemble.init((len(fleet.boats),)), settings.pop("resume"))
+    start = run.begin(ensemble.init((len(fleet.boats),)), cfg.resume)
     console.print(start.note)
     with Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
@@ -50,9 +50,9 @@ def train(cfg: DictConfig, folder: Path) -> float:
             watch.show(chunk)
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
         boats = fleet_scores(fleet, run.predictions, ensemble.names)
+        objective, seconds = mean_mae(boats)[ensemble.output], time.perf_counter() - began
+        save_results(folder, {"boats": boats, "rejected": fleet.rejected, "seconds": seconds, "objective": objective})
         watch.finish(settings, mean_mae(boats), run.predictions)
-    objective, seconds = mean_mae(boats)[ensemble.output], time.perf_counter() - began
-    save_results(folder, {"boats": boats, "rejected": fleet.rejected, "seconds": seconds, "objective": objective})
     console.print(report(boats, fleet.rejected))
     told = f"{seconds:.1f} s; MAE of {ensemble.output}: {objective:.4f} m/s; results and parameter sets: {folder}"
     look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"

@@ -94,8 +94,9 @@ def test_delayed_inputs_are_seen_later_never_earlier():
     plain = align(log(2.0, command_left=channel(time, ramp))).samples.inputs.command_left
     late = align(log(2.0, command_left=channel(time, ramp, delay=0.2))).samples.inputs.command_left
     np.testing.assert_allclose(late[2:], plain[2:] - 0.1, atol=1e-9)  # 0.2 s of a ramp of 0.5 a second
-    with pytest.raises(ConfigError, match="delay"):
-        align(log(surge=channel(time, 0.1, delay=0.2)))
+    for how in ({"delay": 0.2}, {"held": True}):
+        with pytest.raises(ConfigError, match=next(iter(how))):
+            align(log(surge=channel(time, 0.1, **how)))
 
 
 def test_stale_steps_are_held_and_the_next_speed_starts_anew():
@@ -154,9 +155,56 @@ def test_stray_stamps_from_another_clock_do_not_move_the_grid():
     time = channels["heading"].time.copy()
     time[20], time[30] = -67301.668, 1e9
     stamps, samples, rejected = align({**channels, "heading": channels["heading"]._replace(time=time)})
-    assert rejected["heading"]["backwards"] >= 1
-    assert (np.diff(stamps) > 0).all() and stamps[-1] <= 4.0 + 1e-6
-    assert samples.measured.sum() >= 8
+    assert rejected["heading"] == {"backwards": 1, "ahead": 1}
+    np.testing.assert_allclose(stamps, 0.4 * np.arange(11), atol=1e-9)
+    assert samples.measured[1:].all()
+
+
+def test_a_stray_speed_from_the_future_is_set_aside():
+    channels = log()
+    time = channels["surge"].time.copy()
+    time[22] = 1e9
+    stamps, samples, rejected = align({**channels, "surge": channels["surge"]._replace(time=time)})
+    assert rejected["surge"] == {"ahead": 1} and stamps[-1] <= 4.0 + 1e-6
+    assert samples.measured[1:].all()
+
+
+def test_one_channel_with_a_late_clock_does_not_reset_the_grid():
+    """Only messages of several channels together tell that the clock was set back."""
+    channels = log(yaw_rate=channel(np.arange(41) / 10, 0.2))
+    skewed = channels["yaw_rate"]._replace(time=channels["yaw_rate"].time - 1.5, order=channels["yaw_rate"].order)
+    _, samples, rejected = align({**channels, "yaw_rate": skewed})
+    assert rejected["yaw_rate"]["backwards"] > 20 and (samples.inputs.dt == 0).sum() <= 11
+    assert len(samples.surge) == 11
+
+
+def test_what_is_held_stands_through_an_outage():
+    first, second = log(4.0), log(4.0)
+    both = in_order({
+        name: c._replace(time=np.concatenate([c.time, second[name].time + 60]),
+                         value=np.concatenate([c.value, second[name].value]))
+        for name, c in first.items()
+    } | {name: channel([0.0], 0.5, held=True) for name in ("command_left", "command_right")})  # fmt: skip
+    _, samples, _ = align(both)
+    assert samples.measured.sum() == 20
+    np.testing.assert_array_equal(samples.inputs.command_left[samples.fresh], 0.5)
+
+
+def test_a_held_heading_is_a_boat_that_goes_straight():
+    heading = channel([0.0, 0.5, 1.0], [0.0, 0.2, 0.4], held=True)
+    samples = align(log(8.0, heading=heading)).samples
+    assert samples.inputs.yaw_rate[3] == pytest.approx(0.4)
+    assert samples.fresh[8:].all() and (samples.inputs.yaw_rate[8:] == 0).all()
+
+
+def test_a_speed_after_long_silence_opens_a_segment():
+    """Twenty seconds of drift are not one step to learn from."""
+    time = np.arange(301) / 10
+    speed = time[(time < 4.05) | (time > 24.0)]
+    _, samples, _ = align(log(30.0, surge=channel(speed, 0.1 * speed)))
+    back = int(np.flatnonzero(samples.inputs.dt == 0)[-1])
+    assert samples.surge[back] == pytest.approx(2.4, abs=0.05) and not samples.measured[back]
+    assert samples.measured[back + 1 :].all() and samples.fresh[11:back].all()
 
 
 def test_a_clock_that_is_set_back_starts_a_new_segment():

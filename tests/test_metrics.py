@@ -31,7 +31,8 @@ def test_scores_count_steps_that_were_measured_and_made():
 def test_diverged_predictions_are_counted_and_missing_persistence_is_told():
     predictions = np.array([[np.inf, 1.0], [np.nan, 2.0], [2.0, 4.0]])
     table = scores(predictions, np.array([1.0, 2.0, 4.0]), ["aid", "rls"])
-    assert table["aid"]["diverged"] == 2 and table["aid"]["steps"] == 1 and table["aid"]["skill"] is None
+    assert table["aid"]["diverged"] == 2 and table["aid"]["steps"] == 1 and table["rls"]["mae"] == 0
+    assert table["aid"]["mae"] is None and table["rls"]["skill"] is None
     nothing = scores(np.full((2, 1), np.inf), np.ones(2), ["aid"])
     assert nothing["aid"]["mae"] is None and nothing["aid"]["diverged"] == 2
 
@@ -40,6 +41,7 @@ def test_tables_show_units_and_survive_gaps():
     rows = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
     none = scores(np.full((2, 2), np.inf), np.ones(2), ["aid", "persistence"])
     text = shown(score_table({"heron": rows, "broken": none})) + shown(fleet_table({"heron": rows, "broken": none}))
+    assert "2 diverged" in text
     assert "m/s" in text and "0.5000" in text and "0.625" in text and "–" in text
     assert rejection_table({"heron": {}}) is None
     assert "17" in shown(rejection_table({"heron": {"surge": {"stale": 17}}}))
@@ -49,6 +51,11 @@ def test_tables_show_units_and_survive_gaps():
     text = shown(sweep_table(jobs))
     assert "b.gain" in text and "9" not in text.splitlines()[2]  # what is the same in all jobs is not shown
     assert text.index("zero") < text.index("[one]") < text.index("gain=two: bad") < text.index("did not finish")
+
+
+def test_figure_without_a_measurement():
+    figure = prediction_figure(np.arange(3.0), np.full(3, np.nan), np.ones((3, 1)), ["aid"], "heron, no GPS")
+    assert figure.axes[0].get_title() == "heron, no GPS"
 
 
 def test_figure_of_predictions():

@@ -77,7 +77,7 @@ def bad_input(error: BaseException, wrapper: type[BaseException]) -> str | None:
     """
     cause: BaseException | None = error
     while cause is not None and not isinstance(cause, UsvlearnError):
-        cause = cause.__cause__ or cause.__context__
+        cause = cause.__cause__
     if cause is not None:
         return str(cause)
     if isinstance(error, wrapper) and isinstance(error.__cause__, TypeError | ValueError):

@@ -9,9 +9,9 @@ from usvlearn.errors import ConfigError, ShapeError
 
 
 def as_tensor(value, name: str = "value") -> Tensor:
-    """A float64 tensor from numbers (precision of a forgetting factor near 1); float tensors keep their dtype."""
-    if isinstance(value, Tensor) and value.is_floating_point():
-        return value.detach().clone()
+    """A float64 tensor from numbers or a tensor: float32 could not tell forgetting factors near 1 apart."""
+    if isinstance(value, Tensor):
+        return value.detach().to(torch.float64, copy=True)
     try:
         return torch.as_tensor(value, dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:

@@ -50,7 +50,8 @@ def prediction_figure(time: np.ndarray, surge: np.ndarray, predictions: np.ndarr
         finite = error[np.isfinite(error[:, k]), k]
         if len(finite):
             below.hist(finite.clip(-limit, limit), bins=bins, histtype="step", **style)
-    low, high = np.nanmin(surge), np.nanmax(surge)
+    seen = surge[np.isfinite(surge)]
+    low, high = (seen.min(), seen.max()) if len(seen) else (0.0, 1.0)
     margin = 0.15 * (high - low) + 0.05
     above.set(xlabel="time in the run, s", ylabel="surge, m/s", title=title, ylim=(low - margin, high + margin))
     below.set(xlabel="predicted − measured, m/s (beyond the edge: in the last bin)", ylabel="steps")

@@ -14,7 +14,7 @@ PERSISTENCE = "persistence"  # the estimator that skill refers to
 def scores(
     predictions: np.ndarray, surge: np.ndarray, names: Sequence[str]
 ) -> dict[str, dict[str, float | int | None]]:
-    """Errors of each estimator over the steps that all of them predicted and that were measured.
+    """Errors of each estimator over the steps that were made and measured, the same steps for all.
 
     Args:
         predictions: m/s, `(time, estimators)`; NaN where no step was made.
@@ -23,8 +23,8 @@ def scores(
 
     Returns:
         Per estimator `mae`, `median`, `rmse` (m/s), `skill` = 1 − MAE/MAE(persistence) (None where persistence was
-        not run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite. Where no step
-        was counted the errors are None.
+        not run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite. An estimator
+        that diverged even once, or had no step, has no errors (None): it must not win by the steps it survived.
 
     >>> table = scores(np.array([[1.0, 2.0], [2.0, 2.0]]), np.array([1.5, 2.0]), ["aid", "persistence"])
     >>> table["aid"]["mae"], table["aid"]["skill"]
@@ -37,7 +37,7 @@ def scores(
     for k, name in enumerate(names):
         e = error[finite[:, k], k]
         row: dict[str, float | int | None] = dict.fromkeys(("mae", "median", "rmse", "skill"))
-        if len(e):
+        if len(e) and finite[:, k].all():
             row |= {"mae": float(e.mean()), "median": float(np.median(e)), "rmse": float(np.sqrt((e * e).mean()))}
         table[name] = row | {"steps": len(e), "diverged": int((~finite[:, k]).sum())}
     if base := table.get(PERSISTENCE, {}).get("mae"):

@@ -36,7 +36,8 @@ def score_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
         for k, (name, row) in enumerate(rows.items()):
             cells = [_number(row[column], 3 if column == "skill" else 4) for column in COLUMNS]
             style = "bold" if name == best else None
-            table.add_row(boat if k == 0 else "", name, *cells, str(row["steps"]), style=style)
+            steps = f"{row['steps']}" + (f", {row['diverged']} diverged" if row.get("diverged") else "")
+            table.add_row(boat if k == 0 else "", name, *cells, steps, style=style)
         table.add_section()
     return table
 

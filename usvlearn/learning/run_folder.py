@@ -1,9 +1,9 @@
 """A run's folder: parameter sets and predictions as they come, and how a run goes on from them.
 
-checkpoints/BOAT/RRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
-predictions/RRR_SSSSSSS.npz                what all estimators predicted since the file before, all boats
-runs.json                                  which runs, of which samples, through which ensemble
-results.json                               the scores, at the end
+checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
+predictions/RRRRR_SSSSSSS.npz                what all estimators predicted since the file before, all boats
+runs.json                                    which runs, of which samples, through which ensemble
+results.json                                 the scores, at the end
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import shutil
 import warnings
+import zipfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -81,16 +82,21 @@ class RunFolder:
                         f"{source}: holds a run over other samples or with another ensemble: to start from its "
                         f"parameters, give resume={source} and another hydra.run.dir"
                     )
-                start = (self._continued if continued else self._from_newest)(source, start)
+                start = start if continued else self._from_newest(source, start)
             else:
                 raise CheckpointError(f"resume: {source} does not exist: give a run's folder, a checkpoint or latest")
-        if not continued and _has_sets(self.path):
+        if _has_sets(self.path) and not (continued and source.resolve() == self.path.resolve()):
             raise ConfigError(
                 f"{self.path}: already holds the parameter sets of a run: go on from them with resume=latest, "
                 "or choose another hydra.run.dir"
             )
+        if continued:
+            start = self._continued(source, start)
+        elif resume is not None:  # kept, should the run stop before its first set
+            for lane, boat in enumerate(self.fleet.boats):
+                self._save_lane(start.state, lane, boat, BEGIN)
         self._saved = start.position
-        self.path.mkdir(parents=True, exist_ok=True)
+        self._forget(start.position)
         write_atomically(self.path / RUNS, json.dumps(self._runs(), indent=2).encode())
         return start
 
@@ -111,22 +117,26 @@ class RunFolder:
         for lane, boat in enumerate(self.fleet.boats):
             if run.lengths[lane] > before:
                 place = Position(chunk.end.run, min(chunk.end.step, run.lengths[lane]))
-                save_checkpoint(
-                    self.path / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}",
-                    tree_map(lambda x, lane=lane: x[lane], chunk.state),
-                    estimator=ESTIMATOR,
-                    boat=boat,
-                    run=run.names[lane],
-                    step=place.step,
-                    time=float(run.time[place.step - 1, lane]),
-                    **self.metadata,
-                )
+                self._save_lane(chunk.state, lane, boat, place)
         self._saved = chunk.end
+
+    def _save_lane(self, state: EnsembleState, lane: int, boat: str, place: Position) -> None:
+        run = self.fleet.runs[place.run]
+        save_checkpoint(
+            self.path / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}",
+            _lane(state, lane),
+            estimator=ESTIMATOR,
+            boat=boat,
+            run=run.names[lane],
+            step=place.step,
+            time=float(run.time[place.step - 1, lane]) if place.step else 0.0,
+            **self.metadata,
+        )
 
     def _runs(self) -> dict[str, Any]:
         """What makes this run the one it is: per boat, name, length and samples of each run; and the ensemble."""
         configuration = self.metadata.get("configuration", {})
-        ensemble = json.dumps([configuration.get("estimators"), configuration.get("combiners")], sort_keys=True)
+        ensemble = json.dumps([configuration.get("estimators"), configuration.get("combiners")])
         boats = {
             boat: [[run.names[lane], run.lengths[lane], _digest(run, lane)] for run in self.fleet.runs]
             for lane, boat in enumerate(self.fleet.boats)
@@ -140,7 +150,7 @@ class RunFolder:
         stamped = [
             (max(path.stat().st_mtime_ns for path in sets), folder)
             for folder in self.path.parent.glob("*")
-            if (sets := list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")))
+            if (folder / RUNS).exists() and (sets := list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")))
         ]
         if not stamped:
             raise CheckpointError(
@@ -181,20 +191,26 @@ class RunFolder:
 
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
-        places = [Position(*map(int, path.stem.split("_"))) for path in sorted((source / PREDICTIONS).glob("*.npz"))]
-        readable = []
+        places = sorted(filter(None, map(_place, (source / PREDICTIONS).glob("*.npz"))))
+        readable: list[tuple[Position, np.ndarray]] = []
         for place in places:
-            path = source / PREDICTIONS / f"{_stem(place)}.npz"
+            path, before = source / PREDICTIONS / f"{_stem(place)}.npz", readable[-1][0] if readable else BEGIN
+            if before.run < place.run and before.step in (0, len(self.fleet.runs[before.run].time)):
+                before = Position(before.run + (before.step > 0), 0)
+            shape = (place.step - before.step, len(self.fleet.boats), start.state.predictions.shape[-1])
             try:
-                readable.append((place, np.load(path)["predictions"]))
-            except (OSError, ValueError, KeyError, EOFError) as error:
+                with path.open("rb") as file, np.load(file) as archive:
+                    array = archive["predictions"]
+                if place.run != before.run or array.shape != shape:
+                    raise ValueError(f"it holds {array.shape}, expected {shape}")
+            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
                 warnings.warn(f"{path}: is damaged ({error}); going on from before it", stacklevel=2)
                 break
+            readable.append((place, array))
         paths: list[Path] = []
         while readable:
             place = readable[-1][0]
-            paths = [source / CHECKPOINTS / boat / f"{_stem(self._own(lane, place))}{SUFFIX}"
-                     for lane, boat in enumerate(self.fleet.boats)]  # fmt: skip
+            paths = [self._set(source, boat, self._own(lane, place)) for lane, boat in enumerate(self.fleet.boats)]
             try:
                 for path in paths:
                     verify(path)
@@ -203,41 +219,57 @@ class RunFolder:
                 warnings.warn(f"{error}; going on from before it", stacklevel=2)
                 readable.pop()
         if not readable:
-            if places:
-                warnings.warn(f"{source}: holds no place from which every boat can go on; starting anew", stacklevel=2)
-            self._bring(source, BEGIN)
-            return start
+            place, note = BEGIN, "learning from the start"
+            paths = [self._set(source, boat, BEGIN) for boat in self.fleet.boats]
+            if not all(path.exists() for path in paths):  # it began from nothing
+                self._bring(source, BEGIN)
+                return start
+        else:
+            note = f"going on after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
         lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
         for (run, _), array in readable:
             self._chunks[run].append(array)
         self._bring(source, place)
-        state = tree_map(lambda *leaves: torch.stack(leaves), *lanes)
-        note = f"going on after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
-        return Start(state, place, note)
+        return Start(tree_map(lambda *leaves: torch.stack(leaves), *lanes), place, note)
+
+    @staticmethod
+    def _set(folder: Path, boat: str, place: Position) -> Path:
+        return folder / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}"
 
     def _own(self, lane: int, place: Position) -> Position:
         """Where a boat stood when the fleet stood at `place`: its runs may be shorter, or fewer."""
         for run in range(place.run, -1, -1):
             if length := self.fleet.runs[run].lengths[lane]:
                 return Position(run, min(length, place.step) if run == place.run else length)
-        return place
+        raise AssertionError(f"{self.fleet.boats[lane]} has no run up to {place}")
 
     def _bring(self, source: Path, place: Position) -> None:
-        """Copy what a resumed run rests on, so that its folder is complete; predictions beyond it are made anew."""
+        """Copy what a resumed run rests on, so that its folder is complete."""
         if source.resolve() == self.path.resolve():
-            for old in (source / PREDICTIONS).glob("*.npz"):
-                if Position(*map(int, old.stem.split("_"))) > place:
-                    old.unlink()
             return
         for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
-            if Position(*map(int, old.stem.split("_"))) <= place:
+            if (found := _place(old)) is not None and found <= place:
                 new = self.path / old.relative_to(source)
                 new.parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(old, new)
+                write_atomically(new, old.read_bytes())
+
+    def _forget(self, place: Position) -> None:
+        """Remove the predictions beyond `place`, the last first, and results: they are made anew."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        (self.path / RESULTS).unlink(missing_ok=True)
+        for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
+            if (found := _place(old)) is None or found > place:
+                old.unlink()
+
+
+def _place(path: Path) -> Position | None:
+    """What a file's name says, None where it is none of ours."""
+    run, _, step = path.stem.partition("_")
+    return Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
 
 
 def _stem(place: Position) -> str:
-    return f"{place.run:03d}_{place.step:07d}"
+    return f"{place.run:05d}_{place.step:07d}"
 
 
 def save_results(folder: Path, results: Mapping[str, Any]) -> None:

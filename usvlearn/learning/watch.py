@@ -62,7 +62,8 @@ class Watch:
         step = self.fleet.steps_before(*chunk.end)
         errors = np.concatenate(self._errors)
         seen = np.isfinite(errors)
-        mae = np.where(seen, errors, 0.0).sum(0) / np.maximum(seen.sum(0), 1)  # (boats, estimators)
+        counts = np.where(seen.any(0), seen.sum(0), np.nan)
+        mae = np.where(seen, errors, 0.0).sum(0) / counts  # (boats, estimators)
         names = self.ensemble.names
         numbers = {key: value.tolist() for key, value in self.ensemble.monitor(chunk.state).items()}
         for lane, boat in enumerate(self.fleet.boats):

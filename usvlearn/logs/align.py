@@ -12,9 +12,9 @@ An input with a `delay` counts from its stamp plus that delay, so it can only be
 the speed is one of all inputs: declare it there.)
 
 A message is rejected, and counted by channel and cause, when it is not a number (`not_a_number`), beyond a physical
-limit (`out_of_range`), an exact copy (`duplicate`), or stamped before what its channel or the log already had
-(`backwards`). Two values under one stamp: the later one stands (`repeated`). A step without a recent message of a
-channel counts as `stale`.
+limit (`out_of_range`), an exact copy (`duplicate`), stamped before what its channel or the log already had
+(`backwards`), or the first one beyond an outage, which may be a stray stamp (`ahead`). Two values under one stamp: the
+later one stands (`repeated`). A step without a recent message of a channel counts as `stale`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from usvlearn.signals import Inputs, Sample
 
 EPSILON = 1e-6  # s, below which two stamps are one
 SLACK = 1.0  # s, by which a channel may lag behind the newest message of any other
-RESETS = 3  # messages in a row that far behind are a clock that was set back, not stray stamps
+RESETS = 3  # messages in a row, of several channels, that far behind are a clock that was set back
 TURN = 2 * math.pi
 
 
@@ -135,10 +135,14 @@ class Aligner:
             raise ConfigError(f"channels: found {', '.join(unknown)}, expected some of {', '.join(CHANNELS)}")
         if channels["surge"].delay:
             raise ConfigError("delay of surge: expected 0: give the inputs the delay with which they act on it")
+        if channels["surge"].held:
+            raise ConfigError("held of surge: expected false: an old speed is no measurement")
         self.tracks = {name: Track(bool(c.held), float(c.window), float(c.delay)) for name, c in channels.items()}
         self.rejected = {name: Counter() for name in (*self.tracks, "yaw_rate")}
         self._newest = -math.inf  # newest stamp of any channel
-        self._behind = 0  # messages in a row that lie far behind it
+        self._behind: list[str] = []  # channels of the messages in a row that lie far behind it
+        self._ahead = -math.inf  # stamp of the last message that lay beyond an outage
+        self._heard = -math.inf  # grid time of the last measured speed
         self._tick: float | None = None  # the grid time that was emitted last
         self._known = False  # whether an estimator knows the speed at that time
 
@@ -160,13 +164,20 @@ class Aligner:
         out = []
         track = self.tracks[channel]
         if time < self._newest - SLACK:
-            self._behind += 1
-            if self._behind < RESETS:
+            self._behind.append(channel)
+            if len(self._behind) < RESETS or len(set(self._behind)) == 1:
                 count["backwards"] += 1
                 return []
             out += self.flush()  # the clock was set back: a new segment
             self._restart()
-        self._behind = 0
+        elif time > self._newest + self.outage and self._newest > -math.inf:
+            strays, self._ahead = abs(time - self._ahead) > self.outage, time
+            if strays:  # a stray stamp, unless the next message confirms it
+                count["ahead"] += 1
+                return []
+            out += self.flush()
+            self._restart()
+        self._behind.clear()
         if channel == "heading":
             value = self._unwrap(track, value)
         effect = time + track.delay
@@ -179,15 +190,12 @@ class Aligner:
                 count["repeated"] += 1
                 track.values[-1] = value
             return out
-        if time > self._newest + self.outage:
-            out += self.flush()
-            self._restart()
         track.times.append(effect)
         track.values.append(value)
         self._newest = max(self._newest, time)
         if self._tick is None:
             if channel == "surge":
-                self._tick, self._known = time, True
+                self._tick, self._known, self._heard = time, True, time
                 out.append((time, self._start(value)))
         elif self._newest > self._tick + self.dt + self.patience:
             out += self._advance(self._newest - self.patience)
@@ -199,8 +207,10 @@ class Aligner:
 
     def _restart(self) -> None:
         for track in self.tracks.values():
-            track.times.clear()
-            track.values.clear()
+            # what is held stands, however old
+            track.times[:] = [-math.inf] if track.held and track.times else []
+            track.values[:] = track.values[-1:] if track.held else []
+        self._behind.clear()
         self._newest, self._tick, self._known = -math.inf, None, False
 
     def _unwrap(self, track: Track, value: float) -> float:
@@ -226,6 +236,10 @@ class Aligner:
         surge = speed.values[i] if measured else math.nan
         if not measured:
             self.rejected["surge"]["stale"] += 1
+        elif end - self._heard > self.outage:
+            self._known = False  # too long ago for the way from there to be one step
+        if measured:
+            self._heard = end
         # [start, cut): what a prediction may see under "mean"
         cut = speed.times[i] if measured else end
         values = {}
@@ -267,6 +281,8 @@ class Aligner:
         if j < 0:
             return math.nan  # counted as a stale heading
         i = track.at(track.times[j] - self.dt / 2)
+        if track.held and (cut - track.times[j]) > 2 * self.dt + track.window:
+            return 0.0  # it is held: the boat keeps its heading
         if i < 0 or track.times[j] - track.times[i] > 2 * self.dt + track.window:
             self.rejected["yaw_rate"]["stale"] += 1
             return math.nan

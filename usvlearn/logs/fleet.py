@@ -53,7 +53,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     if not boats:
         raise LogFormatError(
             f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
-            "give a longer log, or mend what was rejected (window, held, units and limits of the channels)"
+            "give a longer log, or mend what was rejected (window, held, unit of channels; limits, patience of align)"
         )
     for text in short:
         warnings.warn(f"run left out, expected at least {SHORTEST} measured steps: {text}", stacklevel=2)

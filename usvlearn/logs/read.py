@@ -73,7 +73,7 @@ def read_recordings(
     sources = _sources(channels)
     root, files = _find(path, reader.suffixes)
     if boat is None:
-        boat = files[0].stem if len(files) == 1 and Path(path).is_file() else root.resolve().name
+        boat = files[0].stem if len(files) == 1 and Path(path).expanduser().is_file() else root.resolve().name
     recordings, unread = [], []
     for file in files:
         try:

@@ -1,0 +1,162 @@
+"""A run's folder: a stop between two writes, damage, strangers' files never change what a resumed run learns."""
+
+import warnings
+
+import numpy as np
+import pytest
+import torch
+
+from tests.test_fleet import recording
+from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics, checkpoint
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.learning import run_folder
+from usvlearn.learning.replay import replay
+from usvlearn.learning.run_folder import RunFolder
+from usvlearn.logs.fleet import align_fleet
+from usvlearn.signals import named_leaves
+
+SETTINGS = {"configuration": {"estimators": {"aid": 1, "rls": 2}, "combiners": {}}}
+
+
+class Killed(Exception):
+    pass
+
+
+def model() -> Ensemble:
+    return Ensemble({"aid": AID(28.0), "rls": RLS(SurgeDynamics(28.0)), "persistence": Persistence()})
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    """Boat a has two runs, boat b one longer one."""
+    return align_fleet([recording("a", "one", 6.0), recording("a", "two", 4.0), recording("b", "one", 9.0, speed=0.3)])
+
+
+def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> RunFolder:
+    ensemble = model()
+    folder = RunFolder(folder, fleet, metadata)
+    start = folder.begin(ensemble.init((2,)), resume)
+    for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
+        folder.save(chunk)
+    return folder
+
+
+def contents(folder) -> dict[str, np.ndarray]:
+    """Every leaf of every parameter set and every prediction."""
+    found = {}
+    for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
+        for name, leaf in checkpoint.load(path)[0].items():
+            found[f"{path.relative_to(folder.path)}:{name}"] = leaf
+    return found | {f"run {k}": array for k, array in enumerate(folder.predictions)}
+
+
+def assert_same(found, expected) -> None:
+    found, expected = contents(found), contents(expected)
+    assert found.keys() == expected.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
+def dying(monkeypatch, after: int) -> None:
+    """The process dies at a write: the file before it is whole, this one is not there."""
+    write, count = checkpoint.write_atomically, iter(range(10_000))
+
+    def dies(path, content):
+        if next(count) == after:
+            raise Killed
+        write(path, content)
+
+    monkeypatch.setattr(checkpoint, "write_atomically", dies)
+    monkeypatch.setattr(run_folder, "write_atomically", dies)
+
+
+@pytest.mark.parametrize("warm", [False, True], ids=["from_nothing", "from_a_season_before"])
+@pytest.mark.parametrize("elsewhere", [False, True], ids=["in_place", "into_another_folder"])
+def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypatch, warm, elsewhere):
+    season = session(tmp_path / "season", align_fleet([recording("a", "x", 5.0), recording("b", "x", 5.0)]))
+    first = str(season.path) if warm else None
+    whole = session(tmp_path / "whole", fleet, first)
+    writes = sum(1 for _ in whole.path.rglob("*.*"))
+    for after in range(writes + 1):
+        folder = tmp_path / f"{after}"
+        with monkeypatch.context() as patch:
+            dying(patch, after)
+            try:
+                session(folder, fleet, first)
+            except Killed:
+                pass
+        begun = (folder / "runs.json").exists()
+        if not begun and any(folder.rglob("*.safetensors")):  # killed while it set out: nothing was learned yet
+            with pytest.raises(ConfigError, match=r"another hydra\.run\.dir"):
+                session(folder, fleet, first)
+            continue
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it says which set is missing
+            if elsewhere and begun:
+                again = session(tmp_path / f"{after}b", fleet, str(folder))
+            else:
+                again = session(folder, fleet, "latest" if begun else first)
+        assert_same(again, whole)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "remove", "foreign"])
+def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
+    whole, folder = session(tmp_path / "whole", fleet), session(tmp_path / "run", fleet)
+    paths = sorted((folder.path / "predictions").glob("*.npz"))
+    middle, content = paths[2], paths[2].read_bytes()
+    if damage == "cut":
+        middle.write_bytes(content[: len(content) // 2])
+    elif damage == "flip":
+        middle.write_bytes(content[:80] + bytes([content[80] ^ 255]) + content[81:])
+    elif damage == "remove":
+        middle.unlink()
+    else:
+        (folder.path / "predictions" / "notes.npz").write_bytes(b"x")
+        (folder.path / "checkpoints" / "a" / "best.safetensors").write_bytes(b"x")
+    if damage == "foreign":
+        again = session(folder.path, fleet, "latest")
+        (folder.path / "checkpoints" / "a" / "best.safetensors").unlink()
+    else:
+        with pytest.warns(UserWarning, match="going on from before it"):
+            again = session(folder.path, fleet, "latest")
+    assert_same(again, whole)
+
+
+def test_another_interval_of_saving_resumes_too(tmp_path, fleet):
+    whole, folder = session(tmp_path / "whole", fleet), session(tmp_path / "run", fleet, save_every=10)
+    newest = max((folder.path / "checkpoints" / "a").iterdir())
+    newest.write_bytes(b"")
+    with pytest.warns(UserWarning, match="going on from before it"):
+        again = session(folder.path, fleet, "latest", save_every=4)
+    for ours, theirs in zip(again.predictions, whole.predictions, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    once_more = session(folder.path, fleet, "latest")
+    for ours, theirs in zip(once_more.predictions, whole.predictions, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_runs_are_never_mixed(tmp_path, fleet):
+    run = session(tmp_path / "run", fleet)
+    other = align_fleet([recording("a", "one", 6.0, speed=0.5), recording("b", "one", 9.0)])
+    swapped = {"configuration": {"estimators": {"rls": 2, "aid": 1}, "combiners": {}}}
+    for wrong in ({"fleet": other}, {"fleet": fleet, "metadata": swapped}):
+        with pytest.raises(ConfigError, match=r"another hydra\.run\.dir"):
+            session(run.path, resume="latest", **wrong)
+    busy = session(tmp_path / "busy", other)
+    with pytest.raises(ConfigError, match="already holds"):
+        session(busy.path, fleet, str(run.path))
+    with pytest.raises(ConfigError, match="already holds"):
+        session(run.path, fleet)
+    with pytest.raises(CheckpointError, match="has no parameter set of c"):
+        session(tmp_path / "new", align_fleet([recording("a", "one", 4.0), recording("c", "one", 4.0)]), str(run.path))
+
+
+def test_a_new_season_starts_from_the_newest_parameters(tmp_path, fleet):
+    run = session(tmp_path / "run", fleet)
+    other = align_fleet([recording("a", "new", 6.0, speed=0.5), recording("b", "new", 9.0)])
+    folder = RunFolder(tmp_path / "next", other, SETTINGS)
+    start = folder.begin(model().init((2,)), str(run.path))
+    for lane, boat in enumerate(("a", "b")):
+        newest = checkpoint.load(checkpoint.checkpoints(run.path / "checkpoints" / boat)[-1])[0]
+        for name, leaf in named_leaves(start.state):
+            assert torch.equal(leaf[lane], torch.from_numpy(newest[name])), (boat, name)
