@@ -91,6 +91,12 @@ def logging(fleet) -> str:
     return f"- {len(fleet.boats)} boats, {fleet.steps} steps: logging and saving cost {share:.1%} of the replay"
 
 
+def split(path: Path) -> None:
+    with path.open() as file:
+        for line in file:
+            line.split(None, 3)
+
+
 def lines() -> str:
     """A 260k-line `.alog`, against the time to split its lines and nothing else."""
     names = [f"VAR_{k}" for k in range(60)] + ["NAV_SPEED", "NAV_HEADING", "DESIRED_THRUST_L", "DESIRED_THRUST_R"]
@@ -102,7 +108,7 @@ def lines() -> str:
         path = Path(folder) / "log.alog"
         path.write_text("%% LOGSTART 0\n" + "\n".join(rows) + "\n")
         ours = seconds(lambda: Alog().read(path, sources))
-        share = ratio(lambda: Alog().read(path, sources), lambda: [line.split(None, 3) for line in path.open()])
+        share = ratio(lambda: Alog().read(path, sources), lambda: split(path))
     return f"- a 260,000-line `.alog` is read in {ours:.2f} s, {share:.1f} × the time to split its lines"
 
 

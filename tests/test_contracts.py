@@ -74,9 +74,10 @@ def test_lanes_equal_single_runs(name, batch):
 
 
 @each_estimator
-def test_vmap_equals_batch(name):
-    estimator, samples = ESTIMATORS[name](), random_samples(3, 4)
-    state = estimator.init((4,))
+@each_batch
+def test_vmap_equals_batch(name, batch):
+    estimator, samples = ESTIMATORS[name](), random_samples(3, 4, *batch)
+    state = estimator.init((4, *batch))
     for k in range(3):
         mapped = torch.vmap(lambda s, x: estimator(s, x))(state, at(samples, k))
         state, surge = estimator(state, at(samples, k))
@@ -85,12 +86,13 @@ def test_vmap_equals_batch(name):
 
 
 @each_estimator
-def test_prediction_is_causal(name):
-    estimator, samples = ESTIMATORS[name](), random_samples(12)
-    _, surge, _ = rollout(estimator, estimator.init(), samples)
+@each_batch
+def test_prediction_is_causal(name, batch):
+    estimator, samples = ESTIMATORS[name](), random_samples(12, *batch)
+    _, surge, _ = rollout(estimator, estimator.init(batch), samples)
     other = samples.surge.clone()
     other[7] += 1.0
-    _, changed, _ = rollout(estimator, estimator.init(), samples._replace(surge=other))
+    _, changed, _ = rollout(estimator, estimator.init(batch), samples._replace(surge=other))
     assert torch.equal(surge[:8], changed[:8])
     assert not torch.allclose(surge[8:], changed[8:])
 
@@ -148,9 +150,10 @@ def test_a_start_is_the_speed_to_depart_from(name):
 
 
 @each_estimator
-def test_gradients_through_bad_samples_are_finite_and_reach_every_hyperparameter(name):
-    estimator, samples = ESTIMATORS[name](), troubled(3)
-    _, surge, _ = rollout(estimator, estimator.init((3,)), samples)
+@each_batch
+def test_gradients_through_bad_samples_are_finite_and_reach_every_hyperparameter(name, batch):
+    estimator, samples = ESTIMATORS[name](), troubled(*batch)
+    _, surge, _ = rollout(estimator, estimator.init(batch), samples)
     usable = surge.isfinite() & samples.surge.isfinite()
     loss = torch.where(usable, surge - torch.where(usable, samples.surge, 0.0), 0.0).square().mean()
     parameters = {key: p for key, p in estimator.named_parameters() if p.requires_grad}
@@ -201,9 +204,10 @@ def test_grid_of_hyperparameters_is_a_batch_axis(name):
 
 
 @each_estimator
-def test_resume_from_disk_is_exact(name, tmp_path):
-    samples = random_samples(20)
-    whole, half, resumed = (Online(ESTIMATORS[name]()) for _ in range(3))
+@each_batch
+def test_resume_from_disk_is_exact(name, batch, tmp_path):
+    samples = random_samples(20, *batch)
+    whole, half, resumed = (Online(ESTIMATORS[name](), batch) for _ in range(3))
     expected = [whole.step(at(samples, k)) for k in range(20)]
     for k in range(10):
         half.step(at(samples, k))
@@ -214,10 +218,11 @@ def test_resume_from_disk_is_exact(name, tmp_path):
 
 
 @each_estimator
-def test_steps_are_pure(name):
+@each_batch
+def test_steps_are_pure(name, batch):
     """Same arguments, same result; neither the state that was given nor the estimator changes."""
-    estimator, samples = ESTIMATORS[name](), random_samples(6)
-    state, _, _ = rollout(estimator, estimator.init(), samples)
+    estimator, samples = ESTIMATORS[name](), random_samples(6, *batch)
+    state, _, _ = rollout(estimator, estimator.init(batch), samples)
     kept, parameters = tree_map(torch.clone, state), io.BytesIO()
     torch.save(estimator.state_dict(), parameters)
     first, second = (estimator(state, at(samples, 2)) for _ in range(2))
@@ -230,9 +235,10 @@ def test_steps_are_pure(name):
 
 
 @each_estimator
-def test_compiles_without_graph_breaks(name):
-    estimator, samples = ESTIMATORS[name](), random_samples(1, 2)
-    state = tree_map(torch.Tensor.detach, estimator.init((2,)))
+@each_batch
+def test_compiles_without_graph_breaks(name, batch):
+    estimator, samples = ESTIMATORS[name](), random_samples(1, *batch)
+    state = tree_map(torch.Tensor.detach, estimator.init(batch))
     torch.compiler.reset()
     compiled = torch.compile(estimator, backend="eager", fullgraph=True)(state, at(samples, 0))
     plain = estimator(state, at(samples, 0))

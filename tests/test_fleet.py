@@ -23,7 +23,8 @@ def recording(boat, run, seconds, speed=0.1):
 
 
 def ensemble():
-    members = {"aid": AID(28.0), "dynamic_rls": RLS(SurgeDynamics(28.0)), "rnn": RNN(4), "persistence": Persistence()}
+    members = {"aid": AID(28.0), "rls": RLS(), "dynamic_rls": RLS(SurgeDynamics(28.0)), "rnn": RNN()}
+    members |= {"persistence": Persistence()}
     return Ensemble(members, {"average": Average(), "weighted": RecursiveWeights()})
 
 
