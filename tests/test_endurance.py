@@ -81,7 +81,8 @@ def test_idle_cruise_and_excitation(tenfold, dtype):
     error = (published - samples.surge[:, None]).abs()
     names = ensemble.names
     after_idling = slice(excited + long, excited + long + 50)  # 20 s
-    for name, worst in {"aid": 0.5, "dynamic_rls": 3.0}.items():  # m/s; plain forgetting without a limit: 1e3 and more
+    # m/s: five hours of noise at standstill move parameters; plain forgetting without a limit errs by 1e3 and more
+    for name, worst in {"aid": 1.5, "dynamic_rls": 3.0}.items():
         k = names.index(name)
         assert error[after_idling, k].max() < worst, name
         assert error[-800:, k].mean() < 0.04, name  # the noise of target and start make 0.023

@@ -37,7 +37,7 @@ def prediction_figure(time: np.ndarray, surge: np.ndarray, predictions: np.ndarr
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtraError("matplotlib", "plot", "the figure of predictions") from error
-    figure = Figure(figsize=(10, 7))
+    figure = Figure(figsize=(9, 6.3), dpi=80)
     figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.07, hspace=0.25)
     above, below = figure.subplots(2, 1, height_ratios=(2, 1))
     above.plot(time, surge, color="black", linewidth=2.5, label="measured")
