@@ -14,7 +14,8 @@ import json
 import warnings
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,7 +98,7 @@ class RunFolder:
                 self._save_lane(start.state, lane, boat, BEGIN)
         self._saved = start.position
         self._forget(start.position)
-        write_atomically(self.path / RUNS, json.dumps(self._runs(), indent=2).encode())
+        write_atomically(self.path / RUNS, json.dumps(self._runs, indent=2).encode())
         return start
 
     def save(self, chunk: Chunk) -> None:
@@ -123,7 +124,7 @@ class RunFolder:
     def _save_lane(self, state: EnsembleState, lane: int, boat: str, place: Position) -> None:
         run = self.fleet.runs[place.run]
         save_checkpoint(
-            self.path / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}",
+            _set(self.path, boat, place),
             _lane(state, lane),
             estimator=ESTIMATOR,
             boat=boat,
@@ -133,6 +134,7 @@ class RunFolder:
             **self.metadata,
         )
 
+    @cached_property
     def _runs(self) -> dict[str, Any]:
         """What makes this run the one it is: per boat, name, length and samples of each run; and the ensemble."""
         configuration = self.metadata.get("configuration", {})
@@ -161,7 +163,7 @@ class RunFolder:
     def _is_this_run(self, source: Path) -> bool:
         """Whether a folder was made from these samples, or from the first of these runs, by this ensemble."""
         try:
-            old, new = json.loads((source / RUNS).read_text()), self._runs()
+            old, new = json.loads((source / RUNS).read_text()), self._runs
             same = old["ensemble"] == new["ensemble"] and list(old["boats"]) == list(new["boats"])
             return same and all(new["boats"][boat][: len(runs)] == runs for boat, runs in old["boats"].items())
         except (OSError, ValueError, KeyError, TypeError):
@@ -170,7 +172,7 @@ class RunFolder:
     def _from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one parameter set."""
         state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
-        state = tree_map(lambda *leaves: torch.stack(leaves), *[state] * len(self.fleet.boats))
+        state = _side_by_side([state] * len(self.fleet.boats))
         return start._replace(state=state, note=f"starting from {facts['boat']}, run {facts['run']}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
@@ -184,10 +186,8 @@ class RunFolder:
                     f"{source}: has no parameter set of {boat} (it has: {boats}): give the checkpoint to start from"
                 )
             lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
-        state = tree_map(lambda *leaves: torch.stack(leaves), *lanes)
-        return start._replace(
-            state=state, note=f"starting from the newest parameter sets of {source}, from the first run on"
-        )
+        note = f"starting from the newest parameter sets of {source}, from the first run on"
+        return start._replace(state=_side_by_side(lanes), note=note)
 
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
@@ -210,7 +210,7 @@ class RunFolder:
         paths: list[Path] = []
         while readable:
             place = readable[-1][0]
-            paths = [self._set(source, boat, self._own(lane, place)) for lane, boat in enumerate(self.fleet.boats)]
+            paths = [_set(source, boat, self._own(lane, place)) for lane, boat in enumerate(self.fleet.boats)]
             try:
                 for path in paths:
                     verify(path)
@@ -220,7 +220,7 @@ class RunFolder:
                 readable.pop()
         if not readable:
             place, note = BEGIN, "learning from the start"
-            paths = [self._set(source, boat, BEGIN) for boat in self.fleet.boats]
+            paths = [_set(source, boat, BEGIN) for boat in self.fleet.boats]
             if not all(path.exists() for path in paths):  # it began from nothing
                 self._bring(source, BEGIN)
                 return start
@@ -230,11 +230,7 @@ class RunFolder:
         for (run, _), array in readable:
             self._chunks[run].append(array)
         self._bring(source, place)
-        return Start(tree_map(lambda *leaves: torch.stack(leaves), *lanes), place, note)
-
-    @staticmethod
-    def _set(folder: Path, boat: str, place: Position) -> Path:
-        return folder / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}"
+        return Start(_side_by_side(lanes), place, note)
 
     def _own(self, lane: int, place: Position) -> Position:
         """Where a boat stood when the fleet stood at `place`: its runs may be shorter, or fewer."""
@@ -278,6 +274,10 @@ def save_results(folder: Path, results: Mapping[str, Any]) -> None:
     write_atomically(folder / RESULTS, text.encode())
 
 
+def _set(folder: Path, boat: str, place: Position) -> Path:
+    return folder / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}"
+
+
 def _digest(run: Run, lane: int) -> str:
     """A sha256 of one boat's samples."""
     total = hashlib.sha256()
@@ -292,3 +292,8 @@ def _has_sets(folder: Path) -> bool:
 
 def _lane(state: EnsembleState, lane: int) -> EnsembleState:
     return tree_map(lambda x: x[lane], state)
+
+
+def _side_by_side(lanes: Sequence[EnsembleState]) -> EnsembleState:
+    """The inverse of `_lane`: one state of all boats."""
+    return tree_map(lambda *leaves: torch.stack(leaves), *lanes)

@@ -210,7 +210,6 @@ class Aligner:
             # what is held stands, however old
             track.times[:] = [-math.inf] if track.held and track.times else []
             track.values[:] = track.values[-1:] if track.held else []
-        self._behind.clear()
         self._newest, self._tick, self._known = -math.inf, None, False
 
     def _unwrap(self, track: Track, value: float) -> float:

@@ -78,17 +78,12 @@ def _side_by_side(lanes: list[tuple[str, Aligned] | None]) -> Run:
         empty(False),
         empty(False),
     )
-    for lane, (one, length) in enumerate(zip(lanes, lengths, strict=True)):
-        if one is not None:
-            tree_map(
-                lambda all_, x, lane=lane, n=length: all_[:n].__setitem__((slice(None), lane), x),
-                padded,
-                one[1].samples,
-            )
     time = empty(np.nan)
     for lane, one in enumerate(lanes):
         if one is not None:
-            time[: lengths[lane], lane] = one[1].time - one[1].time[0]
+            (_, aligned), part = one, (slice(lengths[lane]), lane)
+            time[part] = aligned.time - aligned.time[0]
+            tree_map(lambda whole, x, part=part: whole.__setitem__(part, x), padded, aligned.samples)
     return Run(time, padded, tuple("" if lane is None else lane[0] for lane in lanes), tuple(lengths))
 
 
