@@ -22,7 +22,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from certify.conditions import simple_margin, tight_margin
+from certify.conditions import simple, tight
 from usvlearn.errors import ConfigError, check_choice, check_positive
 from usvlearn.estimator import Estimator
 from usvlearn.hyper import Positive, check_broadcast
@@ -190,7 +190,7 @@ class RNN(Estimator):
 
     def monitor(self, state: RNNState) -> dict[str, Tensor]:
         a, w1 = state.weights.a, state.weights.w1
-        return {"margin_simple": simple_margin(a, w1), "margin_tight": tight_margin(a, w1)}
+        return {"margin_simple": simple(a, w1).margin, "margin_tight": tight(a, w1).margin}
 
     def _adam(self, state: RNNState, grad: Tensor) -> tuple[RNNWeights, Tensor, Tensor]:
         """One step of Adam (Kingma & Ba 2015, algorithm 1)."""

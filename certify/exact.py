@@ -1,0 +1,166 @@
+"""The conditions, and the definiteness of their matrices, in rational arithmetic: floats are rationals.
+
+What is called certified has passed here. With a rate κ and the corner c (1: the paper's matrix, slopes in [0, 2];
+2: the slope-restricted one, slopes in [0, 1]), for some p and a diagonal Λ,
+
+    M(p, Λ) = [2 − p,  0,        −aᵀ/κ  ]
+              [0,      p,        −w₁ᵀ Λ ]  ≻ 0   ⇒   |x₁⁺ − x₂⁺| ≤ (c/2) κ |x₁ − x₂|               (1)
+              [−a/κ,   −Λ w₁,    c Λ    ]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+CORNER = {"simple": 1, "gershgorin": 1, "lmi": 1, "tight": 2}  # c of each condition's matrix
+ZERO, ONE = Fraction(0), Fraction(1)
+
+
+class Multipliers(NamedTuple):
+    """A metric and multipliers for (1)."""
+
+    metric: Fraction  # p
+    multipliers: list[Fraction]  # Λ's diagonal, (n,)
+
+
+def fractions(x) -> list[Fraction]:
+    """The exact values of floats, `(n,)`.
+
+    >>> fractions([0.5, 0.1])[0]
+    Fraction(1, 2)
+    """
+    return [Fraction(float(value)) for value in np.asarray(x).ravel()]
+
+
+def extreme_slopes(a, w1) -> tuple[Fraction, Fraction]:
+    """P and N exactly; a, w₁ are `(n,)`.
+
+    >>> extreme_slopes([0.5, -1.0], [1.0, 0.75])
+    (Fraction(1, 2), Fraction(3, 4))
+    """
+    s = [ai * wi for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
+    return sum((x for x in s if x > 0), ZERO), sum((-x for x in s if x < 0), ZERO)
+
+
+def rates(a, w1) -> dict[str, Fraction | None]:
+    """The smallest rate at which each condition holds, exactly; None where at none. It holds where the rate is < 1.
+
+    >>> rates([0.5], [0.5])
+    {'simple': Fraction(2, 1), 'gershgorin': Fraction(1, 2), 'lmi': Fraction(1, 2), 'tight': Fraction(1, 4)}
+    """
+    P, N = extreme_slopes(a, w1)
+    K = max(P, N)
+    shares: list[Fraction] | None = []
+    for ai, wi in zip(fractions(a), fractions(w1), strict=True):
+        room = 1 - abs(wi)
+        if room <= 0:
+            shares = None
+            break
+        shares.append(abs(ai) / room)
+    simple = None if shares is None else (len(shares) + 1) * max(shares)
+    return {"simple": simple, "gershgorin": None if shares is None else _sum(shares) / 2, "lmi": 2 * K, "tight": K}
+
+
+def multipliers(condition: str, a, w1, rate: Fraction = ONE) -> Multipliers | None:
+    """p and Λ that prove a condition at a rate, in closed form; None where it does not hold.
+
+    >>> multipliers("tight", [0.9], [1.0])
+    Multipliers(metric=Fraction(1, 1), multipliers=[Fraction(8106479329266893, 9007199254740992)])
+    """
+    found = rates(a, w1)[condition]
+    if found is None or not found < rate:
+        return None
+    n, c = len(np.asarray(a)), CORNER[condition]
+    sizes = [(abs(ai) / rate, abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
+    if condition == "simple":
+        return Multipliers(ONE, [Fraction(1, n + 1)] * n)
+    if condition == "gershgorin":  # slack to both rows of the lemma: a third to each, a third to p
+        shares = [ai / (1 - wi) for ai, wi in sizes]
+        third = (2 - _sum(shares)) / 3
+        lam = [share + third / n for share in shares]
+        return Multipliers(_sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)]) + third, lam)
+    # λ_i = |a_i|/(κ |w_i|); where one of the two is zero, what keeps its share of the slack below 1/(4n)
+    slack = 1 - found / rate
+    lam = []
+    for ai, wi in sizes:
+        if ai and wi:
+            lam.append(ai / wi)
+        elif ai:
+            lam.append(4 * n * ai * ai / (c * slack))
+        elif wi:
+            lam.append(c * slack / (4 * n * wi * wi))
+        else:
+            lam.append(ONE)
+    return Multipliers(ONE, lam)
+
+
+def matrix(a, w1, metric: Fraction, multipliers: Sequence[Fraction], rate: Fraction = ONE, corner: int = 2):
+    """M of (1), a list of rows of fractions, (n + 2, n + 2)."""
+    a, w1, lam = fractions(a), fractions(w1), list(multipliers)
+    n = len(a)
+    M = [[ZERO] * (n + 2) for _ in range(n + 2)]
+    M[0][0], M[1][1] = 2 - Fraction(metric), Fraction(metric)
+    for i in range(n):
+        M[0][i + 2] = M[i + 2][0] = -a[i] / rate
+        M[1][i + 2] = M[i + 2][1] = -w1[i] * lam[i]
+        M[i + 2][i + 2] = corner * lam[i]
+    return M
+
+
+def definiteness(matrix: Sequence[Sequence[Fraction]]) -> int:
+    """1: a symmetric matrix is positive definite; 0: positive semidefinite; −1: neither. By LDLᵀ, the last row first.
+
+    >>> definiteness([[ONE, ZERO], [ZERO, ONE]]), definiteness([[ONE, ONE], [ONE, ONE]])
+    (1, 0)
+    """
+    rows = [{j: x for j, x in enumerate(row) if x} for row in matrix]
+    definite = 1
+    for k in range(len(rows) - 1, -1, -1):
+        row = rows[k]
+        pivot = row.pop(k, ZERO)
+        if pivot < 0 or (pivot == 0 and row):
+            return -1
+        if pivot == 0:
+            definite = 0
+        for i in row:
+            del rows[i][k]
+        for i, x in row.items():
+            for j, y in row.items():
+                value = rows[i].get(j, ZERO) - x * y / pivot
+                if value:
+                    rows[i][j] = value
+                else:
+                    rows[i].pop(j, None)
+    return definite
+
+
+def proves(condition: str, a, w1, found: Multipliers, rate: Fraction = ONE) -> bool:
+    """Whether p and Λ prove a condition at a rate: (1) is positive definite, and the paper's inequalities hold.
+
+    >>> proves("tight", [0.9], [1.0], multipliers("tight", [0.9], [1.0]))
+    True
+    """
+    p, lam = Fraction(found.metric), list(found.multipliers)
+    if rate <= 0 or len(lam) != len(np.asarray(a)) or not all(x > 0 for x in lam):
+        return False
+    if condition in ("simple", "gershgorin"):
+        sizes = [(abs(ai) / rate, abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
+        dominated = all(x > ai + x * wi for x, (ai, wi) in zip(lam, sizes, strict=True))
+        first = 2 - p > _sum([ai for ai, _ in sizes])
+        second = p > _sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
+        equal = condition == "gershgorin" or (p == 1 and all(x == Fraction(1, len(lam) + 1) for x in lam))
+        if not (dominated and first and second and equal):
+            return False
+    return definiteness(matrix(a, w1, p, lam, rate, CORNER[condition])) == 1
+
+
+def _sum(values: Sequence[Fraction]) -> Fraction:
+    """The sum, pairwise: denominators that differ grow with every addition."""
+    values = list(values)
+    while len(values) > 1:
+        values = [sum(values[i : i + 2], ZERO) for i in range(0, len(values), 2)]
+    return values[0] if values else ZERO

@@ -1,0 +1,203 @@
+"""The weights of a shallow ReLU network with one state, and the files they are read from.
+
+    x⁺ = aᵀ relu(w₁ x + W₂ u + b)                                                 (paper, section IV-B)
+
+Imports no torch, unless a file that torch wrote is read: a certificate is checked without it.
+"""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+import re
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from certify.errors import CertifyError
+
+SUFFIXES = (".safetensors", ".npz", ".pt", ".pth")
+
+
+class ShallowWeights(NamedTuple):
+    """The weights; arrays or tensors."""
+
+    a: Any  # (*batch, n)
+    w1: Any  # (*batch, n)
+    W2: Any  # (*batch, n, m)
+    b: Any  # (*batch, n)
+
+
+NAMES = ShallowWeights._fields
+
+
+class Network(NamedTuple):
+    """One parameter set, and where it was found."""
+
+    path: str  # of the file; with the tensors' prefix or the lane where a file holds more than one set
+    weights: ShallowWeights  # float64 arrays, no batch
+
+
+def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
+    """The weights as float64 arrays, `(*batch, …)`.
+
+    Raises:
+        CertifyError: shapes that do not fit, no neuron, a weight that is NaN, infinite or no number.
+
+    >>> check(ShallowWeights([0.5], [1.0], [[0.0, 1.0]], [0.0])).W2.shape
+    (1, 2)
+    """
+    try:
+        arrays = ShallowWeights(*(np.asarray(x, dtype=np.float64) for x in weights))
+    except (TypeError, ValueError) as error:
+        raise CertifyError(f"{name}: found weights that are no numbers ({error}), expected float arrays") from error
+    shapes = {key: array.shape for key, array in zip(NAMES, arrays, strict=True)}
+    shape = arrays.a.shape
+    if not shape or arrays.w1.shape != shape or arrays.b.shape != shape or arrays.W2.shape[:-1] != shape:
+        told = ", ".join(f"{key} {value}" for key, value in shapes.items())
+        raise CertifyError(f"{name}: found the shapes {told}, expected a, w1, b (n,) and W2 (n, m)")
+    if shape[-1] == 0:
+        raise CertifyError(f"{name}: found a network without neurons, expected n of 1 or more")
+    for key, array in zip(NAMES, arrays, strict=True):
+        if count := int((~np.isfinite(array)).sum()):
+            raise CertifyError(f"{name}: found {count} NaN or infinite values in {key}, expected finite weights")
+    return arrays
+
+
+def digest(weights: ShallowWeights) -> str:
+    """The sha256 of one network's weights, which a certificate is about."""
+    total = hashlib.sha256()
+    for name, array in zip(NAMES, check(weights), strict=True):
+        total.update(f"{name}{array.shape}".encode() + np.ascontiguousarray(array + 0.0).astype("<f8").tobytes())
+    return total.hexdigest()
+
+
+def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Network]:
+    """Every shallow network among named tensors, lane by lane.
+
+    Names end in `a`, `w1`, `W2`, `b` below a common prefix (`members.rnn.weights.a`), or are those of two linear layers,
+    the first with (n, 1 + m) weights, the state's in column 0, the second with (1, n) and no bias.
+
+    >>> from_tensors({"net.a": [0.5], "net.w1": [1.0], "net.W2": [[0.0]], "net.b": [0.0]})[0].path
+    'tensors'
+    """
+    prefixes = [name.removesuffix("w1") for name in tensors if re.search(r"(^|\.)w1$", name)]
+    found = [
+        (prefix.rstrip("."), ShallowWeights(*(tensors[prefix + name] for name in NAMES)))
+        for prefix in prefixes
+        if all(prefix + name in tensors for name in NAMES)
+    ]
+    found = found or [("", weights) for weights in _two_layers(tensors, path)]
+    if not found:
+        names = ", ".join(list(tensors)[:6]) or "nothing"
+        raise CertifyError(
+            f"{path}: holds no shallow network (it holds: {names}{', …' if len(tensors) > 6 else ''}): expected tensors "
+            "named a, w1, W2 and b, or two linear layers"
+        )
+    networks = []
+    for prefix, weights in found:
+        label = path if len(found) == 1 else f"{path}:{prefix}"
+        arrays = check(weights, label)
+        lanes = list(np.ndindex(arrays.a.shape[:-1]))
+        for lane in lanes:
+            own = label if len(lanes) == 1 else f"{label}[{','.join(map(str, lane))}]"
+            networks.append(Network(own, ShallowWeights(*(x[lane] for x in arrays))))
+    return networks
+
+
+def _two_layers(tensors: Mapping[str, Any], path: str) -> Iterator[ShallowWeights]:
+    layers = [(name.removesuffix("weight"), x) for name, x in tensors.items() if re.search(r"(^|\.)weight$", name)]
+    if len(layers) != 2 or any(np.ndim(x) != 2 for _, x in layers):
+        return
+    (first, W), (second, a) = layers
+    W, a = np.asarray(W), np.asarray(a)
+    offset = tensors.get(f"{second}bias")
+    if a.shape != (1, len(W)) or W.shape[1] < 1:
+        raise CertifyError(
+            f"{path}: found linear layers of the shapes {W.shape} and {a.shape}, expected (n, 1 + m) and (1, n)"
+        )
+    if offset is not None and np.any(np.asarray(offset)):
+        raise CertifyError(f"{path}: {second}bias is not zero, expected x⁺ = aᵀ relu(…) without an offset")
+    b = tensors.get(f"{first}bias")
+    yield ShallowWeights(a[0], W[:, 0], W[:, 1:], np.zeros(len(W)) if b is None else b)
+
+
+def load(path: str | Path) -> list[Network]:
+    """The parameter sets in a file: a checkpoint or other `.safetensors`, an `.npz`, a torch `state_dict`.
+
+    No pickled code is run, whatever the file holds.
+
+    Raises:
+        CertifyError: no such file, of another kind, damaged, or without a shallow network.
+    """
+    path = Path(path)
+    if path.suffix not in SUFFIXES:
+        raise CertifyError(f"{path}: is no parameter set: expected a file that ends in {', '.join(SUFFIXES)}")
+    reader = {".safetensors": _read_safetensors, ".npz": _read_npz}.get(path.suffix, _read_torch)
+    try:
+        with path.open("rb"):
+            pass
+        tensors = reader(path)
+    except CertifyError:
+        raise
+    except OSError as error:
+        raise CertifyError(f"{path}: cannot be read ({error.strerror or error}): give the path of a file") from error
+    except Exception as error:  # whatever a reader makes of a damaged file
+        cause = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        raise CertifyError(f"{path}: is damaged, or is no {path.suffix} file ({cause}): give another") from error
+    return from_tensors(tensors, str(path))
+
+
+def _read_safetensors(path: Path) -> dict[str, np.ndarray]:
+    from safetensors.numpy import load_file
+
+    return load_file(path)
+
+
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
+    if not zipfile.is_zipfile(path):
+        raise ValueError("it is no zip archive")
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def _read_torch(path: Path) -> dict[str, np.ndarray]:
+    import torch
+
+    try:
+        tensors = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        raise CertifyError(f"{path}: is damaged, or holds more than tensors: save model.state_dict()") from error
+    if not (isinstance(tensors, Mapping) and all(isinstance(x, torch.Tensor) for x in tensors.values())):
+        raise CertifyError(f"{path}: found {type(tensors).__name__}, expected a state_dict, tensors by name")
+    return {str(name): x.detach().double().numpy() for name, x in tensors.items()}
+
+
+def find(paths: Iterable[str | Path]) -> list[Path]:
+    """The files of parameter sets that files, folders (a run's: its checkpoints) and patterns name, each once.
+
+    Raises:
+        CertifyError: one of them names nothing.
+    """
+    found: dict[Path, None] = {}
+    for given in map(str, paths):
+        matched = [Path(given)] if Path(given).exists() else sorted(map(Path, glob.glob(given, recursive=True)))
+        if not matched:
+            raise CertifyError(f"{given}: no such file, folder or pattern: give checkpoints, or a run's folder")
+        for path in matched:
+            files = [path] if not path.is_dir() else _below(path)
+            if not files and len(matched) == 1:
+                raise CertifyError(f"{path}: holds no parameter sets, expected files {', '.join(SUFFIXES)}")
+            found.update(dict.fromkeys(files))
+    return list(found)
+
+
+def _below(folder: Path) -> list[Path]:
+    """The parameter sets below a folder; checkpoints before anything else, since a run also keeps predictions."""
+    for suffix in SUFFIXES:
+        if files := sorted(folder.rglob(f"*{suffix}")):
+            return files
+    return []
