@@ -114,7 +114,7 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
         hi: greatest.
 
     >>> one = torch.ones(1)
-    >>> interval(ShallowWeights(one, -one, 0 * one[:, None], 0 * one), torch.zeros(2), torch.ones(2)).rate
+    >>> interval(ShallowWeights(one, -one, 0 * one[:, None], -one), torch.zeros(2), torch.ones(2)).rate
     tensor(0.)
     """
     always, never = fixed_signs(weights, lo, hi)
@@ -126,11 +126,15 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
 
 
 def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor, Tensor]:
-    """The neurons that are nowhere off, and those that are nowhere on, inside a box: `(*batch, n)` bool each."""
+    """The neurons that are surely on everywhere in a box, and those that are surely off: `(*batch, n)` bool each."""
     centre, radius = (lo + hi) / 2, (hi - lo) / 2
-    z = weights.w1 * centre[0] + weights.W2 @ centre[1:] + weights.b
-    reach = weights.w1.abs() * radius[0] + weights.W2.abs() @ radius[1:]
-    return z >= reach, (z <= -reach) & ~(z >= reach)
+    w1, W2, b = weights.w1, weights.W2, weights.b
+    z = w1 * centre[0] + W2 @ centre[1:] + b
+    reach = w1.abs() * radius[0] + W2.abs() @ radius[1:]
+    largest = lo.abs().maximum(hi.abs())
+    rounding = 2 * (len(lo) + 2) * torch.finfo(z.dtype).eps
+    reach = reach + rounding * (w1.abs() * largest[0] + W2.abs() @ largest[1:] + b.abs())
+    return z > reach, z < -reach
 
 
 def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:

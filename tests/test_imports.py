@@ -20,7 +20,7 @@ OURS = {
     "usvlearn.hyper": LIGHT,
     "usvlearn.estimator": LIGHT,
     "usvlearn.estimators": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
-                                    "certify.conditions"},
+                                    "certify"},
     "usvlearn.simulate": LIGHT | {"usvlearn.simulate", "usvlearn.logs.channel"},
     "usvlearn.online": LIGHT | {"usvlearn.estimator", "usvlearn.checkpoint"},
     "usvlearn.learning": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",

@@ -4,10 +4,11 @@ import pytest
 import torch
 from torch.func import grad
 
+from certify.weights import ShallowWeights
 from tests.conftest import random_samples
 from usvlearn import RNN, rollout
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.rnn import RNNWeights, gradient, network, network_inputs
+from usvlearn.estimators.rnn import gradient, network, network_inputs
 
 
 def case(n: int, batch=(), seed: int = 0):
@@ -16,11 +17,11 @@ def case(n: int, batch=(), seed: int = 0):
     def normal(*shape):
         return torch.randn((*batch, *shape), generator=generator, dtype=torch.float64)
 
-    weights = RNNWeights(normal(n) / n, normal(n), normal(n, 4), normal(n))
+    weights = ShallowWeights(normal(n) / n, normal(n), normal(n, 4), normal(n))
     return weights, normal(), normal(4), normal(), normal(), normal(4)
 
 
-def flatten(w: RNNWeights) -> torch.Tensor:
+def flatten(w: ShallowWeights) -> torch.Tensor:
     return torch.cat([w.a, w.w1, w.W2.flatten(-2), w.b], -1)
 
 
@@ -48,7 +49,7 @@ def test_gradient_equals_autograd_and_differences(n, unbroken):
             moved = flat.clone()
             moved[k] += sign * h
             a, w1, W2, b = moved.split((n, n, 4 * n, n))
-            costs.append(loss(RNNWeights(a, w1, W2.reshape(n, 4), b), *arguments))
+            costs.append(loss(ShallowWeights(a, w1, W2.reshape(n, 4), b), *arguments))
         torch.testing.assert_close(found[k], (costs[0] - costs[1]) / (2 * h), rtol=1e-5, atol=1e-7)
 
 
@@ -61,10 +62,10 @@ def test_one_step_gradient_is_the_broken_one():
 
 @pytest.mark.parametrize("decay", [None, 7])
 def test_adam_equals_torch(decay):
-    rnn, samples = RNN(6, rate=0.01, penalty=1e-3, decay=decay), random_samples(40)
+    rnn, samples = RNN(6, rate=0.01, stability="penalty", penalty=1e-3, decay=decay), random_samples(40)
     end, _, _ = rollout(rnn, rnn.init(), samples)
     start = rnn.init().weights
-    weights = RNNWeights(*(w.detach().clone().requires_grad_() for w in start))
+    weights = ShallowWeights(*(w.detach().clone().requires_grad_() for w in start))
     optimizer = torch.optim.Adam(list(weights), lr=0.01)
     v = torch.zeros((), dtype=torch.float64)
     for k in range(40):

@@ -6,7 +6,11 @@ With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ
     L = ½ (x⁺ − x_meas)² + η/2 Σ ψ_i (a_i² + w_{1i}²),                            (2)
     ψ_i = 1 where |a_i| + |w_{1i}|/(n+1) > 1/(n+1), else 0
 
-The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing (theory, section 4).
+The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing. Projection does:
+after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
+`certify.conditions` at the rate κ, so that two trajectories under equal inputs approach each other by κ at every step,
+while the network learns.
+
 The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂ = f(f(x₋, u₋), u), and the gradient runs
 through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
 
@@ -22,34 +26,28 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from certify.conditions import simple, tight
+from certify.conditions import CONDITIONS, rate
+from certify.projections import GAUGES, project
+from certify.weights import ShallowWeights
 from usvlearn.errors import ConfigError, check_choice, check_positive
 from usvlearn.estimator import Estimator
-from usvlearn.hyper import Positive, check_broadcast
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8  # Adam's, as the paper has them
 
 
-class RNNWeights(NamedTuple):
-    """The weights of (1)."""
-
-    a: Tensor  # (*batch, n)
-    w1: Tensor  # (*batch, n)
-    W2: Tensor  # (*batch, n, 4)
-    b: Tensor  # (*batch, n)
-
-
 class RNNState(NamedTuple):
     """What the network learned, Adam's memory, and the step before for the unrolled loss."""
 
-    weights: RNNWeights
+    weights: ShallowWeights  # a, w1, b (*batch, n), W2 (*batch, n, 4)
     moment1: Tensor  # (*batch, 7n) Adam's mean gradient, in the order a, w1, W2 (row by row), b
     moment2: Tensor  # (*batch, 7n) Adam's mean squared gradient
     updates: Tensor  # (*batch,) count of updates
     surge: Tensor  # (*batch,) speed from which the next step departs, m/s
     surge_before: Tensor  # (*batch,) speed one step earlier, m/s
     inputs_before: Tensor  # (*batch, 4) u of that step
+    dt: Tensor  # (*batch,) s, of that step
     unbroken: Tensor  # (*batch,) bool: that step led to `surge`
 
 
@@ -61,11 +59,11 @@ def network_inputs(inputs: Inputs) -> Tensor:
     )
 
 
-def network(weights: RNNWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+def network(weights: ShallowWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
     """x⁺ of (1), `(*batch,)`, and z, `(*batch, n)`.
 
     >>> one = torch.ones(1)
-    >>> network(RNNWeights(one, one, torch.zeros(1, 4), one), torch.tensor(0.25), torch.zeros(4))[0]
+    >>> network(ShallowWeights(one, one, torch.zeros(1, 4), one), torch.tensor(0.25), torch.zeros(4))[0]
     tensor(1.2500)
     """
     a, w1, W2, b = weights
@@ -74,11 +72,11 @@ def network(weights: RNNWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def gradient(
-    weights: RNNWeights,
+    weights: ShallowWeights,
     x: Tensor,  # (*batch,) scaled speed from which the last step departs
     u: Tensor,  # (*batch, 4)
     target: Tensor,  # (*batch,) scaled measurement
-    penalty: Tensor,  # η, broadcasts against (*batch,)
+    penalty: Tensor | None = None,  # η, broadcasts against (*batch,)
     before: tuple[Tensor, Tensor, Tensor] | None = None,  # x₋, u₋, unbroken, for the unrolled loss
 ) -> Tensor:
     """The gradient of (2) with respect to the weights, `(*batch, 7n)` in the order a, w1, W2, b."""
@@ -102,9 +100,11 @@ def gradient(
         grad_w1 = grad_w1 + grad_z_before * x_before[..., None]
         grad_W2 = grad_W2 + grad_z_before[..., None] * u_before[..., None, :]
         grad_b = grad_b + grad_z_before
-    bound = 1.0 / (a.shape[-1] + 1)
-    shrink = penalty[..., None] * (a.abs() + bound * w1.abs() > bound)  # η ψ
-    return torch.cat([grad_a + shrink * a, grad_w1 + shrink * w1, grad_W2.flatten(-2), grad_b], -1)
+    if penalty is not None:
+        bound = 1.0 / (a.shape[-1] + 1)
+        shrink = penalty[..., None] * (a.abs() + bound * w1.abs() > bound)  # η ψ
+        grad_a, grad_w1 = grad_a + shrink * a, grad_w1 + shrink * w1
+    return torch.cat([grad_a, grad_w1, grad_W2.flatten(-2), grad_b], -1)
 
 
 class RNN(Estimator):
@@ -115,7 +115,12 @@ class RNN(Estimator):
         surge_max: v_max, m/s, which scales the speed onto [0, 0.5].
         rate: Adam's learning rate at the first update; broadcasts against the batch.
         decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
-        penalty: η; broadcasts against the batch.
+        stability: "project" onto `condition` after every update, "penalty" (the paper's), or "none".
+        condition: simple, gershgorin, lmi, tight (all activation patterns, the weakest that (a, w₁) alone can tell), or
+            interval (the same for |x| ≤ 1, where a speed that coasts is kept, and commands of up to 1.2).
+        contraction_rate: κ of the projection; broadcasts against the batch.
+        gauge: "literal", or "best": simple and gershgorin of the equal network that holds them most easily.
+        penalty: η of the paper's penalty; broadcasts against the batch.
         unroll: steps through which the loss is taken, 1 or 2.
         feedback: "measured" predicts from the last measured speed, "estimate" from the network's own.
         seed: of the initial weights.
@@ -131,6 +136,10 @@ class RNN(Estimator):
         surge_max: float = 3.0,
         rate=3e-3,
         decay: int | None = 1000,
+        stability: str = "project",
+        condition: str = "tight",
+        contraction_rate=0.999,
+        gauge: str = "literal",
         penalty=1e-4,
         unroll: int = 1,
         feedback: str = "measured",
@@ -145,7 +154,14 @@ class RNN(Estimator):
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.decay = None if decay is None else check_positive("decay", decay, "of updates")
         self.scale, self.unroll = 0.5 / surge_max, unroll
-        self.rate, self.penalty = Positive(rate, "rate"), Positive(penalty, "penalty")
+        check_choice("stability", stability, ("none", "penalty", "project"))
+        self.condition = check_choice("condition", condition, (*CONDITIONS, "interval"))
+        self.gauge = check_choice("gauge", gauge, GAUGES)
+        self.rate, penalty = Positive(rate, "rate"), Positive(penalty, "penalty")
+        contraction_rate = UnitInterval(contraction_rate, "contraction_rate")
+        self.penalty = penalty if stability == "penalty" else None
+        self.contraction_rate = contraction_rate if stability == "project" else None
+        self.register_buffer("bounds", as_tensor([[-1.0, 0.0, 0.0, -1.2, -1.2], [1.0, 1.0, 1.0, 1.2, 1.2]]))
         if not isinstance(seed, int):
             raise ConfigError(f"seed: found {seed!r}, expected a whole number")
         generator = torch.Generator().manual_seed(seed)
@@ -160,11 +176,13 @@ class RNN(Estimator):
     def init(self, batch: Sequence[int] = ()) -> RNNState:
         batch, n = tuple(batch), len(self.a)
         check_broadcast(self, batch)
-        weights = RNNWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
+        weights = self._stable(
+            ShallowWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
+        )
         zero = self.a.new_zeros
         unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)
         moments = zero((*batch, 7 * n)), zero((*batch, 7 * n))
-        return RNNState(weights, *moments, zero(batch), zero(batch), zero(batch), zero((*batch, 4)), unbroken)
+        return RNNState(weights, *moments, *(zero(batch) for _ in range(3)), zero((*batch, 4)), zero(batch), unbroken)
 
     def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
         x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
@@ -177,22 +195,32 @@ class RNN(Estimator):
         before = None
         if self.unroll == 2:
             before = self.scale * state.surge_before, state.inputs_before, state.unbroken
-        grad = gradient(state.weights, x, u, self.scale * surge, self.penalty(), before)
+        penalty = None if self.penalty is None else self.penalty()
+        grad = gradient(state.weights, x, u, self.scale * surge, penalty, before)
         weights, moment1, moment2 = self._adam(state, grad)
         if self.feedback == "estimate":
             estimate = network(state.weights, x, u)[0] / self.scale
             surge = estimate.clamp(-2 * self.surge_max, 2 * self.surge_max)
         unbroken = torch.ones_like(state.unbroken)
-        return RNNState(weights, moment1, moment2, state.updates + 1, surge, state.surge, u, unbroken)
+        return RNNState(
+            self._stable(weights), moment1, moment2, state.updates + 1, surge, state.surge, u, inputs.dt, unbroken
+        )
 
     def start(self, state: RNNState, surge: Tensor) -> RNNState:
         return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
 
     def monitor(self, state: RNNState) -> dict[str, Tensor]:
         a, w1 = state.weights.a, state.weights.w1
-        return {"margin_simple": simple(a, w1).margin, "margin_tight": tight(a, w1).margin}
+        margins = {f"margin_{name}": condition(a, w1).margin for name, condition in CONDITIONS.items()}
+        K = rate(a, w1)
+        return {**margins, "contraction_rate": K, "time_constant": -state.dt / K.log()}
 
-    def _adam(self, state: RNNState, grad: Tensor) -> tuple[RNNWeights, Tensor, Tensor]:
+    def _stable(self, weights: ShallowWeights) -> ShallowWeights:
+        if self.contraction_rate is None:
+            return weights
+        return project(weights, self.condition, self.contraction_rate(), self.gauge, (self.bounds[0], self.bounds[1]))
+
+    def _adam(self, state: RNNState, grad: Tensor) -> tuple[ShallowWeights, Tensor, Tensor]:
         """One step of Adam (Kingma & Ba 2015, algorithm 1)."""
         rate, count = self.rate(), state.updates + 1
         if self.decay is not None:
@@ -206,4 +234,4 @@ class RNN(Estimator):
         n = state.weights.a.shape[-1]
         da, dw1, dW2, db = step.split((n, n, 4 * n, n), -1)
         a, w1, W2, b = state.weights
-        return RNNWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, 4)), b - db), m, v
+        return ShallowWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, 4)), b - db), m, v

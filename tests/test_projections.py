@@ -1,0 +1,248 @@
+"""Projections: nearest (a quadratic program, many starts), inside exactly, differentiable, and what they guarantee."""
+
+from fractions import Fraction
+
+import cvxpy as cp
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import minimize
+
+from certify import conditions, exact
+from certify.errors import CertifyError
+from certify.projections import project, project_jointly, retract
+from certify.weights import ShallowWeights
+
+BOUNDS = torch.tensor([0.0, 0, 0, -1, -1]).double(), torch.ones(5).double()
+CASES = [("simple", "literal"), ("simple", "best"), ("gershgorin", "literal"), ("gershgorin", "best"),
+         ("lmi", "literal"), ("tight", "literal"), ("interval", "literal")]  # fmt: skip
+
+
+def networks(batch, n: int = 6, size: float = 1.0, seed: int = 0, dtype=torch.float64) -> ShallowWeights:
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return (size * torch.randn((*batch, *shape), generator=generator, dtype=torch.float64)).to(dtype)
+
+    return ShallowWeights(normal(n), normal(n), normal(n, 4), normal(n))
+
+
+def single(weights: ShallowWeights, k: int) -> ShallowWeights:
+    return ShallowWeights(*(x[k] for x in weights))
+
+
+def exact_rate(weights: ShallowWeights, condition: str, gauge: str) -> Fraction:
+    """The rate of a condition at which the weights hold it, in rational arithmetic; huge where at none."""
+    weights = ShallowWeights(*(x.double() for x in weights))
+    a, w1 = weights.a.numpy(), weights.w1.numpy()
+    if gauge == "best":
+        s = [abs(x * y) for x, y in zip(exact.fractions(a), exact.fractions(w1), strict=True)]
+        return 4 * (len(s) + 1) * max(s) if condition == "simple" else 2 * sum(s)
+    if condition == "interval":
+        on, up, down = exact.ZERO, exact.ZERO, exact.ZERO
+        box = [(Fraction(float(x)), Fraction(float(y))) for x, y in zip(*BOUNDS, strict=True)]
+        for x, y, row, b in zip(a, w1, weights.W2.numpy(), weights.b.numpy(), strict=True):
+            s, z = Fraction(float(x)) * Fraction(float(y)), Fraction(float(b))
+            ends = [(c * left, c * right) for c, (left, right) in zip(exact.fractions([y, *row]), box, strict=True)]
+            if z + sum(map(min, ends)) >= 0:
+                on += s
+            elif z + sum(map(max, ends)) > 0:
+                up, down = up + max(s, 0), down + max(-s, 0)
+        return max(on + up, down - on)
+    found = exact.rates(a, w1)[condition]
+    return Fraction(10**9) if found is None else found
+
+
+def nearest_by_quadratic_program(weights: ShallowWeights, condition: str, gauge: str, kappa: float) -> np.ndarray:
+    a, w, n = weights.a.numpy(), weights.w1.numpy(), len(weights.a)
+    x = cp.Variable(n)
+    if condition == "simple" and gauge == "literal":
+        held = [(n + 1) * cp.abs(x) / kappa + np.abs(w) <= 1]
+    elif condition == "simple":
+        held = [4 * (n + 1) * cp.abs(cp.multiply(w, x)) <= kappa]
+    elif condition == "gershgorin" and gauge == "literal":
+        held = [cp.sum(cp.multiply(1 / (1 - np.abs(w)), cp.abs(x))) <= 2 * kappa]
+    elif condition == "gershgorin":
+        held = [2 * cp.sum(cp.abs(cp.multiply(w, x))) <= kappa]
+    else:
+        times = 2 if condition == "lmi" else 1
+        on, free = np.zeros(n), np.ones(n)
+        if condition == "interval":
+            always, never = (y.numpy() for y in conditions.fixed_signs(weights, *BOUNDS))
+            on, free = always.astype(float), (~(always | never)).astype(float)
+        s = cp.multiply(w, x)
+        fixed = on @ s
+        held = [
+            times * (fixed + cp.sum(cp.multiply(free, cp.pos(s)))) <= kappa,
+            times * (-fixed + cp.sum(cp.multiply(free, cp.neg(s)))) <= kappa,
+        ]
+    cp.Problem(cp.Minimize(cp.sum_squares(x - a)), held).solve(solver="CLARABEL")
+    return x.value
+
+
+@pytest.mark.parametrize(("condition", "gauge"), CASES)
+def test_projection_is_the_solution_of_a_quadratic_program(condition, gauge):
+    weights = networks((25,), size=0.8, seed=3)
+    if gauge == "literal" and condition in ("simple", "gershgorin"):
+        weights = weights._replace(w1=0.9 * weights.w1.tanh())
+    if condition == "interval":  # so that some neurons are always on
+        weights = weights._replace(b=3 * weights.b, W2=0.5 * weights.W2)
+    near = project(weights, condition, 0.9, gauge, BOUNDS)
+    moved = 0
+    for k in range(25):
+        expected = nearest_by_quadratic_program(single(weights, k), condition, gauge, 0.9)
+        np.testing.assert_allclose(near.a[k].numpy(), expected, atol=2e-5)
+        moved += not np.allclose(expected, weights.a[k], atol=1e-4)
+    assert moved >= 5
+    assert torch.equal(near.w1, weights.w1) and torch.equal(near.W2, weights.W2)
+
+
+def test_joint_projection_is_never_beaten():
+    weights, rng = networks((12,), n=3, size=0.9, seed=5), np.random.default_rng(0)
+    for condition, gauge in [("tight", "best"), ("lmi", "best"), ("gershgorin", "best"), ("simple", "best")]:
+        near = project_jointly(weights, condition, 0.6, gauge)
+
+        def rate(x, condition=condition):
+            s = x[:3] * x[3:]
+            P, N = s[s > 0].sum(), -s[s < 0].sum()
+            largest = {"simple": 16 * abs(s).max(), "gershgorin": 2 * abs(s).sum()}
+            return largest.get(condition, (2 if condition == "lmi" else 1) * max(P, N))
+
+        for k in range(12):
+            start = torch.cat([weights.a[k], weights.w1[k]]).numpy()
+            found = torch.cat([near.a[k], near.w1[k]]).numpy()
+            assert rate(found) <= 0.6
+            cost, costs = np.sum((found - start) ** 2), []
+            for trial in range(4):
+                guess = start * rng.uniform(-0.2, 1, 6) if trial else found
+                end = minimize(
+                    lambda x, start=start: np.sum((x - start) ** 2),
+                    guess,
+                    method="SLSQP",
+                    constraints={"type": "ineq", "fun": lambda x: 0.6 - rate(x)},
+                )
+                costs += [end.fun] if rate(end.x) <= 0.6 + 1e-7 else []
+            assert cost <= min(costs, default=np.inf) + 1e-5
+
+
+def test_joint_projection_of_equal_sizes_splits_them():
+    """|a_i| = |w_i|: the nearest point is not symmetric once the bound is below a quarter of what stands there."""
+    one = torch.ones(2, dtype=torch.float64)
+    weights = ShallowWeights(one, one, torch.zeros(2, 1).double(), 0 * one)
+    for kappa, expected in [(1.0, 1 / 2**0.5), (0.25, None)]:
+        near = project_jointly(weights, "tight", kappa)
+        assert abs(float((near.a * near.w1).sum()) - kappa) < 1e-10
+        if expected:
+            torch.testing.assert_close(near.a, expected * one)
+        else:
+            torch.testing.assert_close(near.a + near.w1, one)
+
+
+def test_diamond_projection_is_the_solution_of_a_quadratic_program():
+    weights = networks((20,), n=4, size=0.7, seed=8)
+    near = project_jointly(weights, "simple", 0.9, "literal")
+    for k in range(20):
+        x, y = cp.Variable(4), cp.Variable(4)
+        cost = cp.sum_squares(x - weights.a[k].numpy()) + cp.sum_squares(y - weights.w1[k].numpy())
+        cp.Problem(cp.Minimize(cost), [5 * cp.abs(x) / 0.9 + cp.abs(y) <= 1]).solve(solver="CLARABEL")
+        np.testing.assert_allclose(near.a[k].numpy(), x.value, atol=2e-5)
+        np.testing.assert_allclose(near.w1[k].numpy(), y.value, atol=2e-5)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("size", [0.1, 1.0, 1e6])
+@pytest.mark.parametrize(("condition", "gauge"), CASES)
+def test_inside_exactly(condition, gauge, size, dtype):
+    bounds = tuple(x.to(dtype) for x in BOUNDS)
+    weights = networks((40,), n=20, size=size, seed=1, dtype=dtype)
+    found = [project(weights, condition, 0.999, gauge, bounds), retract(weights, condition, 0.999, gauge, bounds)]
+    if (condition, gauge) not in (("gershgorin", "literal"), ("interval", "literal")):
+        found.append(project_jointly(weights, condition, 0.999, gauge))
+    for near in found:
+        assert all(x.isfinite().all() for x in near)
+        rates = [exact_rate(single(near, k), condition, gauge) for k in range(40)]
+        assert all(rate <= Fraction(0.999) for rate in rates)
+        if condition != "interval" and near is not found[-1] and size == 1e6 and dtype == torch.float64:  # and no further than needed
+            assert min(rates) > 0.99
+
+
+@pytest.mark.parametrize(("condition", "gauge"), CASES)
+def test_what_holds_the_condition_stays(condition, gauge):
+    weights = networks((5,), size=1e-3, seed=2)
+    for near in (project(weights, condition, 0.9, gauge, BOUNDS), retract(weights, condition, 0.9, gauge, BOUNDS)):
+        for x, y in zip(near, weights, strict=True):
+            torch.testing.assert_close(x, y, rtol=1e-15, atol=0)
+
+
+def test_rescaling_a_neuron_changes_no_output():
+    """The literal conditions ask for |w1| < 1: what is done to get there leaves the map as it is."""
+    weights = networks((), seed=4)._replace(a=torch.full((6,), 1e-4).double())
+    weights = weights._replace(w1=weights.w1 * 5)
+    near = retract(weights, "gershgorin", 1.0)
+    assert (weights.w1.abs() > 1).any() and (near.w1.abs() < 1).all()
+    x = torch.linspace(-1, 1, 50, dtype=torch.float64)[:, None]
+    values = [(w.a * (w.w1 * x + w.W2.sum(-1) + w.b).relu()).sum(-1) for w in (weights, near)]
+    torch.testing.assert_close(*values)
+
+
+@pytest.mark.parametrize("function", [project, retract, project_jointly])
+@pytest.mark.parametrize(("condition", "gauge"), CASES)
+def test_gradients(function, condition, gauge):
+    if function is project_jointly and (condition, gauge) in (("gershgorin", "literal"), ("interval", "literal")):
+        return
+    weights = networks((3,), size=0.8, seed=6)
+    more = {} if function is project_jointly else {"bounds": BOUNDS}
+
+    def leaves(a, w1):
+        near = function(weights._replace(a=a, w1=w1), condition, 0.9, gauge, **more)
+        return near.a, near.w1
+
+    a, w1 = weights.a.clone().requires_grad_(), (0.5 * weights.w1).requires_grad_()
+    assert torch.autograd.gradcheck(leaves, (a, w1), eps=1e-7, atol=1e-4)
+
+
+@pytest.mark.parametrize("function", [project, retract, project_jointly])
+def test_lanes_equal_single_networks(function):
+    weights = networks((2, 3), seed=7)
+    near, kappa = function(weights, "tight", torch.full((2, 1), 0.7)), 0.7
+    for i, j in np.ndindex(2, 3):
+        alone = function(ShallowWeights(*(x[i, j] for x in weights)), "tight", kappa)
+        torch.testing.assert_close(near.a[i, j], alone.a, rtol=1e-6, atol=1e-7)
+
+
+def test_zero_and_dead_neurons_do_no_harm():
+    zero = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    dead = torch.tensor([0.0, 5.0, 5.0], dtype=torch.float64, requires_grad=True)
+    for condition, gauge in CASES:
+        for a, w1 in [(zero, zero), (dead, zero), (zero, dead), (dead, dead.flip(0))]:
+            weights = ShallowWeights(a, w1, torch.zeros(3, 4).double(), torch.zeros(3).double())
+            near = project(weights, condition, 0.9, gauge, BOUNDS)
+            assert near.a.isfinite().all() and near.w1.isfinite().all()
+            gradients = torch.autograd.grad(near.a.sum(), [a, w1], allow_unused=True, retain_graph=True)
+            assert all(g is None or g.isfinite().all() for g in gradients), (condition, gauge)
+
+
+def test_two_trajectories_contract_whatever_the_weights_do():
+    """|x_k − x'_k| ≤ κᵏ |x₀ − x'₀| under weights drawn anew at every step."""
+    kappa, generator = 0.95, torch.Generator().manual_seed(0)
+    x = torch.tensor([[-0.7], [0.9]], dtype=torch.float64).expand(2, 200)
+    distance = (x[1] - x[0]).abs()
+    for k in range(200):
+        near = project(networks((200,), n=20, size=2.0, seed=k), "tight", kappa)
+        u = torch.randn(200, 4, generator=generator, dtype=torch.float64)
+        drive = (near.W2 * u[:, None]).sum(-1) + near.b
+        x = torch.stack([(near.a * (near.w1 * each[:, None] + drive).relu()).sum(-1) for each in x])
+        after = (x[1] - x[0]).abs()
+        assert (after <= kappa * distance + 1e-13).all()
+        distance = after
+
+
+def test_bad_arguments():
+    weights = networks(())
+    for wrong, message in [({"condition": "loose"}, "simple"), ({"gauge": "worst"}, "best")]:
+        with pytest.raises(CertifyError, match=message):
+            project(weights, **wrong)
+    with pytest.raises(CertifyError, match="bounds"):
+        retract(weights, "interval")
+    with pytest.raises(CertifyError, match="use project"):
+        project_jointly(weights, "gershgorin", gauge="literal")
