@@ -13,7 +13,6 @@ from pathlib import Path
 import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
@@ -22,6 +21,7 @@ from rich.progress import Progress
 from usvlearn import Ensemble, __version__
 from usvlearn.errors import bad_input, check_positive
 from usvlearn.evaluation.metrics import fleet_scores, mean_mae
+from usvlearn.evaluation.stability import stability
 from usvlearn.evaluation.tables import report
 from usvlearn.learning.replay import replay
 from usvlearn.learning.run_folder import RunFolder, save_results
@@ -56,7 +56,7 @@ def train(cfg: DictConfig, folder: Path) -> float:
     console.print(report(boats, fleet.rejected))
     told = f"{seconds:.1f} s; MAE of {ensemble.output}: {objective:.4f} m/s; results and parameter sets: {folder}"
     look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"
-    console.print(told, look, sep="\n", soft_wrap=True)
+    console.print(*stability(ensemble, run.state, fleet.boats), told, look, sep="\n", soft_wrap=True)
     return objective
 
 
@@ -67,7 +67,7 @@ def main(cfg: DictConfig) -> float:
     try:
         return train(cfg, folder)
     except Exception as error:
-        if (cause := bad_input(error, InstantiationException)) is None:
+        if (cause := bad_input(error, hydra.errors.InstantiationException)) is None:
             raise
         print(f"error: {cause}", file=sys.stderr)
         if HydraConfig.get().mode.name != "MULTIRUN":

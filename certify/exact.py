@@ -46,23 +46,31 @@ def extreme_slopes(a, w1) -> tuple[Fraction, Fraction]:
     return sum((x for x in s if x > 0), ZERO), sum((-x for x in s if x < 0), ZERO)
 
 
-def rates(a, w1) -> dict[str, Fraction | None]:
-    """The smallest rate at which each condition holds, exactly; None where at none. It holds where the rate is < 1.
+class Condition(NamedTuple):
+    """As of `certify.conditions`, exactly."""
 
-    >>> rates([0.5], [0.5])
-    {'simple': Fraction(2, 1), 'gershgorin': Fraction(1, 2), 'lmi': Fraction(1, 2), 'tight': Fraction(1, 4)}
+    margin: Fraction  # > 0 where the condition holds
+    rate: Fraction | None  # the smallest at which it holds; None where at none
+
+
+def conditions(a, w1) -> dict[str, Condition]:
+    """What every condition of `certify.conditions` says of one network; a, w₁ are `(n,)`.
+
+    >>> [(name, float(found.margin)) for name, found in conditions([0.5], [0.5]).items()]
+    [('simple', -0.5), ('gershgorin', 0.5), ('lmi', 0.5), ('tight', 0.75)]
     """
-    P, N = extreme_slopes(a, w1)
-    K = max(P, N)
-    shares: list[Fraction] | None = []
-    for ai, wi in zip(fractions(a), fractions(w1), strict=True):
-        room = 1 - abs(wi)
-        if room <= 0:
-            shares = None
-            break
-        shares.append(abs(ai) / room)
-    simple = None if shares is None else (len(shares) + 1) * max(shares)
-    return {"simple": simple, "gershgorin": None if shares is None else _sum(shares) / 2, "lmi": 2 * K, "tight": K}
+    K = max(extreme_slopes(a, w1))
+    sizes = [(abs(ai), abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
+    n, least = len(sizes), 1 - max(wi for _, wi in sizes)
+    shares = [ai / (1 - wi) for ai, wi in sizes if wi < 1]
+    half = _sum(shares) / 2
+    inside = least > 0
+    return {
+        "simple": Condition(1 - max((n + 1) * ai + wi for ai, wi in sizes), (n + 1) * max(shares) if inside else None),
+        "gershgorin": Condition(min(1 - half, least), half if inside else None),
+        "lmi": Condition(1 - 2 * K, 2 * K),
+        "tight": Condition(1 - K, K),
+    }
 
 
 def multipliers(condition: str, a, w1, rate: Fraction = ONE) -> Multipliers | None:
@@ -71,7 +79,7 @@ def multipliers(condition: str, a, w1, rate: Fraction = ONE) -> Multipliers | No
     >>> multipliers("tight", [0.9], [1.0])
     Multipliers(metric=Fraction(1, 1), multipliers=[Fraction(8106479329266893, 9007199254740992)])
     """
-    found = rates(a, w1)[condition]
+    found = conditions(a, w1)[condition].rate
     if found is None or not found < rate:
         return None
     n, c = len(np.asarray(a)), CORNER[condition]

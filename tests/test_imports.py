@@ -26,10 +26,13 @@ OURS = {
     "usvlearn.learning": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                   "usvlearn.checkpoint", "usvlearn.learning", "usvlearn.evaluation",
                                   "usvlearn.tensorboard"},
+    "usvlearn.evaluation.stability": LIGHT | {"usvlearn.estimators", "certify"},
     "usvlearn.evaluation": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                     "usvlearn.checkpoint", "usvlearn.evaluation"},
     "usvlearn.tensorboard": set(),
 }  # fmt: skip
+# what of certify may be imported only where it is used: a certificate is checked without torch and without a solver
+TORCH_OF_CERTIFY = {"certify.conditions", "certify.projections", "certify.compare"}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.logs", "usvlearn.evaluation")
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))

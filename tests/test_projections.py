@@ -49,7 +49,7 @@ def exact_rate(weights: ShallowWeights, condition: str, gauge: str) -> Fraction:
             elif z + sum(map(max, ends)) > 0:
                 up, down = up + max(s, 0), down + max(-s, 0)
         return max(on + up, down - on)
-    found = exact.rates(a, w1)[condition]
+    found = exact.conditions(a, w1)[condition].rate
     return Fraction(10**9) if found is None else found
 
 

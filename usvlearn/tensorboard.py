@@ -3,7 +3,9 @@
     online/mae/BOAT/ESTIMATOR      m/s, over the last minutes
     online/skill/BOAT/ESTIMATOR    1 - MAE/MAE(persistence), likewise
     state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, covariance_trace,
-                                   margin_simple, margin_tight, weight_MEMBER
+                                   weight_MEMBER; of an RNN margin_CONDITION (> 0: contracting), contraction_rate,
+                                   time_constant in s, and at rest the number of equilibria, the nearest, m/s, and its
+                                   class, counted from 0 in the order of certify.equilibria.CLASSES
     rejected/BOAT/CHANNEL/CAUSE    counts over the whole log
     prediction/BOAT                a figure
     total/mae/ESTIMATOR            m/s, whole run, mean over boats: what the HPARAMS page compares

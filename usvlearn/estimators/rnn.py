@@ -23,10 +23,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from certify.conditions import CONDITIONS, rate
+from certify.equilibria import CLASSES, equilibria
 from certify.projections import GAUGES, project
 from certify.weights import ShallowWeights
 from usvlearn.errors import ConfigError, check_choice, check_positive
@@ -213,7 +215,24 @@ class RNN(Estimator):
         a, w1 = state.weights.a, state.weights.w1
         margins = {f"margin_{name}": condition(a, w1).margin for name, condition in CONDITIONS.items()}
         K = rate(a, w1)
-        return {**margins, "contraction_rate": K, "time_constant": -state.dt / K.log()}
+        time_constant = torch.where(K < 1, -state.dt / K.log(), torch.nan)
+        return {**margins, "contraction_rate": K, "time_constant": time_constant, **self._at_rest(state)}
+
+    def _at_rest(self, state: RNNState) -> dict[str, Tensor]:
+        """The equilibrium without thrust, at the last heading, that is nearest to the speed: its place and class."""
+        rest = state.inputs_before * state.inputs_before.new_tensor([1.0, 1.0, 0.0, 0.0])
+        found = torch.full((*state.surge.shape, 3), torch.nan, dtype=torch.float64)
+        for lane in np.ndindex(*state.surge.shape):
+            weights = ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.weights))
+            x = float(self.scale * state.surge[lane])
+            if not all(np.isfinite(w).all() for w in weights):
+                continue
+            every = equilibria(weights, rest[lane].tolist(), -1.0, 1.0)
+            found[(*lane, 0)] = len(every)
+            if every:
+                nearest = min(every, key=lambda each, x=x: abs(each.x - x))
+                found[(*lane, 1)], found[(*lane, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
+        return dict(zip(("equilibria", "equilibrium", "equilibrium_class"), found.unbind(-1), strict=True))
 
     def _stable(self, weights: ShallowWeights) -> ShallowWeights:
         if self.contraction_rate is None:

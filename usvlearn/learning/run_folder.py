@@ -55,6 +55,7 @@ class RunFolder:
         self._chunks: list[list[np.ndarray]] = [[] for _ in fleet.runs]  # predictions, per run
         self._pending: list[np.ndarray] = []  # those since the last save
         self._saved = BEGIN
+        self.state: EnsembleState | None = None  # the newest, leaves (boats, ...)
 
     @property
     def predictions(self) -> list[np.ndarray]:
@@ -96,13 +97,14 @@ class RunFolder:
         elif resume is not None:  # kept, should the run stop before its first set
             for lane, boat in enumerate(self.fleet.boats):
                 self._save_lane(start.state, lane, boat, BEGIN)
-        self._saved = start.position
+        self._saved, self.state = start.position, start.state
         self._forget(start.position)
         write_atomically(self.path / RUNS, json.dumps(self._runs, indent=2).encode())
         return start
 
     def save(self, chunk: Chunk) -> None:
         """Write what a chunk makes due: predictions first, since a state is gone on from only with them."""
+        self.state = chunk.state
         self._chunks[chunk.end.run].append(chunk.predictions)
         self._pending.append(chunk.predictions)
         if not chunk.save:

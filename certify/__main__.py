@@ -1,0 +1,249 @@
+"""python -m certify PATH…: is the network that was learned contracting, and by which proof?"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import sys
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from certify import certificate, exact
+from certify.errors import CertifyError
+from certify.weights import Network, digest, find, load
+
+CONDITIONS = (*exact.CORNER, "interval", "box")
+CERTIFIED, NOT_ALL, BAD_INPUT = 0, 1, 2  # exit codes
+EPILOG = """
+exit code: 0 all certified by --condition, 1 not all, 2 bad input
+
+python -m certify outputs/RUN                             the parameter sets of a run
+python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on the operating box
+python -m certify net.npz --certificate proofs            a JSON certificate each
+python -m certify --verify proofs/*.json                  check certificates, without solver and torch
+python -m certify compare                                 the conditions against the LMI, see compare --help
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command; returns its exit code."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        if arguments[:1] == ["compare"]:
+            from certify.compare import main as compare
+
+            return compare(arguments[1:])
+        return _run(_parse(arguments))
+    except CertifyError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except BrokenPipeError:  # the reader of our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return CERTIFIED
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        "python -m certify", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, run folders, patterns")
+    parser.add_argument("--condition", choices=CONDITIONS, default="tight", help="what is judged (default: tight)")
+    parser.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (cvxpy)")
+    parser.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
+    parser.add_argument(
+        "--box",
+        nargs="?",
+        const="",
+        metavar="LO:HI,…",
+        help="search the exact rate on a box of x, u₁ … u_m; by default x and headings in 0:1, commands in -1:1",
+    )
+    parser.add_argument("--seconds", type=float, default=10.0, help="of the search on a box, each (default: 10)")
+    parser.add_argument(
+        "--input", metavar="U,…", help="u at which equilibria are listed (default: zeros, as in the paper)"
+    )
+    parser.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
+    parser.add_argument("--json", action="store_true", help="a list of objects on standard output")
+    parser.add_argument("--certificate", metavar="DIR", help="write a JSON certificate of each set that is certified")
+    parser.add_argument(
+        "--plot", metavar="FILE", help="draw the map and its equilibria; FILE, FILE-2, … for several sets"
+    )
+    parser.add_argument(
+        "--verify", nargs="+", metavar="CERTIFICATE", help="check certificates, of PATH or what they name"
+    )
+    options = parser.parse_args(arguments)
+    if options.box and ":" not in options.box:  # --box PATH
+        options.paths, options.box = [options.box, *options.paths], ""
+    if options.condition in ("interval", "box") and options.box is None:
+        options.box = ""
+    if not (options.paths or options.verify):
+        raise CertifyError("no PATH is given: give checkpoints, a run's folder or a pattern (see --help)")
+    for name, value in (("seconds", options.seconds), ("dt", options.dt)):
+        if value is not None and not 0 < value < float("inf"):
+            raise CertifyError(f"--{name}: found {value}, expected a number above 0")
+    return options
+
+
+def _run(options: argparse.Namespace) -> int:
+    networks = [network for path in find(options.paths) for network in load(path)]
+    if options.verify:
+        return _verify(options.verify, networks, options.json)
+    rows = _judge(options, networks)
+    held = [_holds(row, options.condition) for row in rows]
+    notes = []
+    if options.certificate:
+        notes += _write_certificates(options, networks, rows, held)
+    if options.plot:
+        notes += _plot(options, networks)
+    if options.json:
+        print(json.dumps(rows, indent=1, allow_nan=False, ensure_ascii=False))
+        for note in notes:
+            print(note, file=sys.stderr)
+    else:
+        from certify.table import show
+
+        show(rows, options.condition, held, notes, options.dt)
+    return CERTIFIED if all(held) else NOT_ALL
+
+
+def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dict[str, Any]]:
+    from certify.judge import judge, solver
+
+    solve = solver(options.solver) if options.lmi else None
+    boxes: dict[int, Any] = {}
+    inputs: dict[int, np.ndarray] = {}
+    for network in networks:  # all that is wrong is said before anything is computed
+        m = network.weights.W2.shape[-1]
+        if options.box is not None and m not in boxes:
+            from certify.box import box, operating_box
+
+            boxes[m] = box(options.box, m) if options.box else operating_box(m)
+        if m not in inputs:
+            inputs[m] = _input(options.input, m, network.path)
+    slow = (options.lmi or options.box is not None) and len(networks) > 1
+    return [
+        judge(network, inputs[m], boxes.get(m), options.seconds, solve)
+        for network in _progress(networks, slow)
+        for m in [network.weights.W2.shape[-1]]
+    ]
+
+
+def _input(text: str | None, m: int, path: str) -> np.ndarray:
+    if text is None:
+        return np.zeros(m)
+    try:
+        u = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        raise CertifyError(f"--input: found {text!r}, expected numbers parted by commas") from None
+    if u.shape != (m,) or not np.isfinite(u).all():
+        raise CertifyError(f"--input: found {text!r}, expected {m} finite numbers, the inputs of {path}")
+    return u
+
+
+def _progress(networks: Sequence[Network], wanted: bool):
+    if not wanted:
+        return networks
+    from rich.console import Console
+    from rich.progress import track
+
+    return track(networks, "certifying", console=Console(stderr=True), transient=True)
+
+
+def _holds(row: dict[str, Any], condition: str) -> bool:
+    if condition in row["certified"]:
+        return row["certified"][condition]
+    return row["box"]["verdict" if condition == "box" else "interval"] == "certified"
+
+
+def _write_certificates(options, networks: Sequence[Network], rows, held) -> list[str]:
+    folder, written = Path(options.certificate), 0
+    if folder.exists() and not folder.is_dir():
+        raise CertifyError(f"--certificate: {folder} is a file, expected a folder")
+    for network, name, row, holds in zip(networks, _names(networks), rows, held, strict=True):
+        if not holds:
+            continue
+        more: dict[str, Any] = {}
+        if options.condition in ("interval", "box"):
+            from certify.box import box
+
+            found = row["box"]
+            more = {"box": box(found["intervals"], row["m"]), "invariance_tree": found["invariance_tree"]}
+            if options.condition == "box":
+                more |= {"tree": found["tree"], "rate": Fraction(found["proved_rate"])}
+        made = certificate.make(network.weights, options.condition, path=network.path, **more)
+        if made is None:
+            raise AssertionError(f"{network.path}: what was certified cannot be proved")
+        certificate.write(folder / f"{name}.{options.condition}.json", made)
+        written += 1
+    return [f"{written} certificates: {folder}; check them with --verify"]
+
+
+def _names(networks: Sequence[Network]) -> list[str]:
+    """A file name for each set: what its path does not share with the others."""
+    paths = [network.path for network in networks]
+    shared = os.path.commonpath([os.path.dirname(path) or "." for path in paths]) if len(set(paths)) > 1 else ""
+    names = [os.path.relpath(path, shared) if shared else os.path.basename(path) for path in paths]
+    return [
+        re.sub(r"[^\w.-]+", "_", re.sub(r"\.(safetensors|npz|pth?)(?=\W|$)", "", name)).strip("_") for name in names
+    ]
+
+
+def _plot(options, networks: Sequence[Network]) -> list[str]:
+    from certify.equilibria import surge_inputs
+    from certify.figures import equilibria_figure
+
+    file, written = Path(options.plot), []
+    file.parent.mkdir(parents=True, exist_ok=True)
+    for k, network in enumerate(networks):
+        path = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
+        m = network.weights.W2.shape[-1]
+        headings = np.linspace(0.0, 2 * np.pi, 24, endpoint=False) if m == 4 and options.input is None else None
+        u = _input(options.input, m, network.path) if headings is None else surge_inputs(headings)
+        figure = equilibria_figure(network.weights, u, network.path, headings=headings)
+        try:
+            figure.savefig(path)
+        except (ValueError, OSError) as error:
+            raise CertifyError(f"--plot: {path} cannot be written ({error}): give a file such as map.png") from error
+        written.append(str(path))
+    return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]
+
+
+def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) -> int:
+    known = {digest(network.weights): network for network in networks}
+    results = []
+    for path in paths:
+        content = certificate.read(path)
+        network = known.get(content.get("weights")) if networks else _named(path, content)
+        if network is None:
+            found = certificate.Verification(False, "it is about other weights than those that were given")
+        else:
+            found = certificate.verify(content, network.weights)
+        results.append({"certificate": path, "valid": found.valid, "reason": found.reason})
+    if as_json:
+        print(json.dumps(results, indent=1, ensure_ascii=False))
+    else:
+        for result in results:
+            print(f"{result['certificate']}: {'valid' if result['valid'] else 'REFUSED'}: {result['reason']}")
+    return CERTIFIED if all(result["valid"] for result in results) else NOT_ALL
+
+
+def _named(path: str, content: dict[str, Any]) -> Network | None:
+    """The parameter set that a certificate names: below the working folder, or beside the certificate."""
+    named = str(content.get("path", ""))
+    for folder in (Path(), Path(path).parent):
+        file = next((Path(named[:end]) for end in range(len(named), 0, -1) if (folder / named[:end]).is_file()), None)
+        if file is not None:
+            found = {digest(network.weights): network for network in load(folder / file)}
+            return found.get(content.get("weights"))
+    raise CertifyError(
+        f"{path}: its weights, {named or 'a file without a name'}, are not there: give their path before --verify"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

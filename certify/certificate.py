@@ -1,0 +1,225 @@
+"""A certificate: what is claimed of one network, and a proof that anyone can check with rational arithmetic alone.
+
+    simple, gershgorin, lmi, tight     a metric p and multipliers Λ with M(p, Λ) ≻ 0        (`certify.exact`)
+    interval, box                      a tree of boxes, on each of which the slope is bounded (`certify.box_proof`)
+
+`verify` needs neither a solver nor torch. It rebuilds every statement from the weights; the checksum is there for
+accidents, the mathematics for everything else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+from collections.abc import Mapping
+from fractions import Fraction
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from certify import box_proof, exact
+from certify.box_proof import Box
+from certify.errors import CertifyError
+from certify.weights import ShallowWeights, check, digest
+
+FORMAT = "usvlearn certificate 1"
+CLOSED_FORMS = tuple(exact.CORNER)
+DIGITS = 6  # of the rate that is proved, rounded up
+
+
+class Verification(NamedTuple):
+    """What came of checking a certificate."""
+
+    valid: bool
+    reason: str  # what was proved, or why it is refused
+
+
+def provable_rate(rate: Fraction | float) -> Fraction | None:
+    """A short decimal above a rate, at most 1; None where there is none.
+
+    >>> provable_rate(Fraction(1, 3)), provable_rate(0.9999999), provable_rate(1)
+    (Fraction(166667, 500000), Fraction(1, 1), None)
+    """
+    rate, scale = Fraction(rate), 10**DIGITS
+    above = Fraction(rate * scale // 1 + 1, scale)
+    return min(above, Fraction(1)) if rate < 1 else None
+
+
+def make(
+    weights: ShallowWeights,
+    condition: str = "tight",
+    rate: Fraction | float | None = None,
+    box: Box | None = None,
+    tree: str = ".",
+    invariance_tree: str | None = None,
+    path: str = "",
+) -> dict[str, Any] | None:
+    """A certificate, ready for JSON; None where the condition does not hold, or the tree does not prove it.
+
+    Args:
+        weights: of one network.
+        condition: `simple`, `gershgorin`, `lmi`, `tight`; or `interval`, `box`, with a box.
+        rate: κ at which it is to hold, at most 1; by default a short decimal just above the smallest.
+        box: of `interval` and `box`.
+        tree: of `box`, from `certify.box.certify`.
+        invariance_tree: likewise, where f maps the box into its interval of x.
+        path: of the file that holds the weights.
+
+    >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
+    >>> made["condition"], made["rate"], verify(made, ShallowWeights([0.5], [1.0], [[0.0]], [0.0])).valid
+    ('tight', '500001/1000000', True)
+    """
+    weights = check(weights, path or "weights")
+    if condition in CLOSED_FORMS:
+        found = exact.conditions(weights.a, weights.w1)[condition].rate
+        kappa = provable_rate(found) if rate is None and found is not None else rate
+        proof = None if found is None or kappa is None else exact.multipliers(condition, weights.a, weights.w1, kappa)
+        if proof is None:
+            return None
+        parts = {"metric": str(proof.metric), "multipliers": [str(x) for x in proof.multipliers]}
+    elif condition in ("interval", "box"):
+        if box is None:
+            raise CertifyError(f"{condition}: found no box, expected one: it is what the certificate is about")
+        tree, kappa = ("." if condition == "interval" else tree), Fraction(1) if rate is None else Fraction(rate)
+        parts = {"box": _pairs(box), "tree": tree, "invariance_tree": invariance_tree}
+    else:
+        raise CertifyError(
+            f"condition: found {condition!r}, expected one of {', '.join((*CLOSED_FORMS, 'interval', 'box'))}"
+        )
+    content = {
+        **_claims(weights, condition, Fraction(kappa), parts),
+        "proof": parts,
+        "path": path,
+        "versions": _versions(),
+    }
+    content["sha256"] = _checksum(content)
+    return content if verify(content, weights).valid else None
+
+
+def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verification:
+    """Check a certificate of the given weights: its checksum, that it is about them, every claim, and the proof.
+
+    >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
+    >>> verify(made, ShallowWeights([0.75], [1.0], [[0.0]], [0.0])).reason
+    'it is about other weights: their sha256 differs'
+    """
+    try:
+        return _verify(dict(certificate), check(weights))
+    except (KeyError, TypeError, ValueError, ZeroDivisionError, AttributeError) as error:
+        return Verification(False, f"it is no certificate that can be read: {type(error).__name__} {error}")
+
+
+def _verify(content: dict[str, Any], weights: ShallowWeights) -> Verification:
+    if content["format"] != FORMAT:
+        return Verification(False, f"it has the format {content['format']!r}, expected {FORMAT!r}")
+    if content["sha256"] != _checksum(content):
+        return Verification(False, "it was changed after it was made: its checksum differs")
+    if content["weights"] != digest(weights):
+        return Verification(False, "it is about other weights: their sha256 differs")
+    condition, kappa, proof = content["condition"], Fraction(content["rate"]), content["proof"]
+    claims = _claims(weights, condition, kappa, proof)
+    if not 0 < kappa <= 1:
+        return Verification(False, f"its rate is {kappa}, expected one above 0 and at most 1")
+    if wrong := [key for key, value in claims.items() if content.get(key) != value]:
+        return Verification(False, f"what it says of {', '.join(wrong)} does not follow from the weights")
+    if condition in CLOSED_FORMS:
+        multipliers = exact.Multipliers(Fraction(proof["metric"]), [Fraction(x) for x in proof["multipliers"]])
+        if not exact.proves(condition, weights.a, weights.w1, multipliers, kappa):
+            return Verification(False, "its p and Λ do not make M positive definite")
+    else:
+        box = _box(proof["box"])
+        if not box_proof.proves(weights, box, proof["tree"], kappa):
+            return Verification(False, "its tree does not bound the slope on the box")
+        if proof["invariance_tree"] is not None and not box_proof.proves_range(weights, box, proof["invariance_tree"]):
+            return Verification(False, "its tree does not keep x inside the box")
+    return Verification(True, content["claim"])
+
+
+def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Mapping[str, Any]) -> dict[str, Any]:
+    """What a certificate says, as it follows from the weights, the condition, the rate and the box."""
+    bound = kappa * Fraction(exact.CORNER.get(condition, 2), 2)  # M with Λ in the corner at κ: slopes in [0, 2], κ/2
+    where, how = "for all x₁, x₂ and u", "M(p, Λ) is positive definite: LDLᵀ in rational arithmetic"
+    margin = 1 - kappa
+    if condition in CLOSED_FORMS:
+        margin = exact.conditions(weights.a, weights.w1)[condition].margin
+    else:
+        invariant = proof["invariance_tree"] is not None
+        where = "on the box, " + ("which f maps into itself" if invariant else "for as long as x stays in it")
+        how = "interval bounds on every box of the tree, in rational arithmetic"
+    n, m = weights.W2.shape
+    return {
+        "format": FORMAT,
+        "claim": f"|f(x₁, u) − f(x₂, u)| ≤ {_decimal(bound)} |x₁ − x₂| {where}",
+        "weights": digest(weights),
+        "neurons": n,
+        "inputs": m,
+        "condition": condition,
+        "rate": str(kappa),
+        "margin": float(margin),
+        "contraction_rate": str(bound),
+        "verified": how,
+    }
+
+
+def _decimal(x: Fraction) -> str:
+    """Rounded up, so that what is read is true."""
+    scale = 10 ** (DIGITS + 1)
+    return f"{float(Fraction(-(-x * scale // 1), scale)):.{DIGITS + 1}g}"
+
+
+def _pairs(box: Box) -> list[list[str]]:
+    return [[str(Fraction(float(lo))), str(Fraction(float(hi)))] for lo, hi in zip(box.lo, box.hi, strict=True)]
+
+
+def _box(pairs: list[list[str]]) -> Box:
+    ends = [[Fraction(x) for x in pair] for pair in pairs]
+    if any(len(pair) != 2 or pair[0] > pair[1] or any(Fraction(float(x)) != x for x in pair) for pair in ends):
+        raise ValueError("the box's ends are no floats in order")
+    lo, hi = np.array([[float(x) for x in pair] for pair in ends]).T
+    return Box(lo.copy(), hi.copy())
+
+
+def _checksum(content: Mapping[str, Any]) -> str:
+    text = json.dumps({key: value for key, value in content.items() if key != "sha256"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _versions() -> dict[str, str]:
+    try:
+        own = version("usvlearn")
+    except PackageNotFoundError:
+        own = "unknown"
+    return {"usvlearn": own, "python": platform.python_version(), "numpy": np.__version__}
+
+
+def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
+    """Write a certificate to a file, whole or not at all."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    unfinished.write_text(json.dumps(certificate, indent=1, ensure_ascii=False) + "\n")
+    os.replace(unfinished, path)
+    return path
+
+
+def read(path: str | Path) -> dict[str, Any]:
+    """Read a certificate, unchecked.
+
+    Raises:
+        CertifyError: no such file, or not a JSON object.
+    """
+    try:
+        content = json.loads(Path(path).read_text())
+    except OSError as error:
+        raise CertifyError(f"{path}: cannot be read ({error.strerror}): give the path of a certificate") from error
+    except ValueError as error:
+        raise CertifyError(
+            f"{path}: is no certificate ({error}): expected the JSON that --certificate writes"
+        ) from error
+    if not isinstance(content, dict):
+        raise CertifyError(f"{path}: found a JSON {type(content).__name__}, expected a certificate")
+    return content

@@ -1,0 +1,50 @@
+"""Whether the networks that were learned are contracting: one line each, for the console."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from certify import certificate, exact
+from certify.weights import ShallowWeights
+from usvlearn.estimators.ensemble import Ensemble, EnsembleState
+from usvlearn.estimators.rnn import RNN
+
+SHOWN = 8  # boats, of which each has a line
+
+
+def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> list[str]:
+    """A line for each RNN and boat, decided and proved in rational arithmetic; of large fleets the first boats alone.
+
+    Args:
+        ensemble: what learned.
+        state: leaves `(boats, …)`.
+        boats: their names.
+
+    >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
+    >>> stability(ensemble, ensemble.init((1,)), ["heron"])[0].split(",")[0]
+    'rnn of heron: certified contracting by tight'
+    """
+    told = []
+    for name, member in ensemble.members.items():
+        if not isinstance(member, RNN):
+            continue
+        for lane, boat in enumerate(boats[:SHOWN]):
+            numbers = {key: float(value[lane].detach()) for key, value in member.monitor(state.members[name]).items()}
+            weights = ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.members[name].weights))
+            told.append(f"{name} of {boat}: {_verdict(weights, numbers)}")
+        if len(boats) > SHOWN:
+            told.append(f"{name}: {len(boats) - SHOWN} more boats: python -m certify on the run's folder")
+    return told
+
+
+def _verdict(weights: ShallowWeights, numbers: dict[str, float]) -> str:
+    if not math.isfinite(numbers["contraction_rate"]):
+        return "its weights are not finite"
+    K, constant = numbers["contraction_rate"], numbers["time_constant"]
+    held = [name for name in exact.CORNER if certificate.make(weights, name) is not None]
+    if not held:
+        return f"not certified contracting, K = {K:.4g} (≥ 1) a step; python -m certify --box may know more"
+    rest = f"; at rest {numbers['equilibrium']:.3f} m/s" if math.isfinite(numbers["equilibrium"]) else ""
+    slow = f" ({constant:.3g} s)" if constant > 0 else ""
+    return f"certified contracting by {', '.join(held)}, K = {K:.4g} a step{slow}{rest}"
