@@ -126,9 +126,14 @@ def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dic
         if m not in inputs:
             inputs[m] = _input(options.input, m, network.path)
     slow = (options.lmi or options.box is not None) and len(networks) > 1
+    listed = networks
+    if slow:
+        from certify.table import progress
+
+        listed = progress(networks, "certifying")
     return [
         judge(network, inputs[m], boxes.get(m), options.seconds, solve)
-        for network in _progress(networks, slow)
+        for network in listed
         for m in [network.weights.W2.shape[-1]]
     ]
 
@@ -143,15 +148,6 @@ def _input(text: str | None, m: int, path: str) -> np.ndarray:
     if u.shape != (m,) or not np.isfinite(u).all():
         raise CertifyError(f"--input: found {text!r}, expected {m} finite numbers, the inputs of {path}")
     return u
-
-
-def _progress(networks: Sequence[Network], wanted: bool):
-    if not wanted:
-        return networks
-    from rich.console import Console
-    from rich.progress import track
-
-    return track(networks, "certifying", console=Console(stderr=True), transient=True)
 
 
 def _holds(row: dict[str, Any], condition: str) -> bool:
@@ -195,20 +191,15 @@ def _names(networks: Sequence[Network]) -> list[str]:
 
 def _plot(options, networks: Sequence[Network]) -> list[str]:
     from certify.equilibria import surge_inputs
-    from certify.figures import equilibria_figure
+    from certify.figures import equilibria_figure, save
 
     file, written = Path(options.plot), []
-    file.parent.mkdir(parents=True, exist_ok=True)
     for k, network in enumerate(networks):
         path = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
         m = network.weights.W2.shape[-1]
-        headings = np.linspace(0.0, 2 * np.pi, 24, endpoint=False) if m == 4 and options.input is None else None
+        headings = np.linspace(0.0, 2 * np.pi, 24, endpoint=False) if options.headings and m == 4 else None
         u = _input(options.input, m, network.path) if headings is None else surge_inputs(headings)
-        figure = equilibria_figure(network.weights, u, network.path, headings=headings)
-        try:
-            figure.savefig(path)
-        except (ValueError, OSError) as error:
-            raise CertifyError(f"--plot: {path} cannot be written ({error}): give a file such as map.png") from error
+        save(equilibria_figure(network.weights, u, network.path, headings=headings), path)
         written.append(str(path))
     return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]
 

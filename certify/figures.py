@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -166,3 +168,81 @@ def _told(kind: str, found: list[Equilibrium], listed: int) -> str:
         return f"{kind}\n{len(found)} from x = {lo:.3g} to {hi:.3g}"
     places = [f"{each.lo:.4g}" if each.lo == each.hi else f"{each.lo:.4g} … {each.hi:.4g}" for each in found]
     return "\n".join([kind, *(f"x = {place}" for place in places)])
+
+
+def save(figure, path: str | Path) -> None:
+    """Write a figure to a file, in the format that its ending names.
+
+    Raises:
+        CertifyError: it cannot be written, or no such format.
+    """
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(path)
+    except (ValueError, OSError) as error:
+        raise CertifyError(f"{path}: cannot be written ({error}): give a file such as map.png") from error
+
+
+TIER_COLOURS = {
+    "simple": "#D55E00", "gershgorin": "#E69F00", "lmi": "#CC79A7", "tight": "#0072B2", "interval": "#56B4E9",
+    "box": "#009E73",
+}  # fmt: skip
+
+
+def comparison_figure(result: Mapping[str, Any]):
+    """What `certify.compare.study` found: shares certified, rates against the exact one, time constants, costs."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise CertifyError(
+            "the figure of the comparison needs matplotlib: run `pip install 'usvlearn[plot]'`"
+        ) from error
+    figure = Figure(figsize=(12, 8.4), dpi=100, layout="constrained")
+    (shares, ratios), (constants, costs) = figure.subplots(2, 2)
+    families = list(result["families"])
+    trained = next((name for name in families if name.startswith("given")), families[2])
+    rows = result["families"][trained]["networks"]
+    for k, (tier, colour) in enumerate(TIER_COLOURS.items()):
+        height = [100 * result["families"][name]["tiers"][tier]["share"] for name in families]
+        bars = shares.bar(np.arange(len(families)) + 0.13 * (k - 2.5), height, 0.12, color=colour, label=tier)
+        shares.bar_label(bars, fmt="%.0f", fontsize=7, padding=1)
+        ratio = np.sort([row["rates"][tier] / row["K_box"][1] for row in rows if row["rates"][tier] is not None])
+        if len(ratio):
+            ratios.step(ratio, np.arange(1, len(ratio) + 1) / len(rows), where="post", color=colour, label=tier)
+    shares.set_xticks(range(len(families)), families)
+    shares.set(ylabel="certified contracting, %", ylim=(0, 128), title=f"Share certified, n = {result['neurons']}")
+    shares.legend(ncols=3, fontsize=8, frameon=False, loc="upper left")
+    ratios.axvline(1, color=INK, linewidth=0.8)
+    ratios.set(xscale="log", xlabel="rate at which it holds / exact rate on the box", ylabel="share of networks",
+               title=f"Conservatism ({trained})")  # fmt: skip
+    ratios.legend(fontsize=8, frameon=False)
+    dt, limit = result["dt"], {"simple": 0.25, "gershgorin and lmi": 0.5}
+    exact = [-dt / np.log(row["K_box"][1]) for row in rows if 0 < row["K_box"][1] < 1]
+    if exact:
+        heights, _, _ = constants.hist(
+            exact, bins=np.geomspace(min(*exact, dt / 3) * 0.9, max(exact) * 1.1, 30), color=PALE
+        )
+        constants.set_ylim(0, 1.35 * heights.max())
+    for (name, K), colour in zip(limit.items(), ("#D55E00", "#CC79A7"), strict=True):
+        constants.axvline(-dt / np.log(K), color=colour, linewidth=2, label=f"{name}: none slower than this passes")
+    constants.set(xscale="log", xlabel="time constant −dt / ln K on the box, s", ylabel="networks",
+                  title=f"Implied time constant ({trained})")  # fmt: skip
+    constants.legend(fontsize=8, frameon=False, loc="upper left")
+    n = [row["n"] for row in result["timings"]]
+    lines = {
+        "closed_tight": ("closed form (torch)", TIER_COLOURS["tight"]), "exact_rate": ("exact rate", "#999999"),
+        "proof": ("p, Λ and LDLᵀ in rationals", INK), "box": ("box, branch and bound", TIER_COLOURS["box"]),
+        "lmi_again": ("LMI, solved again", TIER_COLOURS["lmi"]), "lmi_first": ("LMI, first time", "#882255"),
+    }  # fmt: skip
+    for key, (label, colour) in lines.items():
+        known = [(size, row[key]) for size, row in zip(n, result["timings"], strict=True) if row[key] is not None]
+        if known:
+            costs.loglog(*zip(*known, strict=True), marker="o", markersize=4, color=colour, label=label)
+    costs.set(xlabel="neurons n", ylabel="time of one network, s", title="Cost")
+    costs.legend(fontsize=8, frameon=False)
+    for axes in (shares, ratios, constants, costs):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.title.set_fontsize(11)
+        axes.grid(color="#EEEEEE", linewidth=0.8)
+        axes.set_axisbelow(True)
+    return figure

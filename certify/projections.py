@@ -10,8 +10,8 @@ difference of their thresholds:
 
     a_i ← a_i − δ w_{1i} (always on),   δ = θ₊(κ − S_on + δ W_on) − θ₋(κ + S_on − δ W_on)                     (2)
 
-with S_on = Σ s_i and W_on = Σ w_{1i}² over them. The nearest (a, w₁) together is, in one class, with h ≥ l the larger and
-the smaller of |a_i|, |w_{1i}|,
+with S_on = Σ s_i and W_on = Σ w_{1i}² over them. The nearest (a, w₁) together is, in one class, with h ≥ l the larger
+and the smaller of |a_i|, |w_{1i}|,
 
     h + l ← (h + l)/(1 + θ),  h − l ← (h − l)/(1 − θ);  l ← 0 where it would be < 0;  Σ h l = r,  θ ∈ [0, 1]    (3)
 

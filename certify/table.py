@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+import sys
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -18,11 +20,15 @@ WORDS = {"certified": "green", "refuted": "red", "not certified": "red", "unknow
 
 def show(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool], notes: Sequence[str], dt: float | None):
     """One row per parameter set, and a summary."""
-    console = Console(markup=False, highlight=False)
-    if not console.is_terminal:  # a file or a pipe: no line is folded
-        console = Console(markup=False, highlight=False, width=240)
+    console = _console()
     console.print(_table(rows, dt))
     console.print(*summary(rows, condition, held), *notes, sep="\n", soft_wrap=True)
+
+
+def _console() -> Console:
+    """As wide as the terminal; wide where there is none, so that no line of a file is folded."""
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 200
+    return Console(markup=False, highlight=False, width=width)
 
 
 def _table(rows: Sequence[dict[str, Any]], dt: float | None) -> Table:
@@ -111,3 +117,70 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
             u = ", ".join(f"{x:.4g}" for x in point["u"])
             told.append(f"witness: {refuted['path']}: slope {point['slope']:.6g} at x = {point['x']:.4g}, u = ({u})")
     return told
+
+
+def progress(items: Sequence, told: str):
+    """The items, with a bar on the standard error stream that leaves no trace."""
+    from rich.progress import track
+
+    return track(items, told, console=Console(stderr=True), transient=True)
+
+
+def show_comparison(result: dict[str, Any]) -> None:
+    """The tables of `certify.compare`."""
+    console = _console()
+    for name, family in result["families"].items():
+        table = Table(box=SIMPLE_HEAD, title_justify="left",
+                      title=f"{name}: {len(family['networks'])} networks of {result['neurons']} neurons")  # fmt: skip
+        headings = ("tier", "certified", "rate/exact", "largest K certified", "time constant", "solver disagrees")
+        for k, heading in enumerate(headings):
+            table.add_column(heading, justify="right" if k else "left")
+        for tier, row in family["tiers"].items():
+            K, ratio = row["largest_K"], row["conservatism"]
+            slowest = "–" if K is None or not 0 < K < 1 else f"{-result['dt'] / math.log(K):.3g} s"
+            table.add_row(
+                tier,
+                f"{100 * row['share']:.0f} %",
+                "–" if ratio is None else f"{ratio:.3g}",
+                "–" if K is None else f"{K:.4g}",
+                slowest,
+                "" if row["disagreements"] is None else str(row["disagreements"]),
+            )
+        console.print(table)
+    console.print(_timing_table(result["timings"]))
+    if result["paper"]:
+        console.print(_paper_table(result["paper"]))
+
+
+def _timing_table(rows: Sequence[dict[str, Any]]) -> Table:
+    table = Table(box=SIMPLE_HEAD, title="Time of one network; ratio: LMI solved again / closed form",
+                  title_justify="left")  # fmt: skip
+    keys = {"closed_tight": "closed form", "exact_rate": "exact rate", "proof": "p, Λ, LDLᵀ", "box": "box",
+            "lmi_first": "LMI first", "lmi_again": "LMI again"}  # fmt: skip
+    for heading in ("n", *keys.values(), "ratio"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        ratio = "–" if row["lmi_again"] is None else f"{row['lmi_again'] / row['closed_tight']:.2g}"
+        table.add_row(str(row["n"]), *(_seconds(row[key]) for key in keys), ratio)
+    return table
+
+
+def _seconds(x: float | None) -> str:
+    if x is None:
+        return "–"
+    return next(f"{x * scale:.3g} {unit}" for scale, unit in ((1, "s"), (1e3, "ms"), (1e6, "µs")) if x * scale >= 1)
+
+
+def _paper_table(rows: Sequence[dict[str, Any]]) -> Table:
+    table = Table(box=SIMPLE_HEAD, title="The paper's tests, literally and mended", title_justify="left")
+    for heading in ("test", "accepted at 0.999 of its edge", "accepted just beyond", "identity", "wrong"):
+        table.add_column(heading, justify="right" if heading != "test" else "left")
+    for row in rows:
+        if "wrong" in row:
+            table.add_row(row["test"], "", "", "", "{} of {}".format(*row["wrong"]))
+        else:
+            wrong = row["identity"] + max(0, row["beyond"][0] - row["contracting"])
+            identity = "accepted" if row["identity"] else "refused"
+            table.add_row(row["test"], "{} of {}".format(*row["inside"]), "{} of {}".format(*row["beyond"]), identity,
+                          f"{wrong} not contracting")  # fmt: skip
+    return table

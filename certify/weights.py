@@ -78,8 +78,8 @@ def digest(weights: ShallowWeights) -> str:
 def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Network]:
     """Every shallow network among named tensors, lane by lane.
 
-    Names end in `a`, `w1`, `W2`, `b` below a common prefix (`members.rnn.weights.a`), or are those of two linear layers,
-    the first with (n, 1 + m) weights, the state's in column 0, the second with (1, n) and no bias.
+    Names end in `a`, `w1`, `W2`, `b` below a common prefix (`members.rnn.weights.a`), or are those of two linear
+    layers, the first with (n, 1 + m) weights, the state's in column 0, the second with (1, n) and no bias.
 
     >>> from_tensors({"net.a": [0.5], "net.w1": [1.0], "net.W2": [[0.0]], "net.b": [0.0]})[0].path
     'tensors'
@@ -94,8 +94,8 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
     if not found:
         names = ", ".join(list(tensors)[:6]) or "nothing"
         raise CertifyError(
-            f"{path}: holds no shallow network (it holds: {names}{', …' if len(tensors) > 6 else ''}): expected tensors "
-            "named a, w1, W2 and b, or two linear layers"
+            f"{path}: holds no shallow network (it holds: {names}{', …' if len(tensors) > 6 else ''}): expected "
+            "tensors named a, w1, W2 and b, or two linear layers"
         )
     networks = []
     for prefix, weights in found:

@@ -22,8 +22,8 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
         boats: their names.
 
     >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
-    >>> stability(ensemble, ensemble.init((1,)), ["heron"])[0].split(",")[0]
-    'rnn of heron: certified contracting by tight'
+    >>> stability(ensemble, ensemble.init((1,)), ["heron"])[0].split(", K")[0]
+    'rnn of heron: certified contracting by lmi, tight'
     """
     told = []
     for name, member in ensemble.members.items():
