@@ -116,10 +116,10 @@ def table(title: str, rows: Iterable[tuple[str, float, Trial]], reference: tuple
         "|---|" + "---:|" * 6,
     ]
     for name, rate, found in rows:
-        free = found.free.flatten()
+        free, K = found.free.flatten(), found.K
         lines.append(
-            f"| {name} | {rate:g} | {found.online.mean():.4f} | {free.mean():.4f} | {free.min():.4f} … {free.max():.4f} "
-            f"| {free.mean() / base:.2f} | {found.K.min():.3g} … {found.K.max():.3g} |"
+            f"| {name} | {rate:g} | {found.online.mean():.4f} | {free.mean():.4f} | {free.min():.4f} … {free.max():.4f}"
+            f" | {free.mean() / base:.2f} | {K.min():.3g} … {K.max():.3g} |"
         )
     lines.append(
         f"| *persistence; mean speed* | | {reference[0]:.4f} | {reference[1]:.4f} | | {reference[1] / base:.2f} | |"

@@ -73,6 +73,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--plot", metavar="FILE", help="draw the map and its equilibria; FILE, FILE-2, … for several sets"
     )
+    parser.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
     parser.add_argument(
         "--verify", nargs="+", metavar="CERTIFICATE", help="check certificates, of PATH or what they name"
     )
@@ -181,12 +182,11 @@ def _write_certificates(options, networks: Sequence[Network], rows, held) -> lis
 
 def _names(networks: Sequence[Network]) -> list[str]:
     """A file name for each set: what its path does not share with the others."""
-    paths = [network.path for network in networks]
-    shared = os.path.commonpath([os.path.dirname(path) or "." for path in paths]) if len(set(paths)) > 1 else ""
-    names = [os.path.relpath(path, shared) if shared else os.path.basename(path) for path in paths]
-    return [
-        re.sub(r"[^\w.-]+", "_", re.sub(r"\.(safetensors|npz|pth?)(?=\W|$)", "", name)).strip("_") for name in names
-    ]
+    paths = [os.path.abspath(network.path) for network in networks]
+    shared = os.path.commonpath([os.path.dirname(path) for path in paths])
+    names = [re.sub(r"\.(safetensors|npz|pth?)(?=\W|$)", "", os.path.relpath(path, shared)) for path in paths]
+    names = [re.sub(r"[^\w.-]+", "_", name).strip("_") for name in names]
+    return [name if names.count(name) == 1 else f"{name}_{k}" for k, name in enumerate(names)]
 
 
 def _plot(options, networks: Sequence[Network]) -> list[str]:

@@ -239,7 +239,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--networks", type=int, default=60, help="of each family (default: 60)")
     parser.add_argument("--neurons", type=int, default=20, help="of each network (default: 20)")
     parser.add_argument("--dt", type=float, default=0.4, help="s, step of the trained networks (default: 0.4)")
-    parser.add_argument("--sizes", type=_sizes, default=[10, 20, 50, 100, 200, 500], help="n to time, parted by commas")
+    parser.add_argument("--sizes", default="10,20,50,100,200,500", help="n to time, parted by commas")
     parser.add_argument("--largest", type=int, default=100, help="n up to which the LMI is timed (default: 100)")
     parser.add_argument("--seconds", type=float, default=2.0, help="of each search on a box (default: 2)")
     parser.add_argument("--seed", type=int, default=0)
@@ -254,6 +254,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     for name in ("networks", "neurons", "dt", "seconds"):
         if not 0 < getattr(options, name) < math.inf:
             raise CertifyError(f"--{name}: found {getattr(options, name)}, expected a number above 0")
+    options.sizes = _sizes(options.sizes)
     return options
 
 

@@ -15,6 +15,7 @@ from certify.equilibria import equilibria, surge_inputs, sweep
 from certify.weights import Network, ShallowWeights
 
 HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
+AT_REST = (-1.0, 1.0)  # x between which they are looked for: twice the largest speed, ahead or astern
 
 
 def judge(
@@ -56,7 +57,7 @@ def judge(
         "equilibria": [_told(each) for each in equilibria(weights, u)],
     }
     if m == 4:
-        at_rest = sweep(weights, surge_inputs(HEADINGS))
+        at_rest = sweep(weights, surge_inputs(HEADINGS), *AT_REST)
         every = [each for places in at_rest for each in places]
         found["at_rest"] = {
             "headings": len(at_rest),

@@ -43,12 +43,12 @@ def _table(rows: Sequence[dict[str, Any]], dt: float | None) -> Table:
     for key in more:
         table.add_column({"lmi": "LMI solved", "box": "on the box"}[key])
     table.add_column("equilibria", overflow="fold")
-    paths = [row["path"] for row in rows]
+    paths = [os.path.abspath(row["path"]) for row in rows]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths]) if len(paths) > 1 else ""
     if shared:
-        table.caption, table.caption_justify = f"below {shared}", "left"
+        table.caption, table.caption_justify = f"below {os.path.relpath(shared)}", "left"
     for row in rows:
-        cells: list[str | Text] = [os.path.relpath(row["path"], shared) if shared else row["path"], str(row["n"])]
+        cells: list[str | Text] = [os.path.relpath(os.path.abspath(row["path"]), shared) if shared else row["path"], str(row["n"])]
         for name in MARGINS:
             cells.append(Text(f"{row['margins'][name]:.4g}", "green" if row["certified"][name] else "red"))
         cells += [f"{row['rate']:.6g}", time_constant(row["time_constant"], dt)]

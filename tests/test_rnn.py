@@ -1,14 +1,18 @@
 """RNN: its written-out gradient equals autograd's and differences; its Adam equals torch's."""
 
+from fractions import Fraction
+
 import pytest
 import torch
 from torch.func import grad
 
+from certify import exact
 from certify.weights import ShallowWeights
 from tests.conftest import random_samples
 from usvlearn import RNN, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.rnn import gradient, network, network_inputs
+from usvlearn.signals import tree_map
 
 
 def case(n: int, batch=(), seed: int = 0):
@@ -107,5 +111,64 @@ def test_learns_a_constant_speed():
 
 @pytest.mark.parametrize("wrong", [{"unroll": 3}, {"neurons": 0}, {"rate": 0.0}, {"surge_max": 0.0}, {"decay": 0}])
 def test_illegal_hyperparameters_are_refused(wrong):
+    with pytest.raises(ConfigError, match="expected"):
+        RNN(**wrong)
+
+
+@pytest.mark.parametrize("updates", [pytest.param(40, id="some"), pytest.param(2000, id="1e5", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight"])
+def test_projection_holds_exactly_after_every_update(condition, updates):
+    """50 lanes with rates up to 1, outliers of 10⁴ m/s, stale and missing samples: no set beyond the rate, exactly."""
+    rates = torch.logspace(-4, 0, 50, dtype=torch.float64)
+    rnn, generator = RNN(condition=condition, rate=rates, decay=None), torch.Generator().manual_seed(0)
+    samples = random_samples(updates, 50)
+    wild = torch.rand(samples.surge.shape, generator=generator, dtype=torch.float64)
+    surge = torch.where(wild < 0.02, 1e4 * torch.randn(wild.shape, generator=generator).double(), samples.surge)
+    surge = torch.where(wild > 0.98, torch.nan, surge)
+    with torch.no_grad():
+        _, _, weights = rollout(rnn, rnn.init((50,)), samples._replace(surge=surge), record=lambda s: s.weights)
+    a, w1 = (x.flatten(0, 1).numpy() for x in (weights.a, weights.w1))
+    assert len(a) == 50 * updates and not (a[1:] == a[:-1]).all()
+    found = [exact.conditions(*pair)[condition].rate for pair in zip(a, w1, strict=True)]
+    assert all(rate is not None and rate <= Fraction(0.999) for rate in found)
+    assert max(found) > 0.9  # it is at the edge that it has to hold
+
+
+def test_two_networks_that_learn_alike_forget_how_they_started():
+    """Equal updates and inputs from two speeds: the difference shrinks by κ at every step, while the weights move."""
+    rnn, samples = RNN(feedback="estimate", rate=0.1, contraction_rate=0.9), random_samples(30, 2)
+    state = rnn.init((2,))
+    inputs = type(samples.inputs)(*(x[:, :1].expand(-1, 2) for x in samples.inputs))
+    state = state._replace(surge=torch.tensor([-0.5, 1.5], dtype=torch.float64))
+    before = 2.0
+    for k in range(30):
+        learned = rnn.update(state, type(inputs)(*(x[k] for x in inputs)), samples.surge[k, :1].expand(2))
+        weights = tree_map(lambda w: w[:1].expand_as(w), learned.weights)  # the first lane's, for both
+        state = state._replace(weights=weights)
+        coasted, _ = rnn.predict(state, type(inputs)(*(x[k] for x in inputs)))
+        after = float((coasted.surge[1] - coasted.surge[0]).detach().abs())
+        assert after <= 0.9 * before + 1e-12
+        state, before = coasted, after
+
+
+def test_monitor_tells_margins_rate_time_constant_and_rest():
+    rnn, samples = RNN(surge_max=2.0), random_samples(50, 3)
+    state, _, _ = rollout(rnn, rnn.init((3,)), samples)
+    told = rnn.monitor(state)
+    K = told["contraction_rate"]
+    torch.testing.assert_close(told["margin_tight"], 1 - K)
+    torch.testing.assert_close(told["time_constant"], -state.dt / K.log())
+    rest = torch.cat([state.inputs_before[:, :2], torch.zeros(3, 2).double()], -1)
+    x = rnn.scale * told["equilibrium"].double()
+    torch.testing.assert_close(network(state.weights, x, rest)[0], x)
+    assert (told["equilibria"] == 1).all()  # a contraction has one
+    broken = state._replace(weights=tree_map(lambda w: w * torch.nan, state.weights))
+    assert rnn.monitor(broken)["equilibrium"].isnan().all()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"stability": "hope"}, {"condition": "loose"}, {"contraction_rate": 1.5}, {"gauge": "x"}]
+)
+def test_illegal_stability_is_refused(wrong):
     with pytest.raises(ConfigError, match="expected"):
         RNN(**wrong)

@@ -1,0 +1,200 @@
+"""Certificates: what holds can be proved, what was changed is refused, and checking needs no solver and no torch."""
+
+import hashlib
+import json
+import subprocess
+import sys
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from certify import certificate, exact
+from certify.box import box as box_of
+from certify.box import certify, operating_box
+from certify.errors import CertifyError
+from certify.weights import ShallowWeights
+
+ROOT = Path(__file__).parents[1]
+
+
+def network(n: int = 5, K: float = 0.9, seed: int = 0) -> ShallowWeights:
+    rng = np.random.default_rng(seed)
+    a, w1, b = rng.normal(size=(3, n))
+    a *= K / float(exact.conditions(a, w1)["tight"].rate)
+    return ShallowWeights(a, w1, rng.normal(size=(n, 2)), b)
+
+
+def small(n: int = 5) -> ShallowWeights:
+    """One that holds every condition."""
+    found = network(n)
+    return found._replace(a=found.a / np.abs(found.a).max() * 0.1 / (n + 1), w1=found.w1 / np.abs(found.w1).max() * 0.8)
+
+
+def boxed() -> tuple[ShallowWeights, dict]:
+    """A network that only the box certifies, by a tree of several boxes, and that leaves the box."""
+    box = operating_box(2)
+    for seed in range(50):
+        weights = network(12, 1.4, seed)
+        found = certify(weights, box)
+        if found.verdict == "certified" and len(found.tree) > 3 and found.invariant == "no":
+            return weights, certificate.make(weights, "box", 1, box, found.tree, found.invariance_tree, "net.npz")
+    raise AssertionError("no such network was drawn")
+
+
+@pytest.mark.parametrize("condition", certificate.CLOSED_FORMS)
+def test_what_holds_is_proved(condition):
+    weights = small()
+    made = json.loads(json.dumps(certificate.make(weights, condition, path="net.npz")))
+    assert certificate.verify(made, weights) == (True, made["claim"])
+    assert Fraction(made["rate"]) > exact.conditions(weights.a, weights.w1)[condition].rate
+    assert made["margin"] == pytest.approx(float(exact.conditions(weights.a, weights.w1)[condition].margin))
+    assert set(made["proof"]) == {"metric", "multipliers"} and made["path"] == "net.npz"
+
+
+@pytest.mark.parametrize("condition", certificate.CLOSED_FORMS)
+def test_what_does_not_hold_gets_no_certificate(condition):
+    assert certificate.make(network(K=1.01), condition) is None
+    one, zero = np.ones(1), np.zeros(1)
+    assert certificate.make(ShallowWeights(one, one, np.zeros((1, 2)), zero), condition) is None  # the identity
+
+
+@pytest.mark.parametrize("n", [1, 20, 100])
+@pytest.mark.parametrize("short", [1e-3, 1e-9, 2**-52])
+def test_a_hair_inside_the_edge(n, short):
+    """K = 1 − 2⁻⁵² is provable, K = 1 is not: floats are rationals."""
+    a = np.zeros(n)
+    a[0] = 1 - short
+    weights = ShallowWeights(a, np.ones(n), np.zeros((n, 1)), np.zeros(n))
+    assert certificate.verify(certificate.make(weights), weights).valid
+    a[0] = 1.0
+    assert certificate.make(weights._replace(a=a)) is None
+
+
+def test_box_and_interval():
+    weights, made = boxed()
+    assert certificate.verify(made, weights).valid and "on the box" in made["claim"]
+    assert certificate.make(weights, "tight") is None
+    assert certificate.make(weights, "interval", 1, operating_box(2)) is None
+    off = weights._replace(b=np.full(12, -50.0))
+    made = certificate.make(off, "interval", 1, operating_box(2), invariance_tree=".")
+    assert certificate.verify(made, off).valid and "maps into itself" in made["claim"]
+    with pytest.raises(CertifyError, match="no box"):
+        certificate.make(weights, "interval")
+
+
+def resigned(made: dict) -> dict:
+    """With the checksum that belongs to what it says now: only the mathematics can refuse it."""
+    made = {key: value for key, value in made.items() if key != "sha256"}
+    text = json.dumps(made, sort_keys=True)
+    return {**made, "sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+TAMPERED = {
+    "λ of one neuron": lambda c: c["proof"]["multipliers"].__setitem__(0, "1/1000000000"),
+    "a negative λ": lambda c: c["proof"]["multipliers"].__setitem__(0, "-1"),
+    "one λ too few": lambda c: c["proof"]["multipliers"].pop(),
+    "p": lambda c: c["proof"].__setitem__("metric", "2"),
+    "no number": lambda c: c["proof"].__setitem__("metric", "one"),
+    "a division by zero": lambda c: c["proof"].__setitem__("metric", "1/0"),
+    "a faster rate": lambda c: c.__setitem__("rate", "1/2"),
+    "rate and claim": lambda c: c.update(rate="1/2", contraction_rate="1/2"),
+    "a rate above 1": lambda c: c.update(rate="2", contraction_rate="2"),
+    "a rate of 0": lambda c: c.update(rate="0", contraction_rate="0"),
+    "the margin": lambda c: c.__setitem__("margin", 0.99),
+    "the claim": lambda c: c.__setitem__("claim", c["claim"].replace("≤ 0.9", "≤ 0.1")),
+    "the condition": lambda c: c.__setitem__("condition", "lmi"),
+    "an unknown condition": lambda c: c.__setitem__("condition", "magic"),
+    "the weights": lambda c: c.__setitem__("weights", "0" * 64),
+    "the format": lambda c: c.__setitem__("format", "usvlearn certificate 2"),
+    "no proof": lambda c: c.pop("proof"),
+    "the neurons": lambda c: c.__setitem__("neurons", 4),
+}
+
+
+@pytest.mark.parametrize("name", TAMPERED)
+def test_a_tampered_certificate_is_refused(name):
+    weights = network()
+    made = certificate.make(weights)
+    text = json.dumps(made)
+    TAMPERED[name](made)
+    assert json.dumps(made) != text
+    assert not certificate.verify(made, weights).valid
+    assert not certificate.verify(resigned(made), weights).valid
+
+
+def test_one_digit_anywhere_is_refused():
+    weights = network()
+    made = certificate.make(weights, path="net.npz")
+    digits = [k for k, letter in enumerate(json.dumps(made)) if letter.isdigit()]
+    for k in digits[:: max(1, len(digits) // 150)]:
+        text = json.dumps(made)
+        changed = json.loads(f"{text[:k]}{(int(text[k]) + 1) % 10}{text[k + 1 :]}")
+        if changed != made:
+            assert not certificate.verify(changed, weights).valid, text[k - 30 : k + 10]
+
+
+def test_other_weights_are_refused():
+    weights = network()
+    made = certificate.make(weights)
+    for k, name in enumerate(ShallowWeights._fields):
+        changed = weights[k].copy()
+        changed.flat[0] = np.nextafter(changed.flat[0], np.inf)
+        found = certificate.verify(made, weights._replace(**{name: changed}))
+        assert not found.valid and "other weights" in found.reason
+    assert not certificate.verify(made, weights._replace(a=[np.nan] * 5)).valid
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda p: p.__setitem__("tree", "."),
+        lambda p: p.__setitem__("tree", p["tree"][:-1]),
+        lambda p: p.__setitem__("tree", ""),
+        lambda p: p.__setitem__("box", [["0", "1000"], *p["box"][1:]]),
+        lambda p: p.__setitem__("box", p["box"][:-1]),
+        lambda p: p.__setitem__("box", [["1", "0"], *p["box"][1:]]),
+        lambda p: p.__setitem__("invariance_tree", "."),
+    ],
+)
+def test_a_tampered_tree_is_refused(change):
+    weights, made = boxed()
+    change(made["proof"])
+    assert not certificate.verify(resigned(made), weights).valid
+
+
+def test_files_are_whole_and_bad_ones_are_named(tmp_path):
+    made = certificate.make(network())
+    path = certificate.write(tmp_path / "proofs/net.json", made)
+    assert certificate.read(path) == made and list(path.parent.iterdir()) == [path]
+    (tmp_path / "list.json").write_text("[]")
+    (tmp_path / "text.json").write_text("hello")
+    for name in ("list.json", "text.json", "none.json"):
+        with pytest.raises(CertifyError, match=name.replace(".", r"\.")):
+            certificate.read(tmp_path / name)
+
+
+def test_verification_needs_no_solver_and_no_torch(tmp_path):
+    weights, made = boxed()
+    np.savez(tmp_path / "net.npz", **weights._asdict())
+    certificate.write(tmp_path / "box.json", {**made})
+    certificate.write(tmp_path / "tight.json", certificate.make(network()))
+    np.savez(tmp_path / "other.npz", **network()._asdict())
+    code = (
+        "import sys\n"
+        "from certify.__main__ import main\n"
+        f"rc = main([{str(tmp_path / 'net.npz')!r}, {str(tmp_path / 'other.npz')!r}, '--verify',"
+        f" {str(tmp_path / 'box.json')!r}, {str(tmp_path / 'tight.json')!r}])\n"
+        "heavy = [name for name in ('torch', 'scipy', 'cvxpy', 'matplotlib', 'usvlearn') if name in sys.modules]\n"
+        "sys.exit(f'{rc} {heavy}' if rc or heavy else 0)"
+    )
+    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr
+    assert found.stdout.count(": valid: ") == 2
+
+
+def test_box_of_a_certificate_survives_any_float():
+    weights, box = network(K=0.5), box_of([(0.1, 0.7), (-1 / 3, 1e-9), (0, 1)], 2)
+    made = json.loads(json.dumps(certificate.make(weights, "interval", 1, box)))
+    assert certificate.verify(made, weights).valid

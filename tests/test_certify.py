@@ -1,0 +1,206 @@
+"""python -m certify, as it is typed: JSON, exit codes, certificates, pictures, and one sentence for bad input."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from certify.__main__ import main
+from certify.weights import ShallowWeights
+from usvlearn import AID, RNN, Ensemble
+from usvlearn.checkpoint import save
+
+ROOT = Path(__file__).parents[1]
+KEYS = {"path", "n", "margins", "rate", "certified", "equilibria"}
+CONDITIONS = {"simple", "gershgorin", "lmi", "tight"}
+
+
+@pytest.fixture
+def files(tmp_path):
+    """One network on each side of `tight`, one on an edge that only the box sees, and a run's checkpoints."""
+    one, zero = np.ones(1), np.zeros(1)
+    networks = {
+        "good": ShallowWeights(0.6 * one, 0.5 * one, np.zeros((1, 1)), zero),
+        "identity": ShallowWeights(one, one, np.zeros((1, 1)), zero),
+        "tooth": ShallowWeights(2 * one, one, np.zeros((1, 1)), -0.25 * one),
+        "off": ShallowWeights(2 * one, one, np.zeros((1, 1)), -9 * one),
+    }
+    for name, weights in networks.items():
+        np.savez(tmp_path / f"{name}.npz", **weights._asdict())
+    ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6)})
+    for boat in ("anna", "bert"):
+        save(tmp_path / "run/checkpoints" / boat / "00000_0000010.safetensors", ensemble.init(), boat=boat)
+    return tmp_path
+
+
+def told(capsys, *arguments) -> tuple[int, list]:
+    code = main([*map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_json_of_one_network(files, capsys):
+    code, rows = told(capsys, files / "good.npz")
+    assert code == 0 and len(rows) == 1 and KEYS <= set(rows[0])
+    (row,) = rows
+    assert row["path"] == str(files / "good.npz") and row["n"] == 1
+    assert row["rate"] == pytest.approx(0.3) and set(row["margins"]) == set(row["certified"]) == CONDITIONS
+    assert row["margins"] == pytest.approx({"simple": -0.7, "gershgorin": 0.4, "lmi": 0.4, "tight": 0.7})
+    assert row["certified"] == {"simple": False, "gershgorin": True, "lmi": True, "tight": True}
+    assert [(each["x"], each["class"]) for each in row["equilibria"]] == [(0.0, "half-stable")] or row["equilibria"]
+
+
+@pytest.mark.parametrize(
+    ("names", "condition", "code"),
+    [
+        (["good"], "tight", 0),
+        (["good"], "simple", 1),
+        (["good", "identity"], "tight", 1),
+        (["identity"], "lmi", 1),
+        (["off"], "tight", 1),
+        (["off"], "interval", 0),
+        (["off", "good"], "box", 0),
+        (["tooth"], "box", 1),
+    ],
+)
+def test_the_condition_decides_the_exit_code(files, capsys, names, condition, code):
+    found, rows = told(capsys, *(files / f"{name}.npz" for name in names), "--condition", condition)
+    assert found == code and len(rows) == len(names)
+
+
+def test_equilibria_are_those_of_the_paper_and_its_errata(files, capsys):
+    _, rows = told(capsys, files / "tooth.npz", files / "identity.npz")
+    assert [(each["x"], each["class"]) for each in rows[0]["equilibria"]] == [(0.0, "deadbeat"), (0.5, "unstable")]
+    (line,) = rows[1]["equilibria"]
+    assert line["class"] == "continuum" and line["interval"] == [0.0, 1.0]
+    _, rows = told(capsys, files / "tooth.npz", "--input", "0.3")
+    assert rows[0]["input"] == [0.3]
+
+
+def test_a_runs_folder_and_a_pattern(files, capsys):
+    code, rows = told(capsys, files / "run")
+    assert code == 0 and [Path(row["path"]).parent.name for row in rows] == ["anna", "bert"]
+    assert all(row["m"] == 4 and row["at_rest"]["equilibria"] == [1, 1] for row in rows)
+    assert told(capsys, files / "run/checkpoints/*/*")[1] == rows
+
+
+def test_the_table_and_its_summary(files, capsys):
+    assert main([str(files / "run"), str(files / "identity.npz"), "--dt", "0.4"]) == 1
+    text = capsys.readouterr().out
+    assert "2 of 3 certified contracting by tight, in rational arithmetic" in text
+    assert "continuum 0…1" in text and " s " in text and "anna" in text
+
+
+def test_lmi_and_box(files, capsys):
+    code, rows = told(capsys, files / "good.npz", files / "identity.npz", "--lmi", "--box")
+    assert code == 1
+    good, identity = rows
+    assert good["lmi"]["tight"]["verdict"] == good["lmi"]["lmi"]["verdict"] == "certified"
+    assert good["lmi"]["lmi"]["rate"] == pytest.approx(0.6, rel=5e-6)
+    assert identity["lmi"]["tight"]["verdict"] != "certified"
+    assert good["box"]["verdict"] == "certified" and good["box"]["forward_invariant"] == "yes"
+    assert identity["box"]["verdict"] == "refuted" and abs(identity["box"]["witness"]["slope"]) >= 1
+    assert main([str(files / "identity.npz"), "--box"]) == 1
+    assert "witness" in capsys.readouterr().out
+    _, rows = told(capsys, files / "tooth.npz", "--box=0:0.2,0:0")
+    assert rows[0]["box"]["verdict"] == "certified" and rows[0]["box"]["intervals"] == [[0.0, 0.2], [0.0, 0.0]]
+    code, rows = told(capsys, "--box", files / "good.npz")  # a path behind --box is a path
+    assert code == 0 and rows[0]["box"]["bracket"][1] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("condition", ["lmi", "tight", "interval", "box"])
+def test_certificates_are_written_and_verified(files, capsys, condition, monkeypatch):
+    monkeypatch.chdir(files)
+    options = ["--condition", condition, "--certificate", "proofs"]
+    assert main(["good.npz", "identity.npz", "run", *options]) in (0, 1)
+    proofs = sorted(Path("proofs").iterdir())
+    assert len(proofs) == 3 and not any("identity" in path.name for path in proofs)
+    capsys.readouterr()
+    assert main(["--verify", *map(str, proofs)]) == 0
+    assert capsys.readouterr().out.count(": valid: ") == len(proofs)
+    assert main(["identity.npz", "--verify", str(proofs[0])]) == 1
+    text = proofs[0].read_text()
+    proofs[0].write_text(text.replace('"margin": 0.', '"margin": 0.9'))
+    capsys.readouterr()
+    code, results = told(capsys, "--verify", *proofs)
+    assert code == 1 and [result["valid"] for result in results] == [False] + [True] * (len(proofs) - 1)
+
+
+def test_pictures(files, capsys):
+    pytest.importorskip("matplotlib")
+    assert main([str(files / "good.npz"), str(files / "tooth.npz"), "--plot", str(files / "out/map.png")]) == 1
+    assert (files / "out/map.png").stat().st_size > 10_000 and (files / "out/map-2.png").exists()
+    assert main([str(files / "run"), "--headings", "--plot", str(files / "map.svg")]) == 0
+    assert "heading" in (files / "map.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "no PATH is given"),
+        (["nowhere"], "nowhere: no such file"),
+        (["good.npz", "nowhere*"], "no such file"),
+        (["text.npz"], "text.npz: is damaged"),
+        (["notes.txt"], "notes.txt: is no parameter set"),
+        (["nan.npz"], "nan.npz: found 1 NaN"),
+        (["empty.npz"], "without neurons"),
+        (["shapes.npz"], "found the shapes"),
+        (["good.npz", "--box=1:0,0:1"], "lo"),
+        (["good.npz", "--box=0:1"], "1 intervals, expected 2"),
+        (["good.npz", "--lmi", "--solver", "NOSUCH"], "NOSUCH"),
+        (["good.npz", "--input", "1,2"], "expected 1 finite numbers"),
+        (["good.npz", "--input", "one"], "expected numbers"),
+        (["good.npz", "--dt", "-1"], "--dt"),
+        (["good.npz", "--plot", "map.xyz"], "map.xyz"),
+        (["good.npz", "--certificate", "good.npz"], "is a file"),
+        (["--verify", "good.npz"], "good.npz"),
+        (["--verify", "nowhere.json"], "cannot be read"),
+        (["compare", "--networks", "0"], "--networks"),
+        (["compare", "--sizes", "10,x"], "--sizes"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(files)
+    arrays = dict(np.load("good.npz"))
+    np.savez("nan.npz", **{**arrays, "a": [np.nan]})
+    np.savez("empty.npz", a=[], w1=[], W2=np.zeros((0, 1)), b=[])
+    np.savez("shapes.npz", **{**arrays, "w1": [1.0, 2.0]})
+    Path("text.npz").write_text("hello")
+    Path("notes.txt").write_text("hello")
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
+    assert message in captured.err
+
+
+def test_argparse_errors_are_code_2(files):
+    with pytest.raises(SystemExit) as error:
+        main([str(files / "good.npz"), "--condition", "magic"])
+    assert error.value.code == 2
+
+
+def test_closed_forms_import_no_solver(files):
+    code = (
+        "import sys\nfrom certify.__main__ import main\n"
+        f"rc = main([{str(files / 'run')!r}, {str(files / 'good.npz')!r}])\n"
+        "sys.exit(rc or any(name in sys.modules for name in ('cvxpy', 'torch', 'scipy', 'matplotlib')))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr + found.stdout
+
+
+def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    assert main([str(files / "good.npz"), "--lmi"]) == 2
+    assert "usvlearn[lmi]" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert main([str(files / "good.npz"), "--plot", str(files / "x.png")]) == 2
+    assert "usvlearn[plot]" in capsys.readouterr().err
+
+
+def test_the_module_runs(files):
+    command = [sys.executable, "-m", "certify", str(files / "good.npz")]
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 0 and "1 of 1 certified" in found.stdout and not found.stderr

@@ -1,0 +1,139 @@
+"""Weights: every kind of file, and every way in which one can be wrong."""
+
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from safetensors.numpy import save_file
+
+from certify.errors import CertifyError
+from certify.weights import NAMES, ShallowWeights, check, digest, find, from_tensors, load
+from usvlearn import AID, RNN, Ensemble
+from usvlearn.checkpoint import save
+
+
+def weights(n: int = 3, m: int = 4, seed: int = 0) -> ShallowWeights:
+    rng = np.random.default_rng(seed)
+    return ShallowWeights(rng.normal(size=n), rng.normal(size=n), rng.normal(size=(n, m)), rng.normal(size=n))
+
+
+def same(found: ShallowWeights, expected: ShallowWeights) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(found, expected, strict=True))
+
+
+def test_a_checkpoint_of_an_ensemble_with_two_networks(tmp_path):
+    ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6), "wide": RNN(9, seed=1)})
+    found = load(save(tmp_path / "set.safetensors", ensemble.init(), boat="heron"))
+    assert [network.path.rpartition(":")[2] for network in found] == ["members.rnn.weights", "members.wide.weights"]
+    assert [len(network.weights.a) for network in found] == [6, 9]
+    assert np.array_equal(found[0].weights.W2, ensemble.init().members["rnn"].weights.W2.detach().numpy())
+
+
+def test_lanes_are_parameter_sets(tmp_path):
+    found = load(save(tmp_path / "lanes.safetensors", RNN(5).init((2, 3))))
+    assert len(found) == 6 and found[-1].path.endswith("lanes.safetensors[1,2]")
+    assert found[0].weights.W2.shape == (5, 4)
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_files_of_every_kind_hold_the_same(tmp_path, dtype):
+    arrays = {name: x.astype(dtype) for name, x in zip(NAMES, weights(), strict=True)}
+    expected = ShallowWeights(*(x.astype(np.float64) for x in arrays.values()))
+    np.savez(tmp_path / "net.npz", **arrays)
+    save_file(arrays, tmp_path / "net.safetensors")
+    torch.save({name: torch.from_numpy(x) for name, x in arrays.items()}, tmp_path / "net.pt")
+    for name in ("net.npz", "net.safetensors", "net.pt"):
+        (found,) = load(tmp_path / name)
+        assert found.path == str(tmp_path / name) and same(found.weights, expected)
+        assert found.weights.a.dtype == np.float64
+
+
+def test_the_state_dict_of_two_linear_layers(tmp_path):
+    layers = torch.nn.Sequential(torch.nn.Linear(5, 3), torch.nn.ReLU(), torch.nn.Linear(3, 1, bias=False)).double()
+    torch.save(layers.state_dict(), tmp_path / "net.pth")
+    (found,) = load(tmp_path / "net.pth")
+    a, w1, W2, b = found.weights
+    x, u = 0.3, np.array([0.1, -0.2, 0.3, 0.4])
+    expected = layers(torch.tensor([x, *u], dtype=torch.float64)).item()
+    assert np.maximum(w1 * x + W2 @ u + b, 0) @ a == pytest.approx(expected, rel=1e-12)
+    layers = torch.nn.Sequential(torch.nn.Linear(5, 3), torch.nn.ReLU(), torch.nn.Linear(3, 1))
+    torch.save(layers.state_dict(), tmp_path / "biased.pth")
+    with pytest.raises(CertifyError, match=r"2\.bias is not zero"):
+        load(tmp_path / "biased.pth")
+
+
+class Trap:
+    def __reduce__(self):
+        return exec, ("import builtins; builtins.trapped = True",)
+
+
+def test_pickled_code_is_never_run(tmp_path):
+    torch.save({"a": Trap()}, tmp_path / "trap.pt")
+    (tmp_path / "plain.pt").write_bytes(pickle.dumps(Trap()))
+    np.savez(tmp_path / "trap.npz", a=np.array([Trap()], dtype=object))
+    for name in ("trap.pt", "plain.pt", "trap.npz"):
+        with pytest.raises(CertifyError, match=name.replace(".", r"\.")):
+            load(tmp_path / name)
+    import builtins
+
+    assert not hasattr(builtins, "trapped")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"a": [np.nan, 0, 0]}, "1 NaN or infinite values in a"),
+        ({"b": [np.inf, 0, np.nan]}, "2 NaN or infinite values in b"),
+        ({"w1": [1.0]}, "expected a, w1, b"),
+        ({"W2": [1.0, 2.0, 3.0]}, "expected a, w1, b"),
+        ({"a": 1.0}, "expected a, w1, b"),
+        ({"a": [], "w1": [], "W2": np.zeros((0, 4)), "b": []}, "without neurons"),
+        ({"a": ["x", "y", "z"]}, "no numbers"),
+    ],
+)
+def test_weights_that_cannot_be_judged(change, message):
+    with pytest.raises(CertifyError, match=message):
+        check(weights()._replace(**change), "net.npz")
+    with pytest.raises(CertifyError, match=r"^tensors"):
+        from_tensors({"w1": [1.0], "a": [1.0]})
+
+
+def test_files_that_are_none(tmp_path):
+    (tmp_path / "empty.safetensors").write_bytes(b"")
+    (tmp_path / "text.npz").write_text("a,b\n1,2\n")
+    (tmp_path / "text.pt").write_text("hello")
+    (tmp_path / "net.csv").write_text("1")
+    good = save(tmp_path / "good.safetensors", RNN(4).init())
+    (tmp_path / "short.safetensors").write_bytes(good.read_bytes()[:-20])
+    save(tmp_path / "aid.safetensors", AID(28.0).init())
+    for name in ("empty.safetensors", "text.npz", "text.pt", "net.csv", "short.safetensors", "aid.safetensors"):
+        with pytest.raises(CertifyError, match=name.replace(".", r"\.")):
+            load(tmp_path / name)
+    with pytest.raises(CertifyError, match="cannot be read"):
+        load(tmp_path / "missing.npz")
+
+
+def test_find_takes_files_folders_and_patterns_once(tmp_path):
+    for boat in ("anna", "bert"):
+        save(tmp_path / "run/checkpoints" / boat / "1.safetensors", RNN(4).init())
+    (tmp_path / "run/predictions").mkdir()
+    np.savez(tmp_path / "run/predictions/1.npz", predictions=np.zeros(3))
+    (tmp_path / "nothing").mkdir()
+    sets = find([tmp_path / "run"])
+    assert [path.parent.name for path in sets] == ["anna", "bert"]
+    assert find([str(tmp_path / "run/checkpoints/*/*"), sets[0]]) == sets
+    for wrong in (tmp_path / "nowhere", tmp_path / "*.npz", tmp_path / "nothing"):
+        with pytest.raises(CertifyError):
+            find([wrong])
+
+
+def test_digest_knows_every_weight_and_no_negative_zero():
+    one = weights()
+    assert digest(one) == digest(ShallowWeights(*(x.tolist() for x in one)))
+    for k, name in enumerate(NAMES):
+        changed = one[k].copy()
+        changed.flat[0] = np.nextafter(changed.flat[0], np.inf)
+        assert digest(one._replace(**{name: changed})) != digest(one)
+    zero = one._replace(a=np.zeros(3))
+    assert digest(zero) == digest(zero._replace(a=-np.zeros(3)))
