@@ -62,14 +62,15 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | Non
     told: dict[str, dict[str, float | None]] = {}
     for tier in TIERS:
         ratios = [
-            row["rates"][tier] / row["K_box"][1] if row["rates"][tier] is not None else math.inf
+            math.inf if row["rates"][tier] is None else row["rates"][tier] / row["K_box"][1]
             for row in rows
             if row["K_box"][1] > 0
         ]
+        middle = float(np.median(ratios)) if ratios else math.inf
         held = [row["K"] for row in rows if row["certified"][tier]]
         told[tier] = {
             "share": len(held) / len(rows),
-            "conservatism": float(np.median(ratios)) if ratios else None,
+            "conservatism": middle if math.isfinite(middle) else None,
             "largest_K": max(held, default=None),
             "disagreements": None,
         }

@@ -48,7 +48,10 @@ def _table(rows: Sequence[dict[str, Any]], dt: float | None) -> Table:
     if shared:
         table.caption, table.caption_justify = f"below {os.path.relpath(shared)}", "left"
     for row in rows:
-        cells: list[str | Text] = [os.path.relpath(os.path.abspath(row["path"]), shared) if shared else row["path"], str(row["n"])]
+        cells: list[str | Text] = [
+            os.path.relpath(os.path.abspath(row["path"]), shared) if shared else row["path"],
+            str(row["n"]),
+        ]
         for name in MARGINS:
             cells.append(Text(f"{row['margins'][name]:.4g}", "green" if row["certified"][name] else "red"))
         cells += [f"{row['rate']:.6g}", time_constant(row["time_constant"], dt)]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from certify import box as boxes
-from certify.box import box, certify, invariance, operating_box, output_range, rate
+from certify import box_milp
+from certify.box import Box, box, certify, invariance, operating_box, output_range, rate
 from certify.box_proof import planes, proves, proves_range, slope_at, value_at
 from certify.errors import CertifyError
 from certify.weights import ShallowWeights
@@ -133,7 +133,7 @@ def test_no_network_is_certified_where_1e5_sampled_slopes_refute():
     never_certified_below_a_sample(range(10, 60), 100_000)
 
 
-def star() -> tuple[ShallowWeights, boxes.Box]:
+def star() -> tuple[ShallowWeights, Box]:
     """Three lines through (0.3, 0); their three neurons are never active together, so that K = 0.8, though σ = 1.2."""
     x, u = np.array([1.0, 1.0, -1.0]), np.array([[1.0], [-1.0], [0.0]])
     return ShallowWeights(np.array([0.4, 0.4, -0.4]), x, u, -0.3 * x), operating_box(1)
@@ -340,7 +340,7 @@ def test_other_bad_input_is_told_in_a_sentence():
 
 
 def test_the_solver_prints_nothing(capfd):
-    with boxes._quiet():
+    with box_milp._quiet():
         ctypes.CDLL(None).puts(b"from C")
         os.write(1, b"from the solver")
     print("after")

@@ -30,6 +30,12 @@ def test_readme_example_runs_and_is_short():
     assert len((ROOT / "README.md").read_text().splitlines()) <= 100
 
 
+def test_the_example_of_certify_runs():
+    names: dict = {}
+    exec(compile(code("certify/README.md"), "certify/README.md", "exec"), names)
+    assert names["certificate"]["condition"] == "tight"
+
+
 def test_a_new_estimator_passes_every_contract(monkeypatch):
     """CONTRIBUTING's example, put on the list, has all the properties."""
     text = code("CONTRIBUTING.md")

@@ -31,8 +31,15 @@ OURS = {
                                     "usvlearn.checkpoint", "usvlearn.evaluation"},
     "usvlearn.tensorboard": set(),
 }  # fmt: skip
-# what of certify may be imported only where it is used: a certificate is checked without torch and without a solver
-TORCH_OF_CERTIFY = {"certify.conditions", "certify.projections", "certify.compare"}
+# package -> the modules of certify that may import it, at their top or where they use it (weights: to read a torch file)
+CERTIFY = {
+    "torch": {"certify.conditions", "certify.projections", "certify.compare", "certify.families", "certify.weights"},
+    "scipy": {"certify.box_search", "certify.box_milp"},
+    "cvxpy": {"certify.lmi"},
+    "matplotlib": {"certify.figures"},
+    "rich": {"certify.table"},
+}
+THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.logs", "usvlearn.evaluation")
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
@@ -72,6 +79,15 @@ def test_modules_import_only_what_their_layer_may(path):
         assert found.split(".")[0] not in CONFIGURATION, f"{name} imports {found}"
     if within(name, NO_TORCH):
         assert not any(within(found, ["torch"]) for found in imports(path, top_level=True)), f"{name} imports torch"
+
+
+@pytest.mark.parametrize("path", [path for path in MODULES if within(name_of(path), ["certify"])], ids=name_of)
+def test_certify_is_a_leaf_of_few_packages(path):
+    for found in {name.split(".")[0] for name in imports(path)} - set(sys.stdlib_module_names) - {"certify"}:
+        assert found in THIRD_PARTY, f"{name_of(path)} imports {found}"
+        assert found not in CERTIFY or name_of(path) in CERTIFY[found], f"{name_of(path)} imports {found}"
+    heavy = {name.split(".")[0] for name in imports(path, top_level=True)} & {"scipy", "cvxpy", "matplotlib"}
+    assert not heavy, f"{name_of(path)} imports {heavy} before it is used"
 
 
 def test_every_module_has_a_layer():

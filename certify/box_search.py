@@ -1,0 +1,358 @@
+"""The searches behind `certify.box`: branch and bound over boxes and over cells, and HiGHS as a referee, in floats.
+
+Boxes: bound the slope by interval arithmetic (neurons surely on, surely off, free) and halve the boxes whose bound is
+too high (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009); slopes that are reached bound it from
+below. Cells: part a box by the sign of one z at a time, with a linear program for each; this ends also where many
+hyperplanes meet in a point, and wins where the inputs are many. What they find is proved by `certify.box_proof`.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import time
+from collections.abc import Callable
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from certify.box_proof import Box, Planes, excluded, planes, region
+from certify.weights import ShallowWeights
+
+BATCH = 256  # boxes halved at once
+BOXES = 200_000  # boxes tried before cells, where inputs are few
+FEW_BOXES = 500  # and where they are many
+CELLED = 30  # hyperplanes up to which the cells of a whole box are tried
+MANY = 7  # free coordinates from which on cells are better than boxes
+REPLAYED = 30_000  # boxes whose proof is replayed in about a second
+CLIMBERS = 32  # points from which the search for a high slope begins
+EPS, TINY = float(np.finfo(np.float64).eps), float(np.finfo(np.float64).tiny)
+
+
+class Forms(NamedTuple):
+    """The planes that cross the box's interior, in floating point: slope = start + Σ gain [z > 0], gain ≥ 0."""
+
+    H: np.ndarray  # (G, 1 + m) z = H·(x, u) + c
+    c: np.ndarray  # (G,)
+    side: np.ndarray  # (G,) 1, or −1 where z is minus the neuron's, so that its gain is not negative
+    gain: np.ndarray  # (G,)
+    start: float
+    error: np.ndarray  # (G,) of z, anywhere in the box
+    slack: float  # of a slope
+    planes: Planes  # these alone
+
+
+def forms_of(weights: ShallowWeights, box: Box) -> Forms:
+    found, here = planes(weights, box), region(box)
+    crossing, start = [], 0
+    for g, (row, constant, above, below) in enumerate(zip(*found[1:5], strict=True)):
+        least, most = here.extremes(row, constant)
+        if least < 0 < most:
+            crossing.append(g)
+            start += min(above, below)
+        else:
+            start += above if least >= 0 else below
+    found = Planes(*([column[g] for g in crossing] for column in found[:5]), *found[5:])
+    unit, slope_unit = 1 << found.z_bits, 1 << found.slope_bits
+    H = np.array([[k / unit for k in row] for row in found.rows]).reshape(len(crossing), len(box.lo))
+    c = np.array([k / unit for k in found.constants])
+    gain = np.array([(above - below) / slope_unit for above, below in zip(found.above, found.below, strict=True)])
+    side = np.where(gain < 0, -1, 1)
+    size = np.abs(H) @ np.maximum(np.abs(box.lo), np.abs(box.hi)) + np.abs(c)
+    slack = (len(c) + 8) * EPS * (abs(start / slope_unit) + float(np.abs(gain).sum())) + TINY
+    error = 2 * (len(box.lo) + 4) * EPS * size + TINY
+    return Forms(H * side[:, None], c * side, side, np.abs(gain), start / slope_unit, error, slack, found)
+
+
+class Search:
+    """Branch and bound: the tree so far, the best that was reached, and what is open."""
+
+    def __init__(self, threshold: Callable[[float], float], target: float, end: float):
+        self.threshold = threshold  # a bound up to threshold(best) needs no further split
+        self.target = target  # a best of this or more ends the search
+        self.end = end  # of time
+        self.best = -math.inf
+        self.point: np.ndarray | None = None  # where best was reached
+        self.limit = math.inf  # a bound that was known before
+        self.closed = -math.inf  # the greatest bound among the leaves that were closed
+        self.open = -math.inf  # and among those that were left open
+        self.count = 1  # nodes
+        self.splits: dict[int, tuple[str, int]] = {}  # node: token, first child
+        self.halvings: list[tuple[np.ndarray, ...]] = []  # the same of many boxes each: nodes, tokens, first children
+        self.leaves: dict[int, str] = {}  # what is not "."
+
+    def over(self) -> bool:
+        return self.best >= self.target or time.perf_counter() > self.end
+
+    def upper(self) -> float:
+        return float(max(self.best, min(self.limit, max(self.closed, self.open))))
+
+    def reached(self, values: np.ndarray, points: np.ndarray) -> None:
+        k = int(values.argmax())
+        if values[k] > self.best:
+            self.best, self.point = float(values[k]), points[k].copy()
+
+    def text(self) -> str:
+        """The tree in preorder."""
+        for nodes, names, children in self.halvings:
+            self.splits.update(zip(nodes.tolist(), zip(names, children.tolist(), strict=True), strict=True))
+        tokens, pending = [], [0]
+        while pending:
+            node = pending.pop()
+            if node in self.splits:
+                token, child = self.splits[node]
+                pending += [child + 1, child]
+            else:
+                token = self.leaves.get(node, ".")
+            tokens.append(token)
+        return " ".join(tokens)
+
+    def boxes(
+        self, bound: Callable, halve: Callable, climb: Callable | None, box: Box, width: int, most: int
+    ) -> list[np.ndarray]:
+        """Halves boxes until all are closed, or `most` were seen; returns what is open: bounds, lo, hi, signs, ids.
+
+        bound(lo, hi, signs) gives signs, bounds, points and the values there; halve(lo, hi, signs) coordinates;
+        climb(points) values and better points.
+        """
+        names = np.array(["x", *(f"u{j}" for j in range(1, len(box.lo)))], dtype=object)
+
+        climbed = 1
+
+        def see(lo, hi, signs, ids):
+            nonlocal climbed
+            signs, bounds, points, values = bound(lo, hi, signs)
+            self.reached(values, points)
+            if climb and self.count >= 4 * climbed:
+                climbed = self.count
+                self.reached(*climb(points[np.argsort(-values)[:CLIMBERS]]))
+            return [bounds, lo, hi, signs, ids]
+
+        queue = see(box.lo[None], box.hi[None], np.zeros((1, width), np.int8), np.zeros(1, np.int64))
+        while True:
+            keep = queue[0] > self.threshold(self.best)
+            self.closed = max(self.closed, queue[0][~keep].max(initial=-math.inf))
+            queue = [x[keep] for x in queue]
+            size = len(queue[0])
+            if not size or self.count > most or self.over():
+                return queue
+            now, rest, take = queue, None, max(BATCH, size // 4)
+            if size > take:
+                order = np.argpartition(-queue[0], take)
+                now, rest = ([x[part] for x in queue] for part in (order[:take], order[take:]))
+            _, lo, hi, signs, ids = now
+            k, j = np.arange(len(lo)), halve(lo, hi, signs)
+            middle = (lo[k, j] + hi[k, j]) / 2
+            if not ((lo[k, j] < middle) & (middle < hi[k, j])).all():  # as small as floats go
+                return queue
+            children = self.count + 2 * k
+            self.halvings.append((ids, names[j], children))
+            self.count += 2 * len(k)
+            lower_hi, upper_lo = hi.copy(), lo.copy()
+            lower_hi[k, j] = upper_lo[k, j] = middle
+            ends = np.concatenate([lo, upper_lo]), np.concatenate([lower_hi, hi])
+            queue = see(*ends, np.concatenate([signs, signs]), np.concatenate([children, children + 1]))
+            if rest is not None:
+                queue = [np.concatenate(pair) for pair in zip(queue, rest, strict=True)]
+
+
+def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
+    """Searches max |slope|: at most so many boxes, then cells of those that are open, or of the whole box."""
+    G, rng = len(forms.c), np.random.default_rng(0)
+    bound, halve = _slope_bounds(forms)
+    search.reached(*climb(forms, box, rng.uniform(box.lo, box.hi, (CLIMBERS, len(box.lo)))))
+    many = int((box.lo < box.hi).sum()) >= MANY
+    most = min(most, FEW_BOXES if many else min(BOXES, 16 << min(G, 20)) if G <= CELLED else most)
+    queue = search.boxes(bound, halve, lambda y: climb(forms, box, y), box, G, most)
+    search.open = queue[0].max(initial=-math.inf)
+    if len(queue[0]) and not search.over():
+        if len(queue[0]) > 64:
+            search.limit, search.closed = search.upper(), -math.inf
+            search.count, search.halvings = 1, []
+            signs = np.zeros((1, G), np.int8)
+            queue = [np.full(1, search.limit), box.lo[None], box.hi[None], signs, np.zeros(1, np.int64)]
+        _cells(search, forms, queue, rng)
+
+
+def _slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
+    """bound() and halve() of `Search.boxes` for |slope|."""
+    H, c, side, gain, start, error, slack, found = forms
+    sizes, top = np.abs(H), start + gain.sum()
+
+    def bound(lo, hi, signs):
+        centre, radius = (lo + hi) / 2, (hi - lo) / 2
+        z, reach = centre @ H.T + c, radius @ sizes.T
+        least, most = z - reach, z + reach
+        on, off = (signs > 0) | (least >= error), (signs < 0) | (most <= -error)
+        doubt = ~on & ~off & ((least >= -error) | (most <= error))
+        if doubt.any():  # a hyperplane that touches the box, or nearly
+            for k, g in np.argwhere(doubt):
+                low, high = region(Box(lo[k], hi[k])).extremes(found.rows[g], found.constants[g])
+                positive, negative = (low >= 0, high <= 0) if side[g] > 0 else (high <= 0, low >= 0)
+                on[k, g], off[k, g] = positive, negative
+        bounds = np.maximum(top - off @ gain, -start - on @ gain) + slack
+        return on.astype(np.int8) - off, bounds, centre, slopes_at(forms, z)
+
+    def halve(lo, hi, signs):
+        radius = (hi - lo) / 2
+        return (((signs == 0) * gain / (radius @ sizes.T + TINY) @ sizes) * radius).argmax(1)
+
+    return bound, halve
+
+
+def climb(forms: Forms, box: Box, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """|slope| and points, after an exact search from y, `(P, 1 + m)`, along each coordinate in turn, thrice."""
+    H, c, _, gain, start, *_ = forms
+    P, lanes = len(y), np.arange(len(y))
+    for j in 3 * [*np.flatnonzero(box.lo < box.hi)]:
+        h = H[:, j]
+        z = y @ H.T + c
+        crossed = np.where(h == 0, math.inf, y[:, j, None] - z / np.where(h == 0, 1.0, h))
+        crossed = crossed.clip(box.lo[j], box.hi[j])
+        order = crossed.argsort(1)
+        first = start + (h < 0) @ gain + ((z > 0) & (h == 0)) @ gain
+        slopes = np.concatenate([first[:, None], first[:, None] + (np.sign(h) * gain)[order].cumsum(1)], 1)
+        ends = np.full((P, 1), box.lo[j]), np.take_along_axis(crossed, order, 1), np.full((P, 1), box.hi[j])
+        ends = np.concatenate(ends, 1)
+        wide = np.diff(ends) > 1e-9 * (box.hi[j] - box.lo[j])
+        k = np.where(wide, np.abs(slopes), -1.0).argmax(1)
+        y[lanes, j] = (ends[lanes, k] + ends[lanes, k + 1]) / 2
+    return slopes_at(forms, y @ H.T + c), y
+
+
+def slopes_at(forms: Forms, z: np.ndarray) -> np.ndarray:
+    """|slope| at points with these z, `(k, G)`; −∞ where rounding leaves a sign open."""
+    return np.where((np.abs(z) > forms.error).all(1), np.abs(forms.start + (z > 0) @ forms.gain), -math.inf)
+
+
+def search_range(search: Search, weights: ShallowWeights, box: Box, sides: tuple[tuple[float, float], ...]) -> None:
+    """Searches the greatest σ f − o over the box and the sides (σ, o)."""
+    a, w1, W2, c = weights
+    H = np.concatenate([w1[:, None], W2], 1)
+    sizes = np.abs(H)
+    size = np.abs(a) @ (sizes @ np.maximum(np.abs(box.lo), np.abs(box.hi)) + np.abs(c))
+    error = 8 * (len(a) + len(box.lo) + 4) * EPS * size if len(sides) == 1 else 0.0  # two: a proof follows
+
+    def bound(lo, hi, signs):
+        centre, radius = (lo + hi) / 2, (hi - lo) / 2
+        z, reach = centre @ H.T + c, radius @ sizes.T
+        least, most = z - reach, z + reach
+        chord = np.where(least >= 0, 1.0, np.where(most <= 0, 0.0, most / np.where(reach > 0, 2 * reach, 1.0)))
+        chord = np.clip(chord, 0.0, 1.0)
+        support = np.where((least >= 0) | ((most > 0) & (most > -least)), 1.0, 0.0)
+        shift = np.where(least < 0, -chord * least, 0.0)
+        bounds, points = [], [centre]
+        for side, offset in sides:
+            weight = side * a
+            slope = weight * np.where(weight > 0, chord, support)
+            row = slope @ H
+            value = slope @ c + shift @ np.maximum(weight, 0.0) + (row * centre).sum(1) + (np.abs(row) * radius).sum(1)
+            bounds.append(value + error - offset)
+            points.append(np.where(row > 0, hi, lo))
+        points = np.concatenate(points)
+        f = np.maximum(points @ H.T + c, 0.0) @ a
+        values = np.max([side * f - offset for side, offset in sides], 0)
+        return signs, np.max(bounds, 0), points, values
+
+    def halve(lo, hi, signs):
+        z, reach = ((lo + hi) / 2) @ H.T + c, ((hi - lo) / 2) @ sizes.T
+        gap = np.abs(a) * np.maximum(reach * reach - z * z, 0.0) / (reach * reach + TINY)
+        return np.where(hi > lo, (gap @ sizes) * (hi - lo), -1.0).argmax(1)
+
+    search.open = search.boxes(bound, halve, None, box, 0, BOXES)[0].max(initial=-math.inf)
+
+
+def _cells(search: Search, forms: Forms, queue: list[np.ndarray], rng: np.random.Generator) -> None:
+    """Parts boxes by the signs of z, the highest bound first, until all are closed.
+
+    A cell keeps a point with its signs. The neuron to part by is one that stands on the wrong side there for the
+    bound; then the other cell has the point already, and one linear program answers for this cell.
+    """
+    H, c, side, gain, start, error, slack, found = forms
+    tie, stuck = itertools.count(), -math.inf
+    heap: list[tuple] = []
+
+    def push(node, signs, parted, ends, y):
+        search.reached(slopes_at(forms, (H @ y + c)[None]), y[None])
+        high, low = start + (signs >= 0) @ gain, start + (signs > 0) @ gain
+        heapq.heappush(heap, (-max(high, -low) - slack, next(tie), node, signs, parted, ends, y, high >= -low))
+
+    for _, lo, hi, signs, node in zip(*queue, strict=True):
+        push(int(node), signs, (), (lo, hi), (lo + hi) / 2 + (hi - lo) * rng.uniform(-0.25, 0.25, len(lo)))
+    while heap and not search.over():
+        bound, _, node, signs, parted, (lo, hi), y, up = heapq.heappop(heap)
+        if -bound <= search.threshold(search.best):
+            search.closed = max(search.closed, -bound)
+            heap.clear()  # the others' bounds are no higher
+            break
+        z = H @ y + c
+        wrong = np.where((signs == 0) & ((z if up else -z) <= error), gain, 0.0)
+        g = int(wrong.argmax()) if len(wrong) else 0
+        if not wrong.any():  # the bound is the slope at y, up to rounding
+            stuck = max(stuck, -bound)
+            continue
+        child = search.count
+        search.count += 2
+        search.splits[node] = f"z{found.neuron[g]}", child
+        for k, sign in enumerate((-side[g], side[g])):
+            inner, mu = y, None
+            cell = (*parted, (g, int(sign)))
+            if not sign * z[g] > error[g]:
+                inner, mu = inner_point(forms, lo, hi, cell, rng)
+            if mu:
+                search.leaves[child + k] = "e" + ",".join(f"{found.neuron[i]}:{x}" for i, x in mu.items())
+            elif inner is None:
+                stuck = max(stuck, -bound)
+            else:
+                changed = signs.copy()
+                changed[g] = sign
+                push(child + k, changed, cell, (lo, hi), inner)
+    search.open = max(stuck, -heap[0][0] if heap else -math.inf)
+
+
+def inner_point(
+    forms: Forms, lo: np.ndarray, hi: np.ndarray, parted: tuple[tuple[int, int], ...], rng: np.random.Generator
+) -> tuple[np.ndarray | None, dict[int, int] | None]:
+    """A point of a box with given signs of z, or multipliers that prove that there is none, or neither.
+
+    The point is the deepest: max t, σ_g z_g ≥ t ρ_g, ρ_g the greatest change of z_g in the box; t ≤ 0 leaves none.
+    """
+    from scipy.optimize import linprog
+
+    H, c, side, _, _, error, _, found = forms
+    g = np.array([k for k, _ in parted])
+    sigma = np.array([sign for _, sign in parted])
+    centre, radius = (lo + hi) / 2, (hi - lo) / 2
+    rho = np.abs(H[g]) @ radius
+    A = -(sigma / rho)[:, None] * (H[g] * radius)
+    solved = linprog(
+        np.r_[np.zeros(len(lo)), -1.0],
+        A_ub=np.c_[A, np.ones(len(g))],
+        b_ub=sigma * (H[g] @ centre + c[g]) / rho,
+        bounds=[(-1, 1)] * len(lo) + [(None, 1)],
+        method="highs-ds",
+    )
+    if solved.x is None:
+        return None, None
+    depth = float(solved.x[-1])
+    if depth > 1e-12:  # off the facets, where z of another neuron may be zero
+        v = np.clip(solved.x[:-1], -1, 1)
+        step = min(depth, 1.0) / 4
+        y = centre + radius * ((1 - step) * v + step * rng.uniform(-1, 1, len(lo)))
+        if (sigma * (H[g] @ y + c[g]) > error[g]).all():
+            return y, None
+    scale = np.maximum(-solved.ineqlin.marginals, 0.0) / rho
+    if not scale.max() > 0:
+        return None, None
+    here = region(Box(lo, hi))
+    for finest in (16, 4096, 10**8, 2**50):  # small integers first, as hyperplanes through a common point often have
+        shares = [Fraction(float(x)).limit_denominator(finest) for x in scale / scale.max()]
+        unit = math.lcm(*(x.denominator for x in shares)) if finest < 2**50 else 2**50
+        signed = zip(g.tolist(), (sigma * side[g]).tolist(), shares, strict=True)
+        mu = {k: sign * round(x * unit) for k, sign, x in signed}
+        mu = {k: x for k, x in mu.items() if x}
+        if excluded(found, here, mu):
+            return None, mu
+    return None, None
