@@ -15,7 +15,12 @@ from rich.table import Table
 from rich.text import Text
 
 MARGINS = ("simple", "gershgorin", "lmi", "tight")
-WORDS = {"certified": "green", "refuted": "red", "not certified": "red", "unknown": "yellow"}
+MARKS = {
+    "certified": ("✓", "green"),
+    "refuted": ("✗", "red"),
+    "not certified": ("✗", "red"),
+    "unknown": ("?", "yellow"),
+}
 
 
 def show(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool], notes: Sequence[str], dt: float | None):
@@ -32,74 +37,71 @@ def _console() -> Console:
 
 
 def _table(rows: Sequence[dict[str, Any]], dt: float | None) -> Table:
-    table = Table(box=SIMPLE_HEAD, title="Contraction: margin > 0 where a condition holds", title_justify="left")
-    table.add_column("parameter set", overflow="fold")
-    table.add_column("n", justify="right")
-    for name in MARGINS:
+    marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
+    table = Table(box=SIMPLE_HEAD, title="Margins, > 0 where a condition holds, and rates", padding=(0, 1, 0, 0))
+    table.title_justify = table.caption_justify = "left"
+    solved, boxed = (any(key in row for row in rows) for key in ("lmi", "box"))
+    paths, shared = _short([row["path"] for row in rows])
+    table.caption = f"below {shared}" + f"; {marks}" * (solved or boxed) if shared else marks * (solved or boxed)
+    table.add_column("parameter set", overflow="fold", min_width=14)
+    for name in ("n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"):
         table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("rate K", justify="right", no_wrap=True)
-    table.add_column("time constant", justify="right", no_wrap=True)
-    more = [key for key in ("lmi", "box") if any(key in row for row in rows)]
-    for key in more:
-        table.add_column({"lmi": "LMI solved", "box": "on the box"}[key])
-    table.add_column("equilibria", overflow="fold")
-    paths = [os.path.abspath(row["path"]) for row in rows]
-    shared = os.path.commonpath([os.path.dirname(path) for path in paths]) if len(paths) > 1 else ""
-    if shared:
-        table.caption, table.caption_justify = f"below {os.path.relpath(shared)}", "left"
-    for row in rows:
-        cells: list[str | Text] = [
-            os.path.relpath(os.path.abspath(row["path"]), shared) if shared else row["path"],
-            str(row["n"]),
+    for heading in ["LMI lmi, tight"] * solved + ["on the box"] * boxed:
+        table.add_column(heading, no_wrap=True)
+    table.add_column("equilibria", overflow="fold", min_width=12)
+    for row, path in zip(rows, paths, strict=True):
+        margins = [
+            Text(f"{row['margins'][name]:.3g}", "green" if row["certified"][name] else "red") for name in MARGINS
         ]
-        for name in MARGINS:
-            cells.append(Text(f"{row['margins'][name]:.4g}", "green" if row["certified"][name] else "red"))
-        cells += [f"{row['rate']:.6g}", time_constant(row["time_constant"], dt)]
-        cells += [{"lmi": _lmi, "box": _box}[key](row[key]) for key in more]
-        table.add_row(*cells, equilibria(row))
+        cells = [_lmi(row["lmi"])] if solved else []
+        cells += [_box(row["box"])] if boxed else []
+        constant = time_constant(row["time_constant"], dt)
+        table.add_row(path, str(row["n"]), *margins, f"{row['rate']:.6g}", constant, *cells, _places(row["equilibria"]))
     return table
 
 
+def _short(paths: Sequence[str]) -> tuple[list[str], str]:
+    """The paths without what all of them share, and the folder that they share."""
+    if len(paths) == 1:
+        return [paths[0]], ""
+    paths = [os.path.abspath(path) for path in paths]
+    shared = os.path.commonpath([os.path.dirname(path) for path in paths])
+    ending = {os.path.splitext(path)[1] for path in paths}
+    names = [os.path.relpath(path, shared) for path in paths]
+    return [name.removesuffix(*ending) if len(ending) == 1 else name for name in names], os.path.relpath(shared)
+
+
 def time_constant(steps: float | None, dt: float | None) -> str:
-    """−1/ln K in steps, or in s."""
-    if steps is None:
-        return "–"
-    return f"{steps:.3g} steps" if dt is None else f"{steps * dt:.3g} s"
+    """τ = −1/ln K in steps, or in s."""
+    return "–" if steps is None else f"{steps * (dt or 1):.3g}"
 
 
-def equilibria(row: dict[str, Any]) -> Text:
-    """Places by class, at the input asked for, and over headings at rest."""
+def _places(equilibria: Sequence[dict[str, Any]]) -> str:
     kinds: dict[str, list[str]] = {}
-    for each in row["equilibria"]:
+    for each in equilibria:
         ends = each.get("interval")
-        kinds.setdefault(each["class"], []).append(
-            f"{each['x']:.4g}" if ends is None else f"{ends[0]:.4g}…{ends[1]:.4g}"
-        )
-    told = "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items()) or "none"
-    if rest := row.get("at_rest"):
-        least, most = rest["equilibria"]
-        count = f"{least}" if least == most else f"{least}…{most}"
-        where = f" in {rest['x'][0]:.3g}…{rest['x'][1]:.3g}, {', '.join(rest['classes'])}" if rest["x"] else ""
-        told += f" | at rest, all headings: {count}{where}"
-    return Text(told)
+        place = f"{each['x']:.3g}" if ends is None else f"{ends[0]:.3g}…{ends[1]:.3g}"
+        kinds.setdefault(each["class"], []).append(place)
+    return "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items()) or "none"
+
+
+def _mark(verdict: str) -> Text:
+    return Text(*MARKS[verdict])
 
 
 def _lmi(found: dict[str, Any]) -> Text:
     told = Text()
     for condition in ("lmi", "tight"):
-        solution = found[condition]
-        told.append(f"{condition} ").append(solution["verdict"], WORDS.get(solution["verdict"], ""))
-        rate = "" if solution["rate"] is None else f", rate {solution['rate']:.6g}"
-        told.append(f"{rate}, {1e3 * solution['seconds']:.3g} ms" + ("; " if condition == "lmi" else ""))
+        rate = found[condition]["rate"]
+        told.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
     return told
 
 
 def _box(found: dict[str, Any]) -> Text:
     low, high = found["bracket"]
-    rate = f"{high:.6g}" if found["closed"] else f"{low:.6g}…{high:.6g}"
-    told = Text(found["verdict"], WORDS.get(found["verdict"], ""))
-    invariant = {"yes": "forward invariant", "no": "x can leave it", "unknown": "invariance unknown"}
-    return told.append(f", rate {rate}, {invariant[found['forward_invariant']]}")
+    rate = f"{high:.4g}" if found["closed"] else f"{low:.4g}…{high:.4g}"
+    kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
+    return Text().append(_mark(found["verdict"])).append(f" {rate}, {kept}")
 
 
 def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]) -> list[str]:
@@ -112,9 +114,22 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
         ", ".join(f"{name} {counts[name]}" for name in MARGINS)
         + f"; after rescaling neurons: simple {gauge['simple']}, gershgorin {gauge['gershgorin']}",
     ]
+    if rests := [row["at_rest"] for row in rows if "at_rest" in row]:
+        numbers = sorted({k for rest in rests for k in rest["equilibria"]})
+        places = sorted(x for rest in rests for x in rest["x"])
+        kinds = sorted({kind for rest in rests for kind in rest["classes"]})
+        told.append(
+            f"at rest, over {rests[0]['headings']} headings: {'…'.join(map(str, numbers))} equilibria each"
+            + (f", x in {places[0]:.3g}…{places[-1]:.3g}, {', '.join(kinds)}" if places else "")
+        )
     if any("box" in row for row in rows):
         verdicts = Counter(row["box"]["verdict"] for row in rows)
-        told.append("on the box: " + ", ".join(f"{word} {count}" for word, count in verdicts.items()))
+        kept = Counter(row["box"]["forward_invariant"] for row in rows)
+        told.append(
+            f"on the box: {', '.join(f'{word} {count}' for word, count in verdicts.items())}; "
+            + "f maps the box into itself: "
+            + ", ".join(f"{word} {count}" for word, count in kept.items())
+        )
         if refuted := next((row for row in rows if row["box"]["verdict"] == "refuted"), None):
             point = refuted["box"]["witness"]
             u = ", ".join(f"{x:.4g}" for x in point["u"])

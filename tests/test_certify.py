@@ -90,7 +90,7 @@ def test_the_table_and_its_summary(files, capsys):
     assert main([str(files / "run"), str(files / "identity.npz"), "--dt", "0.4"]) == 1
     text = capsys.readouterr().out
     assert "2 of 3 certified contracting by tight, in rational arithmetic" in text
-    assert "continuum 0…1" in text and " s " in text and "anna" in text
+    assert "continuum 0…1" in text and "τ, s" in text and "anna" in text and "at rest" in text
 
 
 def test_lmi_and_box(files, capsys):

@@ -31,7 +31,7 @@ OURS = {
                                     "usvlearn.checkpoint", "usvlearn.evaluation"},
     "usvlearn.tensorboard": set(),
 }  # fmt: skip
-# package -> the modules of certify that may import it, at their top or where they use it (weights: to read a torch file)
+# package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
     "torch": {"certify.conditions", "certify.projections", "certify.compare", "certify.families", "certify.weights"},
     "scipy": {"certify.box_search", "certify.box_milp"},
