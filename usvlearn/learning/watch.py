@@ -11,6 +11,7 @@ import numpy as np
 
 from usvlearn.errors import MissingExtraError
 from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.estimators.rnn import RNN
 from usvlearn.evaluation.figures import prediction_figure
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.learning.replay import Chunk
@@ -37,13 +38,19 @@ class Watch:
         self.board, self.fleet, self.ensemble = Board(folder), fleet, ensemble
         self.every = max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))  # steps between points
         self._errors: deque[np.ndarray] = deque()  # (time, boats, estimators), the last WINDOW steps or a little more
-        self.board.charts({
+        charts = {
             boat: {
                 f"{number}, {unit}": [f"online/{number}/{boat}/{name}" for name in ensemble.names]
                 for number, unit in {"mae": "m/s", "skill": "against persistence"}.items()
             }
             for boat in fleet.boats
-        })  # fmt: skip
+        }
+        for name, member in ensemble.members.items():
+            if isinstance(member, RNN):
+                for boat in fleet.boats:
+                    charts[boat][f"{name}: margins, contracting where > 0"] = [f"state/{boat}/{name}/margin_.*"]
+                    charts[boat][f"{name}: contraction rate"] = [f"state/{boat}/{name}/contraction_rate"]
+        self.board.charts(charts)
 
     def __enter__(self) -> Watch:
         return self

@@ -1,0 +1,123 @@
+"""What a verdict costs; writes `benchmarks/verdicts.md`.
+
+python benchmarks/verdicts.py
+"""
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from certify import box, conditions, exact
+from certify.equilibria import equilibria
+from certify.families import initial_networks, random_networks
+from certify.lmi import LMI
+from certify.projections import project, project_jointly, retract
+from certify.weights import ShallowWeights
+
+ROOT = Path(__file__).parents[1]
+
+
+def seconds(work: Callable[[], object], times: int = 30) -> float:
+    """Median time of a call."""
+    found = []
+    for _ in range(times):
+        began = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - began)
+    return statistics.median(found)
+
+
+def tensors(weights: ShallowWeights) -> ShallowWeights:
+    return ShallowWeights(*map(torch.tensor, weights))
+
+
+def closed_forms() -> list[str]:
+    generator = torch.Generator().manual_seed(0)
+    many = torch.randn(2, 10_000, 20, generator=generator, dtype=torch.float64) / 5
+    large = torch.randn(2, 500, generator=generator, dtype=torch.float64) / 25
+    dispatch = seconds(lambda: large[0] * large[1], 500)
+    lines = ["| condition | 10,000 networks, n = 20, ms | one, n = 500, µs | operations' worth of dispatch |",
+             "|---|---:|---:|---:|"]  # fmt: skip
+    every = {**conditions.CONDITIONS, **{f"{name}, best gauge": each for name, each in conditions.BEST_GAUGE.items()}}
+    for name, each in every.items():
+        batch, one = seconds(partial(each, *many)), seconds(partial(each, *large), 300)
+        lines.append(f"| {name} | {1e3 * batch:.2f} | {1e6 * one:.1f} | {one / dispatch:.1f} |")
+    return lines
+
+
+def per_network(rng: np.random.Generator) -> list[str]:
+    columns: dict[int, dict[str, float]] = {}
+    for n in (20, 100, 500):
+        weights = random_networks(1, n, rng)[0]
+        K = float(exact.conditions(weights.a, weights.w1)["tight"].rate)
+        weights = weights._replace(a=weights.a * (0.9 / K))
+        a, w1 = weights.a, weights.w1
+        proof, lanes = exact.multipliers("tight", a, w1), tensors(weights)
+        row = {
+            "closed form, torch": seconds(partial(conditions.rate, lanes.a, lanes.w1), 200),
+            "exact K": seconds(partial(exact.extreme_slopes, a, w1)),
+            "all four conditions, exactly": seconds(partial(exact.conditions, a, w1)),
+            "p, Λ proved: LDLᵀ over fractions": seconds(partial(exact.proves, "tight", a, w1, proof), 5),
+            "equilibria at one input": seconds(partial(equilibria, weights, np.zeros(4))),
+            "project a onto tight": seconds(partial(project, lanes, "tight", 0.5)),
+            "project (a, w₁) onto tight": seconds(partial(project_jointly, lanes, "tight", 0.5)),
+            "retract": seconds(partial(retract, lanes, "tight", 0.5)),
+        }
+        if n <= 100:
+            problem = LMI(n, "tight")
+            row["LMI, first solve"] = seconds(partial(problem.solve, a, w1), 1)
+            row["LMI, solved again"] = seconds(partial(problem.solve, 0.99 * a, w1), 5)
+            row["LMI, solved again / closed form"] = row["LMI, solved again"] / row["closed form, torch"]
+        columns[n] = row
+    lines = ["| one network | n = 20 | n = 100 | n = 500 |", "|---|---:|---:|---:|"]
+    for name in columns[20]:
+        cells = [row.get(name) for row in columns.values()]
+        told = ["–" if x is None else f"{x:.2g} ×" if "/" in name else f"{1e3 * x:.3g} ms" for x in cells]
+        lines.append(f"| {name} | {' | '.join(told)} |")
+    return lines
+
+
+def boxes(rng: np.random.Generator) -> list[str]:
+    lines = [
+        "| exact rate on the box, gap 1e-6 | median, ms | largest, ms | closed |",
+        "|---|---:|---:|---:|",
+    ]
+    for n, count in ((20, 30), (50, 30), (100, 30)):
+        found = [box.rate(weights, box.operating_box(4)) for weights in initial_networks(count, n, rng)]
+        took = [1e3 * each.seconds for each in found]
+        closed = sum(each.closed for each in found)
+        lines.append(f"| n = {n}, m = 4 | {statistics.median(took):.1f} | {max(took):.0f} | {closed} of {count} |")
+    return lines
+
+
+def command(rng: np.random.Generator) -> list[str]:
+    with tempfile.TemporaryDirectory() as folder:
+        for k, weights in enumerate(random_networks(100, 20, rng)):
+            np.savez(f"{folder}/{k:03d}.npz", **weights._asdict())
+        call = [sys.executable, "-m", "certify", folder]
+        whole = seconds(partial(subprocess.run, call, cwd=ROOT, stdout=subprocess.DEVNULL), 3)
+        torch_alone = seconds(partial(subprocess.run, [sys.executable, "-c", "import torch"]), 3)
+    told = f"`python -m certify` on 100 parameter sets, n = 20: {whole:.2f} s"
+    return [f"{told}; `import torch`, which it does not need, alone: {torch_alone:.2f} s."]
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    rng = np.random.default_rng(0)
+    parts = [closed_forms(), per_network(rng), boxes(rng), command(rng)]
+    target = Path(__file__).with_suffix(".md")
+    text = "# What a verdict costs\n\nMedian times, one thread.\n\n" + "\n\n".join("\n".join(part) for part in parts)
+    target.write_text(text + "\n")
+    print(text)
+
+
+if __name__ == "__main__":
+    main()
