@@ -155,7 +155,7 @@ def main(arguments: list[str]) -> None:
             (name, chosen[name], trial(settings, torch.tensor([chosen[name]]).double(), learn, test, 3.5, 5))
             for name, settings in ROWS.items()
         ]
-        title = f"## BlueBoat, dt = 0.4 s: first 6 runs learned 5 times, later 6 run free; rates of the simulation"
+        title = "## BlueBoat, dt = 0.4 s: first 6 runs learned 5 times, later 6 run free; rates of the simulation"
         report += table(title, rows, references(learn, test))
     target = Path(__file__).with_suffix(".md")
     target.write_text("# What it costs to stay contracting\n\n" + "\n".join(report) + "\n")

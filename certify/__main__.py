@@ -209,7 +209,7 @@ def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) ->
     results = []
     for path in paths:
         content = certificate.read(path)
-        network = known.get(content.get("weights")) if networks else _named(path, content)
+        network = known.get(str(content.get("weights"))) if networks else _named(path, content)
         if network is None:
             found = certificate.Verification(False, "it is about other weights than those that were given")
         else:
@@ -230,7 +230,7 @@ def _named(path: str, content: dict[str, Any]) -> Network | None:
         file = next((Path(named[:end]) for end in range(len(named), 0, -1) if (folder / named[:end]).is_file()), None)
         if file is not None:
             found = {digest(network.weights): network for network in load(folder / file)}
-            return found.get(content.get("weights"))
+            return found.get(str(content.get("weights")))
     raise CertifyError(
         f"{path}: its weights, {named or 'a file without a name'}, are not there: give their path before --verify"
     )

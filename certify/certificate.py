@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 import platform
+import re
 from collections.abc import Mapping
 from fractions import Fraction
 from importlib.metadata import PackageNotFoundError, version
@@ -120,14 +121,14 @@ def _verify(content: dict[str, Any], weights: ShallowWeights) -> Verification:
         return Verification(False, "it was changed after it was made: its checksum differs")
     if content["weights"] != digest(weights):
         return Verification(False, "it is about other weights: their sha256 differs")
-    condition, kappa, proof = content["condition"], Fraction(content["rate"]), content["proof"]
+    condition, kappa, proof = content["condition"], _fraction(content["rate"]), content["proof"]
     claims = _claims(weights, condition, kappa, proof)
     if not 0 < kappa <= 1:
         return Verification(False, f"its rate is {kappa}, expected one above 0 and at most 1")
     if wrong := [key for key, value in claims.items() if content.get(key) != value]:
         return Verification(False, f"what it says of {', '.join(wrong)} does not follow from the weights")
     if condition in CLOSED_FORMS:
-        multipliers = exact.Multipliers(Fraction(proof["metric"]), [Fraction(x) for x in proof["multipliers"]])
+        multipliers = exact.Multipliers(_fraction(proof["metric"]), [_fraction(x) for x in proof["multipliers"]])
         if not exact.proves(condition, weights.a, weights.w1, multipliers, kappa):
             return Verification(False, "its p and Λ do not make M positive definite")
     else:
@@ -165,6 +166,13 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
     }
 
 
+def _fraction(text: Any) -> Fraction:
+    """p/q in plain digits: "1e999999999" is short to write and long to work out."""
+    if not (isinstance(text, str) and re.fullmatch(r"-?[0-9]{1,4000}(/[0-9]{1,4000})?", text)):
+        raise ValueError(f"found {str(text)[:40]!r}, expected a fraction p/q")
+    return Fraction(text)
+
+
 def _decimal(x: Fraction) -> str:
     """Rounded up, so that what is read is true."""
     scale = 10 ** (DIGITS + 1)
@@ -176,7 +184,7 @@ def _pairs(box: Box) -> list[list[str]]:
 
 
 def _box(pairs: list[list[str]]) -> Box:
-    ends = [[Fraction(x) for x in pair] for pair in pairs]
+    ends = [[_fraction(x) for x in pair] for pair in pairs]
     if any(len(pair) != 2 or pair[0] > pair[1] or any(Fraction(float(x)) != x for x in pair) for pair in ends):
         raise ValueError("the box's ends are no floats in order")
     lo, hi = np.array([[float(x) for x in pair] for pair in ends]).T

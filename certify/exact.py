@@ -86,13 +86,14 @@ def multipliers(condition: str, a, w1, rate: Fraction = ONE) -> Multipliers | No
     sizes = [(abs(ai) / rate, abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
     if condition == "simple":
         return Multipliers(ONE, [Fraction(1, n + 1)] * n)
-    if condition == "gershgorin":  # slack to both rows of the lemma: a third to each, a third to p
+    if condition == "gershgorin":  # what is left of the lemma's sum goes to the λ_i and to both sides of p
         shares = [ai / (1 - wi) for ai, wi in sizes]
-        third = (2 - _sum(shares)) / 3
-        lam = [share + third / n for share in shares]
-        return Multipliers(_sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)]) + third, lam)
+        quarter = _power_below((2 - _sum(shares)) / 4)
+        lam = [share + quarter / n for share in shares]
+        least = _sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
+        return Multipliers((least // quarter + 1) * quarter, lam)
     # λ_i = |a_i|/(κ |w_i|); where one of the two is zero, what keeps its share of the slack below 1/(4n)
-    slack = 1 - found / rate
+    slack = _power_below(1 - found / rate)
     lam = []
     for ai, wi in sizes:
         if ai and wi:
@@ -164,6 +165,12 @@ def proves(condition: str, a, w1, found: Multipliers, rate: Fraction = ONE) -> b
         if not (dominated and first and second and equal):
             return False
     return definiteness(matrix(a, w1, p, lam, rate, CORNER[condition])) == 1
+
+
+def _power_below(x: Fraction) -> Fraction:
+    """A power of two in (x/4, x], so that a proof's fractions stay short."""
+    bits = x.numerator.bit_length() - x.denominator.bit_length() - 1
+    return Fraction(2) ** bits
 
 
 def _sum(values: Sequence[Fraction]) -> Fraction:

@@ -97,6 +97,8 @@ TAMPERED = {
     "one λ too few": lambda c: c["proof"]["multipliers"].pop(),
     "p": lambda c: c["proof"].__setitem__("metric", "2"),
     "no number": lambda c: c["proof"].__setitem__("metric", "one"),
+    "a number too long to work out": lambda c: c["proof"].__setitem__("metric", "1e999999999"),
+    "a float": lambda c: c["proof"].__setitem__("metric", 1.0),
     "a division by zero": lambda c: c["proof"].__setitem__("metric", "1/0"),
     "a faster rate": lambda c: c.__setitem__("rate", "1/2"),
     "rate and claim": lambda c: c.update(rate="1/2", contraction_rate="1/2"),
@@ -198,3 +200,15 @@ def test_box_of_a_certificate_survives_any_float():
     weights, box = network(K=0.5), box_of([(0.1, 0.7), (-1 / 3, 1e-9), (0, 1)], 2)
     made = json.loads(json.dumps(certificate.make(weights, "interval", 1, box)))
     assert certificate.verify(made, weights).valid
+
+
+@pytest.mark.parametrize("condition", certificate.CLOSED_FORMS)
+def test_large_networks_and_dead_neurons_have_short_proofs(condition):
+    rng = np.random.default_rng(0)
+    w1 = rng.uniform(-0.9, 0.9, 500)
+    a = rng.normal(size=500) / 500**2 / 4
+    a[::7], w1[::5] = 0.0, 0.0
+    weights = ShallowWeights(a, w1, np.zeros((500, 1)), np.zeros(500))
+    made = certificate.make(weights, condition)
+    assert certificate.verify(made, weights).valid
+    assert max(map(len, made["proof"]["multipliers"])) < 200 and len(made["proof"]["metric"]) < 200
