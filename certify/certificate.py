@@ -205,12 +205,21 @@ def _versions() -> dict[str, str]:
 
 
 def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
-    """Write a certificate to a file, whole or not at all."""
+    """Write a certificate to a file, whole or not at all.
+
+    Raises:
+        CertifyError: it cannot be written.
+    """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f".{path.name}.unfinished")
-    unfinished.write_text(json.dumps(certificate, indent=1, ensure_ascii=False) + "\n")
-    os.replace(unfinished, path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        unfinished.write_text(json.dumps(certificate, indent=1, ensure_ascii=False) + "\n")
+        os.replace(unfinished, path)
+    except OSError as error:
+        raise CertifyError(
+            f"{path}: cannot be written ({error.strerror}): give a folder that can be written"
+        ) from error
     return path
 
 

@@ -50,7 +50,7 @@ def judge(
         "m": m,
         "margins": {name: float(condition.margin) for name, condition in conditions.items()},
         "rate": float(K),
-        "time_constant": -1 / math.log(K) if 0 < K < 1 else (0.0 if K == 0 else None),  # in steps
+        "time_constant": _time_constant(K),  # in steps
         "certified": {name: condition.margin > 0 for name, condition in conditions.items()},
         "best_gauge": {"simple": 4 * (n + 1) * max(s) < 1, "gershgorin": 2 * sum(s) < 1},
         "input": list(map(float, u)),
@@ -70,6 +70,15 @@ def judge(
     if box is not None:
         found["box"] = search_box(weights, box, seconds)
     return found
+
+
+def _time_constant(K: Fraction) -> float | None:
+    """−1/ln K; None where K ≥ 1."""
+    if K >= 1:
+        return None
+    if float(K) == 0:
+        return 0.0
+    return -1 / (math.log(float(K)) if K < 0.5 else math.log1p(-float(1 - K)))
 
 
 def _told(equilibrium) -> dict[str, Any]:

@@ -20,6 +20,7 @@ import numpy as np
 from certify.errors import CertifyError
 
 SUFFIXES = (".safetensors", ".npz", ".pt", ".pth")
+LARGEST = 1e150  # of a weight in a file; sums of products of two are still floats
 
 
 class ShallowWeights(NamedTuple):
@@ -51,6 +52,8 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
     (1, 2)
     """
     try:
+        if any(np.iscomplexobj(x) for x in weights):
+            raise TypeError("some are complex")
         arrays = ShallowWeights(*(np.asarray(x, dtype=np.float64) for x in weights))
     except (TypeError, ValueError) as error:
         raise CertifyError(f"{name}: found weights that are no numbers ({error}), expected float arrays") from error
@@ -101,6 +104,8 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
     for prefix, weights in found:
         label = path if len(found) == 1 else f"{path}:{prefix}"
         arrays = check(weights, label)
+        if (size := max(np.abs(x).max(initial=0.0) for x in arrays)) > LARGEST:
+            raise CertifyError(f"{label}: found a weight of {size:.3g}, expected none above {LARGEST:g}")
         lanes = list(np.ndindex(arrays.a.shape[:-1]))
         for lane in lanes:
             own = label if len(lanes) == 1 else f"{label}[{','.join(map(str, lane))}]"

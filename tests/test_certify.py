@@ -79,6 +79,15 @@ def test_equilibria_are_those_of_the_paper_and_its_errata(files, capsys):
     assert rows[0]["input"] == [0.3]
 
 
+def test_rates_of_any_size_have_a_time_constant(files, capsys):
+    rest = {"w1": np.ones(2), "W2": np.zeros((2, 1)), "b": np.zeros(2)}
+    np.savez(files / "tiny.npz", **{**rest, "a": [5e-324, 0.0]})
+    np.savez(files / "edge.npz", **{**rest, "a": [1 - 2.0**-53, 2.0**-60]})
+    code, rows = told(capsys, files / "tiny.npz", files / "edge.npz")
+    assert code == 0 and rows[0]["time_constant"] >= 0
+    assert rows[1]["rate"] == 1 - 2.0**-53 and rows[1]["time_constant"] == pytest.approx(2**53, rel=0.01)
+
+
 def test_a_runs_folder_and_a_pattern(files, capsys):
     code, rows = told(capsys, files / "run")
     assert code == 0 and [Path(row["path"]).parent.name for row in rows] == ["anna", "bert"]
@@ -155,6 +164,7 @@ def test_pictures(files, capsys):
         (["good.npz", "--dt", "-1"], "--dt"),
         (["good.npz", "--plot", "map.xyz"], "map.xyz"),
         (["good.npz", "--certificate", "good.npz"], "is a file"),
+        (["good.npz", "--certificate", "/dev/null/proofs"], "cannot be written"),
         (["--verify", "good.npz"], "good.npz"),
         (["--verify", "nowhere.json"], "cannot be read"),
         (["compare", "--networks", "0"], "--networks"),

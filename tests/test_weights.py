@@ -90,6 +90,7 @@ def test_pickled_code_is_never_run(tmp_path):
         ({"a": 1.0}, "expected a, w1, b"),
         ({"a": [], "w1": [], "W2": np.zeros((0, 4)), "b": []}, "without neurons"),
         ({"a": ["x", "y", "z"]}, "no numbers"),
+        ({"a": [1j, 0, 0]}, "complex"),
     ],
 )
 def test_weights_that_cannot_be_judged(change, message):
@@ -97,6 +98,8 @@ def test_weights_that_cannot_be_judged(change, message):
         check(weights()._replace(**change), "net.npz")
     with pytest.raises(CertifyError, match=r"^tensors"):
         from_tensors({"w1": [1.0], "a": [1.0]})
+    with pytest.raises(CertifyError, match=r"a weight of 1e\+300"):
+        from_tensors(weights()._replace(w1=[1e300, 0, 0])._asdict())
 
 
 def test_files_that_are_none(tmp_path):
