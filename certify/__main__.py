@@ -7,7 +7,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from certify import certificate, exact
 from certify.errors import CertifyError
-from certify.weights import Network, digest, find, load
+from certify.weights import SUFFIXES, Network, digest, find, load
 
 CONDITIONS = (*exact.CORNER, "interval", "box")
 CERTIFIED, NOT_ALL, BAD_INPUT = 0, 1, 2  # exit codes
@@ -40,12 +40,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
             return compare(arguments[1:])
         return _run(_parse(arguments))
-    except CertifyError as error:
-        print(f"error: {error}", file=sys.stderr)
+    except (CertifyError, OSError) as error:
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
         return BAD_INPUT
-    except BrokenPipeError:  # the reader of our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return CERTIFIED
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -77,7 +74,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--verify", nargs="+", metavar="CERTIFICATE", help="check certificates, of PATH or what they name"
     )
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(_joined(arguments))
     if options.box and ":" not in options.box:  # --box PATH
         options.paths, options.box = [options.box, *options.paths], ""
     if options.condition in ("interval", "box") and options.box is None:
@@ -90,8 +87,23 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     return options
 
 
+def _joined(arguments: Sequence[str]) -> list[str]:
+    """With what follows --box and --input joined to it where it begins with a minus, which is no option's."""
+    joined: list[str] = []
+    for argument in arguments:
+        if joined and joined[-1] in ("--box", "--input") and re.match(r"-[\d.]", argument):
+            joined[-1] += f"={argument}"
+        else:
+            joined.append(argument)
+    return joined
+
+
 def _run(options: argparse.Namespace) -> int:
     networks = [network for path in find(options.paths) for network in load(path)]
+    if options.headings and any(network.weights.W2.shape[-1] != 4 for network in networks):
+        raise CertifyError("--headings: found a network without the four inputs of heading and commands")
+    if options.plot is not None and (not options.plot or options.plot.endswith(os.sep) or Path(options.plot).is_dir()):
+        raise CertifyError(f"--plot: found {options.plot!r}, expected a file such as map.png")
     if options.verify:
         return _verify(options.verify, networks, options.json)
     rows = _judge(options, networks)
@@ -102,14 +114,23 @@ def _run(options: argparse.Namespace) -> int:
     if options.plot:
         notes += _plot(options, networks)
     if options.json:
-        print(json.dumps(rows, indent=1, allow_nan=False, ensure_ascii=False))
+        _say(print, json.dumps(rows, indent=1, allow_nan=False, ensure_ascii=False))
         for note in notes:
             print(note, file=sys.stderr)
     else:
         from certify.table import show
 
-        show(rows, options.condition, held, notes, options.dt)
+        _say(show, rows, options.condition, held, notes, options.dt)
     return CERTIFIED if all(held) else NOT_ALL
+
+
+def _say(write: Callable, *arguments: Any) -> None:
+    """Write to standard output; that its reader has seen enough changes no verdict."""
+    try:
+        write(*arguments)
+        sys.stdout.flush()
+    except (BrokenPipeError, SystemExit):  # rich makes the one into the other
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dict[str, Any]]:
@@ -123,7 +144,10 @@ def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dic
         if options.box is not None and m not in boxes:
             from certify.box import box, operating_box
 
-            boxes[m] = box(options.box, m) if options.box else operating_box(m)
+            try:
+                boxes[m] = box(options.box, m) if options.box else operating_box(m)
+            except CertifyError as error:
+                raise CertifyError(f"{network.path}: {error}") from error
         if m not in inputs:
             inputs[m] = _input(options.input, m, network.path)
     slow = (options.lmi or options.box is not None) and len(networks) > 1
@@ -186,7 +210,10 @@ def _names(networks: Sequence[Network]) -> list[str]:
     shared = os.path.commonpath([os.path.dirname(path) for path in paths])
     names = [re.sub(r"\.(safetensors|npz|pth?)(?=\W|$)", "", os.path.relpath(path, shared)) for path in paths]
     names = [re.sub(r"[^\w.-]+", "_", name).strip("_") for name in names]
-    return [name if names.count(name) == 1 else f"{name}_{k}" for k, name in enumerate(names)]
+    for k in range(len(names)):
+        while names[k] in names[:k]:
+            names[k] += "_"
+    return names
 
 
 def _plot(options, networks: Sequence[Network]) -> list[str]:
@@ -215,25 +242,25 @@ def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) ->
         else:
             found = certificate.verify(content, network.weights)
         results.append({"certificate": path, "valid": found.valid, "reason": found.reason})
-    if as_json:
-        print(json.dumps(results, indent=1, ensure_ascii=False))
-    else:
-        for result in results:
-            print(f"{result['certificate']}: {'valid' if result['valid'] else 'REFUSED'}: {result['reason']}")
+    lines = [f"{each['certificate']}: {'valid' if each['valid'] else 'REFUSED'}: {each['reason']}" for each in results]
+    _say(print, json.dumps(results, indent=1, ensure_ascii=False) if as_json else "\n".join(lines))
     return CERTIFIED if all(result["valid"] for result in results) else NOT_ALL
 
 
 def _named(path: str, content: dict[str, Any]) -> Network | None:
     """The parameter set that a certificate names: below the working folder, or beside the certificate."""
-    named = str(content.get("path", ""))
-    for folder in (Path(), Path(path).parent):
-        file = next((Path(named[:end]) for end in range(len(named), 0, -1) if (folder / named[:end]).is_file()), None)
-        if file is not None:
-            found = {digest(network.weights): network for network in load(folder / file)}
-            return found.get(str(content.get("weights")))
-    raise CertifyError(
-        f"{path}: its weights, {named or 'a file without a name'}, are not there: give their path before --verify"
-    )
+    named, seen = str(content.get("path", "")), False
+    file = re.sub(r"(\[[\d,]*\])?$", "", named)
+    for place in (Path(file), Path(path).parent / file, Path(path).parent / Path(file).name):
+        for candidate in (place, Path(str(place).rpartition(":")[0])):
+            if candidate.suffix in SUFFIXES and candidate.is_file():
+                seen = True
+                networks = {digest(network.weights): network for network in load(candidate)}
+                if (network := networks.get(str(content.get("weights")))) is not None:
+                    return network
+    if seen:
+        return None
+    raise CertifyError(f"{path}: its weights, {named[:200]!r}, are not there: give their path before --verify")
 
 
 if __name__ == "__main__":

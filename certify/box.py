@@ -26,6 +26,8 @@ from certify.weights import ShallowWeights, check
 
 LARGEST = 1e60  # a weight or an end of the box; products of a few are floats
 
+QUIET = np.errstate(all="ignore")  # numbers near the ends of a float's range; what is claimed is checked in integers
+
 
 class Witness(NamedTuple):
     """A point of the box, and the slope there, computed exactly."""
@@ -117,6 +119,7 @@ def operating_box(m: int) -> Box:
     return Box(lo, np.ones(1 + m))
 
 
+@QUIET
 def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 10.0, method: str = "auto") -> BoxRate:
     """K_box of one network, (1), as a bracket.
 
@@ -153,6 +156,7 @@ def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 
     return BoxRate(lower, upper, seen if lower else None, closed, method, nodes, time.perf_counter() - started)
 
 
+@QUIET
 def certify(weights: ShallowWeights, box: Box, rate: float = 1.0, seconds: float = 10.0) -> BoxVerdict:
     """Whether |slope| < rate everywhere on the box, decided exactly, and whether the box is forward invariant.
 
@@ -190,6 +194,7 @@ def certify(weights: ShallowWeights, box: Box, rate: float = 1.0, seconds: float
     return BoxVerdict(verdict, float(rate), *bounds, seen, tree, invariant, invariance_tree, escape, took)
 
 
+@QUIET
 def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple[str, str | None, np.ndarray | None]:
     """Whether f maps the box into its interval of x: "yes" and a proof, "no" and a point, or "unknown".
 
@@ -211,6 +216,7 @@ def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple
     return "unknown", None, None
 
 
+@QUIET
 def output_range(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 10.0) -> Range:
     """The least and the greatest x⁺ on a box, each to a gap relative to the larger of its size and 1.
 

@@ -176,6 +176,22 @@ def proves(weights: ShallowWeights, box: Box, tree: str, rate: float | Fraction)
     return _replay(tree, box, start, refine, part, closes)
 
 
+def interval_rate(weights: ShallowWeights, box: Box) -> Fraction:
+    """The largest |slope| that interval arithmetic on the whole box does not exclude: `proves` holds just above it.
+
+    >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
+    >>> interval_rate(half, Box(np.zeros(1), np.ones(1)))
+    Fraction(1, 2)
+    """
+    found, here = planes(weights, box), region(box)
+    high = low = 0
+    for row, constant, above, below in zip(found.rows, found.constants, found.above, found.below, strict=True):
+        least, most = here.extremes(row, constant)
+        values = [above] if least >= 0 else [below] if most <= 0 else [above, below]
+        high, low = high + max(values), low + min(values)
+    return Fraction(max(high, -low), 1 << found.slope_bits)
+
+
 def proves_range(weights: ShallowWeights, box: Box, tree: str) -> bool:
     """Whether a tree, of box splits alone, proves that f maps the box into the box's interval of x.
 

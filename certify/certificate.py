@@ -15,6 +15,7 @@ import os
 import platform
 import re
 from collections.abc import Mapping
+from decimal import Decimal
 from fractions import Fraction
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -40,14 +41,17 @@ class Verification(NamedTuple):
 
 
 def provable_rate(rate: Fraction | float) -> Fraction | None:
-    """A short decimal above a rate, at most 1; None where there is none.
+    """A short decimal above a rate and below 1; None where there is none.
 
-    >>> provable_rate(Fraction(1, 3)), provable_rate(0.9999999), provable_rate(1)
-    (Fraction(166667, 500000), Fraction(1, 1), None)
+    >>> provable_rate(Fraction(1, 3)), provable_rate(Fraction(9999999, 10**7)), provable_rate(1)
+    (Fraction(166667, 500000), Fraction(99999991, 100000000), None)
     """
     rate, scale = Fraction(rate), 10**DIGITS
-    above = Fraction(rate * scale // 1 + 1, scale)
-    return min(above, Fraction(1)) if rate < 1 else None
+    if rate >= 1:
+        return None
+    while (above := Fraction(rate * scale // 1 + 1, scale)) >= 1:
+        scale *= 10
+    return above
 
 
 def make(
@@ -75,6 +79,8 @@ def make(
     ('tight', '500001/1000000', True)
     """
     weights = check(weights, path or "weights")
+    if rate is not None and not 0 < rate <= 1:
+        raise CertifyError(f"rate: found {rate}, expected a number above 0 and at most 1")
     if condition in CLOSED_FORMS:
         found = exact.conditions(weights.a, weights.w1)[condition].rate
         kappa = provable_rate(found) if rate is None and found is not None else rate
@@ -85,7 +91,12 @@ def make(
     elif condition in ("interval", "box"):
         if box is None:
             raise CertifyError(f"{condition}: found no box, expected one: it is what the certificate is about")
-        tree, kappa = ("." if condition == "interval" else tree), Fraction(1) if rate is None else Fraction(rate)
+        if condition == "interval":
+            tree = "."
+            rate = provable_rate(box_proof.interval_rate(weights, box)) if rate is None else rate
+            if rate is None:
+                return None
+        kappa = 1 if rate is None else rate
         parts = {"box": _pairs(box), "tree": tree, "invariance_tree": invariance_tree}
     else:
         raise CertifyError(
@@ -110,7 +121,7 @@ def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verificat
     """
     try:
         return _verify(dict(certificate), check(weights))
-    except (KeyError, TypeError, ValueError, ZeroDivisionError, AttributeError) as error:
+    except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
         return Verification(False, f"it is no certificate that can be read: {type(error).__name__} {error}")
 
 
@@ -121,6 +132,8 @@ def _verify(content: dict[str, Any], weights: ShallowWeights) -> Verification:
         return Verification(False, "it was changed after it was made: its checksum differs")
     if content["weights"] != digest(weights):
         return Verification(False, "it is about other weights: their sha256 differs")
+    if content["condition"] not in (*CLOSED_FORMS, "interval", "box"):
+        return Verification(False, "it names a condition that is not known")
     condition, kappa, proof = content["condition"], _fraction(content["rate"]), content["proof"]
     claims = _claims(weights, condition, kappa, proof)
     if not 0 < kappa <= 1:
@@ -133,6 +146,8 @@ def _verify(content: dict[str, Any], weights: ShallowWeights) -> Verification:
             return Verification(False, "its p and Λ do not make M positive definite")
     else:
         box = _box(proof["box"])
+        if len(box.lo) != 1 + weights.W2.shape[-1] or (condition == "interval" and proof["tree"] != "."):
+            return Verification(False, "its box or its tree is of another kind than its condition")
         if not box_proof.proves(weights, box, proof["tree"], kappa):
             return Verification(False, "its tree does not bound the slope on the box")
         if proof["invariance_tree"] is not None and not box_proof.proves_range(weights, box, proof["invariance_tree"]):
@@ -149,12 +164,15 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
         margin = exact.conditions(weights.a, weights.w1)[condition].margin
     else:
         invariant = proof["invariance_tree"] is not None
-        where = "on the box, " + ("which f maps into itself" if invariant else "for as long as x stays in it")
+        lo, hi = _box(proof["box"])
+        told = ", ".join(f"[{least:.17g}, {most:.17g}]" for least, most in zip(lo, hi, strict=True))
+        kept = "which f maps into itself" if invariant else "for as long as x stays in it"
+        where = f"for (x, u) in {told}, {kept}"
         how = "interval bounds on every box of the tree, in rational arithmetic"
     n, m = weights.W2.shape
     return {
         "format": FORMAT,
-        "claim": f"|f(x₁, u) − f(x₂, u)| ≤ {_decimal(bound)} |x₁ − x₂| {where}",
+        "claim": f"|f(x₁, u) − f(x₂, u)| {'<' if bound == 1 else '≤'} {_decimal(bound)} |x₁ − x₂| {where}",
         "weights": digest(weights),
         "neurons": n,
         "inputs": m,
@@ -174,9 +192,11 @@ def _fraction(text: Any) -> Fraction:
 
 
 def _decimal(x: Fraction) -> str:
-    """Rounded up, so that what is read is true."""
-    scale = 10 ** (DIGITS + 1)
-    return f"{float(Fraction(-(-x * scale // 1), scale)):.{DIGITS + 1}g}"
+    """Rounded up, so that what is read is true; with the digits that tell it from 1."""
+    digits = DIGITS + 1
+    while (above := -(-x * 10**digits // 1)) >= 10**digits and x < 1:
+        digits += 1
+    return f"{Decimal(above).scaleb(-digits).normalize():f}"
 
 
 def _pairs(box: Box) -> list[list[str]]:
@@ -187,6 +207,8 @@ def _box(pairs: list[list[str]]) -> Box:
     ends = [[_fraction(x) for x in pair] for pair in pairs]
     if any(len(pair) != 2 or pair[0] > pair[1] or any(Fraction(float(x)) != x for x in pair) for pair in ends):
         raise ValueError("the box's ends are no floats in order")
+    if ends[0][0] == ends[0][1]:
+        raise ValueError("x has no width: a rate compares two states")
     lo, hi = np.array([[float(x) for x in pair] for pair in ends]).T
     return Box(lo.copy(), hi.copy())
 
@@ -233,7 +255,7 @@ def read(path: str | Path) -> dict[str, Any]:
         content = json.loads(Path(path).read_text())
     except OSError as error:
         raise CertifyError(f"{path}: cannot be read ({error.strerror}): give the path of a certificate") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CertifyError(
             f"{path}: is no certificate ({error}): expected the JSON that --certificate writes"
         ) from error

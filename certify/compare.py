@@ -130,8 +130,9 @@ def paper_tests(networks: Sequence[ShallowWeights], choices: argparse.Namespace)
     one, zero = np.ones(1), np.zeros(1)
     identity = ShallowWeights(one, one, np.zeros((1, 4)), zero)
     for condition in CORNERS[choices.corner]:
-        edge = [_at_rate(weights, condition, 1 + beyond) for weights in networks[:20] for beyond in (1e-8, 1e-7, 1e-6)]
-        inside = [_at_rate(weights, condition, 0.999) for weights in networks[:20]]
+        scaled = [weights for weights in networks if np.any(weights.a * weights.w1)][:20]
+        edge = [_at_rate(weights, condition, 1 + beyond) for weights in scaled for beyond in (1e-8, 1e-7, 1e-6)]
+        inside = [_at_rate(weights, condition, 0.999) for weights in scaled]
         for strict in ORDERS[choices.order]:
             says = _says(condition, strict, choices.solver)
             rows.append({
@@ -252,6 +253,8 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--json", action="store_true", help="everything, on standard output")
     parser.add_argument("--plot", metavar="FILE", help="draw the comparison")
     options = parser.parse_args(arguments)
+    if options.seed < 0:
+        raise CertifyError(f"--seed: found {options.seed}, expected a whole number of 0 or more")
     for name in ("networks", "neurons", "dt", "seconds"):
         if not 0 < getattr(options, name) < math.inf:
             raise CertifyError(f"--{name}: found {getattr(options, name)}, expected a number above 0")

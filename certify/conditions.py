@@ -1,7 +1,7 @@
 """Conditions for x⁺ = aᵀ relu(w₁ x + W₂ u + b), x scalar, to contract, each in closed form.
 
 With s_i = a_i w_{1i}, P = Σ max(s_i, 0), N = Σ max(−s_i, 0), the slope of x ↦ x⁺ is the sum of s_i over the active
-neurons, so that K = max(P, N) is the exact rate over all activation patterns. From weak to strong:
+neurons, so that K = max(P, N) is the exact rate over all activation patterns. From the narrowest to the widest:
 
     simple      (n+1)|a_i| + |w_{1i}| < 1 for all i                    paper, theorem III.6 (RNNSimple)   (1)
     gershgorin  |w_{1i}| < 1 for all i, Σ |a_i|/(1 − |w_{1i}|) < 2     paper, lemma III.5                 (2)
@@ -38,8 +38,7 @@ def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
     (tensor(0.5000), tensor(0.7500))
     """
     s = a * w1
-    P = s.clamp(min=0).sum(-1)
-    return P, P - s.sum(-1)
+    return s.clamp(min=0).sum(-1), (-s).clamp(min=0).sum(-1)  # not P − Σ s_i, which cancels
 
 
 def rate(a: Tensor, w1: Tensor) -> Tensor:

@@ -73,13 +73,13 @@ def conditions(a, w1) -> dict[str, Condition]:
     }
 
 
-def multipliers(condition: str, a, w1, rate: Fraction = ONE) -> Multipliers | None:
+def multipliers(condition: str, a, w1, rate: Fraction | float = ONE) -> Multipliers | None:
     """p and Λ that prove a condition at a rate, in closed form; None where it does not hold.
 
     >>> multipliers("tight", [0.9], [1.0])
     Multipliers(metric=Fraction(1, 1), multipliers=[Fraction(8106479329266893, 9007199254740992)])
     """
-    found = conditions(a, w1)[condition].rate
+    found, rate = conditions(a, w1)[condition].rate, Fraction(rate)
     if found is None or not found < rate:
         return None
     n, c = len(np.asarray(a)), CORNER[condition]

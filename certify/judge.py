@@ -12,6 +12,7 @@ import numpy as np
 from certify import exact
 from certify.box_proof import Box, proves
 from certify.equilibria import equilibria, surge_inputs, sweep
+from certify.errors import CertifyError
 from certify.weights import Network, ShallowWeights
 
 HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
@@ -136,8 +137,13 @@ def solver(name: str = "CLARABEL") -> Callable[[ShallowWeights], dict[str, Any]]
             key = len(weights.a), condition
             if key not in problems:
                 problems[key] = LMI(*key, solver=name)
-            solution = problems[key].solve(weights.a, weights.w1)
-            rate, _ = problems[key].smallest_rate(weights.a, weights.w1)
+            try:
+                solution = problems[key].solve(weights.a, weights.w1)
+                rate, _ = problems[key].smallest_rate(weights.a, weights.w1)
+            except CertifyError as error:  # weights that no float solver can take
+                nothing = {"margin": None, "rate": None, "metric": None, "status": str(error), "seconds": 0.0}
+                found[condition] = {"verdict": "unknown", **nothing}
+                continue
             found[condition] = {
                 "verdict": solution.verdict,
                 "margin": _number(solution.margin),

@@ -61,13 +61,13 @@ def project(
         bounds: of the box, for `interval`.
 
     Raises:
-        CertifyError: an unknown condition or gauge, or `interval` without bounds.
+        CertifyError: an unknown condition or gauge, a number that is no rate, or `interval` without bounds.
 
     >>> wide = ShallowWeights(torch.tensor([3.0, 1.0]), torch.ones(2), torch.zeros(2, 1), torch.zeros(2))
     >>> project(wide, rate=0.5).a
     tensor([0.5000, 0.0000])
     """
-    _check(condition, gauge, bounds)
+    _check(condition, rate, gauge, bounds)
     weights = _within_gauge(weights, condition, gauge)
     a, w1 = weights.a, weights.w1
     kappa = _inner(rate, a)[..., None]
@@ -103,7 +103,7 @@ def retract(
     >>> retract(wide, rate=1.0).a
     tensor([0.7500, 0.2500])
     """
-    _check(condition, gauge, bounds)
+    _check(condition, rate, gauge, bounds)
     return _scale(_within_gauge(weights, condition, gauge), condition, rate, gauge, bounds)
 
 
@@ -119,7 +119,7 @@ def project_jointly(
     >>> bool((near.a * near.w1 - 1).abs() < 1e-5)
     True
     """
-    _check(condition, gauge, None if condition != "interval" else ())
+    _check(condition, rate, gauge, None if condition != "interval" else ())
     a, w1, n = weights.a, weights.w1, weights.a.shape[-1]
     kappa = _inner(rate, a)
     if condition == "simple" and gauge == "literal":
@@ -147,12 +147,14 @@ def _times(condition: str) -> int:
     return {"lmi": 2, "tight": 1}[condition]
 
 
-def _check(condition: str, gauge: str, bounds: Bounds | None) -> None:
+def _check(condition: str, rate: Tensor | float, gauge: str, bounds: Bounds | None) -> None:
     known = (*conditions.CONDITIONS, "interval")
     if condition not in known:
         raise CertifyError(f"condition: found {condition!r}, expected one of {', '.join(known)}")
     if gauge not in GAUGES:
         raise CertifyError(f"gauge: found {gauge!r}, expected one of {', '.join(GAUGES)}")
+    if not isinstance(rate, Tensor) and not 0 < rate <= 1:
+        raise CertifyError(f"rate: found {rate!r}, expected a number in (0, 1]")
     if condition == "interval" and bounds is None:
         raise CertifyError("interval: found no bounds, expected those of the box on which it is to hold")
 
@@ -241,7 +243,8 @@ def _nearest_on_box(weights: ShallowWeights, kappa: Tensor, lo: Tensor, hi: Tens
 
 
 def _thresholds(above: _Prefixes, below: _Prefixes, kappa: Tensor, S: Tensor, W: Tensor, delta: Tensor):
-    return _threshold(above, kappa - S + delta * W), _threshold(below, kappa + S - delta * W)
+    radii = kappa - S + delta * W, kappa + S - delta * W  # 0 at the ends of δ, up to rounding
+    return _threshold(above, radii[0].clamp(min=0)), _threshold(below, radii[1].clamp(min=0))
 
 
 def _balance(above: _Prefixes, below: _Prefixes, kappa, S, W, least, most) -> Tensor:

@@ -52,8 +52,8 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
     (1, 2)
     """
     try:
-        if any(np.iscomplexobj(x) for x in weights):
-            raise TypeError("some are complex")
+        if kinds := {np.asarray(x).dtype.kind for x in weights} - set("fiub"):
+            raise TypeError(f"kind {', '.join(sorted(kinds))}")
         arrays = ShallowWeights(*(np.asarray(x, dtype=np.float64) for x in weights))
     except (TypeError, ValueError) as error:
         raise CertifyError(f"{name}: found weights that are no numbers ({error}), expected float arrays") from error
@@ -88,11 +88,12 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
     'tensors'
     """
     prefixes = [name.removesuffix("w1") for name in tensors if re.search(r"(^|\.)w1$", name)]
-    found = [
-        (prefix.rstrip("."), ShallowWeights(*(tensors[prefix + name] for name in NAMES)))
-        for prefix in prefixes
-        if all(prefix + name in tensors for name in NAMES)
-    ]
+    for prefix in prefixes:
+        if lacking := [prefix + name for name in NAMES if prefix + name not in tensors]:
+            raise CertifyError(
+                f"{path}: holds {prefix}w1 but no {', '.join(lacking)}: expected a, w1, W2 and b together"
+            )
+    found = [(prefix.rstrip("."), ShallowWeights(*(tensors[prefix + name] for name in NAMES))) for prefix in prefixes]
     found = found or [("", weights) for weights in _two_layers(tensors, path)]
     if not found:
         names = ", ".join(list(tensors)[:6]) or "nothing"
@@ -107,6 +108,8 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
         if (size := max(np.abs(x).max(initial=0.0) for x in arrays)) > LARGEST:
             raise CertifyError(f"{label}: found a weight of {size:.3g}, expected none above {LARGEST:g}")
         lanes = list(np.ndindex(arrays.a.shape[:-1]))
+        if not lanes:
+            raise CertifyError(f"{label}: holds no network, found a of the shape {arrays.a.shape}")
         for lane in lanes:
             own = label if len(lanes) == 1 else f"{label}[{','.join(map(str, lane))}]"
             networks.append(Network(own, ShallowWeights(*(x[lane] for x in arrays))))
@@ -152,7 +155,7 @@ def load(path: str | Path) -> list[Network]:
         raise CertifyError(f"{path}: cannot be read ({error.strerror or error}): give the path of a file") from error
     except Exception as error:  # whatever a reader makes of a damaged file
         cause = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
-        raise CertifyError(f"{path}: is damaged, or is no {path.suffix} file ({cause}): give another") from error
+        raise CertifyError(f"{path}: cannot be read as {path.suffix} of float32 or float64 ({cause})") from error
     return from_tensors(tensors, str(path))
 
 
@@ -176,8 +179,10 @@ def _read_torch(path: Path) -> dict[str, np.ndarray]:
         tensors = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         raise CertifyError(f"{path}: is damaged, or holds more than tensors: save model.state_dict()") from error
+    if isinstance(tensors, Mapping) and isinstance(tensors.get("state_dict"), Mapping):
+        tensors = tensors["state_dict"]
     if not (isinstance(tensors, Mapping) and all(isinstance(x, torch.Tensor) for x in tensors.values())):
-        raise CertifyError(f"{path}: found {type(tensors).__name__}, expected a state_dict, tensors by name")
+        raise CertifyError(f"{path}: found {type(tensors).__name__}, expected tensors by name: save model.state_dict()")
     return {str(name): x.detach().double().numpy() for name, x in tensors.items()}
 
 
@@ -187,22 +192,22 @@ def find(paths: Iterable[str | Path]) -> list[Path]:
     Raises:
         CertifyError: one of them names nothing.
     """
-    found: dict[Path, None] = {}
+    found: dict[Path, Path] = {}
     for given in map(str, paths):
         matched = [Path(given)] if Path(given).exists() else sorted(map(Path, glob.glob(given, recursive=True)))
         if not matched:
             raise CertifyError(f"{given}: no such file, folder or pattern: give checkpoints, or a run's folder")
         for path in matched:
             files = [path] if not path.is_dir() else _below(path)
-            if not files and len(matched) == 1:
+            if not files:
                 raise CertifyError(f"{path}: holds no parameter sets, expected files {', '.join(SUFFIXES)}")
-            found.update(dict.fromkeys(files))
-    return list(found)
+            for file in files:
+                found.setdefault(file.resolve(), file)
+    return list(found.values())
 
 
 def _below(folder: Path) -> list[Path]:
-    """The parameter sets below a folder; checkpoints before anything else, since a run also keeps predictions."""
-    for suffix in SUFFIXES:
-        if files := sorted(folder.rglob(f"*{suffix}")):
-            return files
-    return []
+    """The parameter sets below a folder; a run keeps predictions beside its checkpoints, which are none."""
+    files = sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES and path.is_file())
+    runs = {path.parents[1] for path in folder.rglob("checkpoints/*")}
+    return [path for path in files if not any(path.is_relative_to(run / "predictions") for run in runs)]

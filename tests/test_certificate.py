@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 import subprocess
 import sys
 from fractions import Fraction
@@ -74,7 +75,7 @@ def test_a_hair_inside_the_edge(n, short):
 
 def test_box_and_interval():
     weights, made = boxed()
-    assert certificate.verify(made, weights).valid and "on the box" in made["claim"]
+    assert certificate.verify(made, weights).valid and "for as long as x stays in it" in made["claim"]
     assert certificate.make(weights, "tight") is None
     assert certificate.make(weights, "interval", 1, operating_box(2)) is None
     off = weights._replace(b=np.full(12, -50.0))
@@ -91,6 +92,7 @@ def resigned(made: dict) -> dict:
     return {**made, "sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
+BOX_PROOF = {"box": [["0", "1"]] * 3, "tree": ".", "invariance_tree": None}
 TAMPERED = {
     "λ of one neuron": lambda c: c["proof"]["multipliers"].__setitem__(0, "1/1000000000"),
     "a negative λ": lambda c: c["proof"]["multipliers"].__setitem__(0, "-1"),
@@ -107,6 +109,9 @@ TAMPERED = {
     "the margin": lambda c: c.__setitem__("margin", 0.99),
     "the claim": lambda c: c.__setitem__("claim", c["claim"].replace("≤ 0.9", "≤ 0.1")),
     "the condition": lambda c: c.__setitem__("condition", "lmi"),
+    "a box's proof": lambda c: c.update(
+        condition="tight, by a box", proof={"box": [["0", "1"]] * 3, "tree": ".", "invariance_tree": None}
+    ),
     "an unknown condition": lambda c: c.__setitem__("condition", "magic"),
     "the weights": lambda c: c.__setitem__("weights", "0" * 64),
     "the format": lambda c: c.__setitem__("format", "usvlearn certificate 2"),
@@ -148,6 +153,12 @@ def test_other_weights_are_refused():
     assert not certificate.verify(made, weights._replace(a=[np.nan] * 5)).valid
 
 
+def claim_of(proof: dict) -> str:
+    ends = ", ".join(f"[{float(Fraction(lo)):.17g}, {float(Fraction(hi)):.17g}]" for lo, hi in proof["box"])
+    kept = "for as long as x stays in it" if proof["invariance_tree"] is None else "which f maps into itself"
+    return f"for (x, u) in {ends}, {kept}"
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -157,12 +168,15 @@ def test_other_weights_are_refused():
         lambda p: p.__setitem__("box", [["0", "1000"], *p["box"][1:]]),
         lambda p: p.__setitem__("box", p["box"][:-1]),
         lambda p: p.__setitem__("box", [["1", "0"], *p["box"][1:]]),
+        lambda p: p.__setitem__("box", [["1/4", "1/4"], *p["box"][1:]]),
+        lambda p: p.__setitem__("box", [*p["box"], ["0", "0"]]),
         lambda p: p.__setitem__("invariance_tree", "."),
     ],
 )
 def test_a_tampered_tree_is_refused(change):
     weights, made = boxed()
     change(made["proof"])
+    made["claim"] = re.sub(r"for \(x, u\).*", claim_of(made["proof"]), made["claim"])
     assert not certificate.verify(resigned(made), weights).valid
 
 
@@ -212,3 +226,24 @@ def test_large_networks_and_dead_neurons_have_short_proofs(condition):
     made = certificate.make(weights, condition)
     assert certificate.verify(made, weights).valid
     assert max(map(len, made["proof"]["multipliers"])) < 200 and len(made["proof"]["metric"]) < 200
+
+
+def test_a_tree_with_splits_is_no_interval_certificate():
+    """The condition that a certificate names is the one that it proves."""
+    weights, made = boxed()
+    forged = {**made, "condition": "interval"}
+    assert not certificate.verify(resigned(forged), weights).valid
+
+
+def test_every_certificate_says_contracting():
+    weights = network(K=0.25)
+    interval = certificate.make(weights, "interval", box=operating_box(2))
+    assert Fraction(interval["rate"]) < Fraction(1, 3)
+    close = weights._replace(a=weights.a * ((1 - 1e-9) / 0.25))
+    made = certificate.make(close)
+    assert Fraction(made["rate"]) < 1 and "≤ 1 |" not in made["claim"]
+    assert "< 1 |" in certificate.make(weights, "box", 1, operating_box(2))["claim"]
+    assert certificate.make(weights, "tight", 0.9) is not None  # a float is a rate, too
+    for rate in (0, 2, float("nan")):
+        with pytest.raises(CertifyError, match="rate"):
+            certificate.make(weights, rate=rate)

@@ -115,6 +115,8 @@ def test_lmi_and_box(files, capsys):
     assert "witness" in capsys.readouterr().out
     _, rows = told(capsys, files / "tooth.npz", "--box=0:0.2,0:0")
     assert rows[0]["box"]["verdict"] == "certified" and rows[0]["box"]["intervals"] == [[0.0, 0.2], [0.0, 0.0]]
+    _, rows = told(capsys, files / "good.npz", "--box", "-1:1,-1:1", "--input", "-0.5")
+    assert rows[0]["box"]["intervals"][0] == [-1.0, 1.0] and rows[0]["input"] == [-0.5]
     code, rows = told(capsys, "--box", files / "good.npz")  # a path behind --box is a path
     assert code == 0 and rows[0]["box"]["bracket"][1] == pytest.approx(0.3)
 
@@ -151,7 +153,7 @@ def test_pictures(files, capsys):
         ([], "no PATH is given"),
         (["nowhere"], "nowhere: no such file"),
         (["good.npz", "nowhere*"], "no such file"),
-        (["text.npz"], "text.npz: is damaged"),
+        (["text.npz"], "text.npz: cannot be read"),
         (["notes.txt"], "notes.txt: is no parameter set"),
         (["nan.npz"], "nan.npz: found 1 NaN"),
         (["empty.npz"], "without neurons"),
@@ -162,6 +164,12 @@ def test_pictures(files, capsys):
         (["good.npz", "--input", "1,2"], "expected 1 finite numbers"),
         (["good.npz", "--input", "one"], "expected numbers"),
         (["good.npz", "--dt", "-1"], "--dt"),
+        (["good.npz", "--headings", "--plot", "map.png"], "--headings"),
+        (["good.npz", "--plot", ""], "--plot"),
+        (["good.npz", "--plot", "run"], "--plot"),
+        (["x" * 300], "File name too long"),
+        (["compare", "--seed", "-1"], "--seed"),
+        (["empty", "--json"], "holds no parameter sets"),
         (["good.npz", "--plot", "map.xyz"], "map.xyz"),
         (["good.npz", "--certificate", "good.npz"], "is a file"),
         (["good.npz", "--certificate", "/dev/null/proofs"], "cannot be written"),
@@ -179,6 +187,7 @@ def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, argume
     np.savez("shapes.npz", **{**arrays, "w1": [1.0, 2.0]})
     Path("text.npz").write_text("hello")
     Path("notes.txt").write_text("hello")
+    Path("empty").mkdir()
     assert main(arguments) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
@@ -208,6 +217,31 @@ def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main([str(files / "good.npz"), "--plot", str(files / "x.png")]) == 2
     assert "usvlearn[plot]" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("output", [[], ["--json"]])
+def test_a_reader_that_has_seen_enough_changes_no_verdict(files, output):
+    for name, code in (("good", 0), ("identity", 1)):
+        command = [sys.executable, "-m", "certify", *[str(files / f"{name}.npz")], *output]
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process.stdout.close()
+        assert process.wait() == code and process.stderr.read() == b""
+        process.stderr.close()
+
+
+def test_certificates_of_like_names_are_all_kept(files, monkeypatch, capsys):
+    monkeypatch.chdir(files)
+    arrays = dict(np.load("good.npz"))
+    for k, name in enumerate(("a.npz", "a_1.npz", "a.1.npz")):
+        np.savez(name, **{**arrays, "b": [float(k)]})
+    save(Path("a.safetensors"), ShallowWeights(*arrays.values()))
+    assert main(["a.npz", "a_1.npz", "a.1.npz", "a.safetensors", "--certificate", "proofs"]) == 0
+    assert len(list(Path("proofs").iterdir())) == 4
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")  # other weights of the same name here, the right ones beside the certificate
+    np.savez("a_1.npz", **{**arrays, "b": [9.0]})
+    capsys.readouterr()
+    assert main(["--verify", *map(str, Path("../proofs").glob("a_1.*"))]) in (0, 1)
 
 
 def test_the_module_runs(files):

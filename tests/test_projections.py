@@ -167,6 +167,25 @@ def test_inside_exactly(condition, gauge, size, dtype):
             assert min(rates) > 0.99
 
 
+def test_signs_do_not_cancel():
+    """One class of 1e17 hides nothing of the other: P and N are summed apart."""
+    a, one = torch.tensor([1e17, -5.0]).double(), torch.ones(2).double()
+    for function in (project, retract, project_jointly):
+        near = function(ShallowWeights(a, one, torch.zeros(2, 4).double(), 0 * one), "tight", 0.999)
+        assert exact_rate(near, "tight", "literal") <= Fraction(0.999)
+
+
+def test_networks_inside_on_a_box_stay_exactly():
+    """Few neurons, large biases: all of one sign class is zero, and the radii at the ends of δ are zero."""
+    generator = torch.Generator().manual_seed(0)
+    for n in (1, 2, 3):
+        draw = torch.randn(4, 20_000, n, 4, generator=generator, dtype=torch.float64)
+        weights = ShallowWeights(draw[0, ..., 0], draw[1, ..., 0], draw[2], 3 * draw[3, ..., 0])
+        inside = conditions.interval(weights, *BOUNDS).rate < 0.9
+        near = project(weights, "interval", 0.95, bounds=BOUNDS)
+        assert inside.sum() > 1000 and torch.equal(near.a[inside], weights.a[inside])
+
+
 @pytest.mark.parametrize(("condition", "gauge"), CASES)
 def test_what_holds_the_condition_stays(condition, gauge):
     weights = networks((5,), size=1e-3, seed=2)
@@ -243,6 +262,9 @@ def test_bad_arguments():
     for wrong, message in [({"condition": "loose"}, "simple"), ({"gauge": "worst"}, "best")]:
         with pytest.raises(CertifyError, match=message):
             project(weights, **wrong)
+    for rate in (0.0, -1, float("nan"), 2):
+        with pytest.raises(CertifyError, match="rate"):
+            project(weights, rate=rate)
     with pytest.raises(CertifyError, match="bounds"):
         retract(weights, "interval")
     with pytest.raises(CertifyError, match="use project"):

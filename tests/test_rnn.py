@@ -7,6 +7,7 @@ import torch
 from torch.func import grad
 
 from certify import exact
+from certify.box_proof import Box, interval_rate
 from certify.weights import ShallowWeights
 from tests.conftest import random_samples
 from usvlearn import RNN, rollout
@@ -116,7 +117,7 @@ def test_illegal_hyperparameters_are_refused(wrong):
 
 
 @pytest.mark.parametrize("updates", [pytest.param(40, id="some"), pytest.param(2000, id="1e5", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight"])
+@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight", "interval"])
 def test_projection_holds_exactly_after_every_update(condition, updates):
     """50 lanes with rates up to 1, outliers of 10⁴ m/s, stale and missing samples: no set beyond the rate, exactly."""
     rates = torch.logspace(-4, 0, 50, dtype=torch.float64)
@@ -129,7 +130,12 @@ def test_projection_holds_exactly_after_every_update(condition, updates):
         _, _, weights = rollout(rnn, rnn.init((50,)), samples._replace(surge=surge), record=lambda s: s.weights)
     a, w1 = (x.flatten(0, 1).numpy() for x in (weights.a, weights.w1))
     assert len(a) == 50 * updates and not (a[1:] == a[:-1]).all()
-    found = [exact.conditions(*pair)[condition].rate for pair in zip(a, w1, strict=True)]
+    if condition == "interval":
+        W2, b = (x.flatten(0, 1).numpy() for x in (weights.W2, weights.b))
+        box = Box(*rnn.bounds.numpy())
+        found = [interval_rate(ShallowWeights(*each), box) for each in zip(a, w1, W2, b, strict=True)]
+    else:
+        found = [exact.conditions(*pair)[condition].rate for pair in zip(a, w1, strict=True)]
     assert all(rate is not None and rate <= Fraction(0.999) for rate in found)
     assert max(found) > 0.9  # it is at the edge that it has to hold
 

@@ -90,7 +90,7 @@ def test_pickled_code_is_never_run(tmp_path):
         ({"a": 1.0}, "expected a, w1, b"),
         ({"a": [], "w1": [], "W2": np.zeros((0, 4)), "b": []}, "without neurons"),
         ({"a": ["x", "y", "z"]}, "no numbers"),
-        ({"a": [1j, 0, 0]}, "complex"),
+        ({"a": [1j, 0, 0]}, "no numbers"),
     ],
 )
 def test_weights_that_cannot_be_judged(change, message):
@@ -98,6 +98,11 @@ def test_weights_that_cannot_be_judged(change, message):
         check(weights()._replace(**change), "net.npz")
     with pytest.raises(CertifyError, match=r"^tensors"):
         from_tensors({"w1": [1.0], "a": [1.0]})
+    whole = weights()._asdict()
+    with pytest.raises(CertifyError, match=r"m2\.w1 but no m2\.W2, m2\.b"):
+        from_tensors({**{f"m1.{key}": x for key, x in whole.items()}, "m2.a": [1.0], "m2.w1": [5.0]})
+    with pytest.raises(CertifyError, match="no network"):
+        from_tensors(ShallowWeights(*(np.zeros((0, *x.shape)) for x in weights()))._asdict())
     with pytest.raises(CertifyError, match=r"a weight of 1e\+300"):
         from_tensors(weights()._replace(w1=[1e300, 0, 0])._asdict())
 
@@ -123,10 +128,11 @@ def test_find_takes_files_folders_and_patterns_once(tmp_path):
     (tmp_path / "run/predictions").mkdir()
     np.savez(tmp_path / "run/predictions/1.npz", predictions=np.zeros(3))
     (tmp_path / "nothing").mkdir()
-    sets = find([tmp_path / "run"])
-    assert [path.parent.name for path in sets] == ["anna", "bert"]
-    assert find([str(tmp_path / "run/checkpoints/*/*"), sets[0]]) == sets
-    for wrong in (tmp_path / "nowhere", tmp_path / "*.npz", tmp_path / "nothing"):
+    np.savez(tmp_path / "run/more.npz", **weights()._asdict())
+    sets = find([tmp_path / "run"])  # nothing is left out but predictions
+    assert [path.parent.name for path in sets] == ["anna", "bert", "run"]
+    assert find([str(tmp_path / "run/checkpoints/*/*"), sets[0].absolute(), *sets]) == sets
+    for wrong in (tmp_path / "nowhere", tmp_path / "*.npz", tmp_path / "nothing", tmp_path / "noth*"):
         with pytest.raises(CertifyError):
             find([wrong])
 
