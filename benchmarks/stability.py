@@ -132,7 +132,7 @@ def table(title: str, rows: Iterable[tuple[str, float, Trial]], reference: tuple
 
 def main(arguments: list[str]) -> None:
     torch.set_num_threads(1)
-    report = [*__doc__.strip().splitlines()[3:], ""] if __doc__ else []
+    report = [*__doc__.strip().splitlines()[4:], ""]
     chosen: dict[str, float] = {}
     for dt, passes in PASSES.items():
         tuning, reported = missions(TUNING, dt), missions(REPORTED, dt)
