@@ -227,7 +227,9 @@ def comparison_figure(result: Mapping[str, Any]):
         constants.axvline(-dt / np.log(K), color=colour, linewidth=2, label=f"{name}: none slower than this passes")
     constants.set(xscale="log", xlabel="time constant −dt / ln K on the box, s", ylabel="networks",
                   title=f"Implied time constant ({trained})")  # fmt: skip
-    constants.legend(fontsize=8, frameon=False, loc="upper left")
+    constants.xaxis.set_major_formatter("{x:g}")
+    constants.xaxis.set_minor_formatter("")
+    constants.legend(fontsize=8, edgecolor="none", loc="upper left")
     n = [row["n"] for row in result["timings"]]
     lines = {
         "closed_tight": ("closed form (torch)", TIER_COLOURS["tight"]), "exact_rate": ("exact rate", "#999999"),
