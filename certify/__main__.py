@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments[:1] == ["compare"]:
             from certify.compare import main as compare
 
-            return compare(arguments[1:])
+            return compare(arguments[1:], _say)
         return _run(_parse(arguments))
     except (CertifyError, OSError) as error:
         print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
@@ -91,7 +91,7 @@ def _joined(arguments: Sequence[str]) -> list[str]:
     """With what follows --box and --input joined to it where it begins with a minus, which is no option's."""
     joined: list[str] = []
     for argument in arguments:
-        if joined and joined[-1] in ("--box", "--input") and re.match(r"-[\d.]", argument):
+        if joined and joined[-1] in ("--box", "--input") and re.match(r"-([\d.]|inf|nan)", argument):
             joined[-1] += f"={argument}"
         else:
             joined.append(argument)
@@ -109,12 +109,12 @@ def _run(options: argparse.Namespace) -> int:
     rows = _judge(options, networks)
     held = [_holds(row, options.condition) for row in rows]
     notes = []
-    if options.certificate:
+    if options.certificate is not None:
         notes += _write_certificates(options, networks, rows, held)
     if options.plot:
         notes += _plot(options, networks)
     if options.json:
-        _say(print, json.dumps(rows, indent=1, allow_nan=False, ensure_ascii=False))
+        _say(print, json.dumps(rows, indent=1, allow_nan=False))
         for note in notes:
             print(note, file=sys.stderr)
     else:
@@ -183,8 +183,8 @@ def _holds(row: dict[str, Any], condition: str) -> bool:
 
 def _write_certificates(options, networks: Sequence[Network], rows, held) -> list[str]:
     folder, written = Path(options.certificate), 0
-    if folder.exists() and not folder.is_dir():
-        raise CertifyError(f"--certificate: {folder} is a file, expected a folder")
+    if not options.certificate or (folder.exists() and not folder.is_dir()):
+        raise CertifyError(f"--certificate: {options.certificate!r} is a file or nothing, expected a folder")
     for network, name, row, holds in zip(networks, _names(networks), rows, held, strict=True):
         if not holds:
             continue
@@ -233,17 +233,25 @@ def _plot(options, networks: Sequence[Network]) -> list[str]:
 
 def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) -> int:
     known = {digest(network.weights): network for network in networks}
-    results = []
+    results, unread = [], 0
     for path in paths:
-        content = certificate.read(path)
-        network = known.get(str(content.get("weights"))) if networks else _named(path, content)
+        try:
+            content = certificate.read(path)
+            network = known.get(str(content.get("weights"))) if networks else _named(path, content)
+        except CertifyError as error:  # the others are checked all the same
+            print(f"error: {error}", file=sys.stderr)
+            unread += 1
+            continue
         if network is None:
             found = certificate.Verification(False, "it is about other weights than those that were given")
         else:
             found = certificate.verify(content, network.weights)
         results.append({"certificate": path, "valid": found.valid, "reason": found.reason})
     lines = [f"{each['certificate']}: {'valid' if each['valid'] else 'REFUSED'}: {each['reason']}" for each in results]
-    _say(print, json.dumps(results, indent=1, ensure_ascii=False) if as_json else "\n".join(lines))
+    if results:
+        _say(print, json.dumps(results, indent=1) if as_json else "\n".join(lines))
+    if unread:
+        return BAD_INPUT
     return CERTIFIED if all(result["valid"] for result in results) else NOT_ALL
 
 
@@ -264,4 +272,7 @@ def _named(path: str, content: dict[str, Any]) -> Network | None:
 
 
 if __name__ == "__main__":
+    if sys.stdout is None:  # closed
+        sys.stdout = open(os.devnull, "w")
+    sys.stdout.reconfigure(errors="replace")
     sys.exit(main())

@@ -294,7 +294,7 @@ def _preactivations(weights: ShallowWeights, point: Any) -> tuple[list[int], int
 
 def _replay(tree: str, box: Box, start: Any, refine: Callable, part: Callable | None, closes: Callable) -> bool:
     """Whether the text is one whole tree and every leaf closes."""
-    tokens = tree.split() if isinstance(tree, str) else []
+    tokens = tree.split() if isinstance(tree, str) and tree.isascii() else []
     depth = _depth(tokens)
     if depth is None or not (np.isfinite(box.lo).all() and np.isfinite(box.hi).all()):
         return False

@@ -141,6 +141,8 @@ def _verify(content: dict[str, Any], weights: ShallowWeights) -> Verification:
     if wrong := [key for key, value in claims.items() if content.get(key) != value]:
         return Verification(False, f"what it says of {', '.join(wrong)} does not follow from the weights")
     if condition in CLOSED_FORMS:
+        if not isinstance(proof["multipliers"], list):
+            return Verification(False, "its Λ is no list")
         multipliers = exact.Multipliers(_fraction(proof["metric"]), [_fraction(x) for x in proof["multipliers"]])
         if not exact.proves(condition, weights.a, weights.w1, multipliers, kappa):
             return Verification(False, "its p and Λ do not make M positive definite")
@@ -204,6 +206,8 @@ def _pairs(box: Box) -> list[list[str]]:
 
 
 def _box(pairs: list[list[str]]) -> Box:
+    if not (isinstance(pairs, list) and all(isinstance(pair, list) for pair in pairs)):
+        raise TypeError("the box is no list of pairs")
     ends = [[_fraction(x) for x in pair] for pair in pairs]
     if any(len(pair) != 2 or pair[0] > pair[1] or any(Fraction(float(x)) != x for x in pair) for pair in ends):
         raise ValueError("the box's ends are no floats in order")
@@ -236,7 +240,7 @@ def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
     unfinished = path.with_name(f".{path.name}.unfinished")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished.write_text(json.dumps(certificate, indent=1, ensure_ascii=False) + "\n")
+        unfinished.write_text(json.dumps(certificate, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         os.replace(unfinished, path)
     except OSError as error:
         raise CertifyError(
@@ -252,7 +256,7 @@ def read(path: str | Path) -> dict[str, Any]:
         CertifyError: no such file, or not a JSON object.
     """
     try:
-        content = json.loads(Path(path).read_text())
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise CertifyError(f"{path}: cannot be read ({error.strerror}): give the path of a certificate") from error
     except (ValueError, RecursionError) as error:

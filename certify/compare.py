@@ -215,17 +215,17 @@ def study(options: argparse.Namespace, given: Sequence[ShallowWeights] = ()) -> 
     }
 
 
-def main(arguments: Sequence[str]) -> int:
-    """The command; returns its exit code."""
+def main(arguments: Sequence[str], say: Callable) -> int:
+    """The command; returns its exit code. `say` calls what writes to standard output."""
     options = _parse(arguments)
     given = [network.weights for path in find(options.paths) for network in load(path)]
     result = study(options, given)
     if options.json:
-        print(json.dumps(result, indent=1, allow_nan=False, ensure_ascii=False))
+        say(print, json.dumps(result, indent=1, allow_nan=False))
     else:
         from certify.table import show_comparison
 
-        show_comparison(result)
+        say(show_comparison, result)
     if options.plot:
         from certify.figures import comparison_figure, save
 

@@ -183,6 +183,8 @@ def _read_torch(path: Path) -> dict[str, np.ndarray]:
         tensors = tensors["state_dict"]
     if not (isinstance(tensors, Mapping) and all(isinstance(x, torch.Tensor) for x in tensors.values())):
         raise CertifyError(f"{path}: found {type(tensors).__name__}, expected tensors by name: save model.state_dict()")
+    if kinds := {str(x.dtype) for x in tensors.values() if x.is_complex()}:
+        raise CertifyError(f"{path}: found {', '.join(kinds)}, expected real weights")
     return {str(name): x.detach().double().numpy() for name, x in tensors.items()}
 
 
@@ -194,6 +196,8 @@ def find(paths: Iterable[str | Path]) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for given in map(str, paths):
+        if not given:
+            raise CertifyError("found an empty PATH, expected checkpoints, a run's folder or a pattern")
         matched = [Path(given)] if Path(given).exists() else sorted(map(Path, glob.glob(given, recursive=True)))
         if not matched:
             raise CertifyError(f"{given}: no such file, folder or pattern: give checkpoints, or a run's folder")

@@ -1,6 +1,7 @@
 """python -m certify, as it is typed: JSON, exit codes, certificates, pictures, and one sentence for bad input."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -168,6 +169,9 @@ def test_pictures(files, capsys):
         (["good.npz", "--plot", ""], "--plot"),
         (["good.npz", "--plot", "run"], "--plot"),
         (["x" * 300], "File name too long"),
+        ([""], "empty PATH"),
+        (["good.npz", "--certificate", ""], "expected a folder"),
+        (["good.npz", "--input", "-inf"], "expected 1 finite"),
         (["compare", "--seed", "-1"], "--seed"),
         (["empty", "--json"], "holds no parameter sets"),
         (["good.npz", "--plot", "map.xyz"], "map.xyz"),
@@ -217,6 +221,25 @@ def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     assert main([str(files / "good.npz"), "--plot", str(files / "x.png")]) == 2
     assert "usvlearn[plot]" in capsys.readouterr().err
+
+
+def test_what_can_be_verified_is_though_another_cannot(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    assert main(["good.npz", "--certificate", "proofs"]) == 0
+    capsys.readouterr()
+    assert main(["--verify", "nowhere.json", "proofs/good.tight.json"]) == 2
+    captured = capsys.readouterr()
+    assert "nowhere.json" in captured.err and "proofs/good.tight.json: valid" in captured.out
+
+
+def test_any_locale_will_do(files):
+    """Certificates are UTF-8 wherever they are made; a terminal that cannot show a sign shows another."""
+    plain = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": str(ROOT)}
+    calls = ["good.npz", "--certificate", "proofs"], ["--verify", "proofs/good.tight.json"], ["good.npz", "--json"]
+    for arguments in calls:
+        command = [sys.executable, "-m", "certify", *arguments]
+        found = subprocess.run(command, cwd=files, env=plain, capture_output=True, text=True)
+        assert found.returncode == 0, found.stderr
 
 
 @pytest.mark.parametrize("output", [[], ["--json"]])

@@ -69,6 +69,9 @@ class Trap:
 
 
 def test_pickled_code_is_never_run(tmp_path):
+    torch.save({name: torch.ones(1, 1, dtype=torch.complex64) for name in NAMES}, tmp_path / "complex.pt")
+    with pytest.raises(CertifyError, match="expected real weights"):
+        load(tmp_path / "complex.pt")
     torch.save({"a": Trap()}, tmp_path / "trap.pt")
     (tmp_path / "plain.pt").write_bytes(pickle.dumps(Trap()))
     np.savez(tmp_path / "trap.npz", a=np.array([Trap()], dtype=object))
