@@ -296,13 +296,12 @@ def _nearest_product(x: Tensor, y: Tensor, radius: Tensor) -> tuple[Tensor, Tens
     found, slope = product(tau)
     tau = torch.where(inside | split, tau, tau - (found - radius) / slope.clamp(min=torch.finfo(x.dtype).tiny).detach())
     sums, gaps, kept = moved(tau)
-    equal = gap == 0
-    share = 4 * radius / torch.where(equal, total * total / 4, 0.0).sum(-1, keepdim=True).clamp(min=radius * 4)
-    gaps = torch.where(split & equal, total / 2 * (1 - share).clamp(min=torch.finfo(x.dtype).tiny).sqrt(), gaps)
-    gaps = torch.where(kept | (split & equal), gaps, sums)
-    larger = torch.where(kept | (split & equal), (sums + gaps) / 2, x.maximum(y))
-    smaller = torch.where(kept | (split & equal), (sums - gaps) / 2, 0.0)
-    larger, smaller = torch.where(inside, x.maximum(y), larger), torch.where(inside, x.minimum(y), smaller)
+    parted, tiny = split & (gap == 0), torch.finfo(x.dtype).tiny
+    share = 4 * radius / torch.where(gap == 0, total * total / 4, 0.0).sum(-1, keepdim=True).clamp(min=radius * 4)
+    gaps = torch.where(parted, total / 2 * (1 - share).clamp(min=tiny).sqrt(), gaps)
+    moves = (kept | parted) & ~inside
+    larger = torch.where(moves, (sums + gaps) / 2, x.maximum(y))
+    smaller = torch.where(moves, (sums - gaps) / 2, torch.where(inside, x.minimum(y), 0.0))
     return torch.where(x >= y, larger, smaller), torch.where(x >= y, smaller, larger)
 
 
