@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from certify.conditions import rate as contraction_rate
-from certify.families import HERON, SURGE_MAX
+from certify.families import SURGE_MAX, surge_dot
 from certify.projections import project
 from certify.weights import ShallowWeights
 
@@ -44,9 +44,7 @@ def trajectory(hours: float, dt: float, seed: int) -> tuple[Tensor, Tensor]:
     v, speeds = torch.zeros((), dtype=torch.float64), []
     for k in range(steps):
         for _ in range(10):
-            drag = HERON["quadratic"] * v * v.abs() + (HERON["linear"] + HERON["cross"] * yaw[k]) * v
-            thrust = sum(HERON["thrust"] * (xi + xi * xi) + HERON["speed"] * xi * v for xi in (left[k], right[k]))
-            v = v + dt / 10 * (drag + thrust)
+            v = v + dt / 10 * surge_dot(v, left[k], right[k], yaw[k])
         speeds.append(v)
     u = torch.stack([0.5 + 0.5 * heading.sin(), 0.5 + 0.5 * heading.cos(), left, right], -1)
     return torch.stack(speeds) / (2 * SURGE_MAX), u

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from certify import certificate, exact
+from certify import certificate
+from certify.certificate import CONDITIONS
 from certify.errors import CertifyError
 from certify.weights import SUFFIXES, Network, digest, find, load
 
-CONDITIONS = (*exact.CORNER, "interval", "box")
 CERTIFIED, NOT_ALL, BAD_INPUT = 0, 1, 2  # exit codes
 EPILOG = """
 exit code: 0 all certified by --condition, 1 not all, 2 bad input
@@ -100,7 +100,7 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 def _run(options: argparse.Namespace) -> int:
     networks = [network for path in find(options.paths) for network in load(path)]
-    if options.headings and any(network.weights.W2.shape[-1] != 4 for network in networks):
+    if options.headings and any(network.inputs != 4 for network in networks):
         raise CertifyError("--headings: found a network without the four inputs of heading and commands")
     if options.plot is not None and (not options.plot or options.plot.endswith(os.sep) or Path(options.plot).is_dir()):
         raise CertifyError(f"--plot: found {options.plot!r}, expected a file such as map.png")
@@ -140,7 +140,7 @@ def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dic
     boxes: dict[int, Any] = {}
     inputs: dict[int, np.ndarray] = {}
     for network in networks:  # all that is wrong is said before anything is computed
-        m = network.weights.W2.shape[-1]
+        m = network.inputs
         if options.box is not None and m not in boxes:
             from certify.box import box, operating_box
 
@@ -150,17 +150,11 @@ def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dic
                 raise CertifyError(f"{network.path}: {error}") from error
         if m not in inputs:
             inputs[m] = _input(options.input, m, network.path)
-    slow = (options.lmi or options.box is not None) and len(networks) > 1
-    listed = networks
-    if slow:
+    if (options.lmi or options.box is not None) and len(networks) > 1:
         from certify.table import progress
 
-        listed = progress(networks, "certifying")
-    return [
-        judge(network, inputs[m], boxes.get(m), options.seconds, solve)
-        for network in listed
-        for m in [network.weights.W2.shape[-1]]
-    ]
+        networks = progress(networks, "certifying")
+    return [judge(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve) for each in networks]
 
 
 def _input(text: str | None, m: int, path: str) -> np.ndarray:
@@ -223,9 +217,8 @@ def _plot(options, networks: Sequence[Network]) -> list[str]:
     file, written = Path(options.plot), []
     for k, network in enumerate(networks):
         path = file if k == 0 else file.with_name(f"{file.stem}-{k + 1}{file.suffix}")
-        m = network.weights.W2.shape[-1]
-        headings = np.linspace(0.0, 2 * np.pi, 24, endpoint=False) if options.headings and m == 4 else None
-        u = _input(options.input, m, network.path) if headings is None else surge_inputs(headings)
+        headings = np.linspace(0.0, 2 * np.pi, 24, endpoint=False) if options.headings else None
+        u = _input(options.input, network.inputs, network.path) if headings is None else surge_inputs(headings)
         save(equilibria_figure(network.weights, u, network.path, headings=headings), path)
         written.append(str(path))
     return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]

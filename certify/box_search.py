@@ -1,4 +1,4 @@
-"""The searches behind `certify.box`: branch and bound over boxes and over cells, and HiGHS as a referee, in floats.
+"""The searches behind `certify.box`: branch and bound over boxes and over cells, in floats.
 
 Boxes: bound the slope by interval arithmetic (neurons surely on, surely off, free) and halve the boxes whose bound is
 too high (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009); slopes that are reached bound it from

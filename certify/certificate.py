@@ -30,6 +30,7 @@ from certify.weights import ShallowWeights, check, digest
 
 FORMAT = "usvlearn certificate 1"
 CLOSED_FORMS = tuple(exact.CORNER)
+CONDITIONS = (*CLOSED_FORMS, "interval", "box")  # from the narrowest to the widest
 DIGITS = 6  # of the rate that is proved, rounded up
 
 
@@ -99,9 +100,7 @@ def make(
         kappa = 1 if rate is None else rate
         parts = {"box": _pairs(box), "tree": tree, "invariance_tree": invariance_tree}
     else:
-        raise CertifyError(
-            f"condition: found {condition!r}, expected one of {', '.join((*CLOSED_FORMS, 'interval', 'box'))}"
-        )
+        raise CertifyError(f"condition: found {condition!r}, expected one of {', '.join(CONDITIONS)}")
     content = {
         **_claims(weights, condition, Fraction(kappa), parts),
         "proof": parts,
@@ -132,7 +131,7 @@ def _verify(content: dict[str, Any], weights: ShallowWeights) -> Verification:
         return Verification(False, "it was changed after it was made: its checksum differs")
     if content["weights"] != digest(weights):
         return Verification(False, "it is about other weights: their sha256 differs")
-    if content["condition"] not in (*CLOSED_FORMS, "interval", "box"):
+    if content["condition"] not in CONDITIONS:
         return Verification(False, "it names a condition that is not known")
     condition, kappa, proof = content["condition"], _fraction(content["rate"]), content["proof"]
     claims = _claims(weights, condition, kappa, proof)

@@ -20,6 +20,7 @@ import torch
 from certify import box as box_search
 from certify import conditions, exact
 from certify.box_proof import proves
+from certify.certificate import CONDITIONS
 from certify.equilibria import equilibria
 from certify.errors import CertifyError
 from certify.families import initial_networks, random_networks, trained_networks
@@ -27,7 +28,6 @@ from certify.judge import solver
 from certify.table import progress
 from certify.weights import ShallowWeights, find, load
 
-TIERS = ("simple", "gershgorin", "lmi", "tight", "interval", "box")
 CORNERS = {"lambda": ("lmi",), "2lambda": ("tight",), "both": ("lmi", "tight")}
 ORDERS = {"nonstrict": (False,), "strict": (True,), "both": (False, True)}
 KNOTS = {"paper": ("paper",), "all": ("all",), "both": ("paper", "all")}
@@ -60,7 +60,7 @@ def _tensors(weights: ShallowWeights, box) -> tuple[ShallowWeights, torch.Tensor
 def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
     """Per tier: share certified, median of rate/K_box, largest K certified, agreement with the solver."""
     told: dict[str, dict[str, float | None]] = {}
-    for tier in TIERS:
+    for tier in CONDITIONS:
         ratios = [
             math.inf if row["rates"][tier] is None else row["rates"][tier] / row["K_box"][1]
             for row in rows
@@ -164,9 +164,9 @@ def _says(condition: str, strict: bool, solver_name: str) -> Callable[[ShallowWe
 
     def says(weights: ShallowWeights) -> bool:
         n = len(weights.a)
-        problem = problems.setdefault(n, None) or LMI(n, condition, solver=solver_name, strict=strict)
-        problems[n] = problem
-        return problem.solve(weights.a, weights.w1).verdict in ("certified", "feasible")
+        if n not in problems:
+            problems[n] = LMI(n, condition, solver=solver_name, strict=strict)
+        return problems[n].solve(weights.a, weights.w1).verdict in ("certified", "feasible")
 
     return says
 

@@ -73,6 +73,16 @@ def conditions(a, w1) -> dict[str, Condition]:
     }
 
 
+def best_gauge(a, w1) -> dict[str, Fraction]:
+    """The smallest rates of `simple` and `gershgorin` among the equal networks (a_i/c_i, c_i w_{1i}), exactly.
+
+    >>> best_gauge([0.5], [0.5])
+    {'simple': Fraction(2, 1), 'gershgorin': Fraction(1, 2)}
+    """
+    s = [abs(ai * wi) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
+    return {"simple": 4 * (len(s) + 1) * max(s), "gershgorin": 2 * sum(s, ZERO)}
+
+
 def multipliers(condition: str, a, w1, rate: Fraction | float = ONE) -> Multipliers | None:
     """p and Λ that prove a condition at a rate, in closed form; None where it does not hold.
 

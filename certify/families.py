@@ -6,12 +6,19 @@ import math
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from certify import conditions
 from certify.weights import ShallowWeights
 
 HERON = {"quadratic": -0.125, "linear": -0.05, "cross": -0.1, "thrust": 0.25, "speed": -0.1}  # over the mass
 SURGE_MAX = 2.0  # m/s
+
+
+def surge_dot(v: Tensor, left: Tensor, right: Tensor, yaw_rate: Tensor) -> Tensor:
+    """c_q |v| v + c_l v + c_r |r| v + Σ α ξ + α ξ² + γ ξ v over the mass, m/s², for commands and yaw rates ≥ 0."""
+    drag = HERON["quadratic"] * v * v.abs() + (HERON["linear"] + HERON["cross"] * yaw_rate) * v
+    return drag + sum(HERON["thrust"] * (xi + xi * xi) + HERON["speed"] * xi * v for xi in (left, right))
 
 
 def random_networks(count: int, n: int, rng: np.random.Generator) -> list[ShallowWeights]:
@@ -40,7 +47,7 @@ def trained_networks(
 ) -> list[ShallowWeights]:
     """Initial networks after Adam, without any constraint, on one step of a surge model like the Heron's.
 
-    v' = v + dt (c_q |v| v + c_l v + c_r |r| v + Σ α ξ + α ξ² + γ ξ v), x = v/(2 v_max), in batches of 64 draws.
+    v' = v + dt surge_dot, x = v/(2 v_max), in batches of 64 draws.
     """
     start = initial_networks(count, n, rng)
     weights = [torch.tensor(np.stack(x)).requires_grad_() for x in zip(*start, strict=True)]
@@ -50,9 +57,7 @@ def trained_networks(
     for _ in range(steps):
         v, left, right, yaw, heading = torch.rand(5, 64, generator=generator, dtype=torch.float64)
         v, heading, yaw = SURGE_MAX * v, 2 * math.pi * heading, 0.5 * yaw
-        drag = HERON["quadratic"] * v * v + (HERON["linear"] + HERON["cross"] * yaw) * v
-        thrust = sum(HERON["thrust"] * (xi + xi * xi) + HERON["speed"] * xi * v for xi in (left, right))
-        target = (v + dt * (drag + thrust)) / (2 * SURGE_MAX)
+        target = (v + dt * surge_dot(v, left, right, yaw)) / (2 * SURGE_MAX)
         u = torch.stack([0.5 + 0.5 * heading.sin(), 0.5 + 0.5 * heading.cos(), left, right], -1)  # (64, 4)
         a, w1, W2, b = weights
         z = w1[:, None] * (v / (2 * SURGE_MAX))[:, None] + (W2 @ u.T).mT + b[:, None]  # (count, 64, n)

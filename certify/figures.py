@@ -31,8 +31,20 @@ MARKS = {
     "unstable oscillatory": Mark("#D55E00", "D", "none"),
     "continuum": Mark("#F0E442", "o", "full"),
 }
+TIER_COLOURS = {
+    "simple": "#D55E00", "gershgorin": "#E69F00", "lmi": "#CC79A7", "tight": "#0072B2", "interval": "#56B4E9",
+    "box": "#009E73",
+}  # fmt: skip
 INK, PALE = "#222222", "#8A8A8A"
 LISTED = 6  # places of a class that the legend of one map gives one by one
+
+
+def _blank(purpose: str, **options: Any):
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise CertifyError(f"{purpose} needs matplotlib: run `pip install 'usvlearn[plot]'`") from error
+    return Figure(**options)
 
 
 def equilibria_figure(
@@ -58,10 +70,7 @@ def equilibria_figure(
     >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()][3:]
     ['deadbeat\\nx = 0', 'unstable\\nx = 0.5']
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise CertifyError("the figure of equilibria needs matplotlib: run `pip install 'usvlearn[plot]'`") from error
+    figure = _blank("the figure of equilibria", figsize=(8.4, 6.0), dpi=110)
     inputs = [u] if np.ndim(u) < 2 else u
     found = sweep(weights, inputs, lo, hi)
     if lo == hi:
@@ -72,7 +81,6 @@ def equilibria_figure(
             "one each, rad: give the headings that u was made of"
         )
     maps = [piecewise(weights, each, lo, hi) for each in inputs]
-    figure = Figure(figsize=(8.4, 6.0), dpi=110)
     axes = figure.add_axes((0.09, 0.09, 0.6, 0.84), aspect="equal", anchor="NW")
     heights = np.concatenate([each.y for each in maps])
     width = hi - lo
@@ -183,21 +191,9 @@ def save(figure, path: str | Path) -> None:
         raise CertifyError(f"{path}: cannot be written ({error}): give a file such as map.png") from error
 
 
-TIER_COLOURS = {
-    "simple": "#D55E00", "gershgorin": "#E69F00", "lmi": "#CC79A7", "tight": "#0072B2", "interval": "#56B4E9",
-    "box": "#009E73",
-}  # fmt: skip
-
-
 def comparison_figure(result: Mapping[str, Any]):
     """What `certify.compare.study` found: shares certified, rates against the exact one, time constants, costs."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise CertifyError(
-            "the figure of the comparison needs matplotlib: run `pip install 'usvlearn[plot]'`"
-        ) from error
-    figure = Figure(figsize=(12, 8.4), dpi=100, layout="constrained")
+    figure = _blank("the figure of the comparison", figsize=(12, 8.4), dpi=100, layout="constrained")
     (shares, ratios), (constants, costs) = figure.subplots(2, 2)
     families = list(result["families"])
     trained = next((name for name in families if name.startswith("given")), families[2])

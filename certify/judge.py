@@ -43,7 +43,6 @@ def judge(
     n, m = weights.W2.shape
     conditions = exact.conditions(weights.a, weights.w1)
     K = conditions["tight"].rate
-    s = [abs(ai * wi) for ai, wi in zip(exact.fractions(weights.a), exact.fractions(weights.w1), strict=True)]
     u = np.zeros(m) if u is None else u
     found = {
         "path": network.path,
@@ -53,7 +52,7 @@ def judge(
         "rate": float(K),
         "time_constant": _time_constant(K),  # in steps
         "certified": {name: condition.margin > 0 for name, condition in conditions.items()},
-        "best_gauge": {"simple": 4 * (n + 1) * max(s) < 1, "gershgorin": 2 * sum(s) < 1},
+        "best_gauge": {name: rate < 1 for name, rate in exact.best_gauge(weights.a, weights.w1).items()},
         "input": list(map(float, u)),
         "equilibria": [_told(each) for each in equilibria(weights, u)],
     }

@@ -14,7 +14,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-MARGINS = ("simple", "gershgorin", "lmi", "tight")
+from certify.exact import CORNER
+
+MARGINS = tuple(CORNER)
 MARKS = {
     "certified": ("✓", "green"),
     "refuted": ("✗", "red"),

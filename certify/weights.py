@@ -41,6 +41,11 @@ class Network(NamedTuple):
     path: str  # of the file; with the tensors' prefix or the lane where a file holds more than one set
     weights: ShallowWeights  # float64 arrays, no batch
 
+    @property
+    def inputs(self) -> int:
+        """m."""
+        return self.weights.W2.shape[-1]
+
 
 def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
     """The weights as float64 arrays, `(*batch, …)`.

@@ -109,6 +109,11 @@ def gradient(
     return torch.cat([grad_a, grad_w1, grad_W2.flatten(-2), grad_b], -1)
 
 
+def lane_weights(state: RNNState, lane: int | tuple[int, ...]) -> ShallowWeights:
+    """The weights of one lane as float64 arrays, for `certify`."""
+    return ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.weights))
+
+
 class RNN(Estimator):
     """Shallow ReLU network, n = 20 neurons and 140 weights by default, one Adam step a sample.
 
@@ -223,7 +228,7 @@ class RNN(Estimator):
         rest = state.inputs_before * state.inputs_before.new_tensor([1.0, 1.0, 0.0, 0.0])
         found = torch.full((*state.surge.shape, 3), torch.nan, dtype=torch.float64)
         for lane in np.ndindex(*state.surge.shape):
-            weights = ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.weights))
+            weights = lane_weights(state, lane)
             x = float(self.scale * state.surge[lane])
             if not all(np.isfinite(w).all() for w in weights):
                 continue

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from certify import certificate, exact
+from certify import exact
 from certify.weights import ShallowWeights
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
-from usvlearn.estimators.rnn import RNN
+from usvlearn.estimators.rnn import RNN, lane_weights
 
 SHOWN = 8  # boats, of which each has a line
 
 
 def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> list[str]:
-    """A line for each RNN and boat, decided and proved in rational arithmetic; of large fleets the first boats alone.
+    """A line for each RNN and boat, decided in rational arithmetic; of large fleets the first boats alone.
 
     Args:
         ensemble: what learned.
@@ -29,10 +29,11 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
     for name, member in ensemble.members.items():
         if not isinstance(member, RNN):
             continue
+        learned = state.members[name]
+        monitored = {key: value.tolist() for key, value in member.monitor(learned).items()}
         for lane, boat in enumerate(boats[:SHOWN]):
-            numbers = {key: float(value[lane].detach()) for key, value in member.monitor(state.members[name]).items()}
-            weights = ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.members[name].weights))
-            told.append(f"{name} of {boat}: {_verdict(weights, numbers)}")
+            numbers = {key: value[lane] for key, value in monitored.items()}
+            told.append(f"{name} of {boat}: {_verdict(lane_weights(learned, lane), numbers)}")
         if len(boats) > SHOWN:
             told.append(f"{name}: {len(boats) - SHOWN} more boats: python -m certify on the run's folder")
     return told
@@ -42,7 +43,7 @@ def _verdict(weights: ShallowWeights, numbers: dict[str, float]) -> str:
     if not math.isfinite(numbers["contraction_rate"]):
         return "its weights are not finite"
     K, constant = numbers["contraction_rate"], numbers["time_constant"]
-    held = [name for name in exact.CORNER if certificate.make(weights, name) is not None]
+    held = [name for name, condition in exact.conditions(weights.a, weights.w1).items() if condition.margin > 0]
     if not held:
         return f"not certified contracting, K = {K:.4g} (≥ 1) a step; python -m certify --box may know more"
     rest = f"; at rest {numbers['equilibrium']:.3f} m/s" if math.isfinite(numbers["equilibrium"]) else ""
