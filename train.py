@@ -20,7 +20,7 @@ from rich.progress import Progress
 
 from usvlearn import Ensemble, __version__
 from usvlearn.errors import bad_input, check_positive
-from usvlearn.evaluation.metrics import fleet_scores, mean_mae
+from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.evaluation.stability import stability
 from usvlearn.evaluation.tables import report
 from usvlearn.learning.replay import replay
@@ -41,19 +41,19 @@ def train(cfg: DictConfig, folder: Path) -> float:
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
     run = RunFolder(folder, fleet, {"configuration": settings, "version": __version__})
-    start = run.begin(ensemble.init((len(fleet.boats),)), cfg.resume)
-    console.print(start.note)
+    console.print((start := run.begin(ensemble.init((len(fleet.boats),)), cfg.resume)).note)
     with Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
         for chunk in replay(ensemble, fleet, start.state, start.position, watch.every, max(1, round(save_every))):
             run.save(chunk)
             watch.show(chunk)
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
-        boats = fleet_scores(fleet, run.predictions, ensemble.names)
+        boats, raised = fleet_scores(fleet, run.published, ensemble.names), alarms(fleet, run.published)
         objective, seconds = mean_mae(boats)[ensemble.output], time.perf_counter() - began
-        save_results(folder, {"boats": boats, "rejected": fleet.rejected, "seconds": seconds, "objective": objective})
-        watch.finish(settings, mean_mae(boats), run.predictions)
-    console.print(report(boats, fleet.rejected))
+        found = {"boats": boats, "alarms": raised, "rejected": fleet.rejected}
+        save_results(folder, {**found, "seconds": seconds, "objective": objective})
+        watch.finish(settings, mean_mae(boats), run.published, raised)
+    console.print(report(boats, fleet.rejected, raised))
     told = f"{seconds:.1f} s; MAE of {ensemble.output}: {objective:.4f} m/s; results and parameter sets: {folder}"
     look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"
     console.print(*stability(ensemble, run.state, fleet.boats), told, look, sep="\n", soft_wrap=True)

@@ -25,7 +25,7 @@ from usvlearn.signals import tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 
 REPEATS = 3
-SETTINGS = {"estimators": {}, "combiners": {}, "align": {}}
+SETTINGS = {"estimators": {}, "combiners": {}, "align": {}, "data": {}}
 
 
 def once(work: Callable[[], object]) -> float:
@@ -82,8 +82,12 @@ def logging(fleet) -> str:
             for chunk in replay(model, fleet, start.state, every=watch.every):
                 spent += once(lambda c=chunk, a=archive: a.save(c))
                 spent += once(lambda c=chunk, w=watch: w.show(c))
-            maes = mean_mae(fleet_scores(fleet, archive.predictions, model.names))
-            spent += once(lambda w=watch, m=maes, a=archive: w.finish(SETTINGS, m, a.predictions))
+            maes = mean_mae(fleet_scores(fleet, archive.published, model.names))
+            spent += once(
+                lambda w=watch, m=maes, a=archive: w.finish(
+                    SETTINGS, m, a.published, {boat: [] for boat in fleet.boats}
+                )
+            )
             shares.append(spent / (time.perf_counter() - began - spent))
     share = statistics.median(shares)
     return f"- {len(fleet.boats)} boats, {fleet.steps} steps: logging and saving cost {share:.1%} of the replay"

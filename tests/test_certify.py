@@ -31,7 +31,7 @@ def files(tmp_path):
     }
     for name, weights in networks.items():
         np.savez(tmp_path / f"{name}.npz", **weights._asdict())
-    ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6)})
+    ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6, initial="random")})
     for boat in ("anna", "bert"):
         save(tmp_path / "run/checkpoints" / boat / "00000_0000010.safetensors", ensemble.init(), boat=boat)
     return tmp_path

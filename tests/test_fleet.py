@@ -78,7 +78,7 @@ def test_eight_boats_as_lanes_equal_eight_single_runs():
             np.testing.assert_allclose(ours.predictions[:n, lane], theirs.predictions[:, 0], rtol=1e-12, atol=1e-12)
         state = tree_map(lambda x, i=lane: x[i], lanes[-1].state)
         for (name, x), (_, y) in zip(named_leaves(state), named_leaves(single[-1].state), strict=True):
-            torch.testing.assert_close(x, y[0], rtol=1e-12, atol=1e-12, msg=lambda m, n=name: f"{n}: {m}")
+            torch.testing.assert_close(x, y[0], rtol=1e-11, atol=1e-11, msg=lambda m, n=name: f"{n}: {m}")
 
 
 def test_chunks_cover_every_run_and_say_when_to_save():

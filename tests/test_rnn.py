@@ -1,7 +1,9 @@
-"""RNN: its written-out gradient equals autograd's and differences; its Adam equals torch's."""
+"""RNN: its gradient equals autograd's, its Adam torch's; it starts as persistence, or warm, and stays contracting."""
 
+import math
 from fractions import Fraction
 
+import numpy as np
 import pytest
 import torch
 from torch.func import grad
@@ -10,9 +12,10 @@ from certify import exact
 from certify.box_proof import Box, interval_rate
 from certify.weights import ShallowWeights
 from tests.conftest import random_samples
-from usvlearn import RNN, rollout
+from usvlearn import AID, RNN, Inputs, Sample, rollout
+from usvlearn.checkpoint import save
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.rnn import gradient, network, network_inputs
+from usvlearn.estimators.rnn import RNNState, clipped, gradient, lane_weights, network, network_inputs
 from usvlearn.signals import tree_map
 
 
@@ -66,23 +69,175 @@ def test_one_step_gradient_is_the_broken_one():
 
 
 @pytest.mark.parametrize("decay", [None, 7])
-def test_adam_equals_torch(decay):
-    rnn, samples = RNN(6, rate=0.01, stability="penalty", penalty=1e-3, decay=decay), random_samples(40)
+@pytest.mark.parametrize(
+    ("momentum", "ratio"), [(0.9, (1, 1, 1, 1, 1)), (0.0, (1, 2, 0.3, 1.5, 0.5))], ids=["paper's", "default"]
+)
+def test_adam_equals_torch(momentum, ratio, decay):
+    rnn = RNN(6, initial="random", rate=0.01, rate_ratio=ratio, decay=decay, momentum=momentum, clip=None,
+              stability="penalty", penalty=1e-3)  # fmt: skip
+    samples = random_samples(40)
     end, _, _ = rollout(rnn, rnn.init(), samples)
-    start = rnn.init().weights
-    weights = ShallowWeights(*(w.detach().clone().requires_grad_() for w in start))
-    optimizer = torch.optim.Adam(list(weights), lr=0.01)
+    a, w1, W2, b = rnn.init().weights
+    parts = [w.detach().clone().requires_grad_() for w in (a, w1, W2[:, :2], W2[:, 2:], b)]
+    groups = [{"params": [part], "lr": 0.01 * each} for part, each in zip(parts, ratio, strict=True)]
+    optimizer = torch.optim.Adam(groups, betas=(momentum, 0.999))
     v = torch.zeros((), dtype=torch.float64)
     for k in range(40):
-        for group in optimizer.param_groups:
-            group["lr"] = 0.01 if decay is None else 0.01 / (1 + k // decay) ** 0.5
+        for group, each in zip(optimizer.param_groups, ratio, strict=True):
+            group["lr"] = each * (0.01 if decay is None else 0.01 / (1 + k // decay) ** 0.5)
         u = network_inputs(type(samples.inputs)(*(x[k] for x in samples.inputs)))
         optimizer.zero_grad()
+        weights = ShallowWeights(parts[0], parts[1], torch.cat(parts[2:4], -1), parts[4])
         loss(weights, rnn.scale * v, u, rnn.scale * samples.surge[k], 1e-3, None, None, False).backward()
         optimizer.step()
         v = samples.surge[k]
+    weights = ShallowWeights(parts[0], parts[1], torch.cat(parts[2:4], -1), parts[4])
     for found, expected in zip(end.weights, weights, strict=True):
         torch.testing.assert_close(found, expected.detach(), rtol=1e-10, atol=1e-12)
+
+
+def boat(steps: int) -> Sample:
+    """A hull of first order, v⁺ = 0.9 v + 0.1 (L + R), whose commands change every 20 steps; 0.005 m/s noise."""
+    generator = torch.Generator().manual_seed(0)
+    commands = torch.rand((steps // 20, 2), generator=generator).double().repeat_interleave(20, 0)
+    surge = [torch.zeros((), dtype=torch.float64)]
+    for left, right in commands:
+        surge.append(0.9 * surge[-1] + 0.1 * (left + right))
+    noise = 0.005 * torch.randn(steps, generator=generator).double()
+    zero, true = torch.zeros(steps, dtype=torch.float64), torch.ones(steps, dtype=torch.bool)
+    inputs = Inputs(commands[:, 0], commands[:, 1], zero, zero, zero + 0.4)
+    return Sample(inputs, torch.stack(surge[1:]) + noise, true, true)
+
+
+def test_it_is_persistence_at_first_and_better_later():
+    samples, rnn = boat(2000), RNN(surge_max=2.0)
+    with torch.no_grad():
+        _, surge, _ = rollout(rnn, rnn.init(), samples)
+    error = (surge - samples.surge).abs()[1:]
+    steady = (samples.surge[1:] - samples.surge[:-1]).abs()
+    assert error[:100].mean() < 1.2 * steady[:100].mean()
+    assert error[1000:].mean() < 0.5 * steady[1000:].mean()
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [({}, 0.999), ({"contraction_rate": 0.6}, 0.6), ({"condition": "interval"}, 0.999), ({"condition": "lmi"}, 0.4995),
+     ({"stability": "penalty", "contraction_rate": 0.9}, 0.9), ({"stability": "none"}, 0.999)],
+    ids=str,
+)  # fmt: skip
+def test_the_initial_network_is_persistence(options, expected):
+    rnn = RNN(surge_max=2.5, **options)
+    inputs = random_samples(1, 50).inputs
+    inputs = type(inputs)(*(x[0] for x in inputs))
+    speeds = torch.linspace(-2.4, 5.0, 50, dtype=torch.float64)
+    _, surge = rnn.predict(rnn.start(rnn.init((50,)), speeds), inputs)
+    torch.testing.assert_close(surge.detach(), expected * speeds, rtol=1e-11, atol=1e-11)
+
+
+@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight"])
+@pytest.mark.parametrize("gauge", ["literal", "best"])
+def test_the_initial_network_is_certified_exactly(condition, gauge):
+    rnn = RNN(condition=condition, gauge=gauge, contraction_rate=0.9)
+    weights = lane_weights(rnn.init(), ())
+    found = exact.conditions(weights.a, weights.w1)
+    name = condition if gauge == "literal" else "tight"
+    assert 0 < found[name].rate <= Fraction(0.9)
+
+
+def test_clipping_shortens_each_lane_alone():
+    generator = torch.Generator().manual_seed(0)
+    long = torch.randn((4, 140), generator=generator).double() * torch.tensor([[1e-6], [1.0], [1e6], [1e300]])
+    short = clipped(long, 0.1)
+    norm = short.norm(dim=-1)
+    assert (norm <= 0.1).all() and (norm[1:] > 0.099).all()
+    assert short.isfinite().all()
+    torch.testing.assert_close(short[0], long[0], rtol=1e-8, atol=0.0)
+    torch.testing.assert_close(short[1:3] / norm[1:3, None], long[1:3] / long[1:3].norm(dim=-1, keepdim=True))
+    for lane in range(4):
+        assert torch.equal(short[lane], clipped(long[lane], 0.1))
+
+
+def test_an_outlier_fills_no_memory_of_adam():
+    """One lane in two meets 1e150 m/s: the other is untouched, and its own mean of g² stays below c²."""
+    rnn, samples = RNN(), random_samples(60, 2)
+    surge = samples.surge.clone()
+    surge[30, 1] = 1e150
+    with torch.no_grad():
+        clean, _, _ = rollout(rnn, rnn.init((2,)), samples)
+        hit, _, _ = rollout(rnn, rnn.init((2,)), samples._replace(surge=surge))
+    assert all(x.isfinite().all() for x in (*hit.weights, hit.moment1, hit.moment2))
+    assert (hit.moment2[1] <= 0.1**2).all() and not torch.equal(hit.weights.a[1], clean.weights.a[1])
+    assert all(torch.equal(x[0], y[0]) for x, y in zip(hit.weights, clean.weights, strict=True))
+    loose = RNN(clip=math.inf)
+    with torch.no_grad():
+        hit, _, _ = rollout(loose, loose.init((2,)), samples._replace(surge=surge.clamp(max=1e4)))
+    assert hit.moment2[1].max() > 1e3  # which is what it is for
+
+
+def trained() -> RNNState:
+    """What a season left."""
+    rnn = RNN(surge_max=2.0)
+    with torch.no_grad():
+        return rollout(rnn, rnn.init(), boat(200))[0]
+
+
+def test_warm_start_from_every_kind_of_file(tmp_path):
+    state = trained()
+    a, w1, W2, b = lane_weights(state, ())
+    np.savez(tmp_path / "set.npz", a=a, w1=w1, W2=W2, b=b)
+    layers = {"0.weight": torch.from_numpy(np.column_stack([w1, W2])), "0.bias": torch.from_numpy(b)}
+    torch.save({**layers, "2.weight": torch.from_numpy(a)[None]}, tmp_path / "set.pt")
+    save(tmp_path / "set.safetensors", {"members": {"aid": AID().init(), "rnn": state}})
+    for name in ("set.npz", "set.pt", "set.safetensors"):
+        warm = RNN(surge_max=2.0, pretrained=tmp_path / name).init((3,))
+        for found, expected in zip(warm.weights, state.weights, strict=True):  # on the edge `project` moves an ulp
+            torch.testing.assert_close(found, expected.expand(3, *expected.shape), rtol=1e-12, atol=1e-12)
+        assert (warm.moment2 == 0).all() and (warm.updates == 0).all()
+
+
+def test_warm_start_is_projected_and_learns_on(tmp_path):
+    n = 3
+    np.savez(tmp_path / "wild.npz", a=np.ones(n), w1=np.ones(n), W2=np.zeros((n, 4)), b=np.ones(n))
+    rnn = RNN(n, pretrained=str(tmp_path / "wild.npz"))
+    with torch.no_grad():
+        _, _, weights = rollout(rnn, rnn.init(), random_samples(30), record=lambda s: s.weights)
+    assert exact.conditions(*lane_weights(rnn.init(), ())[:2])["tight"].rate <= Fraction(0.999)
+    assert all(
+        exact.conditions(*pair)["tight"].rate <= Fraction(0.999)
+        for pair in zip(weights.a.numpy(), weights.w1.numpy(), strict=True)
+    )
+
+
+def test_warm_start_from_one_of_several_networks(tmp_path):
+    state = trained()
+    path, other = tmp_path / "both.safetensors", RNN(20, initial="random").init()
+    save(path, {"members": {"first": state, "second": other}})
+    one = RNN(surge_max=2.0, pretrained=f"{path}:members.second.weights")
+    torch.testing.assert_close(one.init().weights.a, other.weights.a, rtol=1e-12, atol=1e-12)
+    lanes = save(tmp_path / "lanes.safetensors", tree_map(lambda x: torch.stack([x, 0.5 * x]), state.weights))
+    torch.testing.assert_close(RNN(pretrained=f"{lanes}[1]").init().weights.a, 0.5 * state.weights.a)
+
+
+def test_a_wrong_warm_start_is_refused(tmp_path):
+    state = trained()
+    both = save(tmp_path / "both.safetensors", {"first": state, "second": state})
+    np.savez(tmp_path / "narrow.npz", a=np.ones(20), w1=np.ones(20), W2=np.ones((20, 3)), b=np.ones(20))
+    np.savez(tmp_path / "nan.npz", a=np.full(20, np.nan), w1=np.ones(20), W2=np.ones((20, 4)), b=np.ones(20))
+    (tmp_path / "noise.safetensors").write_bytes(b"noise")
+    wrong = {
+        str(tmp_path / "none.npz"): r"pretrained: .*cannot be read",
+        str(tmp_path): r"pretrained: .*expected a file that ends in",
+        str(tmp_path / "noise.safetensors"): r"pretrained: .*cannot be read",
+        str(tmp_path / "nan.npz"): r"pretrained: .*expected finite weights",
+        str(both): r"found 2 networks .*give one of .*:first.weights, .*:second.weights",
+        f"{both}:third.weights": r"found 0 networks .*give one of .*:first.weights, .*:second.weights",
+        str(tmp_path / "narrow.npz"): r"found 20 neurons and 3 inputs .*expected 20 and 4",
+    }
+    for given, message in wrong.items():
+        with pytest.raises(ConfigError, match=message):
+            RNN(pretrained=given)
+    with pytest.raises(ConfigError, match=r"found 20 neurons and 4 inputs .*expected 6 and 4: set neurons"):
+        RNN(6, pretrained=f"{both}:first.weights")
 
 
 def test_unrolled_loss_starts_one_step_earlier_only_where_the_step_before_was_made():
@@ -110,7 +265,9 @@ def test_learns_a_constant_speed():
     assert (surge[-50:] - 1.5).abs().mean() < 0.05
 
 
-@pytest.mark.parametrize("wrong", [{"unroll": 3}, {"neurons": 0}, {"rate": 0.0}, {"surge_max": 0.0}, {"decay": 0}])
+@pytest.mark.parametrize("wrong", [{"unroll": 3}, {"neurons": 0}, {"rate": 0.0}, {"surge_max": 0.0}, {"decay": 0},
+              {"momentum": 1.0}, {"momentum": -0.1}, {"clip": 0.0}, {"initial": "zero"}, {"neurons": 1},
+              {"rate_ratio": [1.0] * 4}, {"rate_ratio": [-1.0] * 5}])  # fmt: skip
 def test_illegal_hyperparameters_are_refused(wrong):
     with pytest.raises(ConfigError, match="expected"):
         RNN(**wrong)

@@ -47,7 +47,7 @@ def contents(folder) -> dict[str, np.ndarray]:
     for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
         for name, leaf in checkpoint.load(path)[0].items():
             found[f"{path.relative_to(folder.path)}:{name}"] = leaf
-    return found | {f"run {k}": array for k, array in enumerate(folder.predictions)}
+    return found | {f"run {k}": array for k, array in enumerate(folder.published["predictions"])}
 
 
 def assert_same(found, expected) -> None:
@@ -128,10 +128,10 @@ def test_another_interval_of_saving_resumes_too(tmp_path, fleet):
     newest.write_bytes(b"")
     with pytest.warns(UserWarning, match="going on from before it"):
         again = session(folder.path, fleet, "latest", save_every=4)
-    for ours, theirs in zip(again.predictions, whole.predictions, strict=True):
+    for ours, theirs in zip(*(f.published["thrusters"] for f in (again, whole)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     once_more = session(folder.path, fleet, "latest")
-    for ours, theirs in zip(once_more.predictions, whole.predictions, strict=True):
+    for ours, theirs in zip(*(f.published["predictions"] for f in (once_more, whole)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
 
 

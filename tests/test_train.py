@@ -20,7 +20,10 @@ from usvlearn.errors import bad_input
 ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
 SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
-NAMES = {"aid", "rls", "dynamic_rls", "rnn", "persistence", "average", "weighted"}
+NAMES = {
+    "aid", "rls", "rnn", "dynamic_rls_short", "dynamic_rls_long", "memory_aid", "memory_rls", "ambient_rls_short",
+    "ambient_rls_long", "persistence", "average", "weighted", "ensemble",
+}  # fmt: skip
 
 
 def command(*arguments: str, script: str = "train.py") -> list[str]:
@@ -60,10 +63,11 @@ def test_results(whole):
             assert {"mae", "median", "rmse", "skill", "steps"} <= row.keys()
             assert 0 < row["median"] <= row["rmse"] < 5 and row["mae"] <= row["rmse"] and row["steps"] > 450
         assert rows["persistence"]["skill"] == 0
+        assert 0.85 < rows["ensemble"]["coverage"] < 0.95 and 0.01 < rows["ensemble"]["halfwidth"] < 0.5
         assert rows["aid"]["skill"] == pytest.approx(1 - rows["aid"]["mae"] / rows["persistence"]["mae"])
     assert found["rejected"]["heron1"]["surge"]["lost"] > 0
     assert found["seconds"] > 0
-    maes = [rows["weighted"]["mae"] for rows in found["boats"].values()]
+    maes = [rows["ensemble"]["mae"] for rows in found["boats"].values()]
     assert found["objective"] == pytest.approx(np.mean(maes))
 
 
@@ -95,8 +99,9 @@ def test_tensorboard(whole):
     events.Reload()
     scalars = set(events.Tags()["scalars"])
     for tag in (
-        "online/mae/heron1/aid", "online/skill/heron2/dynamic_rls", "state/heron1/aid/drag_quadratic",
-        "state/heron1/dynamic_rls/thrust_linear_left", "state/heron2/rls/covariance_trace",
+        "online/mae/heron1/aid", "online/skill/heron2/dynamic_rls_long", "state/heron1/aid/drag_quadratic",
+        "state/heron1/dynamic_rls_long/thrust_linear_left", "state/heron2/rls/covariance_trace",
+        "state/heron1/memory_rls/clipped", "state/heron2/ensemble/weight_memory_aid",
         "state/heron1/rnn/margin_simple", "state/heron1/rnn/margin_tight", "state/heron1/weighted/weight_aid",
         "rejected/heron1/surge/lost", "total/mae/aid",
     ):  # fmt: skip
@@ -188,15 +193,15 @@ def test_other_samples_or_another_ensemble_are_never_mixed_in(whole, tmp_path):
 
 
 def test_sweep_has_a_table(tmp_path):
-    arguments = [*SMALL, "estimators.rls.forgetting=0.9,0.99,1.5", "hydra.sweep.dir=sweep"]
+    arguments = [*SMALL, "estimators.rls.memory=5,50,-1", "hydra.sweep.dir=sweep"]
     swept = run("-m", *arguments, folder=tmp_path)
     assert swept.returncode == 2  # one of its jobs is not legal, and is noted; the rest went on
     assert swept.stdout.count("results and parameter sets") == 2
     table = run("runs=sweep", folder=tmp_path, script="evaluate.py")
     assert table.returncode == 0
     for text in (swept.stdout, table.stdout):
-        assert "rls.forgetting" in text and " 0.9 " in text and " 0.99 " in text
-        assert "failed: " in text and "forgetting: found 1.5, expected a number between 0 and 1" in text
+        assert "rls.memory" in text and " 5 " in text and " 50 " in text
+        assert "failed: " in text and "memory: found -1.0, expected a positive number" in text
     assert "runs: found no run" in run("runs=nowhere", folder=tmp_path, script="evaluate.py").stderr
     assert "runs is not set" in run(folder=tmp_path, script="evaluate.py").stderr
 
@@ -284,7 +289,7 @@ def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, t
     assert larger.returncode == 2 and "expected (5,)" in larger.stderr
 
 
-@pytest.mark.parametrize("wrong", ["estimators.rls.forgeting=0.9", "data=blueboot", "estimator@estimators.aid=adi"])
+@pytest.mark.parametrize("wrong", ["estimators.rls.memmory=9", "data=blueboot", "estimator@estimators.aid=adi"])
 def test_a_mistyped_key_is_refused_in_hydras_words(wrong, tmp_path):
     done = run(wrong, folder=tmp_path)
     assert done.returncode == 1 and "Traceback" not in done.stderr

@@ -43,6 +43,10 @@ class Estimator(nn.Module, abc.ABC):
         """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
         return state
 
+    def loosen(self, state: State, factor: Tensor) -> State:
+        """The state, `factor` times as open to new samples (a covariance inflated); by default what it is."""
+        return state
+
     def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
         """A step on which nothing is masked: `update`'s state and `predict`'s surge.
 

@@ -2,12 +2,16 @@
 
     online/mae/BOAT/ESTIMATOR      m/s, over the last minutes
     online/skill/BOAT/ESTIMATOR    1 - MAE/MAE(persistence), likewise
-    state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, covariance_trace,
-                                   weight_MEMBER; of an RNN margin_CONDITION (> 0: contracting), contraction_rate,
-                                   time_constant in s, and at rest the number of equilibria, the nearest, m/s, and its
-                                   class, counted from 0 in the order of certify.equilibria.CLASSES
+    state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, excitation_PARAMETER (0 a
+                                   guess, 1 informed), covariance_trace, deviation in m/s, weight_MEMBER; of robust ones
+                                   clipped, rejected and escaped samples, scale in m/s; of an RNN margin_CONDITION (> 0:
+                                   contracting), contraction_rate, time_constant in s, and at rest the number of
+                                   equilibria, the nearest, m/s, and its class, counted from 0 in the order of
+                                   certify.equilibria.CLASSES
     rejected/BOAT/CHANNEL/CAUSE    counts over the whole log
-    prediction/BOAT                a figure
+    state/BOAT/monitors/NUMBER     whiteness_ESTIMATOR (lag 1; white within ± whiteness_band), scale_ESTIMATOR in m/s;
+                                   effectiveness_SIDE and evidence_SIDE of a lost thruster, alarm (0 or 1), alarms
+    prediction/BOAT, thrusters/BOAT  figures; the latter of the run in which an alarm was raised
     total/mae/ESTIMATOR            m/s, whole run, mean over boats: what the HPARAMS page compares
 
 The horizontal axis counts the steps of the grid. The CUSTOM SCALARS page draws all estimators in one chart.

@@ -1,8 +1,4 @@
-"""An ensemble: several estimators side by side, and rules that combine their predictions.
-
-AVE is the mean (paper, section V); WE weights the members, v_WE = Σ c_i v̂_i, with c by recursive least squares (paper,
-section VI-B), learned online and predicting before it learns.
-"""
+"""An ensemble: estimators side by side, rules that combine their predictions, an interval for each, and monitors."""
 
 from __future__ import annotations
 
@@ -12,115 +8,77 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from usvlearn.errors import ConfigError
+from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimator import Estimator
-from usvlearn.estimators.rls import rls_step
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.estimators import monitors
+from usvlearn.estimators.combiners import Average, Combiner
+from usvlearn.estimators.conformal import ConformalState, conformal_start, conformal_step
 from usvlearn.signals import Inputs, named_leaves
 
 
-class WeightsState(NamedTuple):
-    """What `RecursiveWeights` identifies."""
-
-    weights: Tensor  # (*batch, members)
-    factor: Tensor  # (*batch, members, members) square root of their covariance
-
-
 class EnsembleState(NamedTuple):
-    """The members' states, the rules' states, and what each predicted last."""
+    """The members' states, the rules' states, and what was predicted last."""
 
     members: dict[str, Any]
     combiners: dict[str, Any]
-    predictions: Tensor  # (*batch, members + combiners) m/s, in the order of `Ensemble.names`
+    conformal: ConformalState  # of the next predictions, in the order of `Ensemble.names`
+    predictions: Tensor  # (*batch, columns + combiners) m/s, in the order of `Ensemble.names`
+    halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s
+    monitors: Any  # of the innovations of `Ensemble.names` and of the thrusters, or {}
 
 
-class Average(nn.Module):
-    """AVE: the mean of the members' predictions; `members` names those that count, all by default."""
-
-    def __init__(self, members: Sequence[str] | None = None):
-        super().__init__()
-        self.members = members
-
-    def init(self, batch: Sequence[int], count: int, like: Tensor) -> dict:
-        return {}
-
-    def combine(self, state: dict, predictions: Tensor) -> Tensor:
-        return predictions.mean(-1)
-
-    def learn(self, state: dict, predictions: Tensor, surge: Tensor) -> dict:
-        return state
-
-    def monitor(self, state: dict, members: Sequence[str]) -> dict[str, Tensor]:
-        return {}
-
-
-class FixedWeights(Average):
-    """Σ c_i v̂_i with given c, one weight per member named in `weights`.
-
-    >>> FixedWeights({"aid": 0.7, "rls": 0.3}).combine({}, torch.tensor([1.0, 2.0], dtype=torch.float64))
-    tensor(1.3000, dtype=torch.float64)
-    """
-
-    def __init__(self, weights: Mapping[str, float]):
-        super().__init__(tuple(weights))
-        self.register_buffer("weights", as_tensor(list(weights.values())))
-
-    def combine(self, state: dict, predictions: Tensor) -> Tensor:
-        return (self.weights * predictions).sum(-1)
-
-
-class RecursiveWeights(nn.Module):
-    """WE: Σ c_i v̂_i with c by recursive least squares, starting from equal weights.
-
-    The members' predictions are almost collinear, so c is poorly determined: it may leave [0, 1], and the sum
-    can be worse than its members. The covariance is kept in bounds as in `rls`.
+class Bank(nn.Module):
+    """One estimator with several settings, as lanes: a member of an ensemble with a column of its own for each.
 
     Args:
-        members: names of those that count, all by default.
-        forgetting: λ; broadcasts against the batch.
-        covariance: initial variance of each weight; broadcasts against the batch.
-        trace_max: limit on the covariance's trace above which nothing is forgotten.
-        surge_max: physical limit of the prediction, m/s.
+        estimator: some hyperparameters of which have the shape `(settings,)`.
+        labels: of the settings, in that order: the columns are NAME_LABEL.
+
+    >>> from usvlearn import AID
+    >>> Ensemble({"aid": Bank(AID(gain=[0.3, 1.0, 3.0]), ["slow", "middle", "fast"])}).columns
+    ('aid_slow', 'aid_middle', 'aid_fast')
     """
 
-    def __init__(
-        self,
-        members: Sequence[str] | None = None,
-        forgetting=0.999,
-        covariance=1.0,
-        trace_max: float = 1e4,
-        surge_max: float = 10.0,
-    ):
+    def __init__(self, estimator: Estimator, labels: Sequence[str]):
         super().__init__()
-        self.members, self.trace_max, self.surge_max = members, trace_max, surge_max
-        self.forgetting, self.covariance = UnitInterval(forgetting, "forgetting"), Positive(covariance, "covariance")
+        self.estimator, self.labels = estimator, tuple(labels)
 
-    def init(self, batch: Sequence[int], count: int, like: Tensor) -> WeightsState:
-        eye = torch.eye(count, dtype=like.dtype, device=like.device)
-        factor = (self.covariance().sqrt()[..., None, None] * eye).expand(*batch, count, count)
-        return WeightsState(like.new_full((*batch, count), 1.0 / count), factor)
+    def init(self, batch: Sequence[int]) -> Any:
+        return self.estimator.init((*batch, len(self.labels)))
 
-    def combine(self, state: WeightsState, predictions: Tensor) -> Tensor:
-        return (state.weights * predictions).sum(-1).clamp(-self.surge_max, self.surge_max)
+    def predict(self, state: Any, inputs: Inputs) -> tuple[Any, Tensor]:
+        """As `Estimator.predict`; the predictions are `(*batch, settings)`."""
+        return self.estimator.predict(state, Inputs(*map(self._wide, inputs)))
 
-    def learn(self, state: WeightsState, predictions: Tensor, surge: Tensor) -> WeightsState:
-        innovation = surge - (state.weights * predictions).sum(-1)
-        return WeightsState(
-            *rls_step(state.weights, state.factor, predictions, innovation, self.forgetting(), self.trace_max)
-        )
+    def learn(self, state: Any, inputs: Inputs, surge: Tensor) -> tuple[Any, Tensor]:
+        return self.estimator.learn(state, Inputs(*map(self._wide, inputs)), self._wide(surge))
 
-    def monitor(self, state: WeightsState, members: Sequence[str]) -> dict[str, Tensor]:
-        weights = dict(zip([f"weight_{m}" for m in members], state.weights.unbind(-1), strict=True))
-        return {**weights, "covariance_trace": (state.factor**2).sum((-2, -1))}
+    def start(self, state: Any, surge: Tensor) -> Any:
+        return self.estimator.start(state, self._wide(surge))
+
+    def monitor(self, state: Any) -> dict[str, Tensor]:
+        return self.estimator.monitor(state)
+
+    def _wide(self, x: Tensor) -> Tensor:
+        return x[..., None].expand(*x.shape, len(self.labels))
 
 
 class Ensemble(Estimator):
     """Estimators side by side; predicts by one of its combiners and publishes every prediction in its state.
 
+    A member whose prediction is not finite, or beyond `surge_max`, sleeps: the combiners do without it.
+
     Args:
-        members: estimators by name.
+        members: estimators, or banks of them, by name.
         combiners: rules by name, `{"average": Average()}` by default.
         output: the combiner whose prediction is the ensemble's own; the last by default.
+        coverage: share of the measurements that the intervals are to cover, 0 … 1.
+        surge_max: physical limit of a prediction, m/s.
+        watched: whether whiteness and the thrusters are watched (`monitors`).
+
+    Attributes:
+        columns: names of the members' predictions; a bank has several.
+        names: those and the combiners'.
 
     Raises:
         ConfigError: no members, a name that is used twice, or a combiner of members that do not exist.
@@ -133,87 +91,112 @@ class Ensemble(Estimator):
 
     def __init__(
         self,
-        members: Mapping[str, Estimator],
-        combiners: Mapping[str, nn.Module] | None = None,
+        members: Mapping[str, Estimator | Bank],
+        combiners: Mapping[str, Combiner] | None = None,
         output: str | None = None,
+        coverage: float = 0.9,
+        surge_max: float = 10.0,
+        watched: bool = True,
     ):
         super().__init__()
         combiners = {"average": Average()} if combiners is None else dict(combiners)
         if not members or not combiners:
             raise ConfigError(f"ensemble: found {len(members)} members, expected at least one, and one combiner")
+        self._columns: dict[str, list[str]] = {}  # member -> its columns
         for name, member in members.items():
-            if not isinstance(member, Estimator):
+            if not isinstance(member, Estimator | Bank):
                 raise ConfigError(f"ensemble member {name}: found {member!r}, expected an estimator")
             if not name.isidentifier() or hasattr(nn.ModuleDict, name):
                 raise ConfigError(f"ensemble member {name!r}: expected a plain name of letters, digits and _")
-        if twice := set(members) & set(combiners):
-            raise ConfigError(f"ensemble: {', '.join(sorted(twice))} names both a member and a combiner")
-        self.names = (*members, *combiners)
+            self._columns[name] = [f"{name}_{x}" for x in member.labels] if isinstance(member, Bank) else [name]
+        self.columns = tuple(column for columns in self._columns.values() for column in columns)
+        self.names = (*self.columns, *combiners)
+        if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
+            raise ConfigError(f"ensemble: {', '.join(twice)} names two members, or a member and a combiner")
         self.output = list(combiners)[-1] if output is None else output
         if self.output not in combiners:
             raise ConfigError(f"ensemble output: found {output!r}, expected one of {', '.join(combiners)}")
+        self.watched, self.coverage = watched, coverage
+        self.surge_max = check_positive("surge_max", surge_max, "of m/s")
+        if not 0 < coverage < 1:
+            raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
         self.members, self.combiners = nn.ModuleDict(members), nn.ModuleDict(combiners)
         self._places: dict[str, list[int]] = {}  # combiner -> places of its members
         for name, combiner in combiners.items():
-            chosen = list(members) if combiner.members is None else combiner.members
-            chosen = [chosen] if isinstance(chosen, str) else list(chosen)
-            if not chosen or (unknown := sorted(set(chosen) - set(members))):
-                raise ConfigError(
-                    f"ensemble combiner {name}: found members {', '.join(chosen) or 'none'}, "
-                    f"expected some of {', '.join(members)}" + (f" (unknown: {', '.join(unknown)})" if chosen else "")
-                )
-            self._places[name] = [list(members).index(member) for member in chosen]
+            chosen = self._named(combiner.members, name)
+            self._places[name] = [self.columns.index(column) for column in chosen]
+            combiner.bind(chosen)
+
+    def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
+        """The columns that a combiner means; the name of a bank stands for all of its own."""
+        known = {column: [column] for column in self.columns} | self._columns
+        chosen = list(self._columns) if members is None else list(members)
+        if not chosen or (unknown := sorted(set(chosen) - set(known))):
+            raise ConfigError(
+                f"ensemble combiner {combiner}: found members {', '.join(chosen) or 'none'}, "
+                f"expected some of {', '.join(known)}" + (f" (unknown: {', '.join(unknown)})" if chosen else "")
+            )
+        return [column for name in chosen for column in known[name]]
 
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
         batch = tuple(batch)
-        check_broadcast(self, batch)
         members = {name: member.init(batch) for name, member in self.members.items()}
         like = next(leaf for _, leaf in named_leaves(members) if leaf.is_floating_point())
-        combiners = {
-            name: combiner.init(batch, len(self._places[name]), like) for name, combiner in self.combiners.items()
-        }
-        return EnsembleState(members, combiners, like.new_zeros((*batch, len(self.names))))
+        combiners = {name: combiner.init(batch, like) for name, combiner in self.combiners.items()}
+        conformal = conformal_start(batch, len(self.names), like)
+        watched = monitors.init(batch, len(self.names), like) if self.watched else {}
+        width = conformal.halfwidth
+        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched)
 
     def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
         coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
-        single = [surge for _, surge in coasted.values()]
-        combined = self._combine(state, self._choose(single))
+        published, _, output = self._publish(state, {name: surge for name, (_, surge) in coasted.items()})
         members = {name: new for name, (new, _) in coasted.items()}
-        published = torch.stack([*single, *combined.values()], -1)
-        return EnsembleState(members, state.combiners, published), combined[self.output]
+        return state._replace(members=members, predictions=published, halfwidths=state.conformal.halfwidth), output
 
     def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
-        single = [member.predict(state.members[name], inputs)[1] for name, member in self.members.items()]
-        members = {name: m.update(state.members[name], inputs, surge) for name, m in self.members.items()}
-        chosen = self._choose(single)
-        published = torch.stack([*single, *self._combine(state, chosen).values()], -1)
-        combiners = {
-            name: combiner.learn(state.combiners[name], chosen[name], surge)
-            for name, combiner in self.combiners.items()
-        }
-        return EnsembleState(members, combiners, published)
+        return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> tuple[EnsembleState, Tensor]:
-        learned = self.update(state, inputs, surge)
-        return learned, learned.predictions[..., self.names.index(self.output)]
+        learned = {name: member.learn(state.members[name], inputs, surge) for name, member in self.members.items()}
+        published, chosen, output = self._publish(state, {name: predicted for name, (_, predicted) in learned.items()})
+        combiners = {
+            name: combiner.learn(state.combiners[name], chosen[name], surge, inputs.dt)
+            for name, combiner in self.combiners.items()
+        }
+        innovations = surge[..., None] - published
+        conformal = conformal_step(state.conformal, innovations, self.coverage)
+        watched = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
+        members = {name: new for name, (new, _) in learned.items()}
+        return EnsembleState(members, combiners, conformal, published, state.conformal.halfwidth, watched), output
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
         return state._replace(members=members)
 
     def monitor(self, state: EnsembleState) -> dict[str, Tensor]:
-        """The members' and combiners' numbers, as `name/number`."""
-        parts = [(name, member.monitor(state.members[name])) for name, member in self.members.items()]
-        parts += [
-            (name, combiner.monitor(state.combiners[name], combiner.members or tuple(self.members)))
-            for name, combiner in self.combiners.items()
-        ]
-        return {f"{name}/{key}": value for name, numbers in parts for key, value in numbers.items()}
+        """The members' and combiners' numbers, as `name/number`; whiteness and thrusters as `monitors/number`."""
+        shown = {}
+        for name, member in self.members.items():
+            for key, value in member.monitor(state.members[name]).items():
+                lanes = value.unbind(-1) if isinstance(member, Bank) else [value]
+                shown |= {f"{column}/{key}": lane for column, lane in zip(self._columns[name], lanes, strict=True)}
+        for name, combiner in self.combiners.items():
+            shown |= {f"{name}/{key}": value for key, value in combiner.monitor(state.combiners[name]).items()}
+        if self.watched:
+            report = monitors.monitor_report(state.monitors, self.names)
+            shown |= {f"monitors/{key}": value for key, value in report.items()}
+        return shown
 
-    def _choose(self, single: list[Tensor]) -> dict[str, Tensor]:
-        """What each combiner sees of the members' predictions, m/s, `(*batch, its members)`."""
-        return {name: torch.stack([single[i] for i in places], -1) for name, places in self._places.items()}
-
-    def _combine(self, state: EnsembleState, chosen: dict[str, Tensor]) -> dict[str, Tensor]:
-        """The combiners' predictions, m/s, `(*batch,)` each."""
-        return {name: rule.combine(state.combiners[name], chosen[name]) for name, rule in self.combiners.items()}
+    def _publish(self, state: EnsembleState, surges: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor], Tensor]:
+        """All predictions, `(*batch, names)`; what each combiner sees of them, NaN where asleep; the ensemble's own."""
+        parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
+        single = torch.cat(parts, -1)
+        awake = torch.where(single.abs() <= self.surge_max, single, torch.nan)
+        chosen = {
+            name: awake if places == list(range(len(self.columns))) else awake[..., places]
+            for name, places in self._places.items()
+        }
+        combined = {name: rule.combine(state.combiners[name], chosen[name]) for name, rule in self.combiners.items()}
+        published = torch.cat([single, torch.stack(list(combined.values()), -1)], -1)
+        return published, chosen, combined[self.output]

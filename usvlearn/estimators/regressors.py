@@ -2,16 +2,35 @@
 
 Commands and speeds are signed, so that boats may back up: ξ|ξ| stands for ξ² and ξ|v| for ξv. Where ξ ≥ 0 and
 v ≥ 0 these are the paper's own terms.
+
+Beyond the paper the surge dynamics may have terms for what it leaves out: *memory* (thrusters that lag, water that
+swings along: the last acceleration and the commands one step before) and *ambient* (wind and current: a force that is
+constant in the earth's frame, so that it depends on the heading, and a bias).
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
 
-from usvlearn.errors import ConfigError
+from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.hyper import as_tensor
 from usvlearn.signals import Inputs
+
+
+class MemoryInputs(NamedTuple):
+    """`Inputs`, and what `WithMemory` remembers of the step before. Leaves are `(*batch,)`."""
+
+    command_left: Tensor
+    command_right: Tensor
+    heading: Tensor
+    yaw_rate: Tensor
+    dt: Tensor
+    surge_dot: Tensor  # m/s², over the last step
+    command_left_before: Tensor
+    command_right_before: Tensor
 
 
 def surge_regressor(surge: Tensor, inputs: Inputs) -> Tensor:
@@ -35,32 +54,43 @@ def quasi_static_regressor(inputs: Inputs) -> Tensor:
     return torch.cat([thrust.flatten(-2), rest], -1)
 
 
+SURGE = {  # parameter: its sign by physics
+    "drag_quadratic": -1,  # c_q, kg/m
+    "drag_linear": -1,  # c_l, kg/s
+    "drag_cross": -1,  # c_θ̇, kg/rad
+    "thrust_linear_left": 1,  # α_L, N
+    "thrust_quadratic_left": 1,  # β_L, N
+    "thrust_speed_left": -1,  # γ_L, N s/m
+    "thrust_linear_right": 1,
+    "thrust_quadratic_right": 1,
+    "thrust_speed_right": -1,
+}
+MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
+AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
+
+
 class SurgeDynamics(nn.Module):
     """One step of the surge dynamics, m·surge_dot = Wᵀθ: v⁺ = v + φᵀθ with φ = dt·W/m.
 
     Args:
         mass: m, kg, added mass included; broadcasts against the batch.
+        memory: adds the last acceleration and the last commands; wants `WithMemory` around the estimator.
+        ambient: adds a force from a compass direction, N, and a bias.
 
-    >>> model = SurgeDynamics(28.0)
-    >>> [name for name in model.names if "drag" in name]
-    ['drag_quadratic', 'drag_linear', 'drag_cross']
+    Attributes:
+        names: of the parameters.
+        signs: of the parameters by physics; 0 where physics gives none.
+
+    >>> model = SurgeDynamics(28.0, ambient=True)
+    >>> [name for name in model.names if "ambient" in name]
+    ['ambient_bias', 'ambient_sin', 'ambient_cos']
     """
 
-    names = (
-        "drag_quadratic",  # c_q, kg/m
-        "drag_linear",  # c_l, kg/s
-        "drag_cross",  # c_θ̇, kg/rad
-        "thrust_linear_left",  # α_L, N
-        "thrust_quadratic_left",  # β_L, N
-        "thrust_speed_left",  # γ_L, N s/m
-        "thrust_linear_right",
-        "thrust_quadratic_right",
-        "thrust_speed_right",
-    )
-    signs = (-1, -1, -1, 1, 1, -1, 1, 1, -1)  # of the parameters, by physics
-
-    def __init__(self, mass=36.0):
+    def __init__(self, mass=36.0, memory: bool = False, ambient: bool = False):
         super().__init__()
+        self.memory, self.ambient = memory, ambient
+        parts = SURGE | (MEMORY if memory else {}) | (AMBIENT if ambient else {})
+        self.names, self.signs = tuple(parts), tuple(parts.values())
         mass = as_tensor(mass, "mass")
         if not bool(((mass > 0) & mass.isfinite()).all()):
             raise ConfigError(f"mass: found {mass.tolist()}, expected a positive number of kg")
@@ -72,8 +102,22 @@ class SurgeDynamics(nn.Module):
         return self.mass
 
     def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
-        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, 9)`."""
-        return surge, (inputs.dt / self.mass)[..., None] * surge_regressor(surge, inputs)
+        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`."""
+        W = surge_regressor(surge, inputs)
+        extra = []
+        if self.memory:
+            if not hasattr(inputs, "surge_dot"):
+                raise ShapeError(
+                    "SurgeDynamics(memory=True): the inputs have no last acceleration and commands: wrap the "
+                    "estimator, as in WithMemory(AID(model=SurgeDynamics(memory=True)))"
+                )
+            extra = [inputs.surge_dot, inputs.command_left_before, inputs.command_right_before]
+        if self.ambient:
+            heading = inputs.heading
+            extra = [*extra, torch.ones_like(heading), heading.sin(), heading.cos()]
+        if extra:
+            W = torch.cat([W, torch.stack(extra, -1)], -1)
+        return surge, (inputs.dt / self.mass)[..., None] * W
 
 
 class QuasiStatic(nn.Module):
@@ -94,6 +138,7 @@ class QuasiStatic(nn.Module):
         "zeta_heading_cos",
         "zeta_yaw_rate",  # m/rad
     )
+    signs = (0,) * 9  # physics gives none: the map is not a force
     scale = 1.0
 
     def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:

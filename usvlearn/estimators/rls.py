@@ -11,11 +11,14 @@ f = Sᵀφ:
 
 The textbook's P − K (φᵀP) multiplies its rounding asymmetry by 1/λ at every step and diverges within minutes; S Sᵀ is
 symmetric and positive by construction. Where data stop informing a direction, P grows there without bound: forgetting
-pauses wherever it would lift the trace of P over a limit.
+pauses wherever it would lift the trace of P over a limit. `SIFtRLS` forgets only what it learns anew, and needs none.
+
+P is in units of the noise's variance σ², which the innovations tell: a prediction's variance is σ² (1 + φᵀPφ)   (3).
 """
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -24,22 +27,50 @@ from torch import Tensor, nn
 
 from usvlearn.errors import check_choice, check_positive
 from usvlearn.estimator import Estimator
+from usvlearn.estimators.monitors import excitation
 from usvlearn.estimators.regressors import QuasiStatic
 from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
+NOISE = 0.05  # m/s, σ before the first innovation
+NOISE_SHARE = 0.02  # of a new innovation in σ²
+NOISE_LEAST = 1e-3  # m/s; hours of exact predictions at rest must not make σ so small that it never comes back
+
 
 class RLSState(NamedTuple):
-    """What RLS identifies."""
+    """What recursive least squares identifies."""
 
     theta: Tensor  # (*batch, p) parameters
     factor: Tensor  # (*batch, p, p) S, a square root of the covariance
     surge: Tensor  # (*batch,) speed from which the next step departs, m/s
+    noise: Tensor  # (*batch,) σ², m²/s²
+    deviation: Tensor  # (*batch,) standard deviation of the last prediction by (3), m/s
 
     @property
     def covariance(self) -> Tensor:
         """P = S Sᵀ, `(*batch, p, p)`, in units of the measurement noise's variance."""
         return self.factor @ self.factor.mT
+
+
+def potter(
+    theta: Tensor,  # (*batch, p)
+    factor: Tensor,  # (*batch, p, p)
+    phi: Tensor,  # (*batch, p)
+    innovation: Tensor,  # (*batch,) y − φᵀθ
+    lam: Tensor | float = 1.0,  # (*batch,) or ()
+) -> tuple[Tensor, Tensor]:
+    """One measurement update of (θ, S): equations (1) and (2), without the division by √λ.
+
+    >>> theta, factor = potter(torch.zeros(1), torch.eye(1) * 1e3, torch.ones(1), torch.tensor(2.0))
+    >>> round(float(theta), 3)
+    2.0
+    """
+    f = (factor * phi[..., None]).sum(-2)  # Sᵀφ
+    P_phi = (factor * f[..., None, :]).sum(-1)
+    lam = lam[..., None] if isinstance(lam, Tensor) else lam
+    s = lam + (f * f).sum(-1, keepdim=True)
+    theta = theta + P_phi * (innovation[..., None] / s)
+    return theta, factor - P_phi[..., None] * (f / (s + (lam * s).sqrt()))[..., None, :]
 
 
 def rls_step(
@@ -50,34 +81,102 @@ def rls_step(
     forgetting: Tensor,  # (*batch,) or ()
     trace_max: float | Tensor = torch.inf,
 ) -> tuple[Tensor, Tensor]:
-    """One measurement update of (θ, S), equations (1) and (2).
+    """One measurement update of (θ, S) with forgetting, which pauses at `trace_max`.
 
     >>> theta, factor = torch.zeros(1), torch.eye(1) * 1e3
     >>> theta, factor = rls_step(theta, factor, torch.ones(1), torch.tensor(2.0), torch.tensor(1.0))
     >>> round(float(theta), 3)
     2.0
     """
-    lam = forgetting[..., None]
-    f = (factor * phi[..., None]).sum(-2)  # Sᵀφ
-    P_phi = (factor * f[..., None, :]).sum(-1)
-    s = lam + (f * f).sum(-1, keepdim=True)
-    theta = theta + P_phi * (innovation[..., None] / s)
-    factor = factor - P_phi[..., None] * (f / (s + (lam * s).sqrt()))[..., None, :]
+    theta, factor = potter(theta, factor, phi, innovation, forgetting)
     trace = (factor * factor).sum((-2, -1))
     growth = torch.where(trace < trace_max * forgetting, forgetting, 1.0).rsqrt()
     return theta, factor * growth[..., None, None]
 
 
-class RLS(Estimator):
-    """Recursive least squares: the quasi-static thruster map, or the surge dynamics.
+class LeastSquares(Estimator):
+    """What all recursive least squares share; a kind says in `_step` how it forgets.
 
     Args:
         model: `QuasiStatic()` predicts the speed itself (the paper's RLS); `SurgeDynamics(mass)` its increment.
-        forgetting: λ, between 0 and 1; broadcasts against the batch.
         covariance: P₀ = covariance·scale²·I, where scale is the model's (1, or the mass); broadcasts against the batch.
-        trace_growth: nothing is forgotten that would lift the trace of P above so many times its first value.
         feedback: "measured" predicts from the last measured speed, "estimate" from the estimator's own.
         surge_max: physical limit of the prediction, m/s.
+    """
+
+    def __init__(self, model: nn.Module | None, covariance, feedback: str, surge_max: float):
+        super().__init__()
+        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
+        self.surge_max = check_positive("surge_max", surge_max, "of m/s")
+        self.model = QuasiStatic() if model is None else model
+        self.covariance = Positive(covariance, "covariance")
+
+    @abc.abstractmethod
+    def _step(
+        self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """One measurement update of (θ, S)."""
+
+    def init(self, batch: Sequence[int] = ()) -> RLSState:
+        check_broadcast(self, tuple(batch))
+        p, like = len(self.model.names), self.covariance.log
+        eye = torch.eye(p, dtype=like.dtype, device=like.device)
+        root = self.covariance().sqrt() * self.model.scale
+        factor = (root[..., None, None] * eye).expand(*batch, p, p)
+        zero, noise = like.new_zeros(tuple(batch)), like.new_full(tuple(batch), NOISE**2)
+        return RLSState(like.new_zeros((*batch, p)), factor, zero, noise, zero)
+
+    def predict(self, state: RLSState, inputs: Inputs) -> tuple[RLSState, Tensor]:
+        base, phi = self.model(state.surge, inputs)
+        surge = self._limit(base + (phi * state.theta).sum(-1))
+        return state._replace(surge=surge, deviation=(state.noise * spread(state.factor, phi)).sqrt()), surge
+
+    def update(self, state: RLSState, inputs: Inputs, surge: Tensor) -> RLSState:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: RLSState, inputs: Inputs, surge: Tensor) -> tuple[RLSState, Tensor]:
+        base, phi = self.model(state.surge, inputs)
+        estimate = base + (phi * state.theta).sum(-1)
+        innovation, s = surge - estimate, spread(state.factor, phi)
+        theta, factor = self._step(state.theta, state.factor, phi, innovation, inputs.dt)
+        # One outlier counts as four deviations, so that it cannot blow σ up.
+        seen = torch.minimum(innovation * innovation / s, 16 * state.noise)
+        noise = torch.lerp(state.noise, seen, NOISE_SHARE).clamp(min=NOISE_LEAST**2)
+        predicted, deviation = self._limit(estimate), (state.noise * s).sqrt()
+        departs = predicted if self.feedback == "estimate" else surge
+        return RLSState(theta, factor, departs, noise, deviation), predicted
+
+    def start(self, state: RLSState, surge: Tensor) -> RLSState:
+        return state._replace(surge=surge)
+
+    def loosen(self, state: RLSState, factor: Tensor) -> RLSState:
+        return state._replace(factor=state.factor * factor.sqrt()[..., None, None])
+
+    def monitor(self, state: RLSState) -> dict[str, Tensor]:
+        parameters = dict(zip(self.model.names, state.theta.unbind(-1), strict=True))
+        trace = (state.factor**2).sum((-2, -1))
+        prior = (self.covariance() * self.model.scale**2)[..., None]
+        informed = zip(self.model.names, excitation(state.factor, prior).unbind(-1), strict=True)
+        informed = {f"excitation_{name}": share for name, share in informed}
+        return {**parameters, **informed, "covariance_trace": trace, "deviation": state.deviation}
+
+    def _limit(self, surge: Tensor) -> Tensor:
+        return surge.clamp(-self.surge_max, self.surge_max)
+
+
+def spread(factor: Tensor, phi: Tensor) -> Tensor:
+    """1 + φᵀPφ, `(*batch,)`."""
+    f = (factor * phi[..., None]).sum(-2)
+    return 1 + (f * f).sum(-1)
+
+
+class RLS(LeastSquares):
+    """Recursive least squares with exponential forgetting: the quasi-static thruster map, or the surge dynamics.
+
+    Args:
+        model, covariance, feedback, surge_max: see `LeastSquares`.
+        forgetting: λ, between 0 and 1; broadcasts against the batch.
+        trace_growth: nothing is forgotten that would lift the trace of P above so many times its first value.
 
     >>> from usvlearn.estimators.regressors import SurgeDynamics
     >>> dynamic = RLS(SurgeDynamics(mass=28.0), forgetting=0.995, covariance=10.0)
@@ -94,39 +193,12 @@ class RLS(Estimator):
         feedback: str = "measured",
         surge_max: float = 10.0,
     ):
-        super().__init__()
-        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
-        self.surge_max = check_positive("surge_max", surge_max, "of m/s")
-        self.model = QuasiStatic() if model is None else model
+        super().__init__(model, covariance, feedback, surge_max)
         self.forgetting = UnitInterval(forgetting, "forgetting")
-        self.covariance = Positive(covariance, "covariance")
         growth = check_positive("trace_growth", trace_growth) * len(self.model.names)
         self.register_buffer("trace_max", growth * as_tensor(covariance) * self.model.scale**2)
 
-    def init(self, batch: Sequence[int] = ()) -> RLSState:
-        check_broadcast(self, tuple(batch))
-        p, like = len(self.model.names), self.covariance.log
-        eye = torch.eye(p, dtype=like.dtype, device=like.device)
-        root = self.covariance().sqrt() * self.model.scale
-        factor = (root[..., None, None] * eye).expand(*batch, p, p)
-        return RLSState(like.new_zeros((*batch, p)), factor, like.new_zeros(tuple(batch)))
-
-    def predict(self, state: RLSState, inputs: Inputs) -> tuple[RLSState, Tensor]:
-        base, phi = self.model(state.surge, inputs)
-        surge = (base + (phi * state.theta).sum(-1)).clamp(-self.surge_max, self.surge_max)
-        return state._replace(surge=surge), surge
-
-    def update(self, state: RLSState, inputs: Inputs, surge: Tensor) -> RLSState:
-        base, phi = self.model(state.surge, inputs)
-        estimate = base + (phi * state.theta).sum(-1)
-        theta, factor = rls_step(state.theta, state.factor, phi, surge - estimate, self.forgetting(), self.trace_max)
-        if self.feedback == "estimate":
-            surge = estimate.clamp(-self.surge_max, self.surge_max)
-        return RLSState(theta, factor, surge)
-
-    def start(self, state: RLSState, surge: Tensor) -> RLSState:
-        return state._replace(surge=surge)
-
-    def monitor(self, state: RLSState) -> dict[str, Tensor]:
-        parameters = dict(zip(self.model.names, state.theta.unbind(-1), strict=True))
-        return {**parameters, "covariance_trace": (state.factor**2).sum((-2, -1))}
+    def _step(
+        self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        return rls_step(theta, factor, phi, innovation, self.forgetting(), self.trace_max)

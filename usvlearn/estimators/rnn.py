@@ -15,12 +15,21 @@ The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂
 through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
 
     ∂L/∂a = e (relu(z) + s relu(z₋)),   ∂L/∂z = e a d,   ∂L/∂z₋ = e s a d₋         (3)
+
+Speeds change little from step to step, so the network starts as persistence at the rate κ, and learns the rest:
+
+    x⁺ = κ/2 relu(2x + 1) − κ/2 relu(1) = κ x   where x > −½, that is v > −v_max               (4)
+
+with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes without its running mean of the gradient
+(β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
+clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -31,12 +40,13 @@ from certify.conditions import CONDITIONS, rate
 from certify.equilibria import CLASSES, equilibria
 from certify.projections import GAUGES, project
 from certify.weights import ShallowWeights
-from usvlearn.errors import ConfigError, check_choice, check_positive
+from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimator import Estimator
+from usvlearn.estimators.rnn_weights import initial_weights, pretrained_weights
 from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
-BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-8  # Adam's, as the paper has them
+BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
 
 
 class RNNState(NamedTuple):
@@ -109,6 +119,17 @@ def gradient(
     return torch.cat([grad_a, grad_w1, grad_W2.flatten(-2), grad_b], -1)
 
 
+def clipped(grad: Tensor, c: float) -> Tensor:
+    """Each lane's gradient g, `(*batch, 7n)`, as g/√(1 + ‖g‖²/c²): no longer than c, and hardly changed where short.
+
+    >>> clipped(torch.tensor([[3.0, 4.0], [0.03, 0.04]]), 1.0)
+    tensor([[0.5883, 0.7845],
+            [0.0300, 0.0400]])
+    """
+    grad = grad.clamp(-1e15, 1e15)  # so that no square overflows, not even in float32
+    return grad * (1 + (grad * grad).sum(-1, keepdim=True) / c**2).rsqrt()
+
+
 def lane_weights(state: RNNState, lane: int | tuple[int, ...]) -> ShallowWeights:
     """The weights of one lane as float64 arrays, for `certify`."""
     return ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.weights))
@@ -117,11 +138,21 @@ def lane_weights(state: RNNState, lane: int | tuple[int, ...]) -> ShallowWeights
 class RNN(Estimator):
     """Shallow ReLU network, n = 20 neurons and 140 weights by default, one Adam step a sample.
 
+    The paper's own: `initial="random" rate=5e-4 rate_ratio=(1, 1, 1, 1, 1) momentum=0.9 clip=None stability="penalty"
+    penalty=0.1 unroll=2`.
+
     Args:
         neurons: n.
         surge_max: v_max, m/s, which scales the speed onto [0, 0.5].
+        initial: "persistence", equation (4), or "random" weights.
+        pretrained: initial weights in place of these: a checkpoint, .npz or .pt (see `certify.weights.load`), or one of
+            several in it, `FILE:members.rnn.weights`. They suit the `surge_max` and dt with which they were learned.
         rate: Adam's learning rate at the first update; broadcasts against the batch.
+        rate_ratio: relative rates of a, w₁, the columns of W₂ for the heading and for the commands, and b; those of
+            w₁ and W₂ also scale the neurons of "persistence".
         decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
+        momentum: Adam's β₁, in [0, 1).
+        clip: c, the norm that no lane's gradient exceeds; None or infinity for no limit.
         stability: "project" onto `condition` after every update, "penalty" (the paper's), or "none".
         condition: simple, gershgorin, lmi, tight (all activation patterns, the weakest that (a, w₁) alone can tell), or
             interval (the same for |x| ≤ 1, where a speed that coasts is kept, and commands of up to 1.2).
@@ -141,8 +172,13 @@ class RNN(Estimator):
         self,
         neurons: int = 20,
         surge_max: float = 3.0,
-        rate=3e-3,
+        initial: str = "persistence",
+        pretrained: str | Path | None = None,
+        rate=8e-4,
+        rate_ratio: Sequence[float] = (1.0, 2.0, 0.3, 1.5, 0.5),
         decay: int | None = 1000,
+        momentum: float = 0.0,
+        clip: float | None = 0.1,
         stability: str = "project",
         condition: str = "tight",
         contraction_rate=0.999,
@@ -155,12 +191,17 @@ class RNN(Estimator):
         super().__init__()
         if unroll not in (1, 2):
             raise ConfigError(f"unroll: found {unroll!r}, expected 1 or 2")
-        if not (isinstance(neurons, int) and neurons > 0):
-            raise ConfigError(f"neurons: found {neurons!r}, expected a positive whole number")
+        check_choice("initial", initial, ("persistence", "random"))
+        self.balanced = pretrained is None and initial == "persistence"
+        if not (isinstance(neurons, int) and neurons > self.balanced):  # which takes two
+            raise ConfigError(f"neurons: found {neurons!r}, expected a whole number, {1 + self.balanced} or more")
+        if check_not_negative("momentum", momentum) >= 1:
+            raise ConfigError(f"momentum: found {momentum!r}, expected a number below 1")
         self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.decay = None if decay is None else check_positive("decay", decay, "of updates")
-        self.scale, self.unroll = 0.5 / surge_max, unroll
+        self.clip = None if clip in (None, math.inf) else check_positive("clip", clip, ", or null for no limit")
+        self.scale, self.unroll, self.momentum = 0.5 / surge_max, unroll, momentum
         check_choice("stability", stability, ("none", "penalty", "project"))
         self.condition = check_choice("condition", condition, (*CONDITIONS, "interval"))
         self.gauge = check_choice("gauge", gauge, GAUGES)
@@ -168,24 +209,33 @@ class RNN(Estimator):
         contraction_rate = UnitInterval(contraction_rate, "contraction_rate")
         self.penalty = penalty if stability == "penalty" else None
         self.contraction_rate = contraction_rate if stability == "project" else None
+        self.initial_rate = float(contraction_rate().detach().min())  # of (4) where nothing is projected
         self.register_buffer("bounds", as_tensor([[-1.0, 0.0, 0.0, -1.2, -1.2], [1.0, 1.0, 1.0, 1.2, 1.2]]))
+        ratio = as_tensor(list(rate_ratio), "rate_ratio")
+        if ratio.shape != (5,) or not bool(((ratio >= 0) & ratio.isfinite()).all()):
+            raise ConfigError(f"rate_ratio: found {list(rate_ratio)}, expected five numbers of 0 or more")
+        a, w1, heading, command, b = (each.expand(neurons) for each in ratio)
+        W2 = torch.stack([heading, heading, command, command], -1).flatten()
+        self.register_buffer("rate_ratio", torch.cat([a, w1, W2, b]))  # in the order of the gradient
         if not isinstance(seed, int):
             raise ConfigError(f"seed: found {seed!r}, expected a whole number")
-        generator = torch.Generator().manual_seed(seed)
-
-        def draw(shape: tuple[int, ...], fan_in: int) -> nn.Parameter:
-            uniform = torch.rand(shape, generator=generator, dtype=torch.float64)
-            return nn.Parameter((2 * uniform - 1) / math.sqrt(fan_in))
-
-        n = neurons
-        self.a, self.w1, self.W2, self.b = draw((n,), n), draw((n,), 5), draw((n, 4), 5), draw((n,), 5)
+        if pretrained is None:
+            weights = initial_weights(neurons, initial, ratio.tolist(), torch.Generator().manual_seed(seed))
+        else:
+            weights = pretrained_weights(str(pretrained), neurons)
+        self.a, self.w1, self.W2, self.b = map(nn.Parameter, weights)
 
     def init(self, batch: Sequence[int] = ()) -> RNNState:
         batch, n = tuple(batch), len(self.a)
         check_broadcast(self, batch)
-        weights = self._stable(
-            ShallowWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
-        )
+        weights = ShallowWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
+        if self.balanced:  # the room of 1e-12 keeps `project` away, through which no gradient comes from the edge
+            kappa = self.a.new_tensor(self.initial_rate) if self.contraction_rate is None else self.contraction_rate()
+            weights = self._stable(weights._replace(a=weights.a * ((1 - 1e-12) * kappa)[..., None]))
+            a, b = weights.a, weights.b
+            constant = -(a * b)[..., :1] / b[..., 1:2]  # what a condition below `tight` left of the first neuron's
+            weights = weights._replace(a=torch.cat([a[..., :1], constant, a[..., 2:]], -1))
+        weights = self._stable(weights)
         zero = self.a.new_zeros
         unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)
         moments = zero((*batch, 7 * n)), zero((*batch, 7 * n))
@@ -249,9 +299,11 @@ class RNN(Estimator):
         rate, count = self.rate(), state.updates + 1
         if self.decay is not None:
             rate = rate * (1 + (state.updates / self.decay).floor()).rsqrt()
-        m = state.moment1.lerp(grad, 1 - BETA1)
+        if self.clip is not None:
+            grad = clipped(grad, self.clip)
+        m = state.moment1.lerp(grad, 1 - self.momentum) if self.momentum else grad
         v = state.moment2.lerp(grad * grad, 1 - BETA2)
-        step_size = (rate / (1 - BETA1**count))[..., None]
+        step_size = (rate / (1 - self.momentum**count) if self.momentum else rate)[..., None] * self.rate_ratio
         v_hat = v / (1 - BETA2**count)[..., None]
         # Clamped because the slope of the root at 0 is infinite: it must not reach the gradients.
         step = step_size * m / (v_hat.clamp(min=torch.finfo(v.dtype).tiny).sqrt() + EPSILON)

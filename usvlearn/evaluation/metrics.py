@@ -1,4 +1,4 @@
-"""What is measured of predictions: MAE, median, RMSE, and skill against persistence."""
+"""What is measured of predictions: MAE, median, RMSE, skill against persistence, and what the intervals cover."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PERSISTENCE = "persistence"  # the estimator that skill refers to
 
 
 def scores(
-    predictions: np.ndarray, surge: np.ndarray, names: Sequence[str]
+    predictions: np.ndarray, surge: np.ndarray, names: Sequence[str], halfwidths: np.ndarray | None = None
 ) -> dict[str, dict[str, float | int | None]]:
     """Errors of each estimator over the steps that were made and measured, the same steps for all.
 
@@ -20,11 +20,14 @@ def scores(
         predictions: m/s, `(time, estimators)`; NaN where no step was made.
         surge: m/s, `(time,)`; NaN where it was not measured.
         names: of the estimators.
+        halfwidths: of the predictions' intervals, m/s, `(time, estimators)`.
 
     Returns:
         Per estimator `mae`, `median`, `rmse` (m/s), `skill` = 1 − MAE/MAE(persistence) (None where persistence was
         not run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite. An estimator
         that diverged even once, or had no step, has no errors (None): it must not win by the steps it survived.
+        With half-widths also `coverage`, the share of the measurements inside the intervals, and `halfwidth`, their
+        mean, m/s.
 
     >>> table = scores(np.array([[1.0, 2.0], [2.0, 2.0]]), np.array([1.5, 2.0]), ["aid", "persistence"])
     >>> table["aid"]["mae"], table["aid"]["skill"]
@@ -39,6 +42,11 @@ def scores(
         row: dict[str, float | int | None] = dict.fromkeys(("mae", "median", "rmse", "skill"))
         if len(e) and finite[:, k].all():
             row |= {"mae": float(e.mean()), "median": float(np.median(e)), "rmse": float(np.sqrt((e * e).mean()))}
+        if halfwidths is not None:
+            width = halfwidths[counted][finite[:, k], k]
+            row |= {"coverage": None, "halfwidth": None}
+            if len(e):
+                row |= {"coverage": float((e <= width).mean()), "halfwidth": float(width.mean())}
         table[name] = row | {"steps": len(e), "diverged": int((~finite[:, k]).sum())}
     if base := table.get(PERSISTENCE, {}).get("mae"):
         for row in table.values():
@@ -46,11 +54,42 @@ def scores(
     return table
 
 
-def fleet_scores(fleet: Fleet, predictions: Sequence[np.ndarray], names: Sequence[str]) -> dict[str, dict]:
-    """`scores` per boat over all its runs; `predictions` is `(time, boats, estimators)` per run."""
-    together = np.concatenate(predictions)
+def fleet_scores(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]], names: Sequence[str]) -> dict[str, dict]:
+    """`scores` per boat over all its runs; published are arrays `(time, boats, estimators)` per run."""
+    together = np.concatenate(published["predictions"])
+    widths = np.concatenate(published["halfwidths"]) if "halfwidths" in published else None
     surge = np.concatenate([np.where(run.samples.measured, run.samples.surge, np.nan) for run in fleet.runs])
-    return {boat: scores(together[:, lane], surge[:, lane], names) for lane, boat in enumerate(fleet.boats)}
+    return {
+        boat: scores(together[:, lane], surge[:, lane], names, None if widths is None else widths[:, lane])
+        for lane, boat in enumerate(fleet.boats)
+    }
+
+
+def alarms(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[dict]]:
+    """When a thruster seemed to have lost thrust, per boat: run, time in it, s, side, and the share that is left.
+
+    Args:
+        fleet: what was replayed.
+        published: `thrusters` per run, as `usvlearn.learning.replay.PUBLISHED` says; none where nobody watched.
+    """
+    found: dict[str, list[dict]] = {boat: [] for boat in fleet.boats}
+    on = np.zeros(len(fleet.boats), dtype=bool)
+    for run, health in zip(fleet.runs, published.get("thrusters", []), strict=False):
+        for lane, boat in enumerate(fleet.boats):
+            stepped = np.flatnonzero(np.isfinite(health[:, lane, 4]))
+            raised = health[stepped, lane, 4] > 0
+            for k in stepped[raised & ~np.append(on[lane], raised[:-1])]:
+                side = int(health[k, lane, 2] < health[k, lane, 3])
+                found[boat].append(
+                    {
+                        "run": run.names[lane],
+                        "time": float(run.time[k, lane]),
+                        "side": ("left", "right")[side],
+                        "effectiveness": float(health[k, lane, side]),
+                    }
+                )
+            on[lane] = raised[-1] if len(raised) else on[lane]
+    return found
 
 
 def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:

@@ -23,7 +23,7 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
 
     >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
     >>> stability(ensemble, ensemble.init((1,)), ["heron"])[0].split(", K")[0]
-    'rnn of heron: certified contracting by lmi, tight'
+    'rnn of heron: certified contracting by tight'
     """
     told = []
     for name, member in ensemble.members.items():

@@ -25,16 +25,18 @@ def _best(maes: Mapping[str, float | None]) -> str | None:
 
 
 def score_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
-    """One row per boat and estimator: MAE, median and RMSE in m/s, skill, steps; the best of each boat is bold."""
+    """One row per boat and estimator: errors in m/s, skill, the interval, steps; the best of each boat is bold."""
     table = Table(title="One-step prediction of surge, errors in m/s", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("boat")
     table.add_column("estimator")
-    for column in ("MAE", "median", "RMSE", "skill", "steps"):
+    for column in ("MAE", "median", "RMSE", "skill", "±", "covers", "steps"):
         table.add_column(column, justify="right")
     for boat, rows in boats.items():
         best = _best({name: row["mae"] for name, row in rows.items()})
         for k, (name, row) in enumerate(rows.items()):
             cells = [_number(row[column], 3 if column == "skill" else 4) for column in COLUMNS]
+            covers = row.get("coverage")
+            cells += [_number(row.get("halfwidth"), 3), "–" if covers is None else f"{covers:.1%}"]
             style = "bold" if name == best else None
             steps = f"{row['steps']}" + (f", {row['diverged']} diverged" if row.get("diverged") else "")
             table.add_row(boat if k == 0 else "", name, *cells, steps, style=style)
@@ -74,10 +76,15 @@ def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> 
     return table if table.row_count else None
 
 
-def report(boats: Mapping[str, Mapping[str, Mapping]], rejected: Mapping) -> Group:
-    """All tables of a run, for the console."""
+def report(boats: Mapping[str, Mapping[str, Mapping]], rejected: Mapping, alarms: Mapping[str, Sequence]) -> Group:
+    """All tables of a run, for the console, and a line for each alarm."""
     tables = [rejection_table(rejected), score_table(boats), fleet_table(boats) if len(boats) > 1 else None]
-    return Group(*filter(None, tables))
+    told = [
+        Text(f"alarm: {boat}, run {each['run']}, {each['time']:.0f} s: the {each['side']} thruster has lost thrust")
+        for boat, raised in alarms.items()
+        for each in raised
+    ]
+    return Group(*filter(None, tables), *told)
 
 
 def _told(settings: Mapping[str, str], keys: Sequence[str]) -> str:

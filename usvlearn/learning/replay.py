@@ -10,6 +10,7 @@ import torch
 
 from usvlearn.estimator import rollout
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
+from usvlearn.estimators.monitors import effectiveness
 from usvlearn.signals import Fleet, tree_map
 
 
@@ -21,6 +22,11 @@ class Position(NamedTuple):
 
 
 BEGIN = Position(0, 0)
+PUBLISHED = {
+    "predictions": "(time, boats, estimators), m/s",
+    "halfwidths": "(time, boats, estimators), of their intervals, m/s",
+    "thrusters": "(time, boats, 5): effectiveness left and right, evidence of a loss left and right, 1 in an alarm",
+}
 
 
 class Chunk(NamedTuple):
@@ -29,8 +35,13 @@ class Chunk(NamedTuple):
     begin: Position
     end: Position
     state: EnsembleState  # at the end; leaves (boats, ...)
-    predictions: np.ndarray  # (time, boats, estimators) m/s, NaN where no step was made
+    published: dict[str, np.ndarray]  # by PUBLISHED, (time, boats, …), NaN where no step was made
     save: bool  # whether parameter sets are due at the end
+
+    @property
+    def predictions(self) -> np.ndarray:
+        """m/s, `(time, boats, estimators)`, NaN where no step was made."""
+        return self.published["predictions"]
 
 
 def replay(
@@ -66,16 +77,26 @@ def replay(
             part = tree_map(lambda x, a=done, b=stop: x[a:b], samples)
             with torch.no_grad():
                 tensors = tree_map(lambda x: _tensor(x, dtype), part)
-                state, _, predictions = rollout(ensemble, state, tensors, record=lambda s: s.predictions)
-            stepped = part.fresh & (part.inputs.dt != 0)
+                state, _, published = rollout(ensemble, state, tensors, record=_published)
+            stepped = (part.fresh & (part.inputs.dt != 0))[..., None]
             yield Chunk(
                 Position(index, done),
                 Position(index, stop),
                 state,
-                np.where(stepped[..., None], predictions.numpy(), np.nan),
+                {name: np.where(stepped, array.numpy(), np.nan) for name, array in published.items()},
                 stop == length or stop % save_every == 0,
             )
             done = stop
+
+
+def _published(state: EnsembleState) -> dict[str, torch.Tensor]:
+    """What is kept of every step."""
+    kept = {"predictions": state.predictions, "halfwidths": state.halfwidths}
+    if not state.monitors:
+        return kept
+    health = state.monitors.thrusters
+    alarm = health.raised.amax(-1, keepdim=True)
+    return kept | {"thrusters": torch.cat([effectiveness(health)[0], health.evidence, alarm], -1)}
 
 
 def _tensor(x: np.ndarray, dtype: torch.dtype) -> torch.Tensor:

@@ -1,7 +1,8 @@
 """A run's folder: parameter sets and predictions as they come, and how a run goes on from them.
 
 checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
-predictions/RRRRR_SSSSSSS.npz                what all estimators predicted since the file before, all boats
+predictions/RRRRR_SSSSSSS.npz                what was published since the file before, of all boats: predictions,
+                                             half-widths of their intervals, health of the thrusters
 runs.json                                    which runs, of which samples, through which ensemble
 results.json                                 the scores, at the end
 """
@@ -26,7 +27,7 @@ from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, ve
 from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble import EnsembleState
-from usvlearn.learning.replay import BEGIN, Chunk, Position
+from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
@@ -52,15 +53,16 @@ class RunFolder:
 
     def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any]):
         self.path, self.fleet, self.metadata = Path(path), fleet, dict(metadata)
-        self._chunks: list[list[np.ndarray]] = [[] for _ in fleet.runs]  # predictions, per run
-        self._pending: list[np.ndarray] = []  # those since the last save
+        self._chunks: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]  # what was published, per run
+        self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = BEGIN
         self.state: EnsembleState | None = None  # the newest, leaves (boats, ...)
 
     @property
-    def predictions(self) -> list[np.ndarray]:
-        """What was predicted so far, m/s, `(time, boats, estimators)` per run; earlier sessions included."""
-        return [np.concatenate(chunks) for chunks in self._chunks if chunks]
+    def published(self) -> dict[str, list[np.ndarray]]:
+        """What was published so far, by `replay.PUBLISHED`, an array per run; earlier sessions included."""
+        runs = [_joined(chunks) for chunks in self._chunks if chunks]
+        return {name: [run[name] for run in runs] for name in (runs[0] if runs else {})}
 
     def begin(self, state: EnsembleState, resume: str | None) -> Start:
         """Where to start from: `state`, or what `resume` ("latest", a run's folder or a checkpoint) has saved.
@@ -105,12 +107,12 @@ class RunFolder:
     def save(self, chunk: Chunk) -> None:
         """Write what a chunk makes due: predictions first, since a state is gone on from only with them."""
         self.state = chunk.state
-        self._chunks[chunk.end.run].append(chunk.predictions)
-        self._pending.append(chunk.predictions)
+        self._chunks[chunk.end.run].append(chunk.published)
+        self._pending.append(chunk.published)
         if not chunk.save:
             return
         content = io.BytesIO()
-        np.savez_compressed(content, predictions=np.concatenate(self._pending))
+        np.savez_compressed(content, **_joined(self._pending))
         folder = self.path / PREDICTIONS
         folder.mkdir(exist_ok=True)
         write_atomically(folder / f"{_stem(chunk.end)}.npz", content.getvalue())
@@ -194,21 +196,24 @@ class RunFolder:
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
         places = sorted(filter(None, map(_place, (source / PREDICTIONS).glob("*.npz"))))
-        readable: list[tuple[Position, np.ndarray]] = []
+        readable: list[tuple[Position, dict[str, np.ndarray]]] = []
         for place in places:
             path, before = source / PREDICTIONS / f"{_stem(place)}.npz", readable[-1][0] if readable else BEGIN
             if before.run < place.run and before.step in (0, len(self.fleet.runs[before.run].time)):
                 before = Position(before.run + (before.step > 0), 0)
-            shape = (place.step - before.step, len(self.fleet.boats), start.state.predictions.shape[-1])
+            steps, boats = place.step - before.step, len(self.fleet.boats)
+            shape = (steps, boats, start.state.predictions.shape[-1])
             try:
                 with path.open("rb") as file, np.load(file) as archive:
-                    array = archive["predictions"]
-                if place.run != before.run or array.shape != shape:
-                    raise ValueError(f"it holds {array.shape}, expected {shape}")
+                    published = {name: archive[name] for name in PUBLISHED if name in archive}
+                found = published["predictions"].shape
+                whole = all(array.shape[:2] == (steps, boats) for array in published.values())
+                if place.run != before.run or found != shape or not whole:
+                    raise ValueError(f"it holds {found}, expected {shape}")
             except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
                 warnings.warn(f"{path}: is damaged ({error}); going on from before it", stacklevel=2)
                 break
-            readable.append((place, array))
+            readable.append((place, published))
         paths: list[Path] = []
         while readable:
             place = readable[-1][0]
@@ -229,8 +234,8 @@ class RunFolder:
         else:
             note = f"going on after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
         lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
-        for (run, _), array in readable:
-            self._chunks[run].append(array)
+        for (run, _), published in readable:
+            self._chunks[run].append(published)
         self._bring(source, place)
         return Start(_side_by_side(lanes), place, note)
 
@@ -258,6 +263,11 @@ class RunFolder:
         for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
             if (found := _place(old)) is None or found > place:
                 old.unlink()
+
+
+def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Stretches of what was published, one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _place(path: Path) -> Position | None:

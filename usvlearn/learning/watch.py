@@ -11,7 +11,9 @@ import numpy as np
 
 from usvlearn.errors import MissingExtraError
 from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.estimators.monitors import THRESHOLD
 from usvlearn.estimators.rnn import RNN
+from usvlearn.evaluation.fault_figure import fault_figure
 from usvlearn.evaluation.figures import prediction_figure
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.learning.replay import Chunk
@@ -82,8 +84,16 @@ class Watch:
                 self.board.scalars(f"online/skill/{boat}", {name: 1 - x / base for name, x in row.items()}, step)
             self.board.scalars(f"state/{boat}", {key: value[lane] for key, value in numbers.items()}, step)
 
-    def finish(self, settings: Mapping, maes: Mapping[str, float], predictions: Sequence[np.ndarray]) -> None:
+    def finish(
+        self,
+        settings: Mapping,
+        maes: Mapping[str, float],
+        published: Mapping[str, Sequence[np.ndarray]],
+        alarms: Mapping[str, Sequence[Mapping]],
+    ) -> None:
         """The record of the run, the counts of what was rejected, a figure of the end of each boat's last run.
+
+        A boat that raised an alarm has a figure of that run, too.
 
         A short run of a large fleet has figures of its first boats alone. Without matplotlib there is none, and a
         warning says so.
@@ -91,7 +101,8 @@ class Watch:
         Args:
             settings: the run's configuration.
             maes: of the estimators, m/s.
-            predictions: m/s, `(time, boats, estimators)` per run.
+            published: what `usvlearn.learning.replay.PUBLISHED` says, an array per run.
+            alarms: per boat; see `usvlearn.evaluation.metrics.alarms`.
         """
         step = self.fleet.steps
         tuned = {**settings["estimators"], **settings["combiners"], "align": settings["align"]}
@@ -101,9 +112,34 @@ class Watch:
                 self.board.scalars(f"rejected/{boat}/{channel}", causes, step)
         try:
             for lane in range(min(len(self.fleet.boats), max(1, step // STEPS_PER_FIGURE))):
-                self._draw(lane, predictions, step)
+                self._draw(lane, published["predictions"], step)
+            for lane, boat in enumerate(self.fleet.boats):
+                if alarms[boat]:
+                    self._draw_alarm(lane, published, alarms[boat], settings["data"], step)
         except MissingExtraError as error:
             warnings.warn(f"no figure of the predictions: {error}", stacklevel=2)
+
+    def _draw_alarm(self, lane: int, published: Mapping, alarms: Sequence[Mapping], data: Mapping, step: int) -> None:
+        """The run of the first alarm; where the log is simulated, with the fault."""
+        boat = self.fleet.boats[lane]
+        index = next(k for k, run in enumerate(self.fleet.runs) if run.names[lane] == alarms[0]["run"])
+        run, health = self.fleet.runs[index], published["thrusters"][index][:, lane]
+        part = slice(0, run.lengths[lane])
+        shown = [name for name in (self.ensemble.output, "aid") if name in self.ensemble.names]
+        predictions = published["predictions"][index][part, lane]
+        fault = data.get("fault")
+        figure = fault_figure(
+            run.time[part, lane],
+            health[part, :2],
+            np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan),
+            {name: predictions[:, self.ensemble.names.index(name)] for name in shown},
+            health[part, 2:4],
+            THRESHOLD,
+            None if fault is None else 60 * (fault["minute"] - index * data["mission_minutes"]),
+            [each["time"] for each in alarms if each["run"] == run.names[lane]],
+            f"{boat}, {run.names[lane]}",
+        )
+        self.board.figure(f"thrusters/{boat}", figure, step)
 
     def _draw(self, lane: int, predictions: Sequence[np.ndarray], step: int) -> None:
         index = max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane])

@@ -8,7 +8,7 @@ are.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -17,10 +17,11 @@ from torch import Tensor
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.logs.channel import Recording
 from usvlearn.simulate.autopilot import Autopilot, Reference, steer
+from usvlearn.simulate.fault import Fault, faulty_vessels
 from usvlearn.simulate.plants import plant as plant_named
 from usvlearn.simulate.scenario import MISSIONS, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
-from usvlearn.simulate.vessel import Vessel, at_rest, over_ground, steady_surge, step
+from usvlearn.simulate.vessel import Vessel, at_rest, over_ground, scale_thrust, steady_surge, step
 
 LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
 SUBSTEPS_HZ = 10.0  # the motion is stepped at least so often, 1/s
@@ -71,14 +72,8 @@ def fleet_vessels(
     share = (1 - gone) * first + gone * other  # (missions, n, 4)
     factor = torch.from_numpy(1 + spread * np.array([LEAK, WEAR, WEAR, DRAG]) * share)
     mass, sides, hull = factor[..., 0], factor[..., 1:3], factor[..., 3]
-    return nominal._replace(
-        mass=nominal.mass * mass,
-        **{name: getattr(nominal, name) * hull for name in Vessel._fields if name.startswith("drag")},
-        thrust_table=nominal.thrust_table * sides[..., None],
-        thrust_linear=nominal.thrust_linear * sides,
-        thrust_quadratic=nominal.thrust_quadratic * sides,
-        thrust_speed=nominal.thrust_speed * sides,
-    )
+    hulls = {name: getattr(nominal, name) * hull for name in Vessel._fields if name.startswith("drag")}
+    return scale_thrust(nominal._replace(mass=nominal.mass * mass, **hulls), sides)
 
 
 def fleet_missions(
@@ -121,7 +116,12 @@ def fleet_missions(
 
 
 def sail(
-    vessel: Vessel, courses: list[list[Mission]], current: Tensor, direction: Tensor, autopilot: Autopilot
+    vessel: Vessel,
+    courses: list[list[Mission]],
+    current: Tensor,
+    direction: Tensor,
+    autopilot: Autopilot,
+    later: Mapping[int, Vessel] | None = None,
 ) -> tuple[float, Tensor, Tensor, Tensor]:
     """All missions of all boats with the autopilot in the loop, to the length of the longest one.
 
@@ -129,6 +129,7 @@ def sail(
         vessel: leaves broadcast against `(missions, boats, ...)`.
         courses: `[mission][boat]`.
         current, direction: m/s and rad, broadcast against `(missions, boats)`.
+        later: what the vessel becomes, by the tick from which on; the autopilot is not told.
 
     Returns:
         The step in s, surge over ground and heading at its multiples `(steps + 1, missions, boats)`, and the
@@ -148,10 +149,12 @@ def sail(
     top = steady_surge(vessel, torch.ones(2, dtype=torch.float64))
     state = at_rest(batch, heading=reference.heading[0])
     integral = torch.zeros(batch, dtype=torch.float64)
+    later = later or {}
     surge, heading = torch.empty((2, ticks * substeps + 1, *batch), dtype=torch.float64)
     commands = torch.empty((ticks, *batch, 2), dtype=torch.float64)
     with torch.no_grad():
         for k in range(ticks):
+            vessel = later.get(k, vessel)
             told = Reference(*(leaf[k] for leaf in reference))
             seen = over_ground(state.surge, state.heading, current, direction) / top
             integral, commands[k] = steer(autopilot, integral, told, seen, state.heading)
@@ -187,6 +190,7 @@ def fleet(
     paused_share: float = 0.1,
     autopilot: Autopilot | None = None,
     sensors: Sensors | None = None,
+    fault: Fault | None = None,
 ) -> list[Recording]:
     """The logs of a fleet's season, boat by boat in the order of the missions.
 
@@ -204,6 +208,7 @@ def fleet(
         paused_share: share of the missions with a spell of idle thrusters.
         autopilot: gains of the controller; by default it never backs up.
         sensors: rates, errors and losses.
+        fault: a thruster of every boat that fails; by default none does.
 
     Returns:
         Recordings; `dropped` counts the messages that were lost.
@@ -229,7 +234,8 @@ def fleet(
     vessel = fleet_vessels(n, spread, plant, seed, len(ticks), drift)
     names, courses = fleet_missions(n, ticks, autopilot.hz, seed, missions, aborted_share, paused_share)
     flow, direction = _river(seed, len(ticks), current)
-    dt, surge, heading, commands = sail(vessel, courses, flow, direction, autopilot)
+    later = faulty_vessels(fault, vessel, ticks, autopilot.hz)
+    dt, surge, heading, commands = sail(vessel, courses, flow, direction, autopilot, later)
 
     substeps = round(1 / (dt * autopilot.hz))
     surge, heading, commands = surge.numpy(), heading.numpy(), commands.numpy()

@@ -57,6 +57,21 @@ def at_rest(batch: tuple[int, ...] = (), heading: Tensor | float = 0.0, dtype=to
     return VesselState(zero, zero + heading, zero, torch.zeros(*batch, 2, dtype=dtype))
 
 
+def scale_thrust(vessel: Vessel, sides: Tensor) -> Vessel:
+    """The vessel with the thrust of each side multiplied by `sides`, `(*batch, 2)`.
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> scale_thrust(heron(), torch.tensor([0.5, 1.0])).thrust_table[:, -1].tolist()
+    [16.8, 33.6]
+    """
+    return vessel._replace(
+        thrust_table=vessel.thrust_table * sides[..., None],
+        thrust_linear=vessel.thrust_linear * sides,
+        thrust_quadratic=vessel.thrust_quadratic * sides,
+        thrust_speed=vessel.thrust_speed * sides,
+    )
+
+
 def drag(vessel: Vessel, surge: Tensor, yaw_rate: Tensor | float = 0.0) -> Tensor:
     """Force of the water on the hull, N, `(*batch,)`: the first three terms of (1).
 

@@ -1,0 +1,451 @@
+"""What the field does to estimators: ours beside padasip, river and filterpy; writes `benchmarks/stress.md`.
+
+python benchmarks/stress.py [--steps 1000000]
+
+One boat, m·surge_dot = Wᵀθ, is simulated with known θ, 0.4 s a step: thruster commands that change every 4 s, noise of
+0.02 m/s on the measured speed. All see the same samples, one step ahead, and predict before they learn: the regressor
+is φ = dt·W/m, the target the increment of the measured speed. Peers get samples as they come, as their documentation
+shows; without a speed they coast on their own prediction and learn nothing.
+
+Memory: all least squares forget over 200 steps (λ = 0.995). For SIFt-RLS that is 1 − λ per direction, times nine: the
+mean loss of information is the same. For the Kalman filter, whose parameters walk at random, it is the Q by which a
+prediction has the same variance. All start from P = 10 in units of the noise's variance. `plain_rls` is the textbook's
+P ← (P − K φᵀP)/λ. The rates of `padasip_nlms` and `river_linear` are the best of 0.03, 0.1, 0.3 and 1 on another seed.
+"""
+
+import argparse
+import importlib.util
+import math
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from usvlearn import (
+    AID,
+    BOA,
+    RLS,
+    Average,
+    Ensemble,
+    Estimator,
+    Inputs,
+    Persistence,
+    Robust,
+    Sample,
+    SIFtRLS,
+    SurgeDynamics,
+    rollout,
+)
+from usvlearn.signals import named_leaves, tree_map
+
+DT, NOISE, OUTLIERS = 0.4, 0.02, 0.02  # s, m/s, share
+TRUTH = np.array([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]) / 28  # θ/m
+LAM, P = 0.995, len(TRUTH)
+SIFT_MEMORY = -DT / math.log(1 - P * (1 - LAM))  # s
+NLMS_RATE, SGD_RATE = 0.3, 0.03
+WINDOW, WITHIN = 240, 1.5  # samples of the running error, all lanes; times its level before, where it counts as back
+COMPILED = 10_000  # steps from which it pays
+MODEL = SurgeDynamics(1.0)
+
+
+class Scenario(NamedTuple):
+    """What happens to the boat, and over which steps the predictions are judged."""
+
+    title: str
+    samples: Sample  # (time, lanes)
+    target: Tensor  # (time, lanes) m/s, what would have been measured, had nothing gone wrong
+    theta: Tensor  # (lanes, p) in force at the end
+    lead: int  # steps of excitation with which it begins
+    after: slice  # steps of the error after
+    event: int | None = None  # step from which recovery counts; None: there is none
+
+
+class Result(NamedTuple):
+    """How an estimator came through."""
+
+    error: float  # m/s, MAE one step ahead over `after`
+    steps: int | None  # after the event, until the running error stays within WITHIN times its level before
+    parameters: float  # √(Δθᵀ C Δθ / θᵀ C θ), C = mean φφᵀ under excitation; NaN where there are no parameters
+    finite: bool  # all predictions, and the state at the end
+
+
+def drive(
+    parts: list[tuple[str, int]], lanes: int, seed: int, factors: np.ndarray | float = 1.0, changes: int = 0
+) -> Scenario:
+    """The boat through parts of "excited", "idle" and "cruise"; θ is `factors` times TRUTH from step `changes` on."""
+    rng = np.random.default_rng(seed)
+    kinds = np.concatenate([np.full(n, kind) for kind, n in parts])[:, None]
+    n = len(kinds)
+    random = rng.random((2, math.ceil(n / 10), lanes)).repeat(10, 1)[:, :n]
+    left, right = np.where(kinds == "excited", random, np.where(kinds == "cruise", 0.6, 0.0))
+    heading = (0.05 * rng.standard_normal((n, lanes)) * (kinds == "excited")).cumsum(0)
+    yaw_rate = np.diff(heading, axis=0, prepend=heading[:1]) / DT
+    changed, v, surge = np.broadcast_to(TRUTH * factors, (lanes, P)), np.zeros(lanes), np.empty((n, lanes))
+    for k in range(n):
+        cq, cl, cr, aL, bL, gL, aR, bR, gR = (TRUTH[None] if k < changes else changed).T
+        drag = cq * abs(v) * v + cl * v + cr * abs(yaw_rate[k]) * v
+        left_thrust = (aL + bL * left[k] + gL * abs(v)) * left[k]
+        v = v + DT * (drag + left_thrust + (aR + bR * right[k] + gR * abs(v)) * right[k])
+        surge[k] = v
+    target = torch.from_numpy(surge + NOISE * rng.standard_normal((n, lanes)))
+    yes = torch.ones_like(target, dtype=torch.bool)
+    inputs = Inputs(*map(torch.from_numpy, (left, right, heading, yaw_rate, np.full_like(left, DT))))
+    return Scenario("", Sample(inputs, target, yes, yes), target, torch.tensor(changed), parts[0][1], slice(None))
+
+
+def scenarios(steps: int = 1_000_000, lanes: int = 24) -> dict[str, Scenario]:
+    """All of them by name; `steps` limits every part."""
+    rng = np.random.default_rng(0)
+    lead, ten_minutes, outage, cycle = (min(n, steps) for n in (2000, 1500, 3000, 25_000))
+    twice, half = [("excited", lead)] * 2, slice(lead, None)
+    found = {}
+    for seed, (name, long) in enumerate({"idle": 100_000, "cruise": 9_000}.items()):
+        n = min(long, steps)
+        quiet = drive([("excited", lead), (name, n), ("excited", lead)], 4, seed)
+        title = f"{n} steps of {name}, then excitation: first 50 predictions"
+        found[name] = quiet._replace(title=title, after=slice(lead + n, lead + n + 50), event=lead + n)
+
+    parts = [("idle", cycle * 2 // 5), ("cruise", cycle * 2 // 5), ("excited", cycle // 5)] * (steps // cycle)
+    mixed = drive([("excited", lead), *parts], 1, 2)
+    title = f"{len(mixed.target)} steps of idle, cruise and excitation in turn: last {cycle // 5}"
+    found["mixed"] = mixed._replace(title=title, after=slice(-(cycle // 5), None))
+
+    wild = drive(twice, lanes, 3)
+    off = 2 * rng.standard_t(3, wild.target.shape) * (rng.random(wild.target.shape) < OUTLIERS)
+    title = f"{OUTLIERS:.0%} of the speeds off by 2 m/s times Student's t of 3 degrees: second half"
+    samples = wild.samples._replace(surge=wild.target + torch.from_numpy(off))
+    found["outliers"] = wild._replace(title=title, samples=samples, after=half)
+
+    spoilt = drive(twice, lanes, 4)
+    inputs, surge = tree_map(torch.clone, spoilt.samples.inputs), spoilt.target.clone()
+    surge[lead], inputs.command_left[lead + 20], inputs.command_right[lead + 40] = math.nan, math.nan, math.inf
+    title = "a speed that is NaN, a command that is NaN, one that is infinite: all that follows"
+    samples = spoilt.samples._replace(surge=surge, inputs=inputs)
+    found["nan"] = spoilt._replace(title=title, samples=samples, after=half, event=lead)
+
+    jump = drive(twice, lanes, 5, 2 ** rng.uniform(-1, 1, (lanes, P)), lead)
+    title = "all parameters jump by factors of ½ to 2: first 100 predictions"
+    found["jump"] = jump._replace(title=title, after=slice(lead, lead + 100), event=lead)
+
+    fault = drive([("excited", ten_minutes)] * 2, lanes, 6, np.repeat([1.0, 0.4, 1.0], 3), ten_minutes)
+    title = "left thruster at 40 % from minute 10: first 100 predictions"
+    found["thruster"] = fault._replace(title=title, after=slice(ten_minutes, ten_minutes + 100), event=ten_minutes)
+
+    silent = drive([("excited", lead), ("excited", outage), ("excited", lead)], lanes, 7)
+    back, samples = lead + outage, tree_map(torch.clone, silent.samples)
+    samples.measured[lead:back], samples.inputs.dt[back] = False, 0.0  # the first speed opens a segment
+    title = f"{outage * DT / 60:.0f} min without speed, commands go on: first 50 predictions after"
+    found["outage"] = silent._replace(title=title, samples=samples, after=slice(back + 1, back + 51), event=back)
+    return found
+
+
+def single(model: nn.Module) -> dict[str, Estimator]:
+    """One of ours of each kind, with the common memory."""
+    return {
+        "rls": RLS(model, forgetting=LAM),
+        "sift_rls": SIFtRLS(model, memory=SIFT_MEMORY),
+        "robust_sift_rls": Robust(SIFtRLS(model, memory=SIFT_MEMORY)),
+        "robust_huber": Robust(SIFtRLS(model, memory=SIFT_MEMORY), threshold=1.345),
+        "robust_patient": Robust(SIFtRLS(model, memory=SIFT_MEMORY), patience=2, inflation=20.0),
+        "aid": AID(model=model),
+        "robust_aid": Robust(AID(model=model)),
+    }
+
+
+def default_ensemble() -> Ensemble:
+    members = {"aid": AID(model=MODEL), "sift_rls": Robust(SIFtRLS(MODEL)), "persistence": Persistence()}
+    return Ensemble(members, {"ensemble": BOA()})
+
+
+def ours() -> Ensemble:
+    """All of ours as members of one ensemble: it publishes what each predicts, so that one pass serves all."""
+    return Ensemble({**single(MODEL), "ensemble": default_ensemble(), "persistence": Persistence()}, {"all": Average()})
+
+
+class Peer(NamedTuple):
+    """Another library's model of y = xᵀθ, behind the calls that it documents."""
+
+    predict: Callable[[np.ndarray], float]
+    learn: Callable[[np.ndarray, float], object]
+    theta: Callable[[], np.ndarray]
+    numbers: Callable[[], list[np.ndarray]] = list  # the rest of its state
+
+
+def plain_rls() -> Peer:
+    theta, cov = np.zeros(P), 10 * np.eye(P)
+
+    def learn(x: np.ndarray, y: float) -> None:
+        K = cov @ x / (LAM + x @ cov @ x)
+        theta[:] = theta + K * (y - x @ theta)
+        cov[:] = (cov - np.outer(K, x @ cov)) / LAM
+
+    return Peer(lambda x: x @ theta, learn, lambda: theta, lambda: [cov])
+
+
+def padasip_rls() -> Peer:
+    from padasip.filters import FilterRLS
+
+    rls = FilterRLS(P, mu=LAM, eps=0.1, w="zeros")
+    return Peer(rls.predict, lambda x, y: rls.adapt(y, x), lambda: rls.w, lambda: [rls.R])
+
+
+def padasip_nlms(rate: float = NLMS_RATE) -> Peer:
+    from padasip.filters import FilterNLMS
+
+    nlms = FilterNLMS(P, mu=rate, w="zeros")
+    return Peer(nlms.predict, lambda x, y: nlms.adapt(y, x), lambda: nlms.w)
+
+
+def river_bayesian() -> Peer:
+    from river.linear_model import BayesianLinearRegression
+
+    # With smoothing a sample weighs 1 − λ, so that this is the common prior.
+    bayes = BayesianLinearRegression(alpha=10 / (1 - LAM), smoothing=LAM)
+    unit = [{i: float(i == j) for i in range(P)} for j in range(P)]
+    return Peer(
+        lambda x: bayes.predict_one(dict(enumerate(x))),
+        lambda x, y: bayes.learn_one(dict(enumerate(x)), y),
+        lambda: np.array([bayes.predict_one(x) for x in unit]),
+    )
+
+
+def river_linear(rate: float = SGD_RATE) -> Peer:
+    from river import linear_model, optim
+
+    sgd = linear_model.LinearRegression(optim.SGD(rate), intercept_lr=0.0)
+    return Peer(
+        lambda x: sgd.predict_one(dict(enumerate(x))),
+        lambda x, y: sgd.learn_one(dict(enumerate(x)), y),
+        lambda: np.array([sgd.weights.get(i, 0.0) for i in range(P)]),
+    )
+
+
+def filterpy_kalman(C: np.ndarray) -> Peer:
+    from filterpy.kalman import KalmanFilter
+
+    noise = 2 * NOISE**2  # of an increment
+    kf = KalmanFilter(dim_x=P, dim_z=1)
+    kf.x, kf.P, kf.R = np.zeros((P, 1)), 10 * noise * np.eye(P), np.array([[noise]])
+    kf.Q = np.eye(P) * noise * (P * (1 - LAM) / np.sqrt(np.linalg.eigvalsh(C).clip(0)).sum()) ** 2
+
+    def predict(x: np.ndarray) -> float:
+        kf.predict()
+        return (x @ kf.x).item()
+
+    return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: kf.x[:, 0], lambda: [kf.P])
+
+
+def peers(C: Tensor) -> dict[str, Callable[[], Peer]]:
+    """Those whose library is installed; C is the mean of φφᵀ."""
+    kalman = {"filterpy_kalman": lambda: filterpy_kalman(C.numpy())}
+    others = {make.__name__: make for make in (padasip_rls, padasip_nlms, river_bayesian, river_linear)} | kalman
+    installed = {name: make for name, make in others.items() if importlib.util.find_spec(name.split("_")[0])}
+    return {"plain_rls": plain_rls, **installed}
+
+
+def regressors(samples: Sample) -> Tensor:
+    """φ at the speeds measured, `(time, lanes, p)`."""
+    return MODEL(torch.cat([torch.zeros_like(samples.surge[:1]), samples.surge[:-1]]), samples.inputs)[1]
+
+
+def excitation(scenario: Scenario) -> Tensor:
+    """C, `(p, p)`."""
+    phi = regressors(tree_map(lambda x: x[: scenario.lead], scenario.samples)).flatten(0, 1)
+    return phi.mT @ phi / len(phi)
+
+
+def run_ours(scenario: Scenario, model: Ensemble, step: Callable | None = None) -> dict[str, Result]:
+    """`step` is the model, or the model compiled."""
+    step = model if step is None else step
+    state, published, results = model.init(scenario.target.shape[1:]), [], {}
+    with torch.no_grad():
+        for k in range(len(scenario.target)):
+            state, _ = step(state, tree_map(lambda x, k=k: x[k], scenario.samples))
+            published.append(state.predictions)
+    surges = torch.stack(published)
+    for k, name in enumerate(model.columns):
+        leaves = list(named_leaves(state.members[name]))
+        thetas = [leaf for place, leaf in leaves if place.split(".")[-1] == "theta"]
+        finite = all(bool(leaf.isfinite().all()) for _, leaf in leaves)
+        results[name] = judge(scenario, surges[..., k], thetas[0] if len(thetas) == 1 else None, finite)
+    return results
+
+
+def follow(peer: Peer, samples: Sample) -> Tensor:
+    """A peer's predictions over the samples of one lane, `(time,)`."""
+    phi = regressors(tree_map(lambda x: x[:, None], samples))[:, 0].numpy()
+    surge, measured, dt = samples.surge.numpy(), samples.measured.numpy(), samples.inputs.dt.numpy()
+    speed, coasts, predictions = 0.0, False, np.full(len(surge), np.nan)
+    for k in range(len(surge)):
+        if dt[k] == 0:
+            speed, coasts = surge[k], False
+            continue
+        x = phi[k]
+        if coasts:
+            x = MODEL(torch.tensor(speed), Inputs(*(each[k] for each in samples.inputs)))[1].numpy()
+        predictions[k] = speed + peer.predict(x)
+        if measured[k]:
+            peer.learn(x, surge[k] - speed)
+        speed, coasts = (surge[k], False) if measured[k] else (predictions[k], True)
+    return torch.from_numpy(predictions)
+
+
+def run_peer(scenario: Scenario, make: Callable[[], Peer]) -> Result:
+    surges, theta, finite = torch.full_like(scenario.target, math.nan), torch.zeros_like(scenario.theta), True
+    for lane in range(scenario.target.shape[1]):
+        peer = make()
+        try:
+            surges[:, lane] = follow(peer, tree_map(lambda x, lane=lane: x[:, lane], scenario.samples))
+        except np.linalg.LinAlgError:  # it gave up: a singular matrix
+            finite = False
+        theta[lane] = torch.tensor(peer.theta())
+        finite = finite and all(np.isfinite(x).all() for x in peer.numbers())
+    return judge(scenario, surges, theta, finite and bool(theta.isfinite().all()))
+
+
+def judge(scenario: Scenario, surges: Tensor, theta: Tensor | None, finite: bool) -> Result:
+    inputs, C = scenario.samples.inputs, excitation(scenario)
+    asked = (inputs.dt > 0) & torch.stack([x.isfinite() for x in inputs]).all(0)
+    error = (surges - scenario.target).abs().nan_to_num(math.inf)
+    error = torch.where(asked, error, math.nan)
+    steps, parameters = None, math.nan
+    if scenario.event is not None:
+        level = error[scenario.lead // 2 : scenario.lead].nanmean()
+        later = error[scenario.event :]
+        running = later.unfold(0, min(WINDOW // error.shape[1], len(later)), 1).nanmean((1, 2))
+        beyond = (running > WITHIN * level).nonzero()
+        steps = int(beyond[-1]) + 1 if len(beyond) else 0
+    if theta is not None:
+        cost, size = (((x @ C) * x).sum(-1).mean() for x in (theta - scenario.theta, scenario.theta))
+        parameters = float((cost / size).sqrt())
+    return Result(
+        float(error[scenario.after].nanmean()), steps, parameters, finite and bool(surges[asked].isfinite().all())
+    )
+
+
+def true_model(scenario: Scenario) -> Result:
+    """The error that noise alone makes: θ at the end, and speeds with which nothing went wrong."""
+    clean = scenario.samples._replace(surge=scenario.target)
+    before = torch.cat([torch.zeros_like(scenario.target[:1]), scenario.target[:-1]])
+    surges = before + (regressors(clean) * scenario.theta).sum(-1)
+    return judge(scenario._replace(event=None), surges, scenario.theta, True)
+
+
+class Given(nn.Module):
+    """The model of a pure regression y = φᵀθ, to which φ is given."""
+
+    names, signs, scale = tuple(f"theta_{k}" for k in range(P)), (0,) * P, 1.0
+
+    def forward(self, surge: Tensor, inputs: Any) -> tuple[Tensor, Tensor]:
+        return torch.zeros_like(surge), inputs.phi
+
+
+class GivenInputs(NamedTuple):
+    """What an estimator over `Given` asks for."""
+
+    phi: Tensor  # (*batch, p)
+    dt: Tensor  # (*batch,) s
+
+
+def regression(steps: int, lanes: int = 24, outliers: float = OUTLIERS) -> dict[str, float]:
+    """|Δθ| over the second half where φ is standard normal, |θ| = 1, noise NOISE, and outliers as in the scenario."""
+    rng = np.random.default_rng(8)
+    phi, theta = rng.standard_normal((steps, lanes, P)), rng.standard_normal((lanes, P))
+    theta /= np.linalg.norm(theta, axis=-1, keepdims=True)
+    y = (phi * theta).sum(-1) + NOISE * rng.standard_normal((steps, lanes))
+    y += 2 * rng.standard_t(3, y.shape) * (rng.random(y.shape) < outliers)
+    found = {}
+    for name, make in peers(torch.eye(P, dtype=torch.float64)).items():
+        off = []
+        for lane in range(lanes):
+            peer = make()
+            for k in range(steps):
+                peer.predict(phi[k, lane])
+                peer.learn(phi[k, lane], y[k, lane])
+                if k >= steps // 2 and k % 10 == 0:
+                    off.append(np.linalg.norm(peer.theta() - theta[lane]))
+        found[name] = float(np.mean(off))
+    dt = torch.full((lanes,), DT, dtype=torch.float64)
+    for name, estimator in single(Given()).items():
+        state, off = estimator.init((lanes,)), []
+        with torch.no_grad():
+            for k in range(steps):
+                state, _ = estimator.learn(state, GivenInputs(torch.from_numpy(phi[k]), dt), torch.from_numpy(y[k]))
+                if k >= steps // 2 and k % 10 == 0:
+                    off.append(np.linalg.norm(getattr(state, "inner", state).theta - theta, axis=-1).mean())
+        found[name] = float(np.mean(off))
+    return found
+
+
+def times(scenario: Scenario) -> dict[str, float]:
+    """Seconds per step of one lane, median of 5 passes over all in turn."""
+    lane = tree_map(lambda x: x[:200, 0], scenario.samples)
+    wide, many = tree_map(lambda x: x[:, None], lane), ours()
+    works = {name: lambda m=make: follow(m(), lane) for name, make in peers(excitation(scenario)).items()}
+    works |= {name: lambda e=one: rollout(e, e.init((1,)), wide) for name, one in many.members.items()}
+    spent: dict[str, list[float]] = {name: [] for name in works}
+    with torch.no_grad():
+        for _ in range(5):
+            for name, work in works.items():
+                start = time.perf_counter()
+                work()
+                spent[name].append((time.perf_counter() - start) / len(lane.surge))
+    return {name: statistics.median(each) for name, each in spent.items()}
+
+
+def cell(result: Result) -> str:
+    error = f"{result.error:.4f}" if result.error < 10 else f"{result.error:.0e}"
+    return (error if result.steps is None else f"{error}, {result.steps}") if result.finite else "**not finite**"
+
+
+def report(steps: int) -> str:
+    cases, model = scenarios(steps), ours()
+    step = torch.compile(model, fullgraph=True, dynamic=False) if steps >= COMPILED else model
+    found: dict[str, dict[str, Result]] = {"true model": {case: true_model(s) for case, s in cases.items()}}
+    for case, scenario in cases.items():
+        results = {name: run_peer(scenario, make) for name, make in peers(excitation(scenario)).items()}
+        for name, result in {**results, **run_ours(scenario, model, step)}.items():
+            found.setdefault(name, {})[case] = result
+            print(case, name, result, flush=True)
+    linear, cost = regression(min(4000, steps)), times(cases["jump"])
+    lines = ["| | µs a step | × plain | regression | " + " | ".join(cases) + " |", "|---|" + "---:|" * (3 + len(cases))]
+    off = ["| | " + " | ".join(cases) + " |", "|---|" + "---:|" * len(cases)]
+    for name, row in found.items():
+        spent = f"{cost[name] * 1e6:.0f} | {cost[name] / cost['plain_rls']:.1f}" if name in cost else " | "
+        wild = f"{linear[name]:.4f}" if name in linear else ""
+        lines.append(f"| {name} | {spent} | {wild} | " + " | ".join(cell(x) for x in row.values()) + " |")
+        if not math.isnan(row["jump"].parameters):
+            off.append(f"| {name} | " + " | ".join(f"{x.parameters:.2g}" for x in row.values()) + " |")
+    notes = [f"- {case}: {scenario.title}" for case, scenario in cases.items()]
+    machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
+    return "\n".join([
+        "# In the field", "", *__doc__.strip().splitlines()[4:], "",
+        f"Measured on {machine}. A cell is the MAE of one-step predictions, m/s, over the steps below, and the steps "
+        f"from the event until the error\n(mean over {WINDOW} samples) stays within {WITHIN} × its level "
+        "before. *Not finite*: a prediction or the state. Regression: |Δθ| with the same\noutliers on "
+        "y = φᵀθ, where φ is standard normal and |θ| = 1.", "", *notes, "", *lines, "",
+        "## Parameter error at the end", "", "√(Δθᵀ C Δθ / θᵀ C θ), where C is the mean of φφᵀ under excitation: the "
+        "error of what the parameters predict, relative.", "", *off, "",
+    ])  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--steps", type=int, default=1_000_000, help="limit of every part of a scenario")
+    steps = parser.parse_args().steps
+    torch.set_num_threads(1)
+    with np.errstate(all="ignore"):
+        text = report(steps)
+    print(text)
+    if steps >= 1_000_000:
+        Path(__file__).with_suffix(".md").write_text(text)
+
+
+if __name__ == "__main__":
+    main()

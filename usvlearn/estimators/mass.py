@@ -1,0 +1,124 @@
+"""The mass and the physical parameters from what surge data alone identify (Harris, Mao, Paine & Whitcomb).
+
+m·surge_dot = Wᵀθ says that [m, θ] is orthogonal to every [surge_dot, −W]: surge data alone identify the direction of
+that null vector and nothing else, so
+
+    η = θ/m,    [m, θ] = m [1, η]                                                        (1)
+
+- Identifiable: η, along the directions that the data excite. A boat (2m, 2θ) moves exactly as the boat (m, θ).
+- Never identifiable: m. Scale-free relations do not help: a free decay, as in the paper's m ≈ 8 |c_q|, is the statement
+  η = −1/8 per metre about one entry of η, a good prior `theta0` but no measure of m.
+- Identifiable only with excitation: left apart from right needs commands that differ; c_q apart from c_l, and the
+  thrust that falls with speed from both, needs several speeds; linear from quadratic thrust needs several commands.
+
+What pins the scale is a quantity in newtons or kilograms: the pull at the bollard at full command, known = α + β, or
+the drag of a towed hull. With d the known values, A their rows of coefficients, r = (A η)/d and C the covariance of r:
+
+    r = (1/m) 1 + noise                                                                  (2)
+    w = C⁻¹1 / (1ᵀC⁻¹1),   1/m̂ = wᵀr = gᵀη,   θ̂ = m̂ η                                    (3)
+    var m̂ = m̂⁴ gᵀPg,   cov θ̂ = J P Jᵀ,   J = m̂ (I − θ̂ gᵀ)                                 (4)
+
+with P the covariance of η. Where none is given C = I: every known quantity counts equally, whatever its unit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.regressors import SurgeDynamics
+
+NAMES = SurgeDynamics().names
+MASS_MAX = 1e6  # kg; what seems heavier is not known at all
+
+
+class Mass(NamedTuple):
+    """A mass and what follows from it; NaN where the known quantities are not excited yet."""
+
+    mass: Tensor  # (*batch,) kg
+    parameters: Tensor  # (*batch, p) in the physical units of the names
+    mass_deviation: Tensor  # (*batch,) kg, standard deviation; NaN without a covariance
+    deviations: Tensor  # (*batch, p) of the parameters, likewise
+
+
+def null_vector(per_mass: Tensor) -> Tensor:
+    """The unit vector along [m, θ], `(*batch, p + 1)`, from η, `(*batch, p)`: what surge data alone can tell.
+
+    >>> null_vector(torch.tensor([0.75]))
+    tensor([0.8000, 0.6000])
+    """
+    whole = torch.cat([torch.ones_like(per_mass[..., :1]), per_mass], -1)
+    return whole / torch.linalg.vector_norm(whole, dim=-1, keepdim=True)
+
+
+def known_rows(known: Mapping[str, float], names: Sequence[str]) -> tuple[list[list[float]], list[float]]:
+    """The coefficients A and the values d of known quantities: names of parameters, or sums of them.
+
+    Raises:
+        ConfigError: nothing is known, a name is no parameter's, or a value is zero, infinite or no number.
+
+    >>> known_rows({"a": 2.0, "a + b": 5.0}, ("a", "b"))
+    ([[1.0, 0.0], [1.0, 1.0]], [2.0, 5.0])
+    """
+    if not known:
+        raise ConfigError("known: found nothing, expected at least one {name: value}")
+    rows, values = [], []
+    for key, value in known.items():
+        terms = [term.strip() for term in str(key).split("+")]
+        for term in terms:
+            if term not in names:
+                raise ConfigError(f"known: found {term!r}, expected {', '.join(names)}, or a sum of them with +")
+        if not (isinstance(value, int | float) and math.isfinite(value) and value != 0):
+            raise ConfigError(f"known {key}: found {value!r}, expected a number other than 0, in physical units")
+        rows.append([float(terms.count(name)) for name in names])
+        values.append(float(value))
+    return rows, values
+
+
+def recover_mass(
+    per_mass: Tensor,  # (*batch, p) η
+    known: Mapping[str, float],
+    covariance: Tensor | None = None,  # (*batch, p, p) P
+    names: Sequence[str] = NAMES,
+) -> Mass:
+    """The mass from parameters per unit mass and known physical values, equations (2) to (4).
+
+    Args:
+        per_mass: η = θ/m, in units of each parameter per kg.
+        known: value by name of a parameter, or by a sum of names, as `{"thrust_linear_left +
+            thrust_quadratic_left": 33.6}` for the pull of the left thruster at full command, N.
+        covariance: of η. Of RLS: its covariance over the square of its model's mass, times the variance of the noise
+            in the measured increments.
+        names: of the p parameters.
+
+    Returns:
+        NaN for whatever the known quantities leave open: no thrust seen yet, or of the wrong sign.
+
+    >>> per_mass = torch.tensor([-0.1, -0.5, -0.2, 0.5, 0.7, 0.0, 0.5, 0.7, 0.0])
+    >>> round(float(recover_mass(per_mass, {"thrust_linear_left + thrust_quadratic_left": 33.6}).mass), 3)
+    28.0
+    """
+    rows, values = known_rows(known, names)
+    d = per_mass.new_tensor(values)
+    A = per_mass.new_tensor(rows) / d[:, None]  # (known, p): r = A η
+    one = torch.ones_like(d)
+    if covariance is None:
+        weight = (one / len(values)).expand(*per_mass.shape[:-1], -1)
+    else:
+        weight = torch.linalg.solve_ex(A @ covariance @ A.mT, one.expand(*covariance.shape[:-2], -1)[..., None])[0]
+        weight = weight[..., 0] / weight.sum((-2, -1))[..., None]
+    g = weight @ A  # (3)
+    inverse = (g * per_mass).sum(-1)
+    mass = torch.where(inverse > 1 / MASS_MAX, 1 / inverse, torch.nan)
+    parameters = mass[..., None] * per_mass
+    if covariance is None:
+        return Mass(mass, parameters, torch.full_like(mass, torch.nan), torch.full_like(parameters, torch.nan))
+    eye = torch.eye(len(names), dtype=per_mass.dtype, device=per_mass.device)
+    J = mass[..., None, None] * (eye - parameters[..., None] * g[..., None, :])  # (4)
+    mass_deviation = mass**2 * (g * (covariance @ g[..., None])[..., 0]).sum(-1).sqrt()
+    return Mass(mass, parameters, mass_deviation, ((J @ covariance) * J).sum(-1).sqrt())

@@ -1,0 +1,59 @@
+"""The weights from which the network of `rnn` learns: drawn anew, or learned before and read from a file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from certify.errors import CertifyError
+from certify.weights import ShallowWeights, load
+from usvlearn.errors import ConfigError
+
+
+def initial_weights(n: int, initial: str, ratio: Sequence[float], generator: torch.Generator) -> ShallowWeights:
+    """Random weights, or persistence, equation (4) of `rnn` at κ = 1, and kinks within 0 ≤ x ≤ ½, 0 ≤ u ≤ 1.
+
+    >>> weights = initial_weights(3, "persistence", (1.0,) * 5, torch.Generator().manual_seed(0))
+    >>> weights.a, weights.w1[:2]
+    (tensor([ 0.5000, -0.5000,  0.0000], dtype=torch.float64), tensor([2., 0.], dtype=torch.float64))
+    """
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(shape, generator=generator, dtype=torch.float64)
+
+    a = (2 * uniform(n) - 1) / math.sqrt(n)
+    w1, W2, b = ((2 * uniform(*shape) - 1) / math.sqrt(5) for shape in ((n,), (n, 4), (n,)))
+    if initial == "random":
+        return ShallowWeights(a, w1, W2, b)
+    _, speed, heading, command, _ = ratio  # what is to be learned faster has the greater weights
+    w1, W2 = speed * w1, W2 * torch.tensor([heading, heading, command, command], dtype=torch.float64)
+    b = -(w1 * uniform(n) / 2 + (W2 * uniform(n, 4)).sum(-1))
+    a, w1[:2], W2[:2], b[:2] = torch.zeros_like(a), torch.tensor([2.0, 0.0]), 0.0, 1.0
+    a[:2] = torch.tensor([0.5, -0.5])
+    return ShallowWeights(a, w1, W2, b)
+
+
+def pretrained_weights(given: str, n: int) -> ShallowWeights:
+    """The weights that `pretrained` names: a file's, or one set of a file's as `certify` calls it."""
+    file = re.match(r".*?\.(safetensors|npz|pth?)(?=$|[:\[])", given)
+    path = file[0] if file else given
+    try:
+        networks = load(path)
+    except CertifyError as error:
+        raise ConfigError(f"pretrained: {error}") from error
+    found = networks if path == given else [each for each in networks if each.path == str(Path(given))]
+    if len(found) != 1:
+        names = ", ".join(each.path for each in networks[:6]) + (", …" if len(networks) > 6 else "")
+        raise ConfigError(f"pretrained: found {len(found)} networks for {given!r}, expected one: give one of {names}")
+    weights = found[0].weights
+    if (shape := weights.W2.shape) != (n, 4):
+        raise ConfigError(
+            f"pretrained: found {shape[0]} neurons and {shape[1]} inputs in {given}, expected {n} and 4: set neurons "
+            "to the file's, or give another file"
+        )
+    return ShallowWeights(*map(torch.from_numpy, weights))
