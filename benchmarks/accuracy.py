@@ -169,14 +169,14 @@ def learned(estimator: Estimator, runs: Sequence[Sample]):
 @torch.no_grad()
 def free_run(estimator: Estimator, state, runs: Sequence[Sample]) -> np.ndarray:
     """MAE, m/s, of each column from commands alone, parameters frozen, from the speed at which each segment starts."""
-    errors = []
+    errors, record = [], (lambda s: s.predictions) if isinstance(estimator, Ensemble) else None
     for samples in runs:
         blind = samples._replace(
             measured=torch.zeros_like(samples.measured),
             surge=torch.where(samples.inputs.dt == 0, samples.surge, torch.nan),
         )
-        state, surge, published = rollout(estimator, state, blind, record=lambda s: getattr(s, "predictions", s.surge))
-        columns = published if published.ndim > surge.ndim else surge[..., None]
+        state, surge, published = rollout(estimator, state, blind, record=record)
+        columns = surge[..., None] if published is None else published
         scored = samples.measured & samples.fresh & (samples.inputs.dt > 0)
         errors.append((columns - samples.surge[..., None]).abs()[scored])
     return torch.cat(errors).mean(0).numpy()

@@ -38,6 +38,8 @@ ROWS = {
     "tight": {"condition": "tight"},
     "interval": {"condition": "interval"},
 }
+# The paper's start and Adam: each condition from the same random weights, which a start at persistence would not be.
+PAPER = {"initial": "random", "rate_ratio": (1.0,) * 5, "momentum": 0.9, "clip": None}
 RATES = torch.tensor([3e-4, 1e-3, 3e-3, 1e-2], dtype=torch.float64)
 PASSES = {0.2: 5, 0.4: 5, 1.0: 10}  # by step, s: more where there are fewer samples
 SEEDS, HOURS, TEST_MISSIONS = 5, 2.5, 3
@@ -82,7 +84,8 @@ def trial(
 ) -> Trial:
     """Learn missions in order, so many times, then run free over the test missions from commands alone."""
     seeds = learn[0].surge.shape[1]
-    rnns = [RNN(surge_max=surge_max, rate=rates[:, None], seed=seed, **settings) for seed in range(seeds)]
+    settings = {**PAPER, **settings, "surge_max": surge_max, "rate": rates[:, None]}
+    rnns = [RNN(seed=seed, **settings) for seed in range(seeds)]
     states = [rnn.init((len(rates), 1)) for rnn in rnns]
     state: RNNState = tree_map(lambda *leaves: torch.cat(leaves, 1), *states)
     errors = []

@@ -62,6 +62,8 @@ def by_hand(samples, limit):
             if samples.measured[k] and not math.isnan(surge):
                 acceleration = max(-limit, min(limit, (surge - speed) / since))
                 speed, since = surge, 0.0
+            else:
+                acceleration = 0.0  # of the spy's own estimate, which stays what it was
     return torch.tensor(rows, dtype=torch.float64)
 
 

@@ -2,10 +2,10 @@
 
     online/mae/BOAT/ESTIMATOR      m/s, over the last minutes
     online/skill/BOAT/ESTIMATOR    1 - MAE/MAE(persistence), likewise
-    state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, excitation_PARAMETER (0 a
-                                   guess, 1 informed), covariance_trace, deviation in m/s, weight_MEMBER; of robust ones
-                                   clipped, rejected and escaped samples, scale in m/s; of an RNN margin_CONDITION (> 0:
-                                   contracting), contraction_rate, time_constant in s, and at rest the number of
+    state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, excitation_PARAMETER (0:
+                                   a guess, 1: informed), covariance_trace, deviation in m/s, weight_MEMBER; of a robust
+                                   one clipped, rejected and escaped samples, scale in m/s; of an RNN margin_CONDITION
+                                   (> 0: contracting), contraction_rate, time_constant in s, and at rest the number of
                                    equilibria, the nearest, m/s, and its class, counted from 0 in the order of
                                    certify.equilibria.CLASSES
     rejected/BOAT/CHANNEL/CAUSE    counts over the whole log

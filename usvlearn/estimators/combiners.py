@@ -7,13 +7,14 @@ BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with
 has a regret bound against the best fixed mixture, of second order, and no step size to choose. With a loss ℓ, its slope
 g = ℓ'(ŷ − y), priors w0, and per member the linearised loss l, its range E and its learning rate η:
 
-    l_k = g (x_k − ŷ),   E_k ← max(E_k, |l_k|)                                                 (1)
+    l_k = g (x_k − ŷ),   E_k ← max(κ E_k, E₀, |l_k|)                                           (1)
     L_k ← κ L_k + ½ [ l_k (1 + η_k l_k) + E_k 1(η_k l_k > ½) ]                                  (2)
     V_k ← κ V_k + l_k²,   η_k ← min( 1/E_k, √(log(1/w0_k)/V_k) )                                (3)
     w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
 
-κ = exp(−dt/memory) forgets: the best member in calm water is not the best in a turn. κ = 1 is the published rule. A
-small share of the weight is spread by the priors, so that no member is ever lost (Herbster & Warmuth 1998).
+κ = exp(−dt/memory) forgets: the best member in calm water is not the best in a turn, and one outlier would hold the
+rates down for ever. κ = 1 is the published rule, but for η in (2), which knows the new E already. A small share of the
+weight is spread by the priors, so that no member is ever lost (Herbster & Warmuth 1998).
 """
 
 from __future__ import annotations
@@ -267,7 +268,7 @@ class BOA(Prior):
 
     Args:
         members, memory, loss, prior: see `Prior`.
-        scale: E at the start, m/s: how far predictions lie apart, roughly.
+        scale: E₀, least range of the losses, m/s (m²/s² of the square): how far predictions lie apart, roughly.
         share: of the weight that goes to the members by the priors at every step, 0 … 1.
 
     >>> boa = BOA(prior={"rnn": 0.1})
@@ -279,7 +280,7 @@ class BOA(Prior):
     def __init__(
         self,
         members: str | Sequence[str] | None = None,
-        memory=20.0,
+        memory=30.0,
         loss: str = "absolute",
         scale: float = 0.01,
         share: float = 0.01,
@@ -303,9 +304,9 @@ class BOA(Prior):
         combined = (state.weights * x).sum(-1, keepdim=True)
         error = combined - surge[..., None]
         loss = (error.sign() if self.loss == "absolute" else 2 * error) * (x - combined)
-        ranges = torch.maximum(state.ranges, loss.abs())  # (1)
-        surprising = self._rates(state.ranges, state.squares) * loss
         kept = self._kept(dt)
+        ranges = torch.maximum((kept * state.ranges).clamp(min=self.scale), loss.abs())  # (1)
+        surprising = self._rates(ranges, state.squares) * loss
         surcharge = torch.where(surprising > 0.5, ranges, 0.0)
         losses = kept * state.losses + 0.5 * (loss * (1 + surprising) + surcharge)  # (2)
         squares = kept * state.squares + loss * loss

@@ -31,7 +31,7 @@ class Bank(nn.Module):
     """One estimator with several settings, as lanes: a member of an ensemble with a column of its own for each.
 
     Args:
-        estimator: some hyperparameters of which have the shape `(settings,)`.
+        estimator: some hyperparameters of which have the shape `(settings,)`; what differs by boat is `(boats, 1)`.
         labels: of the settings, in that order: the columns are NAME_LABEL.
 
     >>> from usvlearn import AID
@@ -55,6 +55,9 @@ class Bank(nn.Module):
 
     def start(self, state: Any, surge: Tensor) -> Any:
         return self.estimator.start(state, self._wide(surge))
+
+    def loosen(self, state: Any, factor: Tensor) -> Any:
+        return self.estimator.loosen(state, self._wide(factor))
 
     def monitor(self, state: Any) -> dict[str, Tensor]:
         return self.estimator.monitor(state)
@@ -136,7 +139,10 @@ class Ensemble(Estimator):
                 f"ensemble combiner {combiner}: found members {', '.join(chosen) or 'none'}, "
                 f"expected some of {', '.join(known)}" + (f" (unknown: {', '.join(unknown)})" if chosen else "")
             )
-        return [column for name in chosen for column in known[name]]
+        columns = [column for name in chosen for column in known[name]]
+        if len(set(columns)) < len(columns):
+            raise ConfigError(f"ensemble combiner {combiner}: found {', '.join(chosen)}, expected each member once")
+        return columns
 
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
         batch = tuple(batch)
@@ -172,6 +178,10 @@ class Ensemble(Estimator):
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
+        return state._replace(members=members)
+
+    def loosen(self, state: EnsembleState, factor: Tensor) -> EnsembleState:
+        members = {name: member.loosen(state.members[name], factor) for name, member in self.members.items()}
         return state._replace(members=members)
 
     def monitor(self, state: EnsembleState) -> dict[str, Tensor]:

@@ -22,9 +22,10 @@ class MemoryState(NamedTuple):
     """The estimator's state, and the step before."""
 
     inner: Any
-    surge_dot: Tensor  # (*batch,) m/s², between the last two measured speeds
+    surge_dot: Tensor  # (*batch,) m/s², between the last two measured speeds; of the last step where it coasts
     surge: Tensor  # (*batch,) last measured speed, m/s
     since: Tensor  # (*batch,) s since then
+    estimate: Tensor  # (*batch,) speed from which the next step departs, m/s
     command_left: Tensor  # (*batch,) of the last step
     command_right: Tensor  # (*batch,)
     known: Tensor  # (*batch,) bool: the segment has had a step
@@ -33,7 +34,8 @@ class MemoryState(NamedTuple):
 class WithMemory(Estimator):
     """An estimator whose model has memory terms.
 
-    Where a segment starts, the acceleration counts as 0 and the commands before as those now.
+    Where a segment starts, the acceleration counts as 0 and the commands before as those now. Where it coasts, the
+    acceleration is that of its own estimate.
 
     Args:
         estimator: AID, RLS or SIFtRLS over `SurgeDynamics(memory=True)`.
@@ -53,11 +55,12 @@ class WithMemory(Estimator):
     def init(self, batch: Sequence[int] = ()) -> MemoryState:
         inner = self.estimator.init(batch)
         zero = next(leaf for _, leaf in named_leaves(inner)).new_zeros(tuple(batch))
-        return MemoryState(inner, *(zero,) * 5, torch.zeros_like(zero, dtype=torch.bool))
+        return MemoryState(inner, *(zero,) * 6, torch.zeros_like(zero, dtype=torch.bool))
 
     def predict(self, state: MemoryState, inputs: Inputs) -> tuple[MemoryState, Tensor]:
         inner, surge = self.estimator.predict(state.inner, self._with_memory(state, inputs))
-        return self._stepped(state, inputs)._replace(inner=inner), surge
+        surge_dot = self._limited(surge - state.estimate, inputs.dt)
+        return self._stepped(state, inputs)._replace(inner=inner, surge_dot=surge_dot, estimate=surge), surge
 
     def update(self, state: MemoryState, inputs: Inputs, surge: Tensor) -> MemoryState:
         return self.learn(state, inputs, surge)[0]
@@ -65,16 +68,15 @@ class WithMemory(Estimator):
     def learn(self, state: MemoryState, inputs: Inputs, surge: Tensor) -> tuple[MemoryState, Tensor]:
         inner, predicted = self.estimator.learn(state.inner, self._with_memory(state, inputs), surge)
         stepped = self._stepped(state, inputs)
-        surge_dot = ((surge - state.surge) / torch.where(stepped.since > 0, stepped.since, 1.0)).clamp(
-            -self.surge_dot_max, self.surge_dot_max
-        )
-        return stepped._replace(inner=inner, surge_dot=surge_dot, surge=surge, since=torch.zeros_like(surge)), predicted
+        surge_dot = self._limited(surge - state.surge, stepped.since)
+        since = torch.zeros_like(surge)
+        return stepped._replace(inner=inner, surge_dot=surge_dot, surge=surge, since=since, estimate=surge), predicted
 
     def start(self, state: MemoryState, surge: Tensor) -> MemoryState:
         zero = torch.zeros_like(surge)
         known = torch.zeros_like(state.known)
         inner = self.estimator.start(state.inner, surge)
-        return state._replace(inner=inner, surge_dot=zero, surge=surge, since=zero, known=known)
+        return state._replace(inner=inner, surge_dot=zero, surge=surge, since=zero, estimate=surge, known=known)
 
     def loosen(self, state: MemoryState, factor: Tensor) -> MemoryState:
         return state._replace(inner=self.estimator.loosen(state.inner, factor))
@@ -86,6 +88,9 @@ class WithMemory(Estimator):
         left = torch.where(state.known, state.command_left, inputs.command_left)
         right = torch.where(state.known, state.command_right, inputs.command_right)
         return MemoryInputs(*inputs, state.surge_dot, left, right)
+
+    def _limited(self, change: Tensor, dt: Tensor) -> Tensor:
+        return (change / torch.where(dt > 0, dt, 1.0)).clamp(-self.surge_dot_max, self.surge_dot_max)
 
     def _stepped(self, state: MemoryState, inputs: Inputs) -> MemoryState:
         return state._replace(

@@ -29,7 +29,7 @@ from usvlearn.signals import Inputs
 
 
 def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iterations: int = 4) -> Tensor:
-    """The solution of (1) after so many rounds of (2), clipped should they not suffice.
+    """The solution of (1) after so many rounds of (2); the clipped θ where they did not suffice.
 
     >>> theta, factor = torch.tensor([1.0, -1.0]), torch.tensor([[1.0, 0.0], [0.5, 1.0]])
     >>> project_signs(theta, factor, (1, 1))  # the first moves along: it is told apart from the second poorly
@@ -50,10 +50,12 @@ def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iteration
         multipliers = torch.linalg.solve_ex(system, torch.where(active, -z, 0.0)[..., None])[0].squeeze(-1)
         t = torch.where(active, 0.0, z + (Q @ multipliers[..., None]).squeeze(-1))
     moved = theta + (factor @ (rows.mT @ multipliers[..., None])).squeeze(-1)
-    exact = S * t.clamp(min=0)
+    tolerance = 1e-6 * z.abs().amax(-1, keepdim=True)
+    solved = (t >= -tolerance).all(-1) & (multipliers * diagonal >= -tolerance).all(-1)
+    moved, t = torch.where(solved[..., None], moved, theta), torch.where(solved[..., None], t, z)
     columns = list(moved.unbind(-1))
     for place, i in enumerate(held):
-        columns[i] = exact[..., place]
+        columns[i] = (S * t.clamp(min=0))[..., place]
     return torch.stack(columns, -1)
 
 

@@ -9,8 +9,9 @@ Huber's function leaves (Huber 1964):
 so that s estimates the standard deviation of what is no outlier. The next step departs from y', too: an outlier of the
 speed would else spoil two increments.
 
-*Escape.* An outlier is followed by ordinary samples, a change is not: after `patience` clipped samples in a row the
-next is taken whole, the estimator is loosened (a covariance is inflated) and the scale refitted to what was seen.
+*Escape.* An outlier is followed by ordinary samples, a change is not: after `patience` samples beyond the bound in a
+row the next are taken whole, until one lies within it, and the estimator is loosened once (a covariance is inflated).
+The scale follows by (2): to take a change whole for it, too, would open the bound to the outliers after it.
 
 *Gate.* A sample after which anything would not be finite leaves the estimator's state as it was, bit for bit.
 """
@@ -35,7 +36,7 @@ class RobustState(NamedTuple):
 
     inner: Any
     variance: Tensor  # (*batch,) s², m²/s²
-    run: Tensor  # (*batch,) samples clipped in a row
+    run: Tensor  # (*batch,) samples beyond the bound in a row
     clipped: Tensor  # (*batch,) count of samples clipped
     rejected: Tensor  # (*batch,) count of samples refused because something was not finite
     escaped: Tensor  # (*batch,) count of changes taken whole
@@ -115,22 +116,23 @@ class Robust(Estimator):
         bound = self.threshold * state.variance.sqrt()
         beyond = innovation.abs() > bound
         escapes = beyond & (state.run >= self.patience)
+        first = escapes & (state.run < self.patience + 1)
         clips = beyond & ~escapes
         within = torch.where(clips, innovation.clamp(-bound, bound), innovation)  # (1)
-        inner = self.estimator.loosen(state.inner, torch.where(escapes, self.inflation(), 1.0))
+        inner = self.estimator.loosen(state.inner, torch.where(first, self.inflation(), 1.0))
         inner = self.estimator.update(inner, inputs, torch.where(clips, predicted + within, surge))
-        seen = torch.where(escapes, innovation * innovation, torch.minimum(innovation**2, bound * bound) / self.moment)
+        seen = torch.minimum(innovation * innovation, bound * bound) / self.moment
         variance = torch.lerp(state.variance, seen, self.share).clamp(min=self.variance_min)  # (2)
         learned = RobustState(
             inner,
             variance,
-            torch.where(clips, state.run + 1, 0.0),
+            torch.where(beyond, state.run + 1, 0.0),
             state.clipped + clips,
             state.rejected,
-            state.escaped + escapes,
+            state.escaped + first,
         )
         refused = state._replace(rejected=state.rejected + 1)
-        keep = surge.isfinite() & finite({"inner": inner, "variance": variance}, surge.ndim)
+        keep = (innovation * innovation).isfinite() & finite({"inner": inner, "variance": variance}, surge.ndim)
         return tree_map(lambda new, old: where(keep, new, old), learned, refused), predicted
 
     def start(self, state: RobustState, surge: Tensor) -> RobustState:
