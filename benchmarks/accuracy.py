@@ -129,6 +129,32 @@ def every_member(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
         yield f"| {label} | " + " | ".join(f"{found[name]['skill']:.3f}" for name in names) + " |"
 
 
+@torch.no_grad()
+def own_intervals(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
+    """What ±1.645 standard deviations of RLS's own (from P and σ²) cover, beside the conformal intervals."""
+    names = ("dynamic_rls", "steady_rls", "memory_rls")
+    yield "| boat | " + " | ".join(f"{name}: own | conformal" for name in names) + " |"
+    yield "|---|" + "---:|" * (2 * len(names))
+
+    def deviation(state):
+        while not hasattr(state, "deviation"):
+            state = state.inner
+        return state.deviation
+
+    for label, log in logs:
+        cells, found = [], rows(log)
+        for name in names:
+            estimator = instantiate(configuration(log.overrides).estimators[name])
+            state, inside = estimator.init((len(log.fleet.boats),)), []
+            for samples in (tensors(run.samples) for run in log.fleet.runs):
+                state, surge, own = rollout(estimator, state, samples, record=deviation)
+                scored = samples.measured & samples.fresh & (samples.inputs.dt > 0)
+                within = (surge - samples.surge).abs() <= 1.645 * own
+                inside.append(within[:, log.lane][scored[:, log.lane]])
+            cells += [f"{torch.cat(inside).double().mean():.1%}", f"{found[name]['coverage']:.1%}"]
+        yield f"| {label} | " + " | ".join(cells) + " |"
+
+
 class Fixed(Persistence):
     """The surge dynamics with given parameters: what a batch fit predicts."""
 
@@ -260,6 +286,10 @@ def main() -> None:
         "## Every member: skill",
         "",
         *every_member([*real, *boats]),
+        "",
+        "## Intervals of 90 % from least squares' own covariance",
+        "",
+        *own_intervals([*real, *boats]),
         "",
         "## Free run of the second half, parameters frozen after the first: MAE over that of batch least squares",
         "",

@@ -60,7 +60,7 @@ class Result(NamedTuple):
     """How an estimator came through."""
 
     error: float  # m/s, MAE one step ahead over `after`
-    steps: int | None  # after the event, until the running error stays within WITHIN times its level before
+    steps: float | None  # after the event, until the running error stays within WITHIN times its level before
     parameters: float  # √(Δθᵀ C Δθ / θᵀ C θ), C = mean φφᵀ under excitation; NaN where there are no parameters
     finite: bool  # all predictions, and the state at the end
 
@@ -310,7 +310,8 @@ def judge(scenario: Scenario, surges: Tensor, theta: Tensor | None, finite: bool
         later = error[scenario.event :]
         running = later.unfold(0, min(WINDOW // error.shape[1], len(later)), 1).nanmean((1, 2))
         beyond = (running > WITHIN * level).nonzero()
-        steps = int(beyond[-1]) + 1 if len(beyond) else 0
+        steps = float(beyond[-1]) + 1 if len(beyond) else 0.0
+        steps = math.inf if steps == len(running) else steps
     if theta is not None:
         cost, size = (((x @ C) * x).sum(-1).mean() for x in (theta - scenario.theta, scenario.theta))
         parameters = float((cost / size).sqrt())
@@ -368,7 +369,7 @@ def regression(steps: int, lanes: int = 24, outliers: float = OUTLIERS) -> dict[
             for k in range(steps):
                 state, _ = estimator.learn(state, GivenInputs(torch.from_numpy(phi[k]), dt), torch.from_numpy(y[k]))
                 if k >= steps // 2 and k % 10 == 0:
-                    off.append(np.linalg.norm(getattr(state, "inner", state).theta - theta, axis=-1).mean())
+                    off.append(np.linalg.norm(getattr(state, "inner", state).theta.numpy() - theta, axis=-1).mean())
         found[name] = float(np.mean(off))
     return found
 
@@ -390,8 +391,10 @@ def times(scenario: Scenario) -> dict[str, float]:
 
 
 def cell(result: Result) -> str:
+    if not result.finite:
+        return "**not finite**"
     error = f"{result.error:.4f}" if result.error < 10 else f"{result.error:.0e}"
-    return (error if result.steps is None else f"{error}, {result.steps}") if result.finite else "**not finite**"
+    return error + ("" if result.steps is None else ", never" if math.isinf(result.steps) else f", {result.steps:.0f}")
 
 
 def report(steps: int) -> str:
@@ -416,10 +419,10 @@ def report(steps: int) -> str:
     machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
     return "\n".join([
         "# In the field", "", *__doc__.strip().splitlines()[4:], "",
-        f"Measured on {machine}. A cell is the MAE of one-step predictions, m/s, over the steps below, and the steps "
-        f"from the event until the error\n(mean over {WINDOW} samples) stays within {WITHIN} × its level "
-        "before. *Not finite*: a prediction or the state. Regression: |Δθ| with the same\noutliers on "
-        "y = φᵀθ, where φ is standard normal and |θ| = 1.", "", *notes, "", *lines, "",
+        f"Measured on {machine}. A cell: the MAE of one-step",
+        "predictions, m/s, over the steps named below; and after how many steps from the event the error (mean over",
+        f"{WINDOW} samples) stays within {WITHIN} × its level before. *Not finite*: a prediction or the state. Regression:",
+        "|Δθ| on y = φᵀθ with the same outliers, φ standard normal and |θ| = 1.", "", *notes, "", *lines, "",
         "## Parameter error at the end", "", "√(Δθᵀ C Δθ / θᵀ C θ), where C is the mean of φφᵀ under excitation: the "
         "error of what the parameters predict, relative.", "", *off, "",
     ])  # fmt: skip

@@ -78,7 +78,7 @@ def test_every_estimator_and_combiner_file_instantiates():
 CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("dynamic_rls", "memory"), ("memory_rls", "memory"), ("ambient_rls", "memory"), ("ambient_rls", "ambient"),
     ("memory_aid", "memory"), ("steady_rls", "memory"), ("steady_rls", "covariance"), ("steady_rls", "signs"),
-    ("ensemble", "prior"),
+    ("ensemble", "prior"), *((name, "patience") for name in ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls")),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "labels", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle
 
@@ -129,7 +129,6 @@ def test_real_logs_replay_to_the_figures_of_the_readme(real_logs, tmp_path):
         "blueboat": {"aid": 0.35, "rnn": 0.30, "ensemble": 0.43},
         "vtec": {"aid": 0.28, "ensemble": 0.35},
         "dalian": {"ensemble": 0.22},
-        "pearl": {},
     }
     for data, least in floors.items():
         folder = tmp_path / data

@@ -185,7 +185,7 @@ def test_a_change_gets_through_and_opens_the_covariance():
     surge = 0.05 * torch.randn(302, 2, generator=generator, dtype=torch.float64)
     surge[300:, 0] += 2.0  # lane 0 changes for good
     surge[300, 1] += 2.0  # lane 1 has one outlier
-    robust, calm = (Robust(RLS(Level()), inflation=inflation) for inflation in (4.0, 1.0))
+    robust, calm = (Robust(RLS(Level()), patience=1, inflation=inflation) for inflation in (4.0, 1.0))
     inputs = at(samples, 0).inputs
     with torch.no_grad():
         before, _, _ = rollout(robust, robust.init((2,)), tree_map(lambda x: x[:300], samples._replace(surge=surge)))

@@ -60,8 +60,8 @@ def test_a_fault_out_of_range_is_refused_by_name(options, name):
 def test_the_experiment_composes_and_has_its_fault():
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         plain = compose("train")
-        cfg = compose("train", ["+experiment=thruster_fault"])
-        assert compose("train", ["+experiment=none"]) == plain
+        cfg = compose("train", ["experiment=thruster_fault"])
+        assert compose("train", ["experiment=none"]) == plain
     assert plain.data.fault is None
     assert instantiate(cfg.data.fault) == Fault("left", 0.4, 10.0)
     assert cfg.data.hours == pytest.approx(cfg.data.mission_minutes / 60)

@@ -94,6 +94,22 @@ def test_recovery_is_counted_to_the_last_step_out_of_bounds(cases):
     assert result.steps == 40
 
 
+def test_what_never_recovers_is_said_so(cases):
+    case = stress.drive([("excited", 60), ("excited", 60)], 24, 0)._replace(event=60)
+    off = torch.full_like(case.target, 0.01)
+    off[60:] = 1.0
+    assert stress.cell(stress.judge(case, case.target + off, None, True)) == "0.5050, never"
+    assert stress.cell(stress.judge(case, case.target + off, None, False)) == "**not finite**"
+
+
+def test_a_pure_regression_is_solved():
+    """Without outliers |Δθ| is about NOISE √(p (1 − λ)/2) = 0.003 where the past is forgotten at λ."""
+    found = stress.regression(240, lanes=2, outliers=0.0)
+    for name in ("plain_rls", "rls", "sift_rls", "robust_sift_rls"):
+        assert found[name] < 0.01, name
+    assert abs(found["rls"] - found["plain_rls"]) < 1e-9
+
+
 def test_regressors_are_those_of_the_model(cases):
     samples = cases["jump"].samples
     phi = stress.regressors(samples)

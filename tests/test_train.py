@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
 SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
 NAMES = {
-    "aid", "rls", "rnn", "dynamic_rls_short", "dynamic_rls_long", "memory_aid", "memory_rls", "ambient_rls_short",
+    "aid", "rls", "rnn", "dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls_short",
     "ambient_rls_long", "persistence", "average", "weighted", "ensemble",
 }  # fmt: skip
 
@@ -99,9 +99,10 @@ def test_tensorboard(whole):
     events.Reload()
     scalars = set(events.Tags()["scalars"])
     for tag in (
-        "online/mae/heron1/aid", "online/skill/heron2/dynamic_rls_long", "state/heron1/aid/drag_quadratic",
-        "state/heron1/dynamic_rls_long/thrust_linear_left", "state/heron2/rls/covariance_trace",
-        "state/heron1/memory_rls/clipped", "state/heron2/ensemble/weight_memory_aid",
+        "online/mae/heron1/aid", "online/skill/heron2/steady_rls", "state/heron1/aid/drag_quadratic",
+        "state/heron1/steady_rls/excitation_drag_linear", "state/heron2/rls/covariance_trace",
+        "state/heron1/memory_rls/clipped", "state/heron1/monitors/evidence_left",
+        "state/heron2/ensemble/weight_memory_aid",
         "state/heron1/rnn/margin_simple", "state/heron1/rnn/margin_tight", "state/heron1/weighted/weight_aid",
         "rejected/heron1/surge/lost", "total/mae/aid",
     ):  # fmt: skip

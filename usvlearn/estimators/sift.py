@@ -69,7 +69,7 @@ class SIFtRLS(LeastSquares):
         model: nn.Module | None = None,
         memory=30.0,
         covariance=10.0,
-        floor: float = 1e-4,
+        floor: float = 1e-3,
         feedback: str = "measured",
         surge_max: float = 10.0,
     ):
