@@ -22,8 +22,8 @@ from usvlearn.learning.replay import replay
 from usvlearn.signals import tree_map, where
 
 E, RULE = "estimators", "combiners.ensemble"
-ROBUST = ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls.estimator")
-SIFT = ("rls", "dynamic_rls.estimator", "steady_rls.estimator", "memory_rls.estimator.estimator",
+ROBUST = ("dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls.estimator")
+SIFT = ("rls", "dynamic_rls.estimator", "steady_rls.estimator.estimator", "memory_rls.estimator.estimator",
         "ambient_rls.estimator.estimator.estimator")  # fmt: skip
 RLS, RULES = "usvlearn.estimators.rls.RLS", "usvlearn.estimators.combiners"
 
@@ -36,8 +36,11 @@ def exponential(place: str) -> list[str]:
 
 def pieces(members: Sequence[str]) -> Mapping[str, list[str]]:
     """Overrides of the configuration, by what they switch off or add."""
-    own = [f"~{RULE}.prior.{name}" for name in ("memory_rls", "persistence")]
-    without = {f"without {name}": [f"~{E}.{name}", *[o for o in own if o.endswith(f".{name}")]] for name in members}
+    priors = configuration(()).combiners.ensemble.prior
+    without = {
+        f"without {name}": [f"~{E}.{name}", *(f"~{RULE}.prior.{p}" for p in priors if f"{p}_".startswith(f"{name}_"))]
+        for name in members
+    }
     return {
         **without,
         "and constant acceleration": [f"+estimator@{E}.acceleration=acceleration"],
@@ -51,9 +54,9 @@ def pieces(members: Sequence[str]) -> Mapping[str, list[str]]:
         "no robustness": [f"{E}.{place}.threshold=1e9" for place in ROBUST],
         "Huber's threshold, 1.345": [f"{E}.{place}.threshold=1.345" for place in ROBUST],
         "no inflation at an escape": [f"{E}.{place}.inflation=1.0" for place in ROBUST],
-        "no signs of the drag": [f"{E}.steady_rls.signs=[0,0,0,0,0,0,0,0,0]"],
+        "no signs of the drag": [f"{E}.steady_rls.estimator.signs=[0,0,0,0,0,0,0,0,0]"],
         "AID: no leakage": [f"{E}.aid.sigma=0.0", f"{E}.memory_aid.estimator.estimator.sigma=0.0"],
-        "AID: equal spreads": [f"{E}.{place}.spread=${{equal:${{vehicle.mass}}}}" for place in ("aid",)],
+        "AID: equal spreads": [f"{E}.{place}.spread=EQUAL" for place in ("aid", "memory_aid.estimator.estimator")],
         "RNN: random start": [f"{E}.rnn.initial=random"],
         "RNN: no projection": [f"{E}.rnn.stability=none"],
         "RNN: no clipping": [f"{E}.rnn.clip=null"],
@@ -75,6 +78,15 @@ def pieces(members: Sequence[str]) -> Mapping[str, list[str]]:
     }  # fmt: skip
 
 
+def settings(given: tuple[str, ...], overrides: Sequence[str]) -> dict:
+    """The configuration; EQUAL stands for the mass for each parameter."""
+    cfg = OmegaConf.to_container(configuration((*given, *overrides)), resolve=True)
+    text = json.dumps(cfg["estimators"])
+    for names in (9, 12):  # of the dynamics, and with memory
+        text = text.replace('"spread": "EQUAL"', f'"spread": {[cfg["vehicle"]["mass"]] * names}', 1)
+    return {**cfg, "estimators": json.loads(text)}
+
+
 @cache
 def columns(given: tuple[str, ...], name: str, settings: str) -> tuple[tuple[str, ...], np.ndarray]:
     """What one member predicts, m/s, `(time, boats, its columns)`: members do not know of each other."""
@@ -87,7 +99,7 @@ def columns(given: tuple[str, ...], name: str, settings: str) -> tuple[tuple[str
 @torch.no_grad()
 def combined(given: tuple[str, ...], overrides: Sequence[str]) -> np.ndarray:
     """The ensemble's predictions, m/s, `(time, boats)`."""
-    cfg = OmegaConf.to_container(configuration((*given, *overrides)), resolve=True)
+    cfg = settings(given, overrides)
     found = [columns(given, name, json.dumps(node)) for name, node in cfg["estimators"].items()]
     rule = instantiate(cfg["combiners"]["ensemble"], _convert_="all")
     rule.bind([name for names, _ in found for name in names])
@@ -124,7 +136,6 @@ def table(logs: Sequence[Log]) -> Iterator[str]:
 
 def main() -> None:
     torch.set_num_threads(1)
-    OmegaConf.register_new_resolver("equal", lambda mass: [float(mass)] * 9)
     folder = Path(sys.argv[1])
     logs = [*(recorded(folder, name) for name in REAL), *simulated()]
     text = [

@@ -11,8 +11,7 @@ Memory: all least squares forget over 200 steps (λ = 0.995). For SIFt-RLS that 
 mean loss of information is the same. For the Kalman filter, whose parameters walk at random, it is the Q by which a
 prediction has the same variance. All start from P = 10 in units of the noise's variance. `plain_rls` is the textbook's
 P ← (P − K φᵀP)/λ. The rates of `padasip_nlms` and `river_linear` are the best of 0.01, 0.03, 0.1, 0.3 and 1 on another
-seed. `robust_huber` has the threshold 1.345 instead of 4; `robust_patient` believes a change after 2 clipped samples,
-then inflates by 20, and learns nothing below |φ|² = 1e-3.
+seed. `robust_huber` has the threshold 1.345 instead of 4. `ensemble` is BOA over AID, Robust(SIFt-RLS) and persistence.
 """
 
 import argparse
@@ -142,7 +141,6 @@ def single(model: nn.Module) -> dict[str, Estimator]:
         "sift_rls": SIFtRLS(model, memory=SIFT_MEMORY),
         "robust_sift_rls": Robust(SIFtRLS(model, memory=SIFT_MEMORY)),
         "robust_huber": Robust(SIFtRLS(model, memory=SIFT_MEMORY), threshold=1.345),
-        "robust_patient": Robust(SIFtRLS(model, memory=SIFT_MEMORY, floor=1e-3), patience=2, inflation=20.0),
         "aid": AID(model=model),
         "robust_aid": Robust(AID(model=model)),
     }
@@ -421,7 +419,8 @@ def report(steps: int) -> str:
         "# In the field", "", *__doc__.strip().splitlines()[4:], "",
         f"Measured on {machine}. A cell: the MAE of one-step",
         "predictions, m/s, over the steps named below; and after how many steps from the event the error (mean over",
-        f"{WINDOW} samples) stays within {WITHIN} × its level before. *Not finite*: a prediction or the state. Regression:",
+        f"{WINDOW} samples) stays within {WITHIN} × its level before. *Not finite*: a prediction or the state. "
+        "Regression:",
         "|Δθ| on y = φᵀθ with the same outliers, φ standard normal and |θ| = 1.", "", *notes, "", *lines, "",
         "## Parameter error at the end", "", "√(Δθᵀ C Δθ / θᵀ C θ), where C is the mean of φφᵀ under excitation: the "
         "error of what the parameters predict, relative.", "", *off, "",

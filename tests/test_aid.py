@@ -127,7 +127,7 @@ def test_leakage_bounds_the_parameters_under_noise_that_makes_them_drift():
     samples = conspiring(4000)
 
     def distance(sigma: float) -> torch.Tensor:
-        aid = AID(MASS, gain=100.0, sigma=sigma, bound=2.0)
+        aid = AID(MASS, gain=100.0, sigma=sigma, bound=2.0, floor=0.0)
         _, _, theta = rollout(aid, aid.init(), samples, record=lambda s: s.theta.detach())
         return (theta / aid.spread).norm(dim=-1)
 

@@ -78,7 +78,8 @@ def test_every_estimator_and_combiner_file_instantiates():
 CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("dynamic_rls", "memory"), ("memory_rls", "memory"), ("ambient_rls", "memory"), ("ambient_rls", "ambient"),
     ("memory_aid", "memory"), ("steady_rls", "memory"), ("steady_rls", "covariance"), ("steady_rls", "signs"),
-    ("ensemble", "prior"), *((name, "patience") for name in ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls")),
+    ("steady_rls", "threshold"),
+    ("ensemble", "prior"),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "labels", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle
 

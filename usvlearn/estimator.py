@@ -13,6 +13,8 @@ from torch import Tensor, nn
 from usvlearn.errors import ShapeError
 from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
 
+ABSURD = 100.0  # m/s: beyond it a speed is no measurement, but data gone bad; and so, in their units, inputs are
+ABSURD_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
 State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
 
 
@@ -87,11 +89,14 @@ class Step(NamedTuple):
 
 
 def clean(sample: Sample) -> Step:
-    """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients."""
-    known, dt = sample.surge.isfinite(), sample.inputs.dt
+    """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients.
+
+    What is not finite, or beyond all measure, counts as missing.
+    """
+    known, dt = sample.surge.abs() < ABSURD, sample.inputs.dt
     steps = sample.fresh & (dt > 0)
-    for x in sample.inputs:
-        steps = steps & x.isfinite()
+    for x, limit in zip(sample.inputs, ABSURD_INPUTS, strict=True):
+        steps = steps & (x.abs() < limit)
     inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
     surge = torch.where(known, sample.surge, 0.0)
     return Step(inputs, surge, steps, steps & sample.measured & known, (dt == 0) & known)

@@ -77,6 +77,7 @@ class AID(Estimator):
             linear in speed, that of turning, and the loss of thrust with speed.
         theta0: θ₀, the prior parameters, in their units, from which learning starts; None: zeros.
         dead_zone: half-width of dz, m/s; half the speed's resolution (0.025) where the log is quantised.
+        floor: of |φ|² in units of the model's scale, below which nothing is learned: the noise of a boat at rest.
         sigma: σ, 1/s; 0 switches leakage off.
         bound: M, the distance from θ₀ in spreads (Euclidean) up to which nothing leaks. The default only keeps
             parameters from drifting away, whatever the boat; 1 to 1.5 steadies small boats under noise, and is wrong
@@ -105,6 +106,7 @@ class AID(Estimator):
         spread: Sequence[float] | None = None,
         theta0: Sequence[float] | None = None,
         dead_zone: float = 0.0,
+        floor: float = 1e-3,
         sigma: float = 1.0,
         bound: float = 20.0,
         feedback: str = "measured",
@@ -118,6 +120,7 @@ class AID(Estimator):
         self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.dead_zone = check_not_negative("dead_zone", dead_zone, "of m/s")
+        self.floor = check_not_negative("floor", floor)
         self.sigma = check_not_negative("sigma", sigma, "of 1/s")
         self.bound = check_positive("bound", bound, "of spreads")
         self.model = SurgeDynamics(mass) if model is None else model
@@ -166,7 +169,8 @@ class AID(Estimator):
         outside = error - error.clamp(-self.dead_zone, self.dead_zone) if self.dead_zone else error
         gamma_phi = self.gain()[..., None] * self.spread**2 * phi  # (2)
         N = (phi * gamma_phi).sum(-1)
-        step = outside / (1 + N)
+        informs = (phi * phi).sum(-1) * self.model.scale**2 >= self.floor
+        step = torch.where(informs, outside / (1 + N), 0.0)
         theta = (state.theta - step[..., None] * gamma_phi).clamp(self.lower, self.upper)  # (3)
         if self.sigma:
             theta = self._leaked(theta, inputs.dt)

@@ -20,7 +20,7 @@ from torch import Tensor
 
 RATE, BOOST = 0.2, 1.0  # η, η₀
 START = 0.05  # m/s, q before the first innovation
-LEAST = 1e-3  # m/s; a boat that lies still is predicted exactly for hours, and q must find back within seconds
+LEAST = 5e-3  # m/s; a boat that lies still is predicted exactly for hours, and q has to find back: ten misses
 
 
 class ConformalState(NamedTuple):
@@ -36,7 +36,7 @@ def conformal_start(batch: Sequence[int], k: int, like: Tensor) -> ConformalStat
 
 
 def conformal_step(state: ConformalState, innovation: Tensor, coverage: float) -> ConformalState:
-    """The intervals after innovations, m/s, `(*batch, k)`: equation (1). a column where it is not finite stays.
+    """The intervals after innovations, m/s, `(*batch, k)`: equation (1). A column that is not finite stays.
 
     >>> state = conformal_start((), 2, torch.zeros(()))
     >>> conformal_step(state, torch.tensor([0.01, 1.0]), coverage=0.9).halfwidth  # narrower, wider

@@ -69,7 +69,7 @@ class Bank(nn.Module):
 class Ensemble(Estimator):
     """Estimators side by side; predicts by one of its combiners and publishes every prediction in its state.
 
-    A member whose prediction is not finite, or beyond `surge_max`, sleeps: the combiners do without it.
+    A member whose prediction is not finite, or at `surge_max` and beyond, sleeps: the combiners do without it.
 
     Args:
         members: estimators, or banks of them, by name.
@@ -202,7 +202,7 @@ class Ensemble(Estimator):
         """All predictions, `(*batch, names)`; what each combiner sees of them, NaN where asleep; the ensemble's own."""
         parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
         single = torch.cat(parts, -1)
-        awake = torch.where(single.abs() <= self.surge_max, single, torch.nan)
+        awake = torch.where(single.abs() < self.surge_max, single, torch.nan)
         chosen = {
             name: awake if places == list(range(len(self.columns))) else awake[..., places]
             for name, places in self._places.items()

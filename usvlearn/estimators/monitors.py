@@ -57,6 +57,7 @@ MISFIT = 0.07  # η of (5)
 CLIP, EFFECT = 5.0, 3.0  # limits of e and f_i, in σ: one sample moves g by at most d CLIP EFFECT
 CALM = 6.0  # a sample counts exp(−g/CALM) in (4), and a smaller g tells nothing
 THRESHOLD = 20.0  # of g
+BACKWARDS = -0.25  # least effectiveness that a thruster may have
 DOUBT = 10.0  # the effectiveness is 1 ± 1/√DOUBT before the first sample
 CLEARED = 0.25  # share of the threshold under which g ends an alarm
 FEATURES = 9  # x of (3)
@@ -226,6 +227,9 @@ def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = T
     misfit = 0.5 * MISFIT**2 * (at_full * at_full).sum(-1)
     precision = torch.addcmul(misfit, coherent, variance).rsqrt()[..., None]  # 1/σ of (5)
     evidence, sums = cusum(state.evidence, state.sums, effect * precision, e[..., None] * precision, 2 * threshold)
+    # A thruster cannot push backwards: then it is the model that does not fit any more, and it learns again.
+    plausible = 1 + sums[..., 0] / (sums[..., 1] + DOUBT) > BACKWARDS
+    evidence, sums = torch.where(plausible, evidence, 0.0), torch.where(plausible[..., None], sums, 0.0)
     above = evidence.add(state.raised, alpha=(1 - CLEARED) * threshold).sub(threshold)
     raised = above.sign().relu()
     alarm = (raised - state.raised).amax(-1).relu()

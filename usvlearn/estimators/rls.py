@@ -33,6 +33,7 @@ from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 NOISE = 0.05  # m/s, σ before the first innovation
+LOOSEST = 100.0  # times P₀'s trace
 NOISE_SHARE = 0.02  # of a new innovation in σ²
 NOISE_LEAST = 1e-3  # m/s; hours of exact predictions at rest must not make σ so small that it never comes back
 
@@ -150,6 +151,10 @@ class LeastSquares(Estimator):
         return state._replace(surge=surge)
 
     def loosen(self, state: RLSState, factor: Tensor) -> RLSState:
+        """P times `factor`, up to `LOOSEST` times P₀: a direction that is not shown never tightens again."""
+        prior = len(self.model.names) * self.covariance() * self.model.scale**2
+        trace = (state.factor * state.factor).sum((-2, -1))
+        factor = torch.minimum(factor, (LOOSEST * prior / trace).clamp(min=1))
         return state._replace(factor=state.factor * factor.sqrt()[..., None, None])
 
     def monitor(self, state: RLSState) -> dict[str, Tensor]:

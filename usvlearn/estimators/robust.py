@@ -13,7 +13,7 @@ speed would else spoil two increments.
 row the next are taken whole, until one lies within it, and the estimator is loosened once (a covariance is inflated).
 The scale follows by (2): to take a change whole for it, too, would open the bound to the outliers after it.
 
-*Gate.* A sample after which anything would not be finite leaves the estimator's state as it was, bit for bit.
+*Gate.* A sample after which what was finite would not be leaves the estimator's state as it was, bit for bit.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Robust(Estimator):
         estimator: Estimator,
         threshold: float = 4.0,
         patience: int = 2,
-        inflation=2.0,
+        inflation=20.0,
         scale=0.2,
         memory: float = 200.0,
         scale_min: float = 1e-3,
@@ -134,7 +134,8 @@ class Robust(Estimator):
             state.escaped + first,
         )
         refused = state._replace(rejected=state.rejected + 1)
-        keep = (innovation * innovation).isfinite() & finite({"inner": inner, "variance": variance}, surge.ndim)
+        sane = finite(inner, surge.ndim) | ~finite(state.inner, surge.ndim)
+        keep = sane & (innovation * innovation).isfinite()
         return tree_map(lambda new, old: where(keep, new, old), learned, refused), predicted
 
     def start(self, state: RobustState, surge: Tensor) -> RobustState:

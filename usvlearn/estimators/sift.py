@@ -26,6 +26,8 @@ from usvlearn.errors import check_not_negative
 from usvlearn.estimators.rls import LeastSquares, potter
 from usvlearn.hyper import Positive
 
+LONGEST = 20.0  # memories: a longer step forgets no more, lest 1/λ overflow
+
 
 def sift_step(
     theta: Tensor,  # (*batch, p)
@@ -80,6 +82,6 @@ class SIFtRLS(LeastSquares):
     def _step(
         self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor
     ) -> tuple[Tensor, Tensor]:
-        forgetting = (-dt / self.memory()).exp()
+        forgetting = (-(dt / self.memory()).clamp(max=LONGEST)).exp()
         squared = (phi * phi).sum(-1) * self.model.scale**2
         return sift_step(theta, factor, phi, innovation, forgetting, (squared >= self.floor) & (squared > 0))
