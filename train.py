@@ -1,7 +1,7 @@
 """Replay runs through an ensemble, online: predict, then learn, then save what was learned.
 
 python train.py data=blueboat data.path=LOGS              logs
-python train.py -m estimators.rls.forgetting=0.99,0.995   a sweep
+python train.py -m estimators.rls.memory=10,30            a sweep
 """
 
 import shlex

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 import torch
 from torch import Tensor, nn
 
-from usvlearn.errors import ShapeError
+from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
 
 ABSURD = 100.0  # m/s: beyond it a speed is no measurement, but data gone bad; and so, in their units, inputs are
@@ -76,6 +76,13 @@ class Estimator(nn.Module, abc.ABC):
             return where(step.learns, learned, where(step.steps, coasted, where(step.starts, started, held)))
 
         return tree_map(choose, learned, coasted, started, state), torch.where(step.steps, surge, math.nan)
+
+
+def check_estimator(name: str, value: Any) -> Estimator:
+    """Return `value` if it is an estimator, else raise a ConfigError."""
+    if not isinstance(value, Estimator):
+        raise ConfigError(f"{name}: found {value!r}, expected an estimator")
+    return value
 
 
 class Step(NamedTuple):

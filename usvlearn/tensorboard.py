@@ -3,7 +3,8 @@
     online/mae/BOAT/ESTIMATOR      m/s, over the last minutes
     online/skill/BOAT/ESTIMATOR    1 - MAE/MAE(persistence), likewise
     state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, excitation_PARAMETER (0:
-                                   a guess, 1: informed), covariance_trace, deviation in m/s, weight_MEMBER; of a robust
+                                   a guess, 1: informed), least_informed_PARAMETER (the direction of which the data say
+                                   least), covariance_trace, deviation in m/s, weight_MEMBER; of a robust
                                    one clipped, rejected and escaped samples, scale in m/s; of an RNN margin_CONDITION
                                    (> 0: contracting), contraction_rate, time_constant in s, and at rest the number of
                                    equilibria, the nearest, m/s, and its class, counted from 0 in the order of

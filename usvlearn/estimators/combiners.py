@@ -4,17 +4,18 @@ A member whose prediction is NaN sleeps: the others share its weight, and it is 
 sleep the prediction is NaN, and nothing is learned from the step.
 
 BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
-has a regret bound against the best fixed mixture, of second order, and no step size to choose. With a loss ℓ, its slope
-g = ℓ'(ŷ − y), priors w0, and per member the linearised loss l, its range E and its learning rate η:
+has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size
+to choose. With a loss ℓ, its slope g = ℓ'(ŷ − y), priors w0, and per member the linearised loss l, its range E and its
+learning rate η:
 
     l_k = g (x_k − ŷ),   E_k ← max(κ E_k, E₀, |l_k|)                                           (1)
     L_k ← κ L_k + ½ [ l_k (1 + η_k l_k) + E_k 1(η_k l_k > ½) ]                                  (2)
     V_k ← κ V_k + l_k²,   η_k ← min( 1/E_k, √(log(1/w0_k)/V_k) )                                (3)
     w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
 
-κ = exp(−dt/memory) forgets: the best member in calm water is not the best in a turn, and one outlier would hold the
-rates down for ever. κ = 1 is the published rule, but for η in (2), which knows the new E already. A small share of the
-weight is spread by the priors, so that no member is ever lost (Herbster & Warmuth 1998).
+κ = exp(−dt/memory) forgets, and the bound with it: the best member in calm water is not the best in a turn, and one
+outlier would hold the rates down for ever. κ = 1 is the published rule, but for η in (2), which knows the new E. A
+small share of the weight is spread by the priors.
 """
 
 from __future__ import annotations
@@ -193,7 +194,9 @@ class Prior(Combiner):
     def bind(self, names: Sequence[str]) -> None:
         super().bind(names)
         if unknown := sorted(set(self.prior) - set(names)):
-            raise ConfigError(f"prior: found {', '.join(unknown)}, expected some of {', '.join(names)}")
+            raise ConfigError(
+                f"prior: found {', '.join(unknown)}, expected some of {', '.join(names)}: take out the rest"
+            )
         prior = as_tensor([self.prior.get(name, 1.0) for name in names])
         self.register_buffer("log_prior", (prior / prior.sum()).log(), persistent=False)
 

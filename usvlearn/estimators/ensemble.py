@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, check_estimator
 from usvlearn.estimators import monitors
 from usvlearn.estimators.combiners import Average, Combiner
 from usvlearn.estimators.conformal import ConformalState, conformal_start, conformal_step
@@ -41,7 +41,10 @@ class Bank(nn.Module):
 
     def __init__(self, estimator: Estimator, labels: Sequence[str]):
         super().__init__()
-        self.estimator, self.labels = estimator, tuple(labels)
+        self.estimator = check_estimator("estimator of Bank", estimator)
+        if isinstance(labels, str) or not labels:
+            raise ConfigError(f"labels of Bank: found {labels!r}, expected a list of names, one for each setting")
+        self.labels = tuple(labels)
 
     def init(self, batch: Sequence[int]) -> Any:
         return self.estimator.init((*batch, len(self.labels)))
@@ -128,7 +131,10 @@ class Ensemble(Estimator):
         for name, combiner in combiners.items():
             chosen = self._named(combiner.members, name)
             self._places[name] = [self.columns.index(column) for column in chosen]
-            combiner.bind(chosen)
+            try:
+                combiner.bind(chosen)
+            except ConfigError as error:
+                raise ConfigError(f"ensemble combiner {name}: {error}") from error
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
         """The columns that a combiner means; the name of a bank stands for all of its own."""
@@ -137,7 +143,8 @@ class Ensemble(Estimator):
         if not chosen or (unknown := sorted(set(chosen) - set(known))):
             raise ConfigError(
                 f"ensemble combiner {combiner}: found members {', '.join(chosen) or 'none'}, "
-                f"expected some of {', '.join(known)}" + (f" (unknown: {', '.join(unknown)})" if chosen else "")
+                f"expected some of {', '.join(known)}"
+                + (f" (unknown: {', '.join(unknown)}): correct the members of {combiner}" if chosen else "")
             )
         columns = [column for name in chosen for column in known[name]]
         if len(set(columns)) < len(columns):

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.errors import check_positive
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, check_estimator
 from usvlearn.estimators.regressors import MemoryInputs
 from usvlearn.signals import Inputs, named_leaves
 
@@ -49,7 +49,7 @@ class WithMemory(Estimator):
 
     def __init__(self, estimator: Estimator, surge_dot_max: float = 2.0):
         super().__init__()
-        self.estimator = estimator
+        self.estimator = check_estimator("estimator of WithMemory", estimator)
         self.surge_dot_max = check_positive("surge_dot_max", surge_dot_max, "of m/s²")
 
     def init(self, batch: Sequence[int] = ()) -> MemoryState:

@@ -10,7 +10,8 @@ with μ_i t_i = 0. The primal-dual active set method (Hintermüller, Ito & Kunis
 
     A = { i : μ_i > t_i/Q_ii },   Q_AA μ_A = −(S z)_A,   μ = 0 elsewhere,   t = S z + Q μ          (2)
 
-and is exact once A repeats, as a rule after two or three rounds. To clip θ alone would be no projection: parameters
+and is exact once A repeats, as a rule after two or three rounds; where parameters are scaled very differently it may
+not, and θ is clipped. To clip θ alone would be no projection: parameters
 that are told apart poorly balance each other, and each that is clipped leaves its partner unbalanced (on recorded logs
 that is far worse than no prediction at all).
 """

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 
 from usvlearn.errors import check_choice, check_positive
 from usvlearn.estimator import Estimator
-from usvlearn.estimators.monitors import excitation
+from usvlearn.estimators.monitors import excitation_report
 from usvlearn.estimators.regressors import QuasiStatic
 from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
@@ -161,8 +161,7 @@ class LeastSquares(Estimator):
         parameters = dict(zip(self.model.names, state.theta.unbind(-1), strict=True))
         trace = (state.factor**2).sum((-2, -1))
         prior = (self.covariance() * self.model.scale**2)[..., None]
-        informed = zip(self.model.names, excitation(state.factor, prior).unbind(-1), strict=True)
-        informed = {f"excitation_{name}": share for name, share in informed}
+        informed = excitation_report(self.model.names, state.factor, prior)
         return {**parameters, **informed, "covariance_trace": trace, "deviation": state.deviation}
 
     def _limit(self, surge: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, check_estimator
 from usvlearn.hyper import Positive, check_broadcast
 from usvlearn.signals import Inputs, named_leaves, tree_map, where
 
@@ -84,7 +84,7 @@ class Robust(Estimator):
         scale_min: float = 1e-3,
     ):
         super().__init__()
-        self.estimator = estimator
+        self.estimator = check_estimator("estimator of Robust", estimator)
         self.threshold = check_positive("threshold", threshold, "of standard deviations")
         if not (isinstance(patience, int) and patience >= 1):
             raise ConfigError(f"patience: found {patience!r}, expected a whole number of samples, 1 or more")

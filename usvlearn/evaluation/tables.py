@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import nan
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
@@ -12,6 +11,7 @@ from rich.text import Text
 
 from usvlearn.evaluation.metrics import mean_mae
 
+MOST_COLUMNS = 5  # of estimators, for which a terminal has room beside the settings
 COLUMNS = ("mae", "median", "rmse", "skill")
 
 
@@ -28,7 +28,7 @@ def score_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
     """One row per boat and estimator: errors in m/s, skill, the interval, steps; the best of each boat is bold."""
     table = Table(title="One-step prediction of surge, errors in m/s", title_justify="left", box=SIMPLE_HEAD)
     table.add_column("boat")
-    table.add_column("estimator")
+    table.add_column("estimator", no_wrap=True)
     for column in ("MAE", "median", "RMSE", "skill", "±", "covers", "steps"):
         table.add_column(column, justify="right")
     for boat, rows in boats.items():
@@ -45,19 +45,17 @@ def score_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
 
 
 def fleet_table(boats: Mapping[str, Mapping[str, Mapping]]) -> Table:
-    """One row per boat and one for their mean, one column per estimator: MAE in m/s, the best of each row bold."""
+    """One row per estimator, one column per boat and one for their mean: MAE in m/s, the best of each column bold."""
     table = Table(title="The fleet: MAE in m/s", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    rows = {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
-    rows["mean"] = {name: None if mae != mae else mae for name, mae in mean_mae(boats).items()}
-    table.add_column("boat", no_wrap=True)
-    for name in rows["mean"]:
-        table.add_column(name, justify="right", no_wrap=True)
-    for boat, maes in rows.items():
-        if boat == "mean":
-            table.add_section()
-        best = _best(maes)
-        cells = [Text(_number(maes[name]), "bold" if name == best else "") for name in rows["mean"]]
-        table.add_row(boat, *cells)
+    columns = {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
+    columns["mean"] = {name: None if mae != mae else mae for name, mae in mean_mae(boats).items()}
+    table.add_column("estimator", no_wrap=True)
+    for boat in columns:
+        table.add_column(boat, justify="right", overflow="fold", min_width=6)
+    best = {boat: _best(maes) for boat, maes in columns.items()}
+    for name in columns["mean"]:
+        cells = (Text(_number(maes.get(name)), "bold" if name == best[boat] else "") for boat, maes in columns.items())
+        table.add_row(name, *cells)
     return table
 
 
@@ -92,7 +90,9 @@ def _told(settings: Mapping[str, str], keys: Sequence[str]) -> str:
 
 
 def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
-    """One row per job of a sweep, the best first: what differs in its settings, and each MAE, mean over boats.
+    """One row per job of a sweep, the best first: what differs in its settings, and MAE, mean over boats.
+
+    Shown are the estimators whose MAE differs between jobs (the last alone where they are many), and each job's best.
 
     Args:
         jobs: settings by key, and results as in `results.json`; `{"error": …}` of a job that failed, {} of one that did
@@ -101,17 +101,21 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
     done = [(settings, result) for settings, result in jobs if "boats" in result]
     keys = dict.fromkeys(key for settings, _ in jobs for key in settings)
     keys = [key for key in keys if len({settings.get(key) for settings, _ in jobs}) > 1]
-    names = list(dict.fromkeys(name for _, result in done for rows in result["boats"].values() for name in rows))
+    means = [mean_mae(result["boats"]) for _, result in done]
+    names = list(dict.fromkeys(name for maes in means for name in maes))
+    moved = [name for name in names if len({maes.get(name) for maes in means}) > 1] or names
+    shown = [name for name in moved if len(moved) <= MOST_COLUMNS or name == names[-1]]
     table = Table(
         title="Sweep: MAE in m/s, mean over boats", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
     for key in keys:
         table.add_column(".".join(key.split(".")[-2:]), overflow="fold")
-    for name in names:
-        table.add_column(name, justify="right", overflow="fold")
+    for name in [*shown, "best"]:
+        table.add_column(name, justify="right", no_wrap=True)
     for settings, result in sorted(done, key=lambda job: job[1].get("objective") or float("inf")):
-        maes = mean_mae(result["boats"])
-        cells = [_number(None if maes.get(name, nan) != maes.get(name, nan) else maes[name]) for name in names]
+        maes = {name: None if mae != mae else mae for name, mae in mean_mae(result["boats"]).items()}
+        best = _best(maes)
+        cells = [_number(maes.get(name)) for name in shown] + ["–" if best is None else f"{best} {_number(maes[best])}"]
         table.add_row(*(str(settings.get(key, "")) for key in keys), *cells)
     failed = [
         Text(f"failed: {_told(settings, keys)}: {result.get('error', 'did not finish')}")
