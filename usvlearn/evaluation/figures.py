@@ -20,7 +20,14 @@ COLOURS = (
 )  # Okabe & Ito
 
 
-def prediction_figure(time: np.ndarray, surge: np.ndarray, predictions: np.ndarray, names: Sequence[str], title: str):
+def prediction_figure(
+    time: np.ndarray,
+    surge: np.ndarray,
+    predictions: np.ndarray,
+    names: Sequence[str],
+    title: str,
+    halfwidth: np.ndarray | None = None,
+):
     """Measured and predicted surge over time, above the errors' distributions.
 
     Args:
@@ -29,6 +36,7 @@ def prediction_figure(time: np.ndarray, surge: np.ndarray, predictions: np.ndarr
         predictions: m/s, `(time, estimators)`.
         names: of the estimators.
         title: of the figure.
+        halfwidth: of the interval about the last of them, m/s, `(time,)`.
 
     Raises:
         MissingExtraError: matplotlib is not installed.
@@ -41,6 +49,10 @@ def prediction_figure(time: np.ndarray, surge: np.ndarray, predictions: np.ndarr
     figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.07, hspace=0.25)
     above, below = figure.subplots(2, 1, height_ratios=(2, 1))
     above.plot(time, surge, color="black", linewidth=2.5, label="measured")
+    if halfwidth is not None:
+        low, high = predictions[:, -1] - halfwidth, predictions[:, -1] + halfwidth
+        style = {"color": COLOURS[(len(names) - 1) % len(COLOURS)], "alpha": 0.25, "linewidth": 0}
+        above.fill_between(time, low, high, label=f"{names[-1]}, 90 %", **style)
     error = predictions - surge[:, None]
     limit = np.nanpercentile(np.abs(error), 98) if np.isfinite(error).any() else 1.0
     bins = np.linspace(-limit, limit, 61)

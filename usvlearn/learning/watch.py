@@ -20,6 +20,7 @@ from usvlearn.learning.replay import Chunk
 from usvlearn.signals import Fleet
 from usvlearn.tensorboard import Board
 
+PAPER = ("aid", "rls", "rnn")
 WINDOW = 750  # steps over which errors are averaged
 STEPS_PER_POINT = 50  # and boat: a point of all curves costs about what one step costs
 MOST_POINTS = 1000  # of a curve
@@ -47,6 +48,10 @@ class Watch:
             }
             for boat in fleet.boats
         }
+        for boat in fleet.boats:
+            charts[boat][f"weights of {ensemble.output}"] = [f"state/{boat}/{ensemble.output}/weight_.*"]
+            if ensemble.watched:
+                charts[boat]["thrusters: evidence of a loss, alarm"] = [f"state/{boat}/monitors/(evidence_.*|alarm)"]
         for name, member in ensemble.members.items():
             if isinstance(member, RNN):
                 for boat in fleet.boats:
@@ -112,7 +117,7 @@ class Watch:
                 self.board.scalars(f"rejected/{boat}/{channel}", causes, step)
         try:
             for lane in range(min(len(self.fleet.boats), max(1, step // STEPS_PER_FIGURE))):
-                self._draw(lane, published["predictions"], step)
+                self._draw(lane, published, step)
             for lane, boat in enumerate(self.fleet.boats):
                 if alarms[boat]:
                     self._draw_alarm(lane, published, alarms[boat], settings["data"], step)
@@ -141,13 +146,18 @@ class Watch:
         )
         self.board.figure(f"thrusters/{boat}", figure, step)
 
-    def _draw(self, lane: int, predictions: Sequence[np.ndarray], step: int) -> None:
+    def _draw(self, lane: int, published: Mapping[str, Sequence[np.ndarray]], step: int) -> None:
+        """The ensemble's own prediction and interval, beside the paper's three estimators, or the first three."""
         index = max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane])
         run, boat = self.fleet.runs[index], self.fleet.boats[lane]
         part = slice(max(0, run.lengths[lane] - FIGURE_STEPS), run.lengths[lane])
         surge = np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan)
         title = f"{boat}, {run.names[lane]}"
-        figure = prediction_figure(
-            run.time[part, lane], surge, predictions[index][part, lane], self.ensemble.names, title
-        )
+        names = self.ensemble.names
+        shown = [name for name in (*PAPER, *names) if name in names and name != self.ensemble.output]
+        shown = [*list(dict.fromkeys(shown))[: len(PAPER)], self.ensemble.output]
+        places = [names.index(name) for name in shown]
+        predictions, halfwidths = (published[key][index][part, lane] for key in ("predictions", "halfwidths"))
+        time, own = run.time[part, lane], halfwidths[:, places[-1]]
+        figure = prediction_figure(time, surge, predictions[:, places], shown, title, own)
         self.board.figure(f"prediction/{boat}", figure, step)
