@@ -80,6 +80,7 @@ CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("memory_aid", "memory"), ("steady_rls", "memory"), ("steady_rls", "covariance"), ("steady_rls", "signs"),
     ("steady_rls", "threshold"),
     ("ensemble", "prior"),
+    *((name, key) for name in ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls") for key in ("patience", "inflation")),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "labels", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle
 
