@@ -53,6 +53,9 @@ def pieces(members: Sequence[str]) -> Mapping[str, list[str]]:
         "exponential forgetting for SIFt": [o for place in SIFT for o in exponential(place)],
         "no robustness": [f"{E}.{place}.threshold=1e9" for place in ROBUST],
         "Huber's threshold, 1.345": [f"{E}.{place}.threshold=1.345" for place in ROBUST],
+        "patience of 2, inflation of 20": [
+            f"{E}.{place}.{setting}" for place in ROBUST for setting in ("patience=2", "inflation=20")
+        ],
         "no inflation at an escape": [f"{E}.{place}.inflation=1.0" for place in ROBUST],
         "no signs of the drag": [f"{E}.steady_rls.estimator.signs=[0,0,0,0,0,0,0,0,0]"],
         "AID: no leakage": [f"{E}.aid.sigma=0.0", f"{E}.memory_aid.estimator.estimator.sigma=0.0"],

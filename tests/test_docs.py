@@ -1,5 +1,6 @@
 """The examples of README and CONTRIBUTING run; every YAML composes and instantiates."""
 
+import itertools
 import math
 import re
 import sys
@@ -79,8 +80,8 @@ CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("dynamic_rls", "memory"), ("memory_rls", "memory"), ("ambient_rls", "memory"), ("ambient_rls", "ambient"),
     ("memory_aid", "memory"), ("steady_rls", "memory"), ("steady_rls", "covariance"), ("steady_rls", "signs"),
     ("steady_rls", "threshold"),
-    ("ensemble", "prior"),
-    *((name, key) for name in ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls") for key in ("patience", "inflation")),
+    ("ensemble", "prior"), *itertools.product(
+        ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls"), ("patience", "inflation")),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "labels", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle
 
