@@ -158,10 +158,10 @@ def test_clipping_shortens_each_lane_alone():
 
 
 def test_an_outlier_fills_no_memory_of_adam():
-    """One lane in two meets 1e150 m/s: the other is untouched, and its own mean of g² stays below c²."""
+    """One lane in two meets 99 m/s: the other is untouched, and its own mean of g² stays below c²."""
     rnn, samples = RNN(), random_samples(60, 2)
     surge = samples.surge.clone()
-    surge[30, 1] = 1e150
+    surge[30, 1] = 99.0  # the fastest that counts as a measurement
     with torch.no_grad():
         clean, _, _ = rollout(rnn, rnn.init((2,)), samples)
         hit, _, _ = rollout(rnn, rnn.init((2,)), samples._replace(surge=surge))
@@ -170,8 +170,8 @@ def test_an_outlier_fills_no_memory_of_adam():
     assert all(torch.equal(x[0], y[0]) for x, y in zip(hit.weights, clean.weights, strict=True))
     loose = RNN(clip=math.inf)
     with torch.no_grad():
-        hit, _, _ = rollout(loose, loose.init((2,)), samples._replace(surge=surge.clamp(max=1e4)))
-    assert hit.moment2[1].max() > 1e3  # which is what it is for
+        hit, _, _ = rollout(loose, loose.init((2,)), samples._replace(surge=surge))
+    assert hit.moment2[1].max() > 5 * 0.1**2  # which is what it is for
 
 
 def trained() -> RNNState:

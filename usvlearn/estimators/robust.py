@@ -58,8 +58,8 @@ class Robust(Estimator):
     Args:
         estimator: any.
         threshold: c, in standard deviations. 4 leaves the errors of an imperfect model alone and takes gross outliers
-            only. Huber's 1.345 is for regressions: an estimator that departs from the last speed would follow its own
-            predictions (`benchmarks/stress.md`).
+            only. Huber's 1.345 is for regressions: with an estimator that departs from the last speed a sixth of all
+            samples would be replaced by its own predictions (`benchmarks/stress.md`).
         patience: clipped samples in a row after which the next is believed. 1 follows a boat's steps sooner; with 2 %
             of outliers two in a row then spoil the parameters now and then.
         inflation: of the estimator's covariance where a change is believed, 1 or more; broadcasts against the batch.
