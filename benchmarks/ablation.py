@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from accuracy import REAL, Log, configuration, fleet_of, measured, recorded, simulated
+from accuracy import REAL, Log, configuration, fleet_of, measured, publish, recorded, simulated
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
@@ -150,8 +150,7 @@ def main() -> None:
         *table(logs),
         "",
     ]
-    print("\n".join(text))
-    (Path(__file__).parent / "ablation.md").write_text("\n".join(text))
+    publish(__file__, text)
 
 
 if __name__ == "__main__":

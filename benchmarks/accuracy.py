@@ -261,6 +261,12 @@ def warm_network(log: Log, passes: int, seeds: int) -> Iterator[str]:
         yield f"| certified RNN, seed {seed}, {passes} passes before | {network:.4f} | {network / aid:.2f} |"
 
 
+def publish(script: str, lines: Sequence[str]) -> None:
+    """Print a study and write it beside its script."""
+    print(*lines, sep="\n")
+    Path(script).with_suffix(".md").write_text("\n".join(lines))
+
+
 def main() -> None:
     torch.set_num_threads(1)
     folder = Path(sys.argv[1])
@@ -302,8 +308,7 @@ def main() -> None:
         *warm_network(real[0][1], passes=5, seeds=3),
         "",
     ]
-    print("\n".join(text))
-    (Path(__file__).parent / "accuracy.md").write_text("\n".join(text))
+    publish(__file__, text)
 
 
 if __name__ == "__main__":

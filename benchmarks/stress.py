@@ -15,7 +15,6 @@ seed. `robust_huber` has the threshold 1.345 instead of 4. `ensemble` is BOA ove
 """
 
 import argparse
-import importlib.util
 import math
 import platform
 import statistics
@@ -26,6 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from peers import LAM, NOISE, P, Peer, peers
 from torch import Tensor, nn
 
 from usvlearn import AID, BOA, RLS, Average, Ensemble, Persistence, Robust, SIFtRLS
@@ -33,11 +33,9 @@ from usvlearn.estimator import Estimator, rollout
 from usvlearn.estimators.regressors import SurgeDynamics
 from usvlearn.signals import Inputs, Sample, named_leaves, tree_map
 
-DT, NOISE, OUTLIERS = 0.4, 0.02, 0.02  # s, m/s, share
+DT, OUTLIERS = 0.4, 0.02  # s, share
 TRUTH = np.array([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]) / 28  # θ/m
-LAM, P = 0.995, len(TRUTH)
 SIFT_MEMORY = -DT / math.log(1 - P * (1 - LAM))  # s
-NLMS_RATE, SGD_RATE = 0.3, 0.03
 WINDOW, WITHIN = 240, 1.5  # samples of the running error, all lanes; times its level before, where it counts as back
 COMPILED = 10_000  # steps from which it pays
 MODEL = SurgeDynamics(1.0)
@@ -154,87 +152,6 @@ def default_ensemble() -> Ensemble:
 def ours() -> Ensemble:
     """All of ours as members of one ensemble: it publishes what each predicts, so that one pass serves all."""
     return Ensemble({**single(MODEL), "ensemble": default_ensemble(), "persistence": Persistence()}, {"all": Average()})
-
-
-class Peer(NamedTuple):
-    """Another library's model of y = xᵀθ, behind the calls that it documents."""
-
-    predict: Callable[[np.ndarray], float]
-    learn: Callable[[np.ndarray, float], object]
-    theta: Callable[[], np.ndarray]
-    numbers: Callable[[], list[np.ndarray]] = list  # the rest of its state
-
-
-def plain_rls() -> Peer:
-    theta, cov = np.zeros(P), 10 * np.eye(P)
-
-    def learn(x: np.ndarray, y: float) -> None:
-        K = cov @ x / (LAM + x @ cov @ x)
-        theta[:] = theta + K * (y - x @ theta)
-        cov[:] = (cov - np.outer(K, x @ cov)) / LAM
-
-    return Peer(lambda x: x @ theta, learn, lambda: theta, lambda: [cov])
-
-
-def padasip_rls() -> Peer:
-    from padasip.filters import FilterRLS
-
-    rls = FilterRLS(P, mu=LAM, eps=0.1, w="zeros")
-    return Peer(rls.predict, lambda x, y: rls.adapt(y, x), lambda: rls.w, lambda: [rls.R])
-
-
-def padasip_nlms(rate: float = NLMS_RATE) -> Peer:
-    from padasip.filters import FilterNLMS
-
-    nlms = FilterNLMS(P, mu=rate, w="zeros")
-    return Peer(nlms.predict, lambda x, y: nlms.adapt(y, x), lambda: nlms.w)
-
-
-def river_bayesian() -> Peer:
-    from river.linear_model import BayesianLinearRegression
-
-    # With smoothing a sample weighs 1 − λ, so that this is the common prior.
-    bayes = BayesianLinearRegression(alpha=10 / (1 - LAM), smoothing=LAM)
-    unit = [{i: float(i == j) for i in range(P)} for j in range(P)]
-    return Peer(
-        lambda x: bayes.predict_one(dict(enumerate(x))),
-        lambda x, y: bayes.learn_one(dict(enumerate(x)), y),
-        lambda: np.array([bayes.predict_one(x) for x in unit]),
-    )
-
-
-def river_linear(rate: float = SGD_RATE) -> Peer:
-    from river import linear_model, optim
-
-    sgd = linear_model.LinearRegression(optim.SGD(rate), intercept_lr=0.0)
-    return Peer(
-        lambda x: sgd.predict_one(dict(enumerate(x))),
-        lambda x, y: sgd.learn_one(dict(enumerate(x)), y),
-        lambda: np.array([sgd.weights.get(i, 0.0) for i in range(P)]),
-    )
-
-
-def filterpy_kalman(C: np.ndarray) -> Peer:
-    from filterpy.kalman import KalmanFilter
-
-    noise = 2 * NOISE**2  # of an increment
-    kf = KalmanFilter(dim_x=P, dim_z=1)
-    kf.x, kf.P, kf.R = np.zeros((P, 1)), 10 * noise * np.eye(P), np.array([[noise]])
-    kf.Q = np.eye(P) * noise * (P * (1 - LAM) / np.sqrt(np.linalg.eigvalsh(C).clip(0)).sum()) ** 2
-
-    def predict(x: np.ndarray) -> float:
-        kf.predict()
-        return (x @ kf.x).item()
-
-    return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: kf.x[:, 0], lambda: [kf.P])
-
-
-def peers(C: Tensor) -> dict[str, Callable[[], Peer]]:
-    """Those whose library is installed; C is the mean of φφᵀ."""
-    kalman = {"filterpy_kalman": lambda: filterpy_kalman(C.numpy())}
-    others = {make.__name__: make for make in (padasip_rls, padasip_nlms, river_bayesian, river_linear)} | kalman
-    installed = {name: make for name, make in others.items() if importlib.util.find_spec(name.split("_")[0])}
-    return {"plain_rls": plain_rls, **installed}
 
 
 def regressors(samples: Sample) -> Tensor:

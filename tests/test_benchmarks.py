@@ -1,14 +1,9 @@
 """The studies in `benchmarks/` compose: every ablation is an ensemble that can be built."""
 
-import sys
-from pathlib import Path
-
 import pytest
+from ablation import pieces, settings
 
 from usvlearn import Ensemble
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from ablation import pieces, settings
 
 MEMBERS = ("aid", "rls", "rnn", "dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls", "persistence")
 PIECES = pieces(MEMBERS)

@@ -1,19 +1,14 @@
 """The stress benchmark: its scenarios do to the boat what they say, and none of ours is ever not finite."""
 
-import importlib.util
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+import stress
 import torch
+from peers import plain_rls
 
 from usvlearn import SurgeDynamics
-
-SOURCE = Path(__file__).parents[1] / "benchmarks" / "stress.py"
-SPEC = importlib.util.spec_from_file_location("stress", SOURCE)
-stress = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(stress)
 
 STEPS = 60
 NAMES = ("idle", "cruise", "mixed", "outliers", "nan", "jump", "thruster", "outage")
@@ -64,7 +59,7 @@ def test_scenarios_spoil_what_they_say(cases):
 def test_plain_rls_is_batch_least_squares():
     """min Σ λ^(n−k) (y_k − φ_kᵀθ)² + λⁿ θᵀθ/10, solved at once."""
     rng = np.random.default_rng(0)
-    phi, y, peer = rng.standard_normal((60, stress.P)), rng.standard_normal(60), stress.plain_rls()
+    phi, y, peer = rng.standard_normal((60, stress.P)), rng.standard_normal(60), plain_rls()
     for x, value in zip(phi, y, strict=True):
         peer.learn(x, value)
     weights = stress.LAM ** np.arange(59, -1, -1)
@@ -73,7 +68,7 @@ def test_plain_rls_is_batch_least_squares():
 
 
 def test_one_nan_stays_in_plain_rls_for_ever(cases):
-    assert not stress.run_peer(cases["nan"], stress.plain_rls).finite
+    assert not stress.run_peer(cases["nan"], plain_rls).finite
 
 
 @pytest.mark.parametrize("name", ["padasip_rls", "padasip_nlms", "river_bayesian", "river_linear", "filterpy_kalman"])
