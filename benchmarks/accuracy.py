@@ -19,6 +19,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
+from usvlearn.estimator import simulate
 from usvlearn.estimators.persistence import PersistenceState
 from usvlearn.evaluation.metrics import scores
 from usvlearn.learning.replay import replay
@@ -197,11 +198,7 @@ def free_run(estimator: Estimator, state, runs: Sequence[Sample]) -> np.ndarray:
     """MAE, m/s, of each column from commands alone, parameters frozen, from the speed at which each segment starts."""
     errors, record = [], (lambda s: s.predictions) if isinstance(estimator, Ensemble) else None
     for samples in runs:
-        blind = samples._replace(
-            measured=torch.zeros_like(samples.measured),
-            surge=torch.where(samples.inputs.dt == 0, samples.surge, torch.nan),
-        )
-        state, surge, published = rollout(estimator, state, blind, record=record)
+        state, surge, published = simulate(estimator, state, samples, record)
         columns = surge[..., None] if published is None else published
         scored = samples.measured & samples.fresh & (samples.inputs.dt > 0)
         errors.append((columns - samples.surge[..., None]).abs()[scored])

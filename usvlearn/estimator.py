@@ -153,14 +153,61 @@ def rollout(
         predictions.append(surge)
         if record is not None:
             records.append(record(state))
-    stacked = tree_map(lambda *leaves: torch.stack(leaves), *records) if records else None
-    return state, torch.stack(predictions), stacked
+    return state, torch.stack(predictions), _stack(records)
 
 
-def _unbind(samples: Sample) -> Iterator[Sample]:
+def simulate(
+    estimator: Estimator, state: State, samples: Sample, record: Callable[[State], Any] | None = None
+) -> tuple[State, Tensor, Any]:
+    """Run an estimator free: from the inputs alone, learning nothing; the speed is told where a segment starts.
+
+    Args:
+        estimator, state, samples, record: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
+
+    Returns:
+        As `rollout`. What `record` picks of a step that was not made is of the step before.
+
+    Raises:
+        ShapeError: as `rollout`.
+
+    >>> from usvlearn import AID, Inputs, Sample
+    >>> t = torch.ones(50, dtype=torch.float64)
+    >>> samples = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t, t > 0, t > 0)
+    >>> aid = AID(mass=28.0)
+    >>> float(simulate(aid, aid.init(), samples)[1][-1])  # it has learned nothing, whatever was measured
+    0.0
+    """
+    _check(state, samples)
+    steps = clean(samples)
+    all_step = steps.steps.reshape(len(steps.steps), -1).all(1).tolist()
+    predictions, records = [], []
+    for k, step in enumerate(_unbind(steps)):
+        coasted, surge = estimator.predict(state, step.inputs)
+        if all_step[k]:
+            state = coasted
+        else:
+            state = tree_map(
+                lambda coasted, started, held, step=step: where(step.steps, coasted, where(step.starts, started, held)),
+                coasted,
+                estimator.start(state, step.surge),
+                state,
+            )
+            surge = torch.where(step.steps, surge, math.nan)
+        predictions.append(surge)
+        if record is not None:
+            records.append(record(state))
+    return state, torch.stack(predictions), _stack(records)
+
+
+def _stack(records: list) -> Any:
+    return tree_map(lambda *leaves: torch.stack(leaves), *records) if records else None
+
+
+def _unbind(samples: Sample | Step) -> Iterator[Any]:
+    """What belongs to each time, one after the other."""
     inputs = zip(*(x.unbind(0) for x in samples.inputs), strict=True)
     for x, *y in zip(inputs, *(y.unbind(0) for y in samples[1:]), strict=True):
-        yield Sample(Inputs(*x), *y)
+        yield type(samples)(Inputs(*x), *y)
 
 
 def _check(state: State, samples: Sample) -> None:

@@ -14,6 +14,7 @@
                                    effectiveness_SIDE and evidence_SIDE of a lost thruster, alarm (0 or 1), alarms
     prediction/BOAT, thrusters/BOAT  figures; the latter of the run in which an alarm was raised
     total/mae/ESTIMATOR            m/s, whole run, mean over boats: what the HPARAMS page compares
+    report/FIGURE, report/SECTION  of a report: its figures; what was found, and its tables, as text
 
 The horizontal axis counts the steps of the grid. The CUSTOM SCALARS page draws all estimators in one chart.
 """
@@ -55,6 +56,10 @@ class Board:
     def figure(self, tag: str, figure, step: int) -> None:
         """A matplotlib figure."""
         self._writer.add_figure(tag, figure, step)
+
+    def text(self, tag: str, markdown: str) -> None:
+        """A text, for the TEXT page."""
+        self._writer.add_text(tag, markdown)
 
     def hparams(self, settings: Mapping[str, object], results: Mapping[str, float]) -> None:
         """The one record by which TensorBoard's HPARAMS page compares runs; names with a leading _ are left out."""

@@ -172,11 +172,8 @@ class Ensemble(Estimator):
 
     def learn(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> tuple[EnsembleState, Tensor]:
         learned = {name: member.learn(state.members[name], inputs, surge) for name, member in self.members.items()}
-        published, chosen, output = self._publish(state, {name: predicted for name, (_, predicted) in learned.items()})
-        combiners = {
-            name: combiner.learn(state.combiners[name], chosen[name], surge, inputs.dt)
-            for name, combiner in self.combiners.items()
-        }
+        published, seen, output = self._publish(state, {name: predicted for name, (_, predicted) in learned.items()})
+        combiners = self.reweigh(state.combiners, seen, surge, inputs.dt)
         innovations = surge[..., None] - published
         conformal = conformal_step(state.conformal, innovations, self.coverage)
         watched = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
@@ -205,15 +202,26 @@ class Ensemble(Estimator):
             shown |= {f"monitors/{key}": value for key, value in report.items()}
         return shown
 
+    def seen(self, predictions: Tensor) -> dict[str, Tensor]:
+        """What each rule sees of the members' predictions, m/s, `(*batch, columns)`: its own, NaN where they sleep."""
+        awake = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
+        every = list(range(len(self.columns)))
+        return {name: awake if places == every else awake[..., places] for name, places in self._places.items()}
+
+    def combine(self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """What each rule makes of what it has seen, m/s, `(*batch,)`."""
+        return {name: rule.combine(combiners[name], seen[name]) for name, rule in self.combiners.items()}
+
+    def reweigh(
+        self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor], surge: Tensor, dt: Tensor
+    ) -> dict[str, Any]:
+        """The rules' states after `surge`, m/s, was measured, `dt` s after the measurement before."""
+        return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}
+
     def _publish(self, state: EnsembleState, surges: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor], Tensor]:
-        """All predictions, `(*batch, names)`; what each combiner sees of them, NaN where asleep; the ensemble's own."""
+        """All predictions, `(*batch, names)`; what each rule has seen of them; the ensemble's own."""
         parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
         single = torch.cat(parts, -1)
-        awake = torch.where(single.abs() < self.surge_max, single, torch.nan)
-        chosen = {
-            name: awake if places == list(range(len(self.columns))) else awake[..., places]
-            for name, places in self._places.items()
-        }
-        combined = {name: rule.combine(state.combiners[name], chosen[name]) for name, rule in self.combiners.items()}
-        published = torch.cat([single, torch.stack(list(combined.values()), -1)], -1)
-        return published, chosen, combined[self.output]
+        seen = self.seen(single)
+        combined = self.combine(state.combiners, seen)
+        return torch.cat([single, torch.stack(list(combined.values()), -1)], -1), seen, combined[self.output]

@@ -69,6 +69,14 @@ MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, 
 AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
 
 
+UNITS = {
+    "drag_quadratic": "kg/m", "drag_linear": "kg/s", "drag_cross": "kg/rad",
+    **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
+       for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},
+    "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
+}  # fmt: skip
+
+
 class SurgeDynamics(nn.Module):
     """One step of the surge dynamics, m·surge_dot = Wᵀθ: v⁺ = v + φᵀθ with φ = dt·W/m.
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from usvlearn.errors import MissingExtraError
-from usvlearn.evaluation.figures import COLOURS
+from usvlearn.evaluation.figures import INK, colours, themed
 
-SIDES = {"left": COLOURS[0], "right": COLOURS[1]}
+SIDES = {"left": "#6A5ACD", "right": "#44AA99"}
+FAULT, ALARM = "#B0417A", "#AA4499"
 
 
 def fault_figure(
@@ -46,45 +46,43 @@ def fault_figure(
     >>> [axes.get_ylabel() for axes in figure.axes]
     ['share of the thrust', 'surge, m/s', 'evidence of a loss']
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError("matplotlib", "plot", "the figure of a fault") from error
-    figure = Figure(figsize=(9, 7.5), dpi=80)
-    figure.subplots_adjust(left=0.08, right=0.98, top=0.91, bottom=0.07, hspace=0.12)
-    thrust, speed, proof = axes = figure.subplots(3, 1, sharex=True, height_ratios=(2, 3, 2))
-    minutes = time / 60
-    for k, (side, colour) in enumerate(SIDES.items()):
-        thrust.plot(minutes, effectiveness[:, k], color=colour, linewidth=1.4, label=side)
-        proof.plot(minutes, evidence[:, k], color=colour, linewidth=1.4, label=side)
-    speed.plot(minutes, surge, color="black", linewidth=2.2, label="measured")
-    for k, (name, prediction) in enumerate(predictions.items()):
-        speed.plot(minutes, prediction, color=COLOURS[(k + 2) % len(COLOURS)], linewidth=0.9, label=name)
-    proof.axhline(threshold, color="black", linewidth=1, linestyle=":", label="threshold")
-    for panel in axes:
-        if fault is not None:
-            panel.axvline(fault / 60, color=COLOURS[5], linewidth=1.5, linestyle="--")
-        for alarm in alarms:
-            panel.axvline(alarm / 60, color=COLOURS[3], linewidth=1.5)
-        panel.grid(alpha=0.25)
-        panel.margins(x=0, y=0.08)
-    _mark(thrust, fault, alarms)
-    thrust.set(ylabel=unit)
-    speed.set(ylabel="surge, m/s")
-    proof.set(ylabel="evidence of a loss", xlabel="time, min")
-    for panel in axes:
-        low, high = panel.get_ylim()
-        panel.set_ylim(low, high + 0.22 * (high - low))  # room for the legend
-        panel.legend(loc="upper left", ncols=6, fontsize="small")
-    figure.suptitle(title)
-    return figure
+    palette = colours(list(predictions))
+    with themed() as Figure:
+        figure = Figure(figsize=(9, 7.5), dpi=80)
+        figure.subplots_adjust(left=0.08, right=0.98, top=0.91, bottom=0.07, hspace=0.12)
+        thrust, speed, proof = axes = figure.subplots(3, 1, sharex=True, height_ratios=(2, 3, 2))
+        minutes = time / 60
+        for k, (side, colour) in enumerate(SIDES.items()):
+            thrust.plot(minutes, effectiveness[:, k], color=colour, linewidth=1.4, label=side)
+            proof.plot(minutes, evidence[:, k], color=colour, linewidth=1.4, label=side)
+        speed.plot(minutes, surge, color=INK, linewidth=2.2, label="measured")
+        for name, prediction in predictions.items():
+            speed.plot(minutes, prediction, color=palette[name], linewidth=0.9, label=name)
+        proof.axhline(threshold, color=INK, linewidth=1, linestyle=":", label="threshold")
+        for panel in axes:
+            if fault is not None:
+                panel.axvline(fault / 60, color=FAULT, linewidth=1.5, linestyle="--")
+            for alarm in alarms:
+                panel.axvline(alarm / 60, color=ALARM, linewidth=1.5)
+            panel.grid(alpha=0.25)
+            panel.margins(x=0, y=0.08)
+        _mark(thrust, fault, alarms)
+        thrust.set(ylabel=unit)
+        speed.set(ylabel="surge, m/s")
+        proof.set(ylabel="evidence of a loss", xlabel="time, min")
+        for panel in axes:
+            low, high = panel.get_ylim()
+            panel.set_ylim(low, high + 0.22 * (high - low))  # room for the legend
+            panel.legend(loc="upper left", ncols=6, fontsize="small")
+        figure.suptitle(title)
+        return figure
 
 
 def _mark(panel, fault: float | None, alarms: Sequence[float]) -> None:
     """Names the vertical lines above the panel; of the alarms the first alone, on the far side of the fault."""
     style = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": "small"}
     if fault is not None:
-        panel.annotate("fault ", (fault / 60, 1), (0, 4), ha="right", color=COLOURS[5], **style)
+        panel.annotate("fault ", (fault / 60, 1), (0, 4), ha="right", color=FAULT, **style)
     if len(alarms):
         after = "" if fault is None else f" {alarms[0] - fault:.0f} s after"
-        panel.annotate(f" alarm{after}", (alarms[0] / 60, 1), (0, 4), ha="left", color=COLOURS[3], **style)
+        panel.annotate(f" alarm{after}", (alarms[0] / 60, 1), (0, 4), ha="left", color=ALARM, **style)

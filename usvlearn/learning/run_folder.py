@@ -144,7 +144,7 @@ class RunFolder:
         configuration = self.metadata.get("configuration", {})
         ensemble = json.dumps([configuration.get("estimators"), configuration.get("combiners")])
         boats = {
-            boat: [[run.names[lane], run.lengths[lane], _digest(run, lane)] for run in self.fleet.runs]
+            boat: [[run.names[lane], run.lengths[lane], digest(run, lane)] for run in self.fleet.runs]
             for lane, boat in enumerate(self.fleet.boats)
         }
         return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
@@ -176,7 +176,7 @@ class RunFolder:
     def _from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one parameter set."""
         state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
-        state = _side_by_side([state] * len(self.fleet.boats))
+        state = side_by_side([state] * len(self.fleet.boats))
         return start._replace(state=state, note=f"starting from {facts['boat']}, run {facts['run']}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
@@ -191,11 +191,11 @@ class RunFolder:
                 )
             lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
         note = f"starting from the newest parameter sets of {source}, from the first run on"
-        return start._replace(state=_side_by_side(lanes), note=note)
+        return start._replace(state=side_by_side(lanes), note=note)
 
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
-        places = sorted(filter(None, map(_place, (source / PREDICTIONS).glob("*.npz"))))
+        places = sorted(filter(None, map(position, (source / PREDICTIONS).glob("*.npz"))))
         readable: list[tuple[Position, dict[str, np.ndarray]]] = []
         for place in places:
             path, before = source / PREDICTIONS / f"{_stem(place)}.npz", readable[-1][0] if readable else BEGIN
@@ -237,7 +237,7 @@ class RunFolder:
         for (run, _), published in readable:
             self._chunks[run].append(published)
         self._bring(source, place)
-        return Start(_side_by_side(lanes), place, note)
+        return Start(side_by_side(lanes), place, note)
 
     def _own(self, lane: int, place: Position) -> Position:
         """Where a boat stood when the fleet stood at `place`: its runs may be shorter, or fewer."""
@@ -251,7 +251,7 @@ class RunFolder:
         if source.resolve() == self.path.resolve():
             return
         for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
-            if (found := _place(old)) is not None and found <= place:
+            if (found := position(old)) is not None and found <= place:
                 new = self.path / old.relative_to(source)
                 new.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(new, old.read_bytes())
@@ -261,7 +261,7 @@ class RunFolder:
         self.path.mkdir(parents=True, exist_ok=True)
         (self.path / RESULTS).unlink(missing_ok=True)
         for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
-            if (found := _place(old)) is None or found > place:
+            if (found := position(old)) is None or found > place:
                 old.unlink()
 
 
@@ -270,7 +270,7 @@ def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _place(path: Path) -> Position | None:
+def position(path: Path) -> Position | None:
     """What a file's name says, None where it is none of ours."""
     run, _, step = path.stem.partition("_")
     return Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
@@ -290,7 +290,7 @@ def _set(folder: Path, boat: str, place: Position) -> Path:
     return folder / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}"
 
 
-def _digest(run: Run, lane: int) -> str:
+def digest(run: Run, lane: int) -> str:
     """A sha256 of one boat's samples."""
     total = hashlib.sha256()
     for name, leaf in named_leaves(run.samples):
@@ -306,6 +306,6 @@ def _lane(state: EnsembleState, lane: int) -> EnsembleState:
     return tree_map(lambda x: x[lane], state)
 
 
-def _side_by_side(lanes: Sequence[EnsembleState]) -> EnsembleState:
+def side_by_side(lanes: Sequence[EnsembleState]) -> EnsembleState:
     """The inverse of `_lane`: one state of all boats."""
     return tree_map(lambda *leaves: torch.stack(leaves), *lanes)

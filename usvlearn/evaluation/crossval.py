@@ -1,0 +1,162 @@
+"""Cross-validation: saved parameter sets, simulated free on runs that they were not learned from (paper, section VI-B).
+
+All sets times all runs are lanes of one batch. Nothing but the inputs is told, and the speed at which a segment starts.
+A rule that weighs the members stands in the tables twice: with the weights that were saved, and as NAME+, with weights
+that go on learning along the run, each prediction made before its measurement is seen; the paper's weighted ensemble
+was judged so, and it is no free run, since its weights see the speed.
+
+A simulation *diverges* where it leaves ± surge_max of the ensemble, or is not finite. It is counted; its error is that
+of the limit where it stays beyond it, so that a mean is bad, but finite, and no simulation is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usvlearn.estimator import clean, simulate
+from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
+
+LANES = 2048  # of one batch: what fits a processor's cache, roughly
+CHUNK = 128  # steps whose predictions are held at a time
+
+
+class FreeErrors(NamedTuple):
+    """Errors of free simulations; arrays are `(sets, runs, methods)` where not said otherwise."""
+
+    methods: tuple[str, ...]
+    mae: np.ndarray  # m/s; NaN where a run has no measured step
+    mse: np.ndarray  # m²/s²
+    diverged: np.ndarray  # bool
+    steps: np.ndarray  # (runs,) measured steps
+
+    def pooled(self, errors: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
+        """`mae` or `mse` of each set over its runs, all steps alike, `(sets, methods)`.
+
+        Args:
+            errors: `(sets, runs, methods)`.
+            some: bool, `(sets, runs)`, the runs that count for each set; all by default.
+        """
+        weight = np.broadcast_to(self.steps, errors.shape[:2]) * (1.0 if some is None else some)
+        with np.errstate(invalid="ignore"):
+            return (weight[..., None] * np.nan_to_num(errors)).sum(1) / weight.sum(1)[:, None]
+
+
+def methods(ensemble: Ensemble) -> tuple[str, ...]:
+    """The ensemble's names, and NAME+ for each rule whose weights can go on learning.
+
+    >>> from usvlearn import AID, BOA, Average, Persistence
+    >>> members = {"aid": AID(), "persistence": Persistence()}
+    >>> methods(Ensemble(members, {"average": Average(), "ensemble": BOA()}))
+    ('aid', 'persistence', 'average', 'ensemble', 'ensemble+')
+    """
+    return (*ensemble.names, *(f"{name}+" for name in _learning(ensemble)))
+
+
+def _learning(ensemble: Ensemble) -> list[str]:
+    like = torch.zeros((), dtype=torch.float64)
+    return [name for name, rule in ensemble.combiners.items() if any(True for _ in named_leaves(rule.init((), like)))]
+
+
+@torch.no_grad()
+def cross_validate(
+    ensemble: Ensemble,
+    state: Any,
+    runs: Sequence[Sample],
+    lanes: int = LANES,
+    advance: Callable[[int], object] = lambda steps: None,
+) -> FreeErrors:
+    """Simulate every parameter set free on every run.
+
+    Args:
+        ensemble: to which the sets belong.
+        state: the sets, leaves `(sets, ...)`.
+        runs: samples of one run each, leaves `(time,)`, NumPy arrays or tensors.
+        lanes: simulations in a batch, at most, or all sets on one run.
+        advance: is told of lane-steps done, for a progress bar.
+
+    >>> from usvlearn import AID, Persistence
+    >>> t = torch.ones(5, dtype=torch.float64)
+    >>> run = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), t, t > 0, t > 0)
+    >>> ensemble = Ensemble({"aid": AID(), "persistence": Persistence()})
+    >>> cross_validate(ensemble, ensemble.init((3,)), [run, run]).mae[:, 0, 1]  # persistence stays at 0 m/s
+    array([1., 1., 1.])
+    """
+    names = methods(ensemble)
+    sets = next(leaf for _, leaf in named_leaves(state)).shape[0]
+    shape = (sets, len(runs), len(names))
+    found = FreeErrors(
+        names, np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, bool), np.zeros(len(runs))
+    )
+    order = np.argsort([-len(run.surge) for run in runs], kind="stable")
+    at_once = max(1, lanes // sets)
+    for first in range(0, len(runs), at_once):
+        some = order[first : first + at_once]  # of nearly the same length
+        absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance)
+        found.steps[some] = steps
+        with np.errstate(invalid="ignore"):
+            found.mae[:, some], found.mse[:, some] = absolute / steps[:, None], square / steps[:, None]
+        found.diverged[:, some] = diverged
+    return found
+
+
+def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object]):
+    """Sums of |error| and error², `(sets, runs, methods)`, which simulations diverged, and the runs' measured steps."""
+    dtype, sets = state.predictions.dtype, state.predictions.shape[0]
+    samples = _side_by_side(runs, dtype)  # (time, runs)
+    batch = (sets, len(runs))
+    state = tree_map(lambda x: x[:, None].expand(*batch, *x.shape[1:]), state)
+    weights, learning = state.combiners, _learning(ensemble)
+    total = [0.0, 0.0, False]
+    scored = clean(samples).learns.to(dtype).sum(0).numpy()
+    for begin in range(0, len(samples.surge), CHUNK):
+        part = tree_map(lambda x, b=begin: x[b : b + CHUNK, None].expand(-1, *batch), samples)
+        state, _, published = simulate(ensemble, state, part, record=lambda s: s.predictions)
+        step = clean(part)
+        if learning:
+            weights, combined = _reweighed(ensemble, weights, published, step, learning)
+            published = torch.cat([published, combined], -1)
+        limit = ensemble.surge_max
+        clipped = torch.where(published.isnan(), limit, published).clamp(-limit, limit)
+        error = torch.where(step.learns[..., None], (clipped - step.surge[..., None]).abs(), 0.0)
+        beyond = step.steps[..., None] & ~(published.abs() < limit)
+        for k, more in enumerate((error.sum(0), (error * error).sum(0))):
+            total[k] = total[k] + more
+        total[2] = total[2] | beyond.any(0)
+        advance(step.steps[:, 0].sum().item() * sets)
+    return (*(x.numpy() for x in total), scored)
+
+
+def _reweighed(ensemble: Ensemble, weights: dict, published: Tensor, step, learning: Sequence[str]):
+    """The rules' states at the end, and their predictions with weights that learn, `(time, *batch, rules)`."""
+    combined = []
+    for k, predictions in enumerate(published[..., : len(ensemble.columns)]):
+        seen = ensemble.seen(predictions)
+        said = ensemble.combine(weights, seen)
+        combined.append(torch.stack([said[name] for name in learning], -1))
+        learned = ensemble.reweigh(weights, seen, step.surge[k], step.inputs.dt[k])
+        weights = tree_map(lambda new, old, k=k: where(step.learns[k], new, old), learned, weights)
+    return weights, torch.stack(combined)
+
+
+def _side_by_side(runs: Sequence[Sample], dtype: torch.dtype) -> Sample:
+    """Runs as lanes `(time, runs)`, padded to the longest with samples that are never fresh."""
+    longest = max(len(run.surge) for run in runs)
+
+    def padded(*leaves) -> Tensor:
+        leaves = [torch.as_tensor(leaf) for leaf in leaves]
+        whole = torch.zeros((longest, len(leaves)), dtype=dtype if leaves[0].is_floating_point() else torch.bool)
+        for lane, leaf in enumerate(leaves):
+            whole[: len(leaf), lane] = leaf
+        return whole
+
+    inputs = Inputs(*(padded(*leaves) for leaves in zip(*(run.inputs for run in runs), strict=True)))
+    surge, fresh, measured = (padded(*leaves) for leaves in zip(*(run[1:] for run in runs), strict=True))
+    for lane, run in enumerate(runs):
+        inputs.dt[len(run.surge) :, lane] = 1.0  # 0 would open a segment
+    return Sample(inputs, surge, fresh, measured)

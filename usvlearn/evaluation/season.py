@@ -1,0 +1,41 @@
+"""What a season left of each boat: its runs, and the parameter sets that were saved on the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.signals import Sample
+
+
+class SeasonRun(NamedTuple):
+    """One run of one boat."""
+
+    name: str
+    key: str  # a sha256 of the samples
+    samples: Sample  # leaves (time,), NumPy
+    published: dict[str, np.ndarray]  # (time, ...) what was predicted online (`learning.replay.PUBLISHED`), or empty
+
+    @property
+    def steps(self) -> np.ndarray:
+        """Which steps were made and measured, `(time,)` bool."""
+        samples = self.samples
+        return samples.measured & samples.fresh & (samples.inputs.dt > 0) & np.isfinite(samples.surge)
+
+
+class Season(NamedTuple):
+    """One boat over all its runs."""
+
+    boat: str
+    runs: tuple[SeasonRun, ...]
+    state: Any  # the parameter sets in the order in which they were saved, leaves (sets, ...)
+    paths: tuple[Path, ...]  # of the sets
+    own: np.ndarray  # (sets,) index of the run in which each was saved, -1 where it is none of `runs`
+    hours: np.ndarray  # (sets,) h on the water until then
+
+    @property
+    def others(self) -> np.ndarray:
+        """Which runs a set was not saved in, bool `(sets, runs)`."""
+        return self.own[:, None] != np.arange(len(self.runs))

@@ -1,0 +1,81 @@
+"""Parameters and time per sample of each method on this machine (paper, table I)."""
+
+from __future__ import annotations
+
+import platform
+import statistics
+import time
+from typing import Any
+
+import torch
+
+from usvlearn.estimators.aid import AID
+from usvlearn.estimators.ensemble import Bank, Ensemble
+from usvlearn.estimators.rls import RLS
+from usvlearn.estimators.rnn import RNN
+from usvlearn.estimators.sift import SIFtRLS
+from usvlearn.evaluation.section import Section
+from usvlearn.evaluation.sheet import Sheet
+from usvlearn.signals import Inputs, named_leaves
+
+SAID = (
+    "AID: 9 parameters, O(p) to predict and to learn. RNN: n = 20, m = 4, 140 weights, O(n (m + 1)) both. RLS: 9 "
+    "parameters, O(p) and O(p²). No times are given; it ran on a Raspberry Pi 4."
+)
+ORDERS = {  # to predict, to learn
+    AID: ("p", "p"), RNN: ("n (m + 1)", "n (m + 1), sorting n to project"), RLS: ("p", "p²"),
+    SIFtRLS: ("p", "p³: a solve"),
+}  # fmt: skip
+STEPS, PASSES = 40, 5
+
+
+def cost_section(ensemble: Ensemble) -> Section:
+    """One boat, one sample at a time, as aboard: median over passes.
+
+    Args:
+        ensemble: whose members and rules are timed.
+    """
+    dtype = ensemble.init(()).predictions.dtype
+    value = [torch.tensor(x, dtype=dtype) for x in (0.5, 0.4, 1.0, 0.05, 0.4)]
+    inputs, surge = Inputs(*value), torch.tensor(0.8, dtype=dtype)
+    rows = []
+    with torch.no_grad():
+        for name, member in ensemble.members.items():
+            state = member.init(())
+            inner, core = member, state
+            while hasattr(inner, "estimator"):
+                inner, core = inner.estimator, getattr(core, "inner", core)
+            orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
+            predict = _median(lambda m=member, s=state: m.predict(s, inputs))
+            learn = _median(lambda m=member, s=state: m.learn(s, inputs, surge))
+            lanes = len(member.labels) if isinstance(member, Bank) else 1
+            kind = f"{type(inner).__name__}, {lanes} settings" if lanes > 1 else type(inner).__name__
+            rows.append((name, kind, _parameters(core), *(f"O({o})" for o in orders), predict, learn))
+        state = ensemble.init(())
+        whole = _median(lambda: ensemble.predict(state, inputs)), _median(lambda: ensemble.learn(state, inputs, surge))
+        rows.append(("all together", "Ensemble", sum(row[2] for row in rows), "–", "–", *whole))
+    columns = ("method", "kind", "parameters", "to predict", "to learn", "predict, µs", "predict and learn, µs")
+    machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
+    here = [
+        f"Measured on {machine}: one boat, one sample at a time, the median of {PASSES} passes of {STEPS} steps.",
+        "Most of it is torch's overhead per operation; as lanes of one batch, a thousand boats cost little more.",
+    ]
+    return Section("cost", "Parameters and time per sample", SAID, here, (), [Sheet("cost", columns, rows)])
+
+
+def _parameters(state: Any) -> int:
+    """What the method identifies: θ, or the network's weights."""
+    identified = [leaf for name, leaf in named_leaves(state) if name == "theta" or name.startswith("weights.")]
+    return sum(leaf.numel() for leaf in identified)
+
+
+def _median(work) -> float:
+    """µs a call."""
+    work()
+    passes = []
+    for _ in range(PASSES):
+        start = time.perf_counter()
+        for _ in range(STEPS):
+            work()
+        passes.append((time.perf_counter() - start) / STEPS)
+    return 1e6 * statistics.median(passes)

@@ -1,0 +1,99 @@
+"""Cross-validation of every saved set on every other run of its boat (paper, figure 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from usvlearn.evaluation.crossval import FreeErrors
+from usvlearn.evaluation.season import Season
+from usvlearn.evaluation.season_figures import Box, box, boxes_figure
+from usvlearn.evaluation.section import PAPER, Drawn, Section, of
+from usvlearn.evaluation.sheet import Sheet
+
+SAID = (
+    "43 to 82 saved sets per boat. AID had the lowest error on seven of eight boats and the smallest range on six; "
+    "RNN and RLS had many outliers; AVE was no better than AID; the RLS-weighted ensemble, whose weights were learned "
+    "offline, step by step as if online, was better than all of them."
+)
+
+
+def cross_section(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]) -> Section:
+    """The distribution of the free-run MAE over (set, other run), per boat and method.
+
+    Args:
+        seasons: of all boats.
+        errors: of the sets of each boat on all of its runs.
+    """
+    boxes: dict[str, dict[str, Box | None]] = {}
+    subtitles, rows = {}, []
+    for season in seasons:
+        found, others = errors[season.boat], season.others & (errors[season.boat].steps > 0)
+        boxes[season.boat] = {
+            name: box(found.mae[..., k][others], int(found.diverged[..., k][others].sum()))
+            for k, name in enumerate(found.methods)
+        }
+        subtitles[season.boat] = f"{len(season.own)} sets × {len(season.runs)} runs"
+        for name, each in boxes[season.boat].items():
+            if each is not None:
+                iqr = each.upper - each.lower
+                outliers = int((each.beyond > each.upper + 1.5 * iqr).sum())
+                rows.append((season.boat, name, each.median, each.mean, each.lower, each.upper, each.low, each.high,
+                             outliers, each.diverged, each.count))  # fmt: skip
+    if not rows:
+        here = ["There is no other run to simulate: each boat has one, from which all of its sets came."]
+        return Section("crossval", "Cross-validation", SAID, here)
+    columns = ("boat", "method", "median MAE, m/s", "mean, m/s", "lower quartile, m/s", "upper quartile, m/s",
+               "5 %, m/s", "95 %, m/s", "outliers", "diverged", "simulations")  # fmt: skip
+    caption = (
+        "Every saved set on every other run of its boat, from the inputs alone. Box: quartiles of the MAE; line: 5 to "
+        "95 %; diamond: mean; dots: beyond; div.: simulations that left the physical limit, which count with the error "
+        "of the limit. NAME+ (hollow) weighs the free members by what was measured so far: it sees the speed. "
+        "Outliers of the table lie 1.5 quartile distances above the box."
+    )
+    known = {boat: row for boat, row in boxes.items() if all(each is not None for each in row.values())}
+    return Section(
+        "crossval",
+        "Cross-validation: free runs of every saved set",
+        SAID,
+        _told(known),
+        [Drawn("crossval", boxes_figure(boxes, subtitles, "MAE of a free run, m/s"), caption)],
+        [Sheet("crossval", columns, rows)],
+    )
+
+
+def _told(boats: Mapping[str, Mapping[str, Box]]) -> list[str]:
+    names, count = list(next(iter(boats.values()))), len(boats)
+    three = [name for name in PAPER if name in names]
+    told = []
+    if len(three) > 1:
+        best = [min(three, key=lambda name, row=row: row[name].mean) for row in boats.values()]
+        told.append(
+            f"Of {', '.join(three)} the lowest mean has " + ", ".join(f"{n} on {best.count(n)}" for n in three)
+            + f" of {count}."
+        )  # fmt: skip
+        best = [min(three, key=lambda name, row=row: row[name].high - row[name].low) for row in boats.values()]
+        told.append("The smallest range (5 to 95 %): " + ", ".join(f"{n} on {best.count(n)}" for n in three) + ".")
+    if {"average", "aid"} <= set(names):
+        told.append(f"The average beats AID on {of(_less(boats, 'average', ['aid']), count)}.")
+    for name in ("weighted", "weighted+"):
+        if name in names and three:
+            how = "that go on learning from the measured speed" if name.endswith("+") else "as they were saved"
+            told.append(
+                f"The RLS-weighted ensemble, with weights {how}, beats all of {', '.join(three)} on "
+                f"{of(_less(boats, name, three), count)}."
+            )
+    free = [name for name in names if not name.endswith("+")]
+    means = {name: float(np.mean([row[name].mean for row in boats.values()])) for name in free}
+    best = sorted(means, key=means.__getitem__)[:3]
+    told.append("Lowest of all free runs, mean over boats: " + ", ".join(f"{n} {means[n]:.3f} m/s" for n in best) + ".")
+    diverged = {name: sum(row[name].diverged for row in boats.values()) for name in names}
+    total = sum(row[names[0]].count for row in boats.values())
+    bad = ", ".join(f"{name} {number}" for name, number in diverged.items() if number)
+    told.append(f"Diverged, of {total} simulations per method: {bad or 'none'}.")
+    return told
+
+
+def _less(boats: Mapping[str, Mapping[str, Box]], name: str, others: Sequence[str]) -> int:
+    return sum(all(row[name].mean < row[other].mean for other in others) for row in boats.values())

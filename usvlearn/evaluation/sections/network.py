@@ -1,0 +1,114 @@
+"""The recurrent network over the season: certificates, and equilibria (paper, figure 2)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from certify import exact
+from certify.equilibria import surge_inputs, sweep
+from certify.figures import equilibria_figure
+from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.estimators.rnn import RNN, lane_weights
+from usvlearn.evaluation.season import Season
+from usvlearn.evaluation.season_figures import certificates_figure
+from usvlearn.evaluation.section import Drawn, Section
+from usvlearn.evaluation.sheet import Sheet
+
+SAID = (
+    "The contraction condition was a cost in training, and the app told whether it held; the share of time at which it "
+    "did is not reported. A hypothetical network illustrates the equilibria; a contracting network has one."
+)
+HEADINGS = 24  # at which equilibria are looked for
+
+
+def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
+    """Margins at every saved set, in rational arithmetic, and the equilibria of each boat's last network.
+
+    None where the ensemble has no network.
+
+    Args:
+        seasons: of all boats.
+        ensemble: to which the sets belong; its first RNN is looked at.
+    """
+    name = next((name for name, member in ensemble.members.items() if isinstance(member, RNN)), None)
+    if name is None:
+        return None
+    surge_max = 0.5 / ensemble.members[name].scale
+    networks = {s.boat: [lane_weights(s.state.members[name], k) for k in range(len(s.own))] for s in seasons}
+    margins: dict[str, dict[str, np.ndarray]] = {}
+    for boat, some in networks.items():
+        found = [exact.conditions(weights.a, weights.w1) for weights in some]
+        for condition in found[0]:
+            margins.setdefault(condition, {})[boat] = np.array([float(each[condition].margin) for each in found])
+    held = {
+        condition: (sum(int((m > 0).sum()) for m in boats.values()), sum(len(m) for m in boats.values()))
+        for condition, boats in margins.items()
+    }
+    rates = {
+        boat: np.array([float(max(exact.extreme_slopes(w.a, w.w1))) for w in some]) for boat, some in networks.items()
+    }
+    headings = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
+    inputs = surge_inputs(headings)
+    rows = []
+    for season in seasons:
+        last = networks[season.boat][-1]
+        rest = [each for some in sweep(last, inputs) for each in some]
+        places = [2 * surge_max * each.x for each in rest]
+        kinds = ", ".join(f"{kind} {n}" for kind, n in _counted(each.kind for each in rest))
+        rows.append((season.boat, float(rates[season.boat][-1]), len(rest) / HEADINGS, min(places, default=None),
+                     max(places, default=None), kinds or "none"))  # fmt: skip
+    steps = sum(len(boats) for boats in rates.values())
+    told = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, (n, _) in held.items()) + "."]
+    told.append(
+        "A network that holds the paper's condition (K < ¼) has a time constant under 0.72 steps, and no hull is so "
+        "quick; tight (K < 1) is what all activation patterns together need."
+    )
+    one = all(row[2] == 1 for row in rows)
+    told.append(
+        f"At rest (no thrust, {HEADINGS} headings) the last network of "
+        + (
+            "every boat has one equilibrium at each heading."
+            if one
+            else "some boats has none or several: see the table."
+        )
+    )
+    first = seasons[0].boat
+    drawn = [
+        Drawn(
+            "certificates",
+            certificates_figure({s.boat: s.hours for s in seasons}, {**margins, "rate": rates}),
+            "Margins of the conditions at every saved set, computed in rational arithmetic: certified above the red "
+            "line; and the exact rate over all activation patterns, certified below it.",
+        ),
+        Drawn(
+            "equilibria",
+            equilibria_figure(networks[first][-1], inputs, f"{first}: {name} at rest", headings=headings),
+            f"The map of the last network of {first} without thrust, at {HEADINGS} headings; x = v / {2 * surge_max:g} "
+            "m/s.",
+        ),
+    ]
+    columns = (
+        "boat",
+        "K of the last set, per step",
+        "equilibria per heading",
+        "slowest, m/s",
+        "fastest, m/s",
+        "classes",
+    )
+    conditions = [
+        (boat, condition, int((m > 0).sum()), len(m), float(m.min()), float(m.max()))
+        for condition, boats in margins.items()
+        for boat, m in boats.items()
+    ]
+    sheets = [
+        Sheet("equilibria", columns, rows),
+        Sheet("certificates", ("boat", "condition", "sets certified", "sets", "least margin", "greatest"), conditions),
+    ]
+    return Section("network", "The network: certificates and equilibria", SAID, told, drawn, sheets)
+
+
+def _counted(kinds) -> list[tuple[str, int]]:
+    every = list(kinds)
+    return [(kind, every.count(kind)) for kind in dict.fromkeys(every)]

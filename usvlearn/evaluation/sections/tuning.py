@@ -1,0 +1,53 @@
+"""What tuning gained: on the season that it was done on, and on the next one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from usvlearn.evaluation.metrics import mean_mae
+from usvlearn.evaluation.section import Section
+from usvlearn.evaluation.sheet import Sheet
+
+SAID = (
+    "A coarse grid search and refinement by hand on 29 h of the season before. The authors found a fair comparison "
+    "difficult: each method's performance depends on its tuning parameters."
+)
+
+
+def tuning_section(
+    tuned: Mapping[str, Mapping], after: Mapping[str, Mapping], before: Mapping[str, Mapping]
+) -> Section:
+    """The gain of each member, and of the ensemble.
+
+    Args:
+        tuned: what `tuning.json` says, by member.
+        after: scores of the season with the tuned settings, `boats` of `results.json`.
+        before: likewise with the default ones.
+    """
+    with_tuning, without = mean_mae(after), mean_mae(before)
+    rows = []
+    for name in with_tuning:
+        found = tuned.get(name)
+        own = (None,) * 5
+        if found:
+            settings = ", ".join(f"{key} {value:.4g}" for key, value in found["best"]["settings"].items())
+            first, best = found["default"]["mae"], found["best"]["mae"]
+            own = found["evaluations"], settings, first, best, 100 * (1 - best / first)
+        rows.append((name, *own, without[name], with_tuning[name], 100 * (1 - with_tuning[name] / without[name])))
+    columns = ("method", "evaluations", "tuned to", "tuning season: default, m/s", "tuned, m/s", "gain, %",
+               "next season: default, m/s", "tuned, m/s", "gain, %")  # fmt: skip
+    budget = ", ".join(sorted({str(found["evaluations"]) for found in tuned.values()}))
+    told = [
+        f"Each of {', '.join(tuned)} had {budget} evaluations beside its default, on the tuning season alone.",
+        *(
+            f"{name}: {row[5]:+.1f} % there, {row[8]:+.1f} % on the season that it was not tuned on."
+            for row in rows
+            if (name := row[0]) in tuned
+        ),
+    ]
+    if three := [row for row in rows if row[0] in ("aid", "rls", "rnn")]:
+        best = [min(three, key=lambda row, k=k: row[k])[0] for k in (6, 7)]
+        told.append(
+            f"The lowest error of {', '.join(r[0] for r in three)}: {best[0]} by default, {best[1]} when tuned."
+        )
+    return Section("tuning", "What tuning gained", SAID, told, (), [Sheet("tuning", columns, rows)])

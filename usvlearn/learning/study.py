@@ -1,0 +1,102 @@
+"""A study from nothing on a simulated fleet: tune on one season, start the next from what was learned, judge it.
+
+The stages, each in a folder of its own, each what `train.py` does with some overrides:
+
+tune/MEMBER        settings of a member, on the tuning season, each member with the same budget
+tuned/initial      the ensemble with these settings, over the tuning season, learning from nothing
+tuned/season       the season, all boats from one parameter set: of the last sets of the tuning season's boats that
+                   which serves all of them best
+default/initial, default/season     the same without tuning: what was gained
+
+A stage that is finished is not made again; one that was killed goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from usvlearn.checkpoint import write_atomically
+from usvlearn.errors import ConfigError
+from usvlearn.learning.run_folder import RESULTS, RUNS
+
+PLAN, TUNING = "study.json", "tuning.json"
+Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
+
+
+class Study:
+    """Runs the stages.
+
+    Args:
+        folder: of the study.
+        plan: overrides of train.yaml that are `common` to both seasons, and those of `tuning` and `season`; `members`
+            to tune; `evaluations` of each.
+        train, tune: do what `train.py OVERRIDES` does, in a folder.
+        choose: of a finished folder, the checkpoint from which the next season starts.
+        say: tells the person what is being done.
+
+    Raises:
+        ConfigError: the folder holds a study of another plan.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        plan: Mapping[str, Any],
+        train: Job,
+        tune: Job,
+        choose: Callable[[Path], Path],
+        say: Callable[[str], object] = print,
+    ):
+        self.folder, self.plan, self.commands = folder, dict(plan), list[str]()
+        self._train, self._tune, self._choose, self._say = train, tune, choose, say
+        path = folder / PLAN
+        if path.exists() and json.loads(path.read_text()) != self.plan:
+            raise ConfigError(
+                f"{path}: found a study of another plan or version, expected the same: choose another folder=DIR, or "
+                "remove this one"
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, json.dumps(self.plan, indent=2).encode())
+
+    def tune(self) -> dict[str, dict]:
+        """What tuning found, by member."""
+        found = {}
+        for member in self.plan["members"]:
+            folder = self.folder / "tune" / member
+            budget = [f"grid={member}", f"tuning.evaluations={self.plan['evaluations']}"]
+            self._stage(self._tune, [*self._season("tuning"), *budget], folder, folder / TUNING)
+            found[member] = json.loads((folder / TUNING).read_text())
+        return found
+
+    def seasons(self, found: Mapping[str, Mapping]) -> tuple[Path, Path]:
+        """The folders of the season with default settings, and with those that tuning `found`."""
+        tuned = [
+            f"estimators.{member}.{path}={value}"
+            for member, each in found.items()
+            for path, value in each["best"]["settings"].items()
+        ]
+        return self._learned("default", []), self._learned("tuned", tuned)
+
+    def _season(self, name: str) -> list[str]:
+        return [*self.plan["common"], *self.plan[name]]
+
+    def _learned(self, kind: str, settings: Sequence[str]) -> Path:
+        initial, season = self.folder / kind / "initial", self.folder / kind / "season"
+        self._stage(self._train, [*self._season("tuning"), *settings], initial, initial / RESULTS)
+        start = [] if (season / RESULTS).exists() else [f"resume={self._choose(initial)}"]
+        self._stage(self._train, [*self._season("season"), *settings, *start], season, season / RESULTS)
+        return season
+
+    def _stage(self, run: Job, overrides: Sequence[str], folder: Path, done: Path) -> None:
+        self.commands.append(f"python train.py {shlex.join(overrides)} hydra.run.dir={folder}")
+        if done.exists():
+            self._say(f"{folder}: is there")
+            return
+        self._say(self.commands[-1])
+        if (folder / RUNS).exists():  # it was stopped
+            overrides = [*(each for each in overrides if not each.startswith("resume=")), f"resume={folder}"]
+        run(overrides, folder)

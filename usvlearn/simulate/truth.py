@@ -1,0 +1,82 @@
+"""What an estimator should find of a simulated boat: its true parameters, as far as the motion model can hold them.
+
+A plant whose thrust is a table, or whose drag has a knee, has no such parameters; theirs are those of the least-squares
+fits c_q |v| v + c_l v over speeds of 0 to the top speed, and α ξ + β ξ|ξ| over commands of 0 to 1. Surge data tell the
+parameters over the mass alone, so that all are scaled by declared over true mass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+
+from usvlearn.simulate.fleet import fleet_names, fleet_vessels
+from usvlearn.simulate.vessel import drag, static_thrust, steady_surge
+
+GRID = 101  # points of a fit
+
+
+def truth_of(sources: Sequence[Mapping[str, Any]], mass: float) -> dict[str, dict[str, np.ndarray]]:
+    """`true_parameters` of the one source of data, as it is configured; {} where there are more, or others.
+
+    >>> truth_of([{"_target_": "usvlearn.logs.read.read", "path": "logs"}], 28.0)
+    {}
+    """
+    if len(sources) != 1 or not sources[0]["_target_"].endswith("simulate.fleet.fleet") or sources[0].get("fault"):
+        return {}  # a fault would change the truth on the way
+    return true_parameters(mass, **sources[0])
+
+
+def true_parameters(
+    mass: float,
+    n: int,
+    plant: str,
+    hours: float,
+    mission_minutes: float,
+    seed: int,
+    spread: float = 1.0,
+    drift: float = 0.2,
+    **_,
+) -> dict[str, dict[str, np.ndarray]]:
+    """The parameters of every boat by name, one value for each mission, in the units of `SurgeDynamics`.
+
+    Args:
+        mass: declared, kg.
+        n, plant, hours, mission_minutes, seed, spread, drift: as of `usvlearn.simulate.fleet.fleet`.
+
+    >>> found = true_parameters(28.0, 1, "heron", hours=1.0, mission_minutes=30.0, seed=0, spread=0.0)
+    >>> found["heron"]["drag_linear"].round(3).tolist(), len(found["heron"])
+    ([-16.45, -16.45], 9)
+    """
+    missions = math.ceil(round(hours * 60 / mission_minutes, 6))
+    vessel = fleet_vessels(n, spread, plant, seed, missions, drift)
+    one = torch.ones(2, dtype=torch.float64)
+    top = float(steady_surge(vessel, one).max())
+    v = torch.linspace(0.0, top, GRID, dtype=torch.float64)[1:]
+    xi = torch.linspace(0.0, 1.0, GRID, dtype=torch.float64)[1:]
+    scale = (mass / vessel.mass).expand(missions, n)
+    cut = vessel._replace(**{name: leaf[..., None] for name, leaf in vessel._asdict().items() if leaf.ndim == 2})
+    force = drag(cut, v).expand(missions, n, len(v))
+    linear, quadratic = _fit(v, force)
+    found = {"drag_quadratic": quadratic, "drag_linear": linear, "drag_cross": vessel.drag_cross.expand(missions, n)}
+    sides = torch.stack([static_thrust(vessel, x.expand(2)) for x in xi], -1)  # (missions, n, 2, commands)
+    alpha, beta = _fit(xi, sides)
+    gamma = vessel.thrust_speed.expand(missions, n, 2)
+    for k, side in enumerate(("left", "right")):
+        found |= {f"thrust_linear_{side}": alpha[..., k], f"thrust_quadratic_{side}": beta[..., k]}
+        found[f"thrust_speed_{side}"] = gamma[..., k]
+    return {
+        boat: {name: (value * scale)[:, k].numpy() for name, value in found.items()}
+        for k, boat in enumerate(fleet_names(n, plant))
+    }
+
+
+def _fit(x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """a and b of y ≈ a x + b x², x > 0, `(grid,)`, y `(..., grid)`."""
+    basis = torch.stack([x, x * x], -1)
+    solved = torch.linalg.lstsq(basis, y.reshape(-1, len(x)).mT).solution
+    return tuple(row.reshape(y.shape[:-1]) for row in solved)
