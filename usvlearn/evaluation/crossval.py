@@ -78,7 +78,7 @@ def cross_validate(
         state: the sets, leaves `(sets, ...)`.
         runs: samples of one run each, leaves `(time,)`, NumPy arrays or tensors.
         lanes: simulations in a batch, at most, or all sets on one run.
-        advance: is told of lane-steps done, for a progress bar.
+        advance: is told of measured steps done, over all lanes, for a progress bar.
 
     >>> from usvlearn import AID, Persistence
     >>> t = torch.ones(5, dtype=torch.float64)
@@ -128,7 +128,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
         for k, more in enumerate((error.sum(0), (error * error).sum(0))):
             total[k] = total[k] + more
         total[2] = total[2] | beyond.any(0)
-        advance(step.steps[:, 0].sum().item() * sets)
+        advance(step.learns[:, 0].sum().item() * sets)
     return (*(x.numpy() for x in total), scored)
 
 

@@ -29,12 +29,26 @@ class Section(NamedTuple):
     sheets: Sequence[Sheet] = ()
 
 
-def of(count: int, total: int, what: str = "boats") -> str:
-    """How many, in words that can be read aloud.
+def on(count: int, boats: int) -> str:
+    """On how many boats, in words.
 
-    >>> of(8, 8), of(0, 8), of(3, 8), of(1, 1)
-    ('all 8 boats', 'none of 8 boats', '3 of 8 boats', 'the one boat')
+    >>> on(8, 8), on(0, 8), on(3, 8), on(1, 1), on(0, 1)
+    ('on all 8 boats', 'on none of 8 boats', 'on 3 of 8 boats', 'on this boat', 'not on this boat')
     """
-    if total == 1:
-        return f"the one {what.removesuffix('s')}" if count else f"not the one {what.removesuffix('s')}"
-    return f"all {total} {what}" if count == total else f"{count or 'none'} of {total} {what}"
+    if boats == 1:
+        return "on this boat" if count else "not on this boat"
+    return f"on all {boats} boats" if count == boats else f"on {count or 'none'} of {boats} boats"
+
+
+def tally(what: str, names: Sequence[str], winners: Sequence[str]) -> str:
+    """A sentence on who wins on how many boats.
+
+    >>> tally("lowest MAE", ["aid", "rls"], ["aid", "aid", "rls"])
+    'Of aid, rls the lowest MAE: aid on 2, rls on 1 of 3 boats.'
+    >>> tally("lowest MAE", ["aid", "rls"], ["aid"])
+    'Of aid, rls the lowest MAE: aid.'
+    """
+    if len(winners) == 1:
+        return f"Of {', '.join(names)} the {what}: {winners[0]}."
+    each = ", ".join(f"{name} on {winners.count(name)}" for name in names)
+    return f"Of {', '.join(names)} the {what}: {each} of {len(winners)} boats."

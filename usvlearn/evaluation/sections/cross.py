@@ -9,7 +9,7 @@ import numpy as np
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import Box, box, boxes_figure
-from usvlearn.evaluation.section import PAPER, Drawn, Section, of
+from usvlearn.evaluation.section import PAPER, Drawn, Section, on, tally
 from usvlearn.evaluation.sheet import Sheet
 
 SAID = (
@@ -69,20 +69,17 @@ def _told(boats: Mapping[str, Mapping[str, Box]]) -> list[str]:
     told = []
     if len(three) > 1:
         best = [min(three, key=lambda name, row=row: row[name].mean) for row in boats.values()]
-        told.append(
-            f"Of {', '.join(three)} the lowest mean has " + ", ".join(f"{n} on {best.count(n)}" for n in three)
-            + f" of {count}."
-        )  # fmt: skip
+        told.append(tally("lowest mean", three, best))
         best = [min(three, key=lambda name, row=row: row[name].high - row[name].low) for row in boats.values()]
-        told.append("The smallest range (5 to 95 %): " + ", ".join(f"{n} on {best.count(n)}" for n in three) + ".")
+        told.append(tally("smallest range (5 to 95 %)", three, best))
     if {"average", "aid"} <= set(names):
-        told.append(f"The average beats AID on {of(_less(boats, 'average', ['aid']), count)}.")
+        told.append(f"The average beats AID {on(_less(boats, 'average', ['aid']), count)}.")
     for name in ("weighted", "weighted+"):
         if name in names and three:
             how = "that go on learning from the measured speed" if name.endswith("+") else "as they were saved"
             told.append(
-                f"The RLS-weighted ensemble, with weights {how}, beats all of {', '.join(three)} on "
-                f"{of(_less(boats, name, three), count)}."
+                f"The RLS-weighted ensemble, with weights {how}, beats all of {', '.join(three)} "
+                f"{on(_less(boats, name, three), count)}."
             )
     free = [name for name in names if not name.endswith("+")]
     means = {name: float(np.mean([row[name].mean for row in boats.values()])) for name in free}

@@ -9,7 +9,7 @@ import numpy as np
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import matrix_figure
-from usvlearn.evaluation.section import Drawn, Section, of
+from usvlearn.evaluation.section import Drawn, Section, on
 from usvlearn.evaluation.sheet import Sheet
 
 SAID = (
@@ -63,7 +63,7 @@ def fleet_section(seasons: Sequence[Season], matrices: Mapping[str, np.ndarray],
         away = matrix[~np.eye(len(boats), dtype=bool)]
         ratio = np.nanmean(away) / np.nanmean(np.diag(matrix))
         told.append(
-            f"{name}: on {of(own, len(boats))} the own set is the best; another boat's has {ratio:.2f} × the MSE "
+            f"{name}: {on(own, len(boats))} the own set is the best; another boat's has {ratio:.2f} × the MSE "
             "of the own, on average."
         )
         for boat, row in zip(boats, matrix, strict=True):

@@ -9,7 +9,7 @@ import numpy as np
 from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import box, boxes_figure
-from usvlearn.evaluation.section import PAPER, Drawn, Section, of
+from usvlearn.evaluation.section import PAPER, Drawn, Section, on, tally
 from usvlearn.evaluation.sheet import Sheet
 
 SAID = (
@@ -74,14 +74,13 @@ def _told(maes: dict[str, dict[str, float]]) -> list[str]:
     three = [name for name in PAPER if name in names]
     told = []
     if len(three) > 1:
-        best = [min(three, key=row.__getitem__) for row in maes.values()]
-        each = ", ".join(f"{name} on {best.count(name)}" for name in three)
-        told.append(f"Of {', '.join(three)} the lowest MAE has {each} of {boats}.")
+        told.append(tally("lowest MAE", three, [min(three, key=row.__getitem__) for row in maes.values()]))
     if "average" in names and "aid" in names:
         better = sum(row["average"] < row["aid"] for row in maes.values())
-        told.append(f"The average beats AID on {of(better, boats)}.")
+        told.append(f"The average beats AID {on(better, boats)}.")
     every = [min(row, key=row.__getitem__) for row in maes.values()]
-    told.append("The lowest of all: " + ", ".join(f"{n} on {every.count(n)}" for n in dict.fromkeys(every)) + ".")
+    winners = ", ".join(f"{name} {on(every.count(name), boats)}" for name in dict.fromkeys(every))
+    told.append(f"The lowest of all: {winners}.")
     if PERSISTENCE in names:
         worse = [name for name in names if all(row[name] >= row[PERSISTENCE] for row in maes.values())]
         worse = [name for name in worse if name != PERSISTENCE]

@@ -1,0 +1,298 @@
+"""The report: its numbers by hand, its files, its page in a browser, and what bad input is told."""
+
+import csv
+import html.parser
+import json
+import math
+import re
+import shutil
+import subprocess
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.test_crossval import boats
+from tests.test_train import SMALL, run
+from usvlearn import AID, RLS, RNN, Ensemble, Robust, SIFtRLS, SurgeDynamics
+from usvlearn.checkpoint import checkpoints
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.evaluation.judge import judge
+from usvlearn.evaluation.report import write_report
+from usvlearn.evaluation.season_figures import box
+from usvlearn.evaluation.sections.cost import cost_section
+from usvlearn.evaluation.sections.online import online_section
+from usvlearn.evaluation.sections.parameters import course, physical_members
+from usvlearn.evaluation.sections.tuning import tuning_section
+from usvlearn.evaluation.sheet import Sheet
+from usvlearn.learning.saved import configuration, one_ensemble, read_seasons, results, run_folders
+from usvlearn.logs.fleet import align_fleet
+from usvlearn.simulate.fleet import fleet, fleet_vessels
+from usvlearn.simulate.truth import true_parameters, truth_of
+from usvlearn.simulate.vessel import static_thrust
+
+ROOT = Path(__file__).parents[1]
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory) -> Path:
+    """A finished run of two simulated boats, two missions each, and its report."""
+    folder = tmp_path_factory.mktemp("saved")
+    done = run(*SMALL, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
+    assert done.returncode == 0, done.stderr
+    done = run(f"runs={folder}/run", folder=folder, script="evaluate.py")
+    assert done.returncode == 0, done.stderr
+    assert f"{folder}/run/report/index.html" in done.stdout.replace("\n", "")
+    return folder / "run"
+
+
+@pytest.fixture
+def copy(saved, tmp_path) -> Path:
+    shutil.copytree(saved, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def rows(path: Path) -> list[dict[str, str]]:
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_file_is_there_and_replaced(saved):
+    report = saved / "report"
+    figures = {path.name for path in (report / "figures").iterdir()}
+    names = {"online", "crossval", "fleet", "certificates", "equilibria", "parameters_heron1", "parameters_heron2"}
+    assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")}
+    tables = {"online", "crossval", "fleet", "equilibria", "certificates", "parameters", "cost"}
+    assert {path.name for path in (report / "tables").iterdir()} == {f"{t}.{k}" for t in tables for k in ("csv", "md")}
+    assert (report / "report.md").read_text().count("**The paper found.**") == 6
+    assert list((report / "tensorboard").glob("events*"))
+
+
+def test_online_errors_are_those_of_the_run(saved):
+    boats_ = json.loads((saved / "results.json").read_text())["boats"]
+    found = rows(saved / "report" / "tables" / "online.csv")
+    assert len(found) == sum(map(len, boats_.values()))
+    for row in found:
+        expected = boats_[row["boat"]][row["method"]]
+        assert float(row["MAE, m/s"]) == expected["mae"] and int(row["steps"]) == expected["steps"]
+
+
+def test_cross_validation_counts_every_other_run(saved):
+    found = rows(saved / "report" / "tables" / "crossval.csv")
+    methods = {row["method"] for row in found}
+    assert {"aid", "average", "weighted", "weighted+", "ensemble", "ensemble+"} <= methods
+    for boat in ("heron1", "heron2"):
+        sets = len(checkpoints(saved / "checkpoints" / boat))
+        counts = {int(row["simulations"]) for row in found if row["boat"] == boat}
+        assert counts == {sets}  # two runs: each set has one other
+    arrays = np.load(saved / "report" / "crossval.npz")
+    assert arrays["heron1_mae"].shape[1:] == (2, len(methods))
+
+
+def test_the_page_is_one_file_without_scripts_or_links(saved):
+    text = (saved / "report" / "index.html").read_text()
+    assert "<script" not in text
+    assert set(re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"', text)) == set()
+    assert not re.search(r"url\((?!#)", text) and "@import" not in text
+    ids, links = [], []
+
+    class Page(html.parser.HTMLParser):
+        def handle_starttag(self, tag, attrs):
+            for name, value in attrs:
+                if name == "id":
+                    ids.append(value)
+                if name.endswith("href") and value.startswith("#"):
+                    links.append(value[1:])
+
+    Page().feed(text)
+    assert len(ids) == len(set(ids)) and set(links) <= set(ids)
+    assert "currentColor" in text and "prefers-color-scheme: dark" in text
+    assert text.count("<svg") == 7
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed")
+def test_the_page_opens_in_a_browser_without_an_error(saved, tmp_path):
+    done = subprocess.run(
+        [CHROMIUM, "--headless=new", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--log-level=0",
+         f"--user-data-dir={tmp_path}", "--virtual-time-budget=3000", f"--screenshot={tmp_path}/page.png",
+         "--window-size=390,844", (saved / "report" / "index.html").as_uri()],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert (tmp_path / "page.png").stat().st_size > 10_000
+    assert "CONSOLE" not in done.stderr
+
+
+def test_sets_know_their_run_and_their_hours(saved):
+    cfg = configuration(saved)
+    data = {key: value for key, value in cfg["data"].items() if key not in ("_target_", "_convert_")}
+    data |= {"autopilot": None, "sensors": None}
+    ensemble = Ensemble({"aid": AID(mass=28.0)})
+    logs = align_fleet(fleet(**data), **cfg["align"])
+    with pytest.raises(CheckpointError, match="does not fit"):
+        read_seasons([saved], ensemble, [logs])
+    assert one_ensemble([saved]) and results(saved)["objective"] > 0
+
+
+# What bad input is told: what is done to a copy of the run, and what the sentence says.
+def remove_sets(folder: Path) -> None:
+    shutil.rmtree(folder / "checkpoints")
+
+
+def spoil_all_sets(folder: Path) -> None:
+    for path in folder.glob("checkpoints/*/*"):
+        path.write_bytes(path.read_bytes()[:-9])
+
+
+def cut_results(folder: Path) -> None:
+    (folder / "results.json").write_text((folder / "results.json").read_text()[:200])
+
+
+def cut_runs(folder: Path) -> None:
+    (folder / "runs.json").write_text("{")
+
+
+@pytest.mark.parametrize(
+    ("harm", "sentence"),
+    [
+        (remove_sets, "has no parameter sets"),
+        (spoil_all_sets, "none can be read"),
+        (cut_results, "results.json: is damaged"),
+        (cut_runs, "runs.json: is damaged"),
+    ],
+)
+def test_a_damaged_folder_is_told_in_one_sentence(copy, harm, sentence):
+    harm(copy)
+    done = run(f"runs={copy}", folder=copy.parent, script="evaluate.py")
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert re.search(rf"^error: .*{sentence}.*: .+$", done.stderr, re.MULTILINE), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        ((), "runs is not set: set runs=FOLDER"),
+        (("runs=nowhere",), "runs: found no run below 'nowhere'"),
+        (("runs={run}", "data=simulated", "data.plant=otter"), "found the boat otter, of which the runs hold no"),
+    ],
+)
+def test_bad_arguments_are_told_in_one_sentence(saved, tmp_path, arguments, sentence):
+    done = run(*(a.replace("{run}", str(saved)) for a in arguments), folder=tmp_path, script="evaluate.py")
+    assert done.returncode == 2 and sentence in done.stderr and "Traceback" not in done.stderr
+
+
+def test_one_damaged_set_is_passed_over(copy):
+    path = sorted(copy.glob("checkpoints/heron1/*"))[0]
+    content = bytearray(path.read_bytes())
+    content[-1] ^= 1
+    path.write_bytes(bytes(content))
+    done = run(f"runs={copy}", folder=copy.parent, script="evaluate.py")
+    assert done.returncode == 0 and "damaged" in done.stderr + done.stdout
+    found = {r["simulations"] for r in rows(copy / "report/tables/crossval.csv") if r["boat"] == "heron1"}
+    assert found == {str(len(checkpoints(copy / "checkpoints" / "heron1")) - 1)}
+
+
+def test_other_logs_of_a_boat_are_all_other_runs(saved, tmp_path):
+    plan = ("data=simulated", "data.n=2", "data.hours=0.05", "data.seed=77", f"report={tmp_path}/report")
+    done = run(f"runs={saved}", *plan, folder=tmp_path, script="evaluate.py")
+    assert done.returncode == 0, done.stderr
+    found = rows(tmp_path / "report/tables/crossval.csv")
+    sets = len(checkpoints(saved / "checkpoints" / "heron1"))
+    assert {row["simulations"] for row in found if row["boat"] == "heron1"} == {str(sets)}
+    assert "not replayed in these folders" in (tmp_path / "report/report.md").read_text()
+
+
+def test_run_folders_are_found_below_and_must_be_there(saved, tmp_path):
+    assert run_folders(saved.parent) == [saved] == run_folders(saved)
+    with pytest.raises(ConfigError, match="found no run below"):
+        run_folders(tmp_path)
+
+
+def test_boxes_by_hand():
+    found = box(np.array([np.nan, 3.0, 1.0, 2.0, 4.0, 100.0]), 2)
+    assert (found.median, found.lower, found.upper, found.count, found.diverged) == (3.0, 2.0, 4.0, 5, 2)
+    assert found.mean == 22.0 and found.beyond.tolist() == [1.0, 100.0]
+    assert box(np.array([np.nan])) is None
+
+
+def test_online_section_by_hand():
+    _, seasons = boats(np.ones((2, 9)))
+    published = []
+    for season, offset in zip(seasons, (0.1, 0.3), strict=True):
+        runs = []
+        for each in season.runs:
+            made = np.where(each.samples.inputs.dt > 0, each.samples.surge, np.nan)
+            predictions = np.stack([made + offset, made + 0.2], -1)
+            runs.append(each._replace(published={"predictions": predictions}))
+        published.append(season._replace(runs=tuple(runs)))
+    section = online_section(published, ["aid", "persistence"])
+    maes = {(row[0], row[1]): row[2] for row in section.sheets[0].rows}
+    assert maes == pytest.approx({
+        ("boat0", "aid"): 0.1, ("boat0", "persistence"): 0.2, ("boat1", "aid"): 0.3, ("boat1", "persistence"): 0.2,
+    })  # fmt: skip
+    assert "The lowest of all: aid on 1 of 2 boats, persistence on 1 of 2 boats." in section.here
+
+
+def test_tuning_section_by_hand():
+    tuned = {"aid": {"evaluations": 8, "default": {"mae": 0.2}, "best": {"mae": 0.1, "settings": {"gain": 3.0}}}}
+    after, before = ({"heron": {"aid": {"mae": a}, "rls": {"mae": 0.3}}} for a in (0.15, 0.1))
+    section = tuning_section(tuned, after, before)
+    row = section.sheets[0].rows[0]
+    assert row[:6] == ("aid", 8, "gain 3", 0.2, 0.1, 50.0) and row[8] == pytest.approx(-50.0)
+    assert "aid: +50.0 % there, -50.0 % on the season that it was not tuned on." in section.here
+
+
+def test_sheets_escape_and_keep_digits():
+    sheet = Sheet("a", ("name", "x, m"), [("<b>", 1 / 3), ("c,d", None)])
+    assert "&lt;b&gt;" in sheet.html() and "<b>" not in sheet.html()
+    assert sheet.csv() == 'name,"x, m"\n<b>,0.3333333333333333\n"c,d",\n'
+
+
+def test_cost_counts_the_papers_parameters():
+    members = {"aid": AID(), "rls": RLS(), "rnn": RNN(), "robust": Robust(SIFtRLS(SurgeDynamics()))}
+    sheet = cost_section(Ensemble(members)).sheets[0]
+    assert [(row[0], row[2]) for row in sheet.rows[:4]] == [("aid", 9), ("rls", 9), ("rnn", 140), ("robust", 9)]
+    assert all(row[5] > 0 and row[6] > 0 for row in sheet.rows)
+
+
+def test_intervals_of_sums_are_those_of_the_covariance():
+    rls = RLS(SurgeDynamics(1.0))
+    generator = torch.Generator().manual_seed(0)
+    factor = torch.randn(2, 9, 9, generator=generator, dtype=torch.float64)
+    state = rls.init((2,))._replace(factor=factor, noise=torch.tensor([0.04, 0.09], dtype=torch.float64))
+    w = np.arange(9.0)
+    found = course(np.zeros(2), state, w).deviation
+    for k, noise in enumerate((0.04, 0.09)):
+        P = factor[k].numpy() @ factor[k].numpy().T
+        assert found[k] == pytest.approx(math.sqrt(noise * (w @ P @ w)), rel=1e-12)
+    ensemble = Ensemble({"map": RLS(), "dynamic": Robust(rls), "memory": SIFtRLS(SurgeDynamics(memory=True))})
+    assert physical_members(ensemble) == ["dynamic"]
+
+
+@pytest.mark.parametrize("plant", ["heron", "otter", "vtec"])
+def test_the_truth_is_the_plants(plant):
+    """On its own grid the fitted force is near the plant's; scaled by declared over true mass."""
+    found = true_parameters(30.0, 2, plant, hours=1.0, mission_minutes=20.0, seed=3)
+    vessel = fleet_vessels(2, 1.0, plant, 3, missions=3)
+    for k, theta in enumerate(found.values()):
+        scale = 30.0 / float(vessel.mass[2, k])
+        for x in (0.4, 0.8, 1.0):
+            thrust = static_thrust(vessel, torch.tensor([x, x]).double())[2, k] * scale
+            for side, force in zip(("left", "right"), thrust.tolist(), strict=True):
+                fitted = theta[f"thrust_linear_{side}"][2] * x + theta[f"thrust_quadratic_{side}"][2] * x * x
+                assert fitted == pytest.approx(force, abs=0.15 * abs(force) + 0.5), (side, x)
+    assert truth_of([{"_target_": "usvlearn.simulate.fleet.fleet", "fault": {"side": "left"}}], 30.0) == {}
+
+
+def test_a_report_is_written_twice_without_leftovers(tmp_path):
+    ensemble, seasons = boats(np.ones((2, 9)))
+    sections, errors = judge(ensemble, seasons, {})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_report(tmp_path, "One", ["a fact"], sections, ["python train.py"], errors)
+        page = write_report(tmp_path, "Two <i>", ["a fact"], sections[:2])
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == {"crossval.svg", "crossval.png"}
+    assert "<h1>Two &lt;i&gt;</h1>" in page.read_text() and "python train.py" not in page.read_text()
+    assert not list(tmp_path.glob(".*"))
