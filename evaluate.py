@@ -3,7 +3,7 @@
 python evaluate.py runs=multirun/DIR     the jobs of a sweep, or any folder of runs: one table, the best first
 """
 
-import json
+import os
 import sys
 from pathlib import Path
 
@@ -12,55 +12,40 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from usvlearn.errors import ConfigError, UsvlearnError
+from usvlearn.errors import ConfigError, one_sentence
 from usvlearn.evaluation.tables import sweep_table
+from usvlearn.learning.leaderboard import write_leaderboard
+from usvlearn.learning.sweep import THREADS, Job, jobs
 
-console = Console(markup=False)
 
-
-def jobs(folder: Path) -> list[tuple[dict[str, str], dict]]:
-    """The runs below a folder: what was overridden in each, and its results ({} where it did not finish)."""
-    found = []
-    for overrides in sorted(folder.glob("**/.hydra/overrides.yaml")):
-        results = overrides.parents[1] / "results.json"
-        settings = dict(text.partition("=")[::2] for text in OmegaConf.load(overrides))
-        found.append(
-            (
-                settings or {"run": overrides.parents[1].name},
-                _read(results),
-            )
-        )
-    if not found:
-        raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
+def leaderboard(folder: Path) -> list[Job]:
+    """Show and write the leaderboard of the runs below a folder."""
+    found = jobs(folder, lambda path: OmegaConf.to_container(OmegaConf.load(path)))
+    Console(markup=False).print(sweep_table([(job.settings, job.results) for job in found]))
+    write_leaderboard(folder, found)
     return found
 
 
-def _read(results: Path) -> dict:
-    try:
-        return json.loads(results.read_text())
-    except (OSError, ValueError):
-        return {}
+class Sweep(Callback):
+    """What train.py does around a sweep; at its end the leaderboard, and exit code 2 where a job failed."""
 
-
-class SweepTable(Callback):
-    """Prints a sweep's table at its end; the exit code is 2 where a job failed."""
+    def on_multirun_start(self, config: DictConfig, **_) -> None:
+        """One thread per worker, which finds this file wherever the sweep was started."""
+        os.environ |= dict.fromkeys(THREADS, "1")
+        os.environ["PYTHONPATH"] = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
 
     def on_multirun_end(self, config: DictConfig, **_) -> None:
-        found = jobs(Path(config.hydra.sweep.dir))
-        console.print(sweep_table(found))
-        if any("boats" not in results for _, results in found):
-            sys.exit(2)
+        with one_sentence():
+            if any("boats" not in job.results for job in leaderboard(Path(config.hydra.sweep.dir))):
+                sys.exit(2)
 
 
 @hydra.main(version_base="1.3", config_path="configs", config_name="evaluate")
 def main(cfg: DictConfig) -> None:
-    try:
+    with one_sentence():
         if cfg.runs is None:
             raise ConfigError("runs is not set: set runs=FOLDER, a folder that train.py has written")
-        console.print(sweep_table(jobs(Path(cfg.runs))))
-    except UsvlearnError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+        leaderboard(Path(cfg.runs))
 
 
 if __name__ == "__main__":
