@@ -8,6 +8,7 @@ import shlex
 import sys
 import time
 import warnings
+from functools import partial
 from pathlib import Path
 
 import hydra
@@ -33,7 +34,7 @@ from usvlearn.logs.fleet import align_fleet
 warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
 
 
-def train(cfg: DictConfig, folder: Path, quiet: bool = False) -> float:
+def train(cfg: DictConfig, folder: Path, resume: str | None = None, quiet: bool = False) -> float:
     """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
     console = Console(markup=False, quiet=quiet)  # of its own: what a worker is sent must be picklable
     began, settings = time.perf_counter(), {**OmegaConf.to_container(cfg, resolve=True), "resume": None}
@@ -43,7 +44,7 @@ def train(cfg: DictConfig, folder: Path, quiet: bool = False) -> float:
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
     run = RunFolder(folder, fleet, {"configuration": settings, "version": __version__})
-    console.print((start := run.begin(ensemble.init((len(fleet.boats),)), cfg.resume)).note)
+    console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume or cfg.resume)).note)
     with Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
         for chunk in replay(ensemble, fleet, start.state, start.position, watch.every, max(1, round(save_every))):
@@ -65,16 +66,12 @@ def train(cfg: DictConfig, folder: Path, quiet: bool = False) -> float:
 @hydra.main(version_base="1.3", config_path="configs", config_name="train")
 def main(cfg: DictConfig) -> float:
     """One job: bad input ends it with one sentence and code 2; in a sweep it is noted, and the rest go on."""
-    job, settings = HydraConfig.get(), OmegaConf.to_container(cfg)
-    folder, quiet = Path(job.runtime.output_dir), job.runtime.choices["hydra/launcher"] == "joblib"  # one terminal
-
-    def work(resume: str | None = None) -> float:
-        cfg.resume = resume or cfg.resume
-        return train(cfg, folder, quiet)
-
+    job, folder = HydraConfig.get(), Path(HydraConfig.get().runtime.output_dir)
+    work = partial(train, cfg, folder, quiet=job.runtime.choices["hydra/launcher"] == "joblib")  # in one terminal
     with one_sentence(InstantiationException):
-        sweep = job.mode.name == "MULTIRUN"
-        return run_job(folder, settings, job.overrides.task, work, InstantiationException) if sweep else work()
+        if job.mode.name != "MULTIRUN":
+            return work()
+        return run_job(folder, OmegaConf.to_container(cfg), job.overrides.task, work, InstantiationException)
 
 
 if __name__ == "__main__":

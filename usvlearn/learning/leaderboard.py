@@ -5,23 +5,42 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+
+from rich.console import Group
 
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import mean_mae
-from usvlearn.evaluation.tables import differing, ranked, told
-from usvlearn.learning.sweep import Job
+from usvlearn.evaluation.tables import differing, ranked, sweep_table, told
+from usvlearn.learning.sweep import Job, jobs
 from usvlearn.tensorboard import Board
 
 FOLDER, TABLE = "leaderboard", "leaderboard.csv"
 LONGEST = 120  # characters of a row's name, which is a folder's
 
 
+def leaderboard(folder: Path, load: Callable[[Path], Any], show: Callable[[Group], None]) -> bool:
+    """Show and write the leaderboard of the runs below a folder; returns whether all are finished.
+
+    Args:
+        folder: of a sweep, or any that runs were written to.
+        load: see `usvlearn.learning.sweep.jobs`.
+        show: prints the table.
+    """
+    found = jobs(folder, load)
+    show(sweep_table([(job.settings, job.results) for job in found]))
+    write_leaderboard(folder, found)
+    return not any(map(_error, found))
+
+
 def write_leaderboard(folder: Path, jobs: Sequence[Job]) -> None:
     """Write `leaderboard.csv` and `leaderboard/` into a folder, in place of what stood there.
+
+    A folder that is itself the run has none.
 
     Args:
         folder: of the sweep.
@@ -29,7 +48,17 @@ def write_leaderboard(folder: Path, jobs: Sequence[Job]) -> None:
 
     Raises:
         ConfigError: the folder cannot be written to.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     write_leaderboard(Path(name), [Job(Path(name, "0"), {"align.dt": "0.4"}, {"error": "bad"})])
+    ...     print(Path(name, "leaderboard.csv").read_text())
+    job,objective,seconds,error
+    0,,,bad
+    <BLANKLINE>
     """
+    if any(job.folder == folder for job in jobs):
+        return
     try:
         write_atomically(folder / TABLE, _csv(folder, jobs).encode())
         _write_hparams(folder / FOLDER, folder, jobs)
@@ -52,9 +81,11 @@ def _csv(folder: Path, jobs: Sequence[Job]) -> str:
 
 
 def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
-    for old in [*board.glob("*/events.out.tfevents.*"), *board.glob("*")]:
+    for old in board.glob("*/events.out.tfevents.*"):
+        old.unlink()
+    for row in board.glob("*"):
         with suppress(OSError):  # what is not ours stays
-            old.rmdir() if old.is_dir() else old.unlink()
+            row.rmdir()
     keys = differing([job.settings for job in jobs])
     for name, job in zip(_names(folder, jobs, keys), jobs, strict=True):
         settings = {key: _number(job.settings.get(key, "")) for key in keys or job.settings}
@@ -80,8 +111,7 @@ def _names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
 
 def _label(folder: Path, job: Job) -> str:
     """What a job is called below the sweep's folder."""
-    label = job.folder.relative_to(folder).as_posix()
-    return job.folder.resolve().name if label == "." else label
+    return job.folder.relative_to(folder).as_posix()
 
 
 def _maes(job: Job) -> dict[str, float]:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from shutil import which
 from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
@@ -26,8 +28,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB
 LAUNCHERS = {  # name -> its plugin, and the extra that brings it
     "basic": None,
     "joblib": ("hydra_joblib_launcher", "sweep"),
-    "submitit_local": ("hydra_submitit_launcher", "slurm"),
-    "submitit_slurm": ("hydra_submitit_launcher", "slurm"),
+    **dict.fromkeys(["slurm", "submitit_slurm", "submitit_local"], ("hydra_submitit_launcher", "slurm")),
 }
 
 
@@ -50,21 +51,28 @@ def check_launcher(arguments: Sequence[str]) -> None:
     """
     for argument in arguments:
         key, _, name = argument.partition("=")
-        if key.lstrip("+") != "hydra/launcher":
+        if key.lstrip("+") != "hydra/launcher" or name == "basic":
             continue
-        plugin, extra = LAUNCHERS.get(name) or (f"hydra_{name.partition('_')[0]}_launcher", None)
-        if name == "basic" or (find_spec("hydra_plugins") and find_spec(f"hydra_plugins.{plugin}")):
-            continue
-        if extra:
+        plugin, extra = LAUNCHERS.get(name) or (f"hydra_{name}_launcher", None)
+        if not (find_spec("hydra_plugins") and find_spec(f"hydra_plugins.{plugin}")):
+            if extra is None:
+                raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}")
             raise MissingExtraError(plugin.replace("_", "-"), extra, argument)
-        raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}")
+        if name.endswith("slurm") and which("srun") is None:
+            raise ConfigError(f"{argument}: found no srun, expected a Slurm cluster: start it there, or take joblib")
+
+
+def prepare_workers(root: Path) -> None:
+    """Let the processes that a launcher starts compute with one thread each, and find the scripts in `root`."""
+    os.environ |= dict.fromkeys(THREADS, "1")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), os.environ.get("PYTHONPATH")]))
 
 
 def digest(settings: Mapping) -> str:
     """By which a job is known: a sha256 of all its settings, in their order, which is that of the members.
 
     >>> digest({"dt": 0.4})[:8]
-    'a8a06ae2'
+    'e33f88fb'
     """
     return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
 
@@ -95,6 +103,9 @@ def run_job(
     ...     run_job(Path(folder), {"dt": 0.4}, ["dt=0.4"], lambda resume: 0.03)
     0.03
     """
+    if settings.get("resume") == "latest":
+        print("error: resume=latest: a sweep goes on from where it stopped by itself: leave it out", file=sys.stderr)
+        return float("nan")
     known, held, results = digest(settings), _read(folder / JOB), _read(folder / RESULTS)
     begun, done = (folder / RUNS).exists(), "boats" in results
     if held.get("settings", known) != known and (begun or done):
@@ -128,6 +139,10 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
 
     Raises:
         ConfigError: there is none.
+
+    >>> jobs(Path("nowhere"), json.loads)
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: runs: found no run below 'nowhere', expected a folder that train.py has written
     """
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
     if not paths:
