@@ -9,7 +9,6 @@ from pathlib import Path
 import hydra
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from usvlearn.errors import ConfigError, one_sentence
 from usvlearn.learning.leaderboard import leaderboard
@@ -18,11 +17,7 @@ from usvlearn.learning.sweep import prepare_workers
 
 def compare(folder: str) -> bool:
     """The leaderboard of the runs below a folder; whether all are finished."""
-
-    def load(path: Path):
-        return OmegaConf.to_container(OmegaConf.load(path))
-
-    return leaderboard(Path(folder), load, Console(markup=False).print)
+    return leaderboard(Path(folder), lambda path: OmegaConf.to_container(OmegaConf.load(path)))
 
 
 class Sweep(Callback):

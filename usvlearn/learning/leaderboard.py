@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rich.console import Group
+from rich.console import Console
 
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
@@ -23,16 +23,15 @@ FOLDER, TABLE = "leaderboard", "leaderboard.csv"
 LONGEST = 120  # characters of a row's name, which is a folder's
 
 
-def leaderboard(folder: Path, load: Callable[[Path], Any], show: Callable[[Group], None]) -> bool:
-    """Show and write the leaderboard of the runs below a folder; returns whether all are finished.
+def leaderboard(folder: Path, load: Callable[[Path], Any]) -> bool:
+    """Print and write the leaderboard of the runs below a folder; returns whether all are finished.
 
     Args:
         folder: of a sweep, or any that runs were written to.
         load: see `usvlearn.learning.sweep.jobs`.
-        show: prints the table.
     """
     found = jobs(folder, load)
-    show(sweep_table([(job.settings, job.results) for job in found]))
+    Console(markup=False).print(sweep_table([(job.settings, job.results) for job in found]))
     write_leaderboard(folder, found)
     return not any(map(_error, found))
 
