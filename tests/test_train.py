@@ -193,20 +193,6 @@ def test_other_samples_or_another_ensemble_are_never_mixed_in(whole, tmp_path):
     assert results(tmp_path / "run")["boats"]["heron1"]["persistence"]["mae"] > 0.2  # of the noise, not the old one
 
 
-def test_sweep_has_a_table(tmp_path):
-    arguments = [*SMALL, "estimators.rls.memory=5,50,-1", "hydra.sweep.dir=sweep"]
-    swept = run("-m", *arguments, folder=tmp_path)
-    assert swept.returncode == 2  # one of its jobs is not legal, and is noted; the rest went on
-    assert swept.stdout.count("results and parameter sets") == 2
-    table = run("runs=sweep", folder=tmp_path, script="evaluate.py")
-    assert table.returncode == 0
-    for text in (swept.stdout, table.stdout):
-        assert "rls.memory" in text and " 5 " in text and " 50 " in text
-        assert "failed: " in text and "memory: found -1.0, expected a positive number" in text
-    assert "runs: found no run" in run("runs=nowhere", folder=tmp_path, script="evaluate.py").stderr
-    assert "runs is not set" in run(folder=tmp_path, script="evaluate.py").stderr
-
-
 GOOD = "time,L,R,heading,speed\n" + "".join(f"{0.1 * k},0.5,0.5,90,{0.01 * k}\n" for k in range(100))
 CSV = ["data=csv", "data.channels.command_left.name=L", "data.channels.command_right.name=R",
        "data.channels.surge.name=speed"]  # fmt: skip

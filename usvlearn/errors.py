@@ -1,5 +1,9 @@
 """The errors that usvlearn raises at its borders: each message says what, where, expected and what to do."""
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class UsvlearnError(ValueError):
     """Any bad input that a person can mend. `train.py` prints it in one sentence and exits with code 2."""
@@ -63,7 +67,7 @@ def check_not_negative(name: str, value: float, unit: str = "") -> float:
     return value
 
 
-def bad_input(error: BaseException, wrapper: type[BaseException]) -> str | None:
+def bad_input(error: BaseException, wrapper: type[BaseException] = UsvlearnError) -> str | None:
     """The sentence for the person who gave bad input, or None where the error is a bug.
 
     Args:
@@ -83,3 +87,19 @@ def bad_input(error: BaseException, wrapper: type[BaseException]) -> str | None:
     if isinstance(error, wrapper) and isinstance(error.__cause__, TypeError | ValueError):
         return f"{' '.join(str(error).split())}: correct this key"
     return None
+
+
+@contextmanager
+def one_sentence(wrapper: type[BaseException] = UsvlearnError) -> Iterator[None]:
+    """Let bad input end the program with one sentence and code 2; see `bad_input`.
+
+    >>> with one_sentence():
+    ...     dt = check_positive("dt", 0.4)
+    """
+    try:
+        yield
+    except Exception as error:
+        if (cause := bad_input(error, wrapper)) is None:
+            raise
+        print(f"error: {cause}", file=sys.stderr)
+        sys.exit(2)

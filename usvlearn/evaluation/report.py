@@ -45,12 +45,12 @@ table { border-collapse: collapse; font-size: .85rem; } th, td { padding: .2rem 
 .rows { max-height: 30rem; overflow: auto; }
 pre { background: var(--card); padding: .7rem 1rem; overflow-x: auto; border-radius: .5rem; font-size: .85rem; }
 """
+TITLE = "What was learned"
 INLINE = 12  # rows of a table that are shown without a click
 
 
 def write_report(
     folder: Path,
-    title: str,
     facts: Sequence[str],
     sections: Sequence[Section],
     commands: Sequence[str] = (),
@@ -60,7 +60,6 @@ def write_report(
 
     Args:
         folder: of the report; what an earlier one has left there is replaced.
-        title: of the page.
         facts: on what it rests, a sentence each.
         sections: in their order.
         commands: with which it can be made again.
@@ -82,7 +81,7 @@ def write_report(
         for sheet in section.sheets:
             write_atomically(folder / "tables" / f"{sheet.name}.csv", sheet.csv().encode())
             write_atomically(folder / "tables" / f"{sheet.name}.md", (sheet.markdown() + "\n").encode())
-    write_atomically(folder / "report.md", _markdown(title, facts, sections, commands).encode())
+    write_atomically(folder / "report.md", _markdown(facts, sections, commands).encode())
     with Board(folder / "tensorboard") as board:
         for section in sections:
             board.text(f"report/{section.key}", _section_markdown(section, figures=False))
@@ -94,7 +93,7 @@ def write_report(
         np.savez_compressed(content, **named)
         write_atomically(folder / "crossval.npz", content.getvalue())
     page = folder / "index.html"
-    write_atomically(page, _html(title, facts, sections, commands, drawings).encode())
+    write_atomically(page, _html(facts, sections, commands, drawings).encode())
     return page
 
 
@@ -123,14 +122,13 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
 
 
 def _html(
-    title: str,
     facts: Sequence[str],
     sections: Sequence[Section],
     commands: Sequence[str],
     drawings: Mapping[str, str],
 ) -> str:
     links = "".join(f'<li><a href="#{s.key}">{escape(s.title)}</a></li>' for s in sections)
-    body = [f"<h1>{escape(title)}</h1>", *(f'<p class="facts">{escape(fact)}</p>' for fact in facts)]
+    body = [f"<h1>{TITLE}</h1>", *(f'<p class="facts">{escape(fact)}</p>' for fact in facts)]
     body.append(f"<nav><ul>{links}</ul></nav>")
     for section in sections:
         body += [f'<section id="{section.key}">', f"<h2>{escape(section.title)}</h2>", '<div class="said">']
@@ -154,14 +152,12 @@ def _html(
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<link rel="icon" href="data:,">\n'  # none is asked for
-        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
-        + "\n".join(body)
-        + "\n</body>\n</html>\n"
+        f"<title>{TITLE}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n" + "\n".join(body) + "\n</body>\n</html>\n"
     )
 
 
-def _markdown(title: str, facts: Sequence[str], sections: Sequence[Section], commands: Sequence[str]) -> str:
-    parts = [f"# {title}", *facts, *(_section_markdown(section) for section in sections)]
+def _markdown(facts: Sequence[str], sections: Sequence[Section], commands: Sequence[str]) -> str:
+    parts = [f"# {TITLE}", *facts, *(_section_markdown(section) for section in sections)]
     if commands:
         parts.append("## To make this again\n\n" + "\n".join(f"    {command}" for command in commands))
     return "\n\n".join(parts) + "\n"

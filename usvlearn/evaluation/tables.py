@@ -85,8 +85,42 @@ def report(boats: Mapping[str, Mapping[str, Mapping]], rejected: Mapping, alarms
     return Group(*filter(None, tables), *told)
 
 
-def _told(settings: Mapping[str, str], keys: Sequence[str]) -> str:
-    return " ".join(f"{key}={settings[key]}" for key in keys if key in settings) or " ".join(settings.values())
+def differing(settings: Sequence[Mapping[str, str]]) -> list[str]:
+    """The keys whose values are not the same in all jobs.
+
+    >>> differing([{"dt": "0.4", "gain": "1"}, {"dt": "0.4", "gain": "3"}])
+    ['gain']
+    """
+    keys = dict.fromkeys(key for each in settings for key in each)
+    return [key for key in keys if len({each.get(key) for each in settings}) > 1]
+
+
+def told(settings: Mapping[str, str], keys: Sequence[str]) -> str:
+    """What a job sets, of `keys` or else of all, in short.
+
+    >>> told({"estimators.aid.gain": "3", "align.dt": "0.4"}, ["estimators.aid.gain"])
+    'aid.gain=3'
+    """
+    shown = {key: settings[key] for key in keys if key in settings} or settings
+    return " ".join(f"{_short(key)}={value}" if value else _short(key) for key, value in shown.items())
+
+
+def _short(key: str) -> str:
+    return ".".join(key.split(".")[-2:])
+
+
+def ranked(jobs: Sequence) -> list:
+    """Jobs by their objective, the best first; those that failed come last, in their order.
+
+    >>> ranked([({}, {"error": "bad"}), ({}, {"boats": {}, "objective": 0.1})])[0]
+    ({}, {'boats': {}, 'objective': 0.1})
+    """
+
+    def objective(job) -> tuple[bool, float]:
+        found = job[-1].get("objective")
+        return "boats" not in job[-1], float("inf") if found is None else found
+
+    return sorted(jobs, key=objective)
 
 
 def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
@@ -98,9 +132,8 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
         jobs: settings by key, and results as in `results.json`; `{"error": …}` of a job that failed, {} of one that did
             not finish.
     """
-    done = [(settings, result) for settings, result in jobs if "boats" in result]
-    keys = dict.fromkeys(key for settings, _ in jobs for key in settings)
-    keys = [key for key in keys if len({settings.get(key) for settings, _ in jobs}) > 1]
+    done = [(settings, result) for settings, result in ranked(jobs) if "boats" in result]
+    keys = differing([settings for settings, _ in jobs])
     means = [mean_mae(result["boats"]) for _, result in done]
     names = list(dict.fromkeys(name for maes in means for name in maes))
     moved = [name for name in names if len({maes.get(name) for maes in means}) > 1] or names
@@ -109,16 +142,16 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
         title="Sweep: MAE in m/s, mean over boats", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0)
     )
     for key in keys:
-        table.add_column(".".join(key.split(".")[-2:]), overflow="fold")
+        table.add_column(_short(key), overflow="fold")
     for name in [*shown, "best"]:
         table.add_column(name, justify="right", no_wrap=True)
-    for settings, result in sorted(done, key=lambda job: job[1].get("objective") or float("inf")):
+    for settings, result in done:
         maes = {name: None if mae != mae else mae for name, mae in mean_mae(result["boats"]).items()}
         best = _best(maes)
         cells = [_number(maes.get(name)) for name in shown] + ["–" if best is None else f"{best} {_number(maes[best])}"]
         table.add_row(*(str(settings.get(key, "")) for key in keys), *cells)
     failed = [
-        Text(f"failed: {_told(settings, keys)}: {result.get('error', 'did not finish')}")
+        Text(f"failed: {told(settings, keys)}: {result.get('error', 'did not finish')}")
         for settings, result in jobs
         if "boats" not in result
     ]

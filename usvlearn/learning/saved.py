@@ -42,9 +42,10 @@ def run_folders(folder: str | Path) -> list[Path]:
     return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))
 
 
-def one_ensemble(folders: Sequence[Path]) -> bool:
-    """Whether all runs were made with the same ensemble, so that their parameter sets are of one kind."""
-    return len({_runs_file(folder)["ensemble"] for folder in folders}) == 1
+def is_sweep(folder: Path) -> bool:
+    """Whether the runs below a folder are to be compared, not pooled: jobs of a sweep, or of several ensembles."""
+    folders = [path.parent for path in folder.glob(f"**/{RUNS}")]
+    return (folder / "multirun.yaml").exists() or len({_runs_file(each)["ensemble"] for each in folders}) > 1
 
 
 def configuration(folder: Path) -> dict[str, Any]:

@@ -19,9 +19,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from usvlearn import __version__
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
+from usvlearn.evaluation.section import Section
+from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.learning.run_folder import RESULTS, RUNS
+from usvlearn.learning.saved import results
 
 PLAN, TUNING = "study.json", "tuning.json"
 Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
@@ -34,9 +38,9 @@ class Study:
         folder: of the study.
         plan: overrides of train.yaml that are `common` to both seasons, and those of `tuning` and `season`; `members`
             to tune; `evaluations` of each.
+        say: tells the person what is being done.
         train, tune: do what `train.py OVERRIDES` does, in a folder.
         choose: of a finished folder, the checkpoint from which the next season starts.
-        say: tells the person what is being done.
 
     Raises:
         ConfigError: the folder holds a study of another plan.
@@ -46,12 +50,12 @@ class Study:
         self,
         folder: Path,
         plan: Mapping[str, Any],
+        say: Callable[[str], object],
         train: Job,
         tune: Job,
         choose: Callable[[Path], Path],
-        say: Callable[[str], object] = print,
     ):
-        self.folder, self.plan, self.commands = folder, dict(plan), list[str]()
+        self.folder, self.plan, self.commands = folder, {**plan, "version": __version__}, list[str]()
         self._train, self._tune, self._choose, self._say = train, tune, choose, say
         path = folder / PLAN
         if path.exists() and json.loads(path.read_text()) != self.plan:
@@ -62,24 +66,22 @@ class Study:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(path, json.dumps(self.plan, indent=2).encode())
 
-    def tune(self) -> dict[str, dict]:
-        """What tuning found, by member."""
-        found = {}
-        for member in self.plan["members"]:
-            folder = self.folder / "tune" / member
-            budget = [f"grid={member}", f"tuning.evaluations={self.plan['evaluations']}"]
-            self._stage(self._tune, [*self._season("tuning"), *budget], folder, folder / TUNING)
-            found[member] = json.loads((folder / TUNING).read_text())
-        return found
-
-    def seasons(self, found: Mapping[str, Mapping]) -> tuple[Path, Path]:
-        """The folders of the season with default settings, and with those that tuning `found`."""
-        tuned = [
+    def run(self) -> tuple[Path, Section]:
+        """Make all stages; the folder of the season with tuned settings, and what tuning gained."""
+        found = {member: self._tuned(member) for member in self.plan["members"]}
+        settings = [
             f"estimators.{member}.{path}={value}"
             for member, each in found.items()
             for path, value in each["best"]["settings"].items()
         ]
-        return self._learned("default", []), self._learned("tuned", tuned)
+        before, after = self._learned("default", []), self._learned("tuned", settings)
+        return after, tuning_section(found, results(after)["boats"], results(before)["boats"])
+
+    def _tuned(self, member: str) -> dict[str, Any]:
+        folder = self.folder / "tune" / member
+        budget = [f"grid={member}", f"tuning.evaluations={self.plan['evaluations']}"]
+        self._stage(self._tune, [*self._season("tuning"), *budget], folder, folder / TUNING)
+        return json.loads((folder / TUNING).read_text())
 
     def _season(self, name: str) -> list[str]:
         return [*self.plan["common"], *self.plan[name]]

@@ -1,0 +1,86 @@
+"""From the folders of runs to their report.
+
+The library knows no configuration: it is handed what makes an object of a node, and what aligns logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.progress import Progress
+
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.evaluation.judge import best_start, facts, judge, simulations
+from usvlearn.evaluation.report import write_report
+from usvlearn.evaluation.season import Season
+from usvlearn.evaluation.section import Section
+from usvlearn.evaluation.sections.parameters import Truth
+from usvlearn.learning.saved import configuration, read_seasons, results
+from usvlearn.signals import Fleet
+
+
+class Tools(NamedTuple):
+    """What a report needs beyond the library's own."""
+
+    instantiate: Callable[..., Any]  # makes the object that a node of a configuration describes
+    align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
+    truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
+    console: Console
+
+
+def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season], Truth]:
+    """The ensemble of some runs, what they left of each boat, and the truth where it is known.
+
+    Args:
+        folders: of the runs, the oldest first.
+        tools: see `Tools`.
+        data: configuration of other logs of the same boats; by default those that the runs were made of.
+
+    Raises:
+        CheckpointError, ConfigError: what was saved cannot be read, or does not fit the data.
+    """
+    if data is not None and "_target_" not in data:
+        raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
+    settings = [configuration(folder) for folder in folders]
+    last, sources = settings[-1], [each["data"] for each in settings] if data is None else [data]
+    combiners = tools.instantiate(last["combiners"], _convert_="all")
+    ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last["output"])
+    with tools.console.status("reading and aligning"):
+        fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
+    return ensemble, read_seasons(folders, ensemble, fleets), tools.truth(sources, last["vehicle"]["mass"])
+
+
+def evaluate(
+    folders: Sequence[Path],
+    report: Path,
+    tools: Tools,
+    data: Any = None,
+    more: Sequence[Section] = (),
+    commands: Sequence[str] = (),
+) -> Path:
+    """Judge every parameter set of some runs and write the report; returns its page.
+
+    Args:
+        folders, tools, data: as of `read`.
+        report: its folder.
+        more: sections to begin with.
+        commands: with which the report can be made again.
+    """
+    unfinished = [f"{folder} is not finished: judged as far as it is." for folder in folders if not results(folder)]
+    ensemble, seasons, truth = read(folders, tools, data)
+    with Progress(console=tools.console) as progress:
+        bar = progress.add_task("simulating", total=simulations(seasons))
+        sections, errors = judge(ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps))
+    page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
+    tools.console.print(f"report: {page}", soft_wrap=True)
+    return page
+
+
+def start_of(folder: Path, tools: Tools) -> Path:
+    """The parameter set of a finished run that serves all of its boats best (`best_start`)."""
+    ensemble, seasons, _ = read([folder], tools)
+    return best_start(ensemble, seasons)
