@@ -19,6 +19,7 @@ from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
+from usvlearn import __version__
 from usvlearn.errors import ConfigError, one_sentence
 from usvlearn.learning.leaderboard import leaderboard
 from usvlearn.learning.reports import Tools, evaluate, start_of
@@ -53,7 +54,7 @@ def study(cfg: DictConfig) -> None:
     """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
     from train import train, tune
 
-    folder, plan = Path(cfg.folder), OmegaConf.to_container(cfg.study)
+    folder, plan = Path(cfg.folder), {**OmegaConf.to_container(cfg.study), "version": __version__}
     jobs = [lambda overrides, where, job=job: job(compose("train", overrides), where) for job in (train, tune)]
     made = Study(folder, plan, TOOLS.console.print, *jobs, choose=lambda where: start_of(where, TOOLS))
     season, gained = made.run()

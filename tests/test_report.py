@@ -27,7 +27,7 @@ from usvlearn.evaluation.sections.online import online_section
 from usvlearn.evaluation.sections.parameters import course, physical_members
 from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.evaluation.sheet import Sheet
-from usvlearn.learning.saved import configuration, one_ensemble, read_seasons, results, run_folders
+from usvlearn.learning.saved import configuration, is_sweep, read_seasons, results, run_folders
 from usvlearn.logs.fleet import align_fleet
 from usvlearn.simulate.fleet import fleet, fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of
@@ -133,7 +133,7 @@ def test_sets_know_their_run_and_their_hours(saved):
     logs = align_fleet(fleet(**data), **cfg["align"])
     with pytest.raises(CheckpointError, match="does not fit"):
         read_seasons([saved], ensemble, [logs])
-    assert one_ensemble([saved]) and results(saved)["objective"] > 0
+    assert not is_sweep(saved) and results(saved)["objective"] > 0
 
 
 # What bad input is told: what is done to a copy of the run, and what the sentence says.
@@ -158,7 +158,7 @@ def cut_runs(folder: Path) -> None:
     ("harm", "sentence"),
     [
         (remove_sets, "has no parameter sets"),
-        (spoil_all_sets, "none can be read"),
+        (spoil_all_sets, "parameter sets can be read"),
         (cut_results, "results.json: is damaged"),
         (cut_runs, "runs.json: is damaged"),
     ],
@@ -291,8 +291,8 @@ def test_a_report_is_written_twice_without_leftovers(tmp_path):
     sections, errors = judge(ensemble, seasons, {})
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        write_report(tmp_path, "One", ["a fact"], sections, ["python train.py"], errors)
-        page = write_report(tmp_path, "Two <i>", ["a fact"], sections[:2])
+        write_report(tmp_path, ["One"], sections, ["python train.py"], errors)
+        page = write_report(tmp_path, ["Two <i>"], sections[:2])
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"crossval.svg", "crossval.png"}
-    assert "<h1>Two &lt;i&gt;</h1>" in page.read_text() and "python train.py" not in page.read_text()
+    assert "Two &lt;i&gt;</p>" in page.read_text() and "python train.py" not in page.read_text()
     assert not list(tmp_path.glob(".*"))

@@ -111,7 +111,7 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
         whole = saved(format="svg", facecolor="white", metadata={"Date": None})
     png = saved(format="png", dpi=150, facecolor="white")
     inline = inline[inline.index("<svg") :]
-    inline = re.sub(r"<metadata>.*?</metadata>", "", inline, flags=re.DOTALL)
+    inline = re.sub(r'<metadata>.*?</metadata>| id="image\w+"', "", inline, flags=re.DOTALL)  # equal images, equal ids
     inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{drawn.name}-", inline)  # ids of one page differ
     for colour, variable in {INK: "currentColor", "#222222": "currentColor", LINE: "var(--line)",
                              "#eeeeee": "var(--line)"}.items():  # fmt: skip

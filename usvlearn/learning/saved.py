@@ -61,7 +61,8 @@ def configuration(folder: Path) -> dict[str, Any]:
         except (CheckpointError, KeyError) as error:
             last = error
     if paths:
-        raise CheckpointError(f"{last}; it is one of {len(paths)} sets of {folder}, and none can be read")
+        cause = f"none of its {len(paths)} parameter sets can be read ({last})"
+        raise CheckpointError(f"{folder}: {cause}: make the run anew")
     raise CheckpointError(
         f"{folder}: has no parameter sets ({CHECKPOINTS}/BOAT/*.safetensors): let train.py finish a run there"
     )

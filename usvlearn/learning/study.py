@@ -19,7 +19,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from usvlearn import __version__
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.section import Section
@@ -55,7 +54,7 @@ class Study:
         tune: Job,
         choose: Callable[[Path], Path],
     ):
-        self.folder, self.plan, self.commands = folder, {**plan, "version": __version__}, list[str]()
+        self.folder, self.plan, self.commands = folder, dict(plan), list[str]()
         self._train, self._tune, self._choose, self._say = train, tune, choose, say
         path = folder / PLAN
         if path.exists() and json.loads(path.read_text()) != self.plan:
