@@ -4,7 +4,6 @@ python train.py data=blueboat data.path=LOGS              logs
 python train.py -m estimators.rls.memory=10,30            a sweep
 """
 
-import shlex
 import sys
 import time
 import warnings
@@ -20,9 +19,9 @@ from rich.progress import Progress
 
 from usvlearn import Ensemble, __version__
 from usvlearn.errors import bad_input, check_positive
-from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.evaluation.stability import stability
-from usvlearn.evaluation.tables import report
+from usvlearn.evaluation.tables import closing, report
+from usvlearn.learning import tuning
 from usvlearn.learning.replay import replay
 from usvlearn.learning.run_folder import RunFolder, save_results
 from usvlearn.learning.watch import Watch
@@ -48,16 +47,17 @@ def train(cfg: DictConfig, folder: Path) -> float:
             run.save(chunk)
             watch.show(chunk)
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
-        boats, raised = fleet_scores(fleet, run.published, ensemble.names), alarms(fleet, run.published)
-        objective, seconds = mean_mae(boats)[ensemble.output], time.perf_counter() - began
-        found = {"boats": boats, "alarms": raised, "rejected": fleet.rejected}
-        save_results(folder, {**found, "seconds": seconds, "objective": objective})
-        watch.finish(settings, mean_mae(boats), run.published, raised)
-    console.print(report(boats, fleet.rejected, raised))
-    told = f"{seconds:.1f} s; MAE of {ensemble.output}: {objective:.4f} m/s; results and parameter sets: {folder}"
-    look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"
-    console.print(*stability(ensemble, run.state, fleet.boats), told, look, sep="\n", soft_wrap=True)
-    return objective
+        found = run.finish(ensemble, time.perf_counter() - began)
+        watch.finish(settings, found["boats"], run.published, found["alarms"])
+    console.print(report(found["boats"], fleet.rejected, found["alarms"]))
+    console.print(*stability(ensemble, run.state, fleet.boats), *closing(found, folder), sep="\n", soft_wrap=True)
+    return found["objective"]
+
+
+def tune(cfg: DictConfig, folder: Path) -> float:
+    """Tune the one estimator that `grid`, `learn` or `search` names; returns its best MAE, m/s."""
+    settings, overrides = OmegaConf.to_container(cfg, resolve=True), HydraConfig.get().overrides.task
+    return tuning.tune(settings, folder, instantiate, align_fleet, overrides, console)
 
 
 @hydra.main(version_base="1.3", config_path="configs", config_name="train")
@@ -65,7 +65,7 @@ def main(cfg: DictConfig) -> float:
     """One job: bad input ends it with one sentence and code 2; in a sweep it is noted, and the rest go on."""
     folder = Path(HydraConfig.get().runtime.output_dir)
     try:
-        return train(cfg, folder)
+        return (tune if tuning.asked(cfg) else train)(cfg, folder)
     except Exception as error:
         if (cause := bad_input(error, hydra.errors.InstantiationException)) is None:
             raise

@@ -14,6 +14,9 @@
                                    effectiveness_SIDE and evidence_SIDE of a lost thruster, alarm (0 or 1), alarms
     prediction/BOAT, thrusters/BOAT  figures; the latter of the run in which an alarm was raised
     total/mae/ESTIMATOR            m/s, whole run, mean over boats: what the HPARAMS page compares
+    learn/loss, learn/PATH         of learning by gradient: MAE of a window, m/s, and the hyperparameters
+
+The runs of a tuning are named after its best settings, such as `gain=3.16`.
 
 The horizontal axis counts the steps of the grid. The CUSTOM SCALARS page draws all estimators in one chart.
 """
@@ -56,10 +59,16 @@ class Board:
         """A matplotlib figure."""
         self._writer.add_figure(tag, figure, step)
 
-    def hparams(self, settings: Mapping[str, object], results: Mapping[str, float]) -> None:
-        """The one record by which TensorBoard's HPARAMS page compares runs; names with a leading _ are left out."""
+    def hparams(self, settings: Mapping[str, object], results: Mapping[str, float], run: str = ".") -> None:
+        """A record by which TensorBoard's HPARAMS page compares runs; names with a leading _ are left out.
+
+        Args:
+            settings: what was set, a tree.
+            results: by tag.
+            run: a name of its own, where one folder holds the records of several.
+        """
         flat = dict(_flatten(settings))
-        self._writer.add_hparams(flat, dict(results), run_name=".")
+        self._writer.add_hparams(flat, dict(results), run_name=run)
 
     def close(self) -> None:
         self._writer.close()

@@ -26,7 +26,8 @@ import torch
 from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
 from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.estimators.ensemble import EnsembleState
+from usvlearn.estimators.ensemble import Ensemble, EnsembleState
+from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
@@ -125,6 +126,14 @@ class RunFolder:
                 self._save_lane(chunk.state, lane, boat, place)
         self._saved = chunk.end
 
+    def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
+        """Judge all that was published; returns what stands in `results.json`: scores, alarms, the objective."""
+        boats = fleet_scores(self.fleet, self.published, ensemble.names)
+        found = {"boats": boats, "alarms": alarms(self.fleet, self.published), "rejected": self.fleet.rejected}
+        found |= {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
+        save_results(self.path, found)
+        return found
+
     def _save_lane(self, state: EnsembleState, lane: int, boat: str, place: Position) -> None:
         run = self.fleet.runs[place.run]
         save_checkpoint(
@@ -144,7 +153,7 @@ class RunFolder:
         configuration = self.metadata.get("configuration", {})
         ensemble = json.dumps([configuration.get("estimators"), configuration.get("combiners")])
         boats = {
-            boat: [[run.names[lane], run.lengths[lane], _digest(run, lane)] for run in self.fleet.runs]
+            boat: [[run.names[lane], run.lengths[lane], digest(run, lane)] for run in self.fleet.runs]
             for lane, boat in enumerate(self.fleet.boats)
         }
         return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
@@ -290,7 +299,7 @@ def _set(folder: Path, boat: str, place: Position) -> Path:
     return folder / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}"
 
 
-def _digest(run: Run, lane: int) -> str:
+def digest(run: Run, lane: int) -> str:
     """A sha256 of one boat's samples."""
     total = hashlib.sha256()
     for name, leaf in named_leaves(run.samples):
