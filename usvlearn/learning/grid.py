@@ -13,7 +13,7 @@ def counts(points: int, dimensions: int) -> list[int]:
     """How many values each dimension has in a grid of at most so many points, as evenly as it goes.
 
     >>> counts(32, 2), counts(7, 3)
-    ([6, 5], [2, 1, 1])
+    ([6, 5], [2, 2, 1])
     """
     found = [max(1, math.floor(points ** (1 / dimensions) + 1e-9))] * dimensions
     for k in range(dimensions):

@@ -83,6 +83,8 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
     for key in ("evaluations", "rounds", "trials"):
         if isinstance(options[key], bool) or not isinstance(options[key], int) or options[key] < 1:
             raise ConfigError(f"tuning.{key}: found {options[key]!r}, expected a whole number, 1 or more")
+    if isinstance(options["seed"], bool) or not isinstance(options["seed"], int) or options["seed"] < 0:
+        raise ConfigError(f"tuning.seed: found {options['seed']!r}, expected a whole number, 0 or more")
     if options["rounds"] > options["evaluations"]:
         raise ConfigError(f"tuning.rounds: found {options['rounds']}, expected at most tuning.evaluations")
     explicit = way == "grid" and isinstance(given, Mapping)
@@ -90,7 +92,7 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
     if len(names) != 1:
         raise ConfigError(f"grid: found {', '.join(names) or 'no values'}, expected values of one member, MEMBER.PATH")
     (member,) = names
-    if member not in members:
+    if not isinstance(member, str) or member not in members:
         raise ConfigError(f"{way}: found {member!r}, expected one of the members {', '.join(members)}")
 
     def build(values: Mapping[str, Any]) -> Any:
