@@ -28,7 +28,7 @@ from usvlearn.learning.lanes import (
     hyperparameter,
     hyperparameters,
 )
-from usvlearn.learning.leaderboard import EXPERIMENT, TUNING, record, report, write
+from usvlearn.learning.winners import EXPERIMENT, TUNING, record, report, write
 from usvlearn.learning.run_folder import CHECKPOINTS, digest
 from usvlearn.learning.search import search
 from usvlearn.signals import Fleet
