@@ -7,7 +7,6 @@ python evaluate.py experiment=paper                 the paper's study from nothi
 """
 
 import sys
-import warnings
 from pathlib import Path
 
 import hydra
@@ -30,7 +29,6 @@ from usvlearn.logs.fleet import align_fleet
 from usvlearn.simulate.truth import truth_of
 
 TOOLS = Tools(instantiate, align_fleet, truth_of, Console(markup=False))
-warnings.formatwarning = lambda message, *_: f"warning: {message}\n"
 
 
 def compare(folder: str) -> bool:
@@ -52,12 +50,14 @@ class Sweep(Callback):
 
 def study(cfg: DictConfig) -> None:
     """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
-    from train import train, tune
+    from train import work
+
+    def run(overrides: list[str], where: Path) -> None:
+        work(compose("train", overrides), where, overrides, quiet=False)
 
     folder, plan = Path(cfg.folder), {**OmegaConf.to_container(cfg.study), "version": __version__}
-    jobs = [lambda overrides, where, job=job: job(compose("train", overrides), where) for job in (train, tune)]
-    made = Study(folder, plan, TOOLS.console.print, *jobs, choose=lambda where: start_of(where, TOOLS))
-    season, gained = made.run()
+    made = Study(folder, plan, TOOLS.console.print, run, choose=lambda where: start_of(where, TOOLS))
+    season, gained = made.make()
     evaluate([season], folder / "report", TOOLS, more=[gained], commands=made.commands)
 
 

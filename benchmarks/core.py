@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from usvlearn import AID, RLS, RNN, Average, Ensemble, Persistence, RecursiveWeights, SurgeDynamics, rollout
-from usvlearn.evaluation.metrics import fleet_scores, mean_mae
+from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.learning.replay import replay
 from usvlearn.learning.run_folder import RunFolder
 from usvlearn.learning.watch import Watch
@@ -82,10 +82,10 @@ def logging(fleet) -> str:
             for chunk in replay(model, fleet, start.state, every=watch.every):
                 spent += once(lambda c=chunk, a=archive: a.save(c))
                 spent += once(lambda c=chunk, w=watch: w.show(c))
-            maes = mean_mae(fleet_scores(fleet, archive.published, model.names))
+            boats = fleet_scores(fleet, archive.published, model.names)
             spent += once(
-                lambda w=watch, m=maes, a=archive: w.finish(
-                    SETTINGS, m, a.published, {boat: [] for boat in fleet.boats}
+                lambda w=watch, s=boats, a=archive: w.finish(
+                    SETTINGS, s, a.published, {boat: [] for boat in fleet.boats}
                 )
             )
             shares.append(spent / (time.perf_counter() - began - spent))

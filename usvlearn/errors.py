@@ -1,6 +1,7 @@
 """The errors that usvlearn raises at its borders: each message says what, where, expected and what to do."""
 
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -91,11 +92,13 @@ def bad_input(error: BaseException, wrapper: type[BaseException] = UsvlearnError
 
 @contextmanager
 def one_sentence(wrapper: type[BaseException] = UsvlearnError) -> Iterator[None]:
-    """Let bad input end the program with one sentence and code 2; see `bad_input`.
+    """Let bad input end the program with one sentence and code 2 (see `bad_input`), and a warning be one line.
 
     >>> with one_sentence():
     ...     dt = check_positive("dt", 0.4)
     """
+    before = warnings.formatwarning
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
     try:
         yield
     except Exception as error:
@@ -103,3 +106,5 @@ def one_sentence(wrapper: type[BaseException] = UsvlearnError) -> Iterator[None]
             raise
         print(f"error: {cause}", file=sys.stderr)
         sys.exit(2)
+    finally:
+        warnings.formatwarning = before

@@ -15,6 +15,9 @@
     prediction/BOAT, thrusters/BOAT  figures; the latter of the run in which an alarm was raised
     total/mae/ESTIMATOR            m/s, whole run, mean over boats: what the HPARAMS page compares
     report/FIGURE, report/SECTION  of a report: its figures; what was found, and its tables, as text
+    learn/loss, learn/PATH         of learning by gradient: MAE of a window, m/s, and the hyperparameters
+
+The runs of a tuning are named after its best settings, such as `gain=3.16`.
 
 The horizontal axis counts the steps of the grid. The CUSTOM SCALARS page draws all estimators in one chart.
 """
@@ -61,10 +64,16 @@ class Board:
         """A text, for the TEXT page."""
         self._writer.add_text(tag, markdown)
 
-    def hparams(self, settings: Mapping[str, object], results: Mapping[str, float]) -> None:
-        """The one record by which TensorBoard's HPARAMS page compares runs; names with a leading _ are left out."""
+    def hparams(self, settings: Mapping[str, object], results: Mapping[str, float], run: str = ".") -> None:
+        """A record by which TensorBoard's HPARAMS page compares runs; names with a leading _ are left out.
+
+        Args:
+            settings: what was set, a tree.
+            results: by tag.
+            run: a name of its own, where one folder holds the records of several.
+        """
         flat = dict(_flatten(settings))
-        self._writer.add_hparams(flat, dict(results), run_name=".")
+        self._writer.add_hparams(flat, dict(results), run_name=run)
 
     def close(self) -> None:
         self._writer.close()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
@@ -123,6 +125,17 @@ def ranked(jobs: Sequence) -> list:
     return sorted(jobs, key=objective)
 
 
+def closing(results: Mapping, folder: Path) -> list[str]:
+    """The last lines of a run: what it came to, and how to look at it.
+
+    >>> closing({"seconds": 2.0, "output": "ensemble", "objective": 0.05}, Path("run"))[1]
+    'To look at the run: tensorboard --logdir run'
+    """
+    found = f"{results['seconds']:.1f} s; MAE of {results['output']}: {results['objective']:.4f} m/s"
+    look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"
+    return [f"{found}; results and parameter sets: {folder}", look]
+
+
 def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
     """One row per job of a sweep, the best first: what differs in its settings, and MAE, mean over boats.
 
@@ -156,3 +169,21 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
         if "boats" not in result
     ]
     return Group(*([table] if done else []), *failed)
+
+
+def tuning_table(title: str, rows: Sequence[tuple[str, str, Mapping]]) -> Table:
+    """One row per setting: its rank or name, the setting, MAE in m/s, mean over boats, and the gain over the default.
+
+    Args:
+        title: of the table.
+        rows: rank, setting in words, and `mae` and `gain` (percent), None where it diverged.
+    """
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
+    table.add_column("", no_wrap=True)
+    table.add_column("setting", overflow="fold")
+    table.add_column("MAE, m/s", justify="right")
+    table.add_column("gain, %", justify="right")
+    for k, (rank, setting, row) in enumerate(rows):
+        mae = "diverged" if row["mae"] is None else f"{row['mae']:.5f}"
+        table.add_row(rank, setting, mae, _number(row.get("gain"), 1), style=None if k else "bold")
+    return table

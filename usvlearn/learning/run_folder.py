@@ -26,7 +26,8 @@ import torch
 from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
 from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.estimators.ensemble import EnsembleState
+from usvlearn.estimators.ensemble import Ensemble, EnsembleState
+from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
@@ -125,6 +126,14 @@ class RunFolder:
                 self._save_lane(chunk.state, lane, boat, place)
         self._saved = chunk.end
 
+    def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
+        """Judge all that was published; returns what stands in `results.json`: scores, alarms, the objective."""
+        boats = fleet_scores(self.fleet, self.published, ensemble.names)
+        found = {"boats": boats, "alarms": alarms(self.fleet, self.published), "rejected": self.fleet.rejected}
+        found |= {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
+        save_results(self.path, found)
+        return found
+
     def _save_lane(self, state: EnsembleState, lane: int, boat: str, place: Position) -> None:
         run = self.fleet.runs[place.run]
         save_checkpoint(
@@ -174,9 +183,13 @@ class RunFolder:
             return False
 
     def _from_file(self, source: Path, start: Start) -> Start:
-        """Every boat starts from one parameter set."""
+        """Every boat starts from one parameter set; what is watched of another boat, such as its thrusters, is not."""
         state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
-        state = side_by_side([state] * len(self.fleet.boats))
+        lanes = [
+            state if boat == facts["boat"] else state._replace(monitors=_lane(start.state.monitors, lane))
+            for lane, boat in enumerate(self.fleet.boats)
+        ]
+        state = side_by_side(lanes)
         return start._replace(state=state, note=f"starting from {facts['boat']}, run {facts['run']}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
@@ -302,7 +315,7 @@ def _has_sets(folder: Path) -> bool:
     return any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))
 
 
-def _lane(state: EnsembleState, lane: int) -> EnsembleState:
+def _lane(state: Any, lane: int) -> Any:
     return tree_map(lambda x: x[lane], state)
 
 

@@ -38,7 +38,7 @@ class Study:
         plan: overrides of train.yaml that are `common` to both seasons, and those of `tuning` and `season`; `members`
             to tune; `evaluations` of each.
         say: tells the person what is being done.
-        train, tune: do what `train.py OVERRIDES` does, in a folder.
+        run: does what `train.py OVERRIDES` does, in a folder.
         choose: of a finished folder, the checkpoint from which the next season starts.
 
     Raises:
@@ -50,12 +50,11 @@ class Study:
         folder: Path,
         plan: Mapping[str, Any],
         say: Callable[[str], object],
-        train: Job,
-        tune: Job,
+        run: Job,
         choose: Callable[[Path], Path],
     ):
         self.folder, self.plan, self.commands = folder, dict(plan), list[str]()
-        self._train, self._tune, self._choose, self._say = train, tune, choose, say
+        self._run, self._choose, self._say = run, choose, say
         path = folder / PLAN
         if path.exists() and json.loads(path.read_text()) != self.plan:
             raise ConfigError(
@@ -65,13 +64,13 @@ class Study:
         folder.mkdir(parents=True, exist_ok=True)
         write_atomically(path, json.dumps(self.plan, indent=2).encode())
 
-    def run(self) -> tuple[Path, Section]:
+    def make(self) -> tuple[Path, Section]:
         """Make all stages; the folder of the season with tuned settings, and what tuning gained."""
         found = {member: self._tuned(member) for member in self.plan["members"]}
         settings = [
             f"estimators.{member}.{path}={value}"
             for member, each in found.items()
-            for path, value in each["best"]["settings"].items()
+            for path, value in each["best"]["setting"].items()
         ]
         before, after = self._learned("default", []), self._learned("tuned", settings)
         return after, tuning_section(found, results(after)["boats"], results(before)["boats"])
@@ -79,7 +78,7 @@ class Study:
     def _tuned(self, member: str) -> dict[str, Any]:
         folder = self.folder / "tune" / member
         budget = [f"grid={member}", f"tuning.evaluations={self.plan['evaluations']}"]
-        self._stage(self._tune, [*self._season("tuning"), *budget], folder, folder / TUNING)
+        self._stage([*self._season("tuning"), *budget], folder, folder / TUNING)
         return json.loads((folder / TUNING).read_text())
 
     def _season(self, name: str) -> list[str]:
@@ -87,12 +86,12 @@ class Study:
 
     def _learned(self, kind: str, settings: Sequence[str]) -> Path:
         initial, season = self.folder / kind / "initial", self.folder / kind / "season"
-        self._stage(self._train, [*self._season("tuning"), *settings], initial, initial / RESULTS)
+        self._stage([*self._season("tuning"), *settings], initial, initial / RESULTS)
         start = [] if (season / RESULTS).exists() else [f"resume={self._choose(initial)}"]
-        self._stage(self._train, [*self._season("season"), *settings, *start], season, season / RESULTS)
+        self._stage([*self._season("season"), *settings, *start], season, season / RESULTS)
         return season
 
-    def _stage(self, run: Job, overrides: Sequence[str], folder: Path, done: Path) -> None:
+    def _stage(self, overrides: Sequence[str], folder: Path, done: Path) -> None:
         self.commands.append(f"python train.py {shlex.join(overrides)} hydra.run.dir={folder}")
         if done.exists():
             self._say(f"{folder}: is there")
@@ -100,4 +99,4 @@ class Study:
         self._say(self.commands[-1])
         if (folder / RUNS).exists():  # it was stopped
             overrides = [*(each for each in overrides if not each.startswith("resume=")), f"resume={folder}"]
-        run(overrides, folder)
+        self._run(overrides, folder)

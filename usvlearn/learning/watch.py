@@ -15,7 +15,7 @@ from usvlearn.estimators.monitors import THRESHOLD
 from usvlearn.estimators.rnn import RNN
 from usvlearn.evaluation.fault_figure import fault_figure
 from usvlearn.evaluation.figures import prediction_figure
-from usvlearn.evaluation.metrics import PERSISTENCE
+from usvlearn.evaluation.metrics import PERSISTENCE, mean_mae
 from usvlearn.learning.replay import Chunk
 from usvlearn.signals import Fleet
 from usvlearn.tensorboard import Board
@@ -92,7 +92,7 @@ class Watch:
     def finish(
         self,
         settings: Mapping,
-        maes: Mapping[str, float],
+        boats: Mapping[str, Mapping[str, Mapping]],
         published: Mapping[str, Sequence[np.ndarray]],
         alarms: Mapping[str, Sequence[Mapping]],
     ) -> None:
@@ -105,13 +105,13 @@ class Watch:
 
         Args:
             settings: the run's configuration.
-            maes: of the estimators, m/s.
+            boats: scores of the estimators; see `usvlearn.evaluation.metrics.fleet_scores`.
             published: what `usvlearn.learning.replay.PUBLISHED` says, an array per run.
             alarms: per boat; see `usvlearn.evaluation.metrics.alarms`.
         """
         step = self.fleet.steps
         tuned = {**settings["estimators"], **settings["combiners"], "align": settings["align"]}
-        self.board.hparams(tuned, {f"total/mae/{name}": mae for name, mae in maes.items()})
+        self.board.hparams(tuned, {f"total/mae/{name}": mae for name, mae in mean_mae(boats).items()})
         for boat, channels in self.fleet.rejected.items():
             for channel, causes in channels.items():
                 self.board.scalars(f"rejected/{boat}/{channel}", causes, step)

@@ -30,7 +30,7 @@ def tuning_section(
         found = tuned.get(name)
         own = (None,) * 5
         if found:
-            settings = ", ".join(f"{key} {value:.4g}" for key, value in found["best"]["settings"].items())
+            settings = ", ".join(f"{key} {value:.4g}" for key, value in found["best"]["setting"].items())
             first, best = found["default"]["mae"], found["best"]["mae"]
             own = found["evaluations"], settings, first, best, 100 * (1 - best / first)
         rows.append((name, *own, without[name], with_tuning[name], 100 * (1 - with_tuning[name] / without[name])))
