@@ -1,7 +1,7 @@
 """Replay runs through an ensemble, online: predict, then learn, then save what was learned.
 
 python train.py data=blueboat data.path=LOGS              logs
-python train.py grid=aid                                  tune a member: settings as lanes; learn=, search= alike
+python train.py grid=aid                                  tune a member; learn=aid and search=aid, too
 python train.py -m estimators.rls.memory=10,30            a sweep; or sweep=inputs, of configs/sweep
 """
 
@@ -35,10 +35,9 @@ from usvlearn.logs.fleet import align_fleet
 def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], quiet: bool, resume: str | None = None) -> float:
     """Do what is asked for, a replay or tuning, in a folder; returns the MAE, m/s."""
     console = Console(markup=False, quiet=quiet)  # of its own: what a worker is sent must be picklable
-    if tuning.asked(cfg):
-        settings = OmegaConf.to_container(cfg, resolve=True)
-        return tuning.tune(settings, folder, instantiate, align_fleet, overrides, console)
-    return train(cfg, folder, console, resume or cfg.resume)
+    if not tuning.asked(cfg):
+        return train(cfg, folder, console, resume or cfg.resume)
+    return tuning.tune(OmegaConf.to_container(cfg, resolve=True), folder, instantiate, align_fleet, overrides, console)
 
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
@@ -68,8 +67,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
 def main(cfg: DictConfig) -> float:
     """One job: bad input ends it with one sentence and code 2; in a sweep it is noted, and the rest go on."""
     job, folder = HydraConfig.get(), Path(HydraConfig.get().runtime.output_dir)
-    quiet = job.runtime.choices["hydra/launcher"] == "joblib"  # whose workers share the terminal
-    ask = partial(work, cfg, folder, job.overrides.task, quiet)
+    shared = job.runtime.choices["hydra/launcher"] == "joblib"  # the terminal, by several workers
+    ask = partial(work, cfg, folder, job.overrides.task, quiet=shared)
     with one_sentence(InstantiationException):
         if job.mode.name != "MULTIRUN":
             return ask()
@@ -77,6 +76,5 @@ def main(cfg: DictConfig) -> float:
 
 
 if __name__ == "__main__":
-    with one_sentence():
-        check_launcher(sys.argv[1:])
+    check_launcher(sys.argv[1:])
     main()

@@ -183,13 +183,9 @@ class RunFolder:
             return False
 
     def _from_file(self, source: Path, start: Start) -> Start:
-        """Every boat starts from one parameter set; what is watched of another boat, such as its thrusters, is not."""
+        """Every boat starts from one parameter set; what is watched, such as the thrusters, is watched anew."""
         state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
-        lanes = [
-            state if boat == facts["boat"] else state._replace(monitors=_lane(start.state.monitors, lane))
-            for lane, boat in enumerate(self.fleet.boats)
-        ]
-        state = side_by_side(lanes)
+        state = side_by_side([state] * len(self.fleet.boats))._replace(monitors=start.state.monitors)
         return start._replace(state=state, note=f"starting from {facts['boat']}, run {facts['run']}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
@@ -315,7 +311,7 @@ def _has_sets(folder: Path) -> bool:
     return any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))
 
 
-def _lane(state: Any, lane: int) -> Any:
+def _lane(state: EnsembleState, lane: int) -> EnsembleState:
     return tree_map(lambda x: x[lane], state)
 
 

@@ -19,7 +19,7 @@ from shutil import which
 from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.errors import ConfigError, MissingExtraError, UsvlearnError, bad_input
+from usvlearn.errors import ConfigError, MissingExtraError, UsvlearnError, bad_input, one_sentence
 from usvlearn.evaluation.tables import differing, told
 from usvlearn.learning.run_folder import RESULTS, RUNS, save_results
 
@@ -41,14 +41,15 @@ class Job(NamedTuple):
 
 
 def check_launcher(arguments: Sequence[str]) -> None:
-    """Raise unless the launcher that a command line names can be used.
-
-    Raises:
-        ConfigError: nobody knows it.
-        MissingExtraError: it is not installed.
+    """End with one sentence and code 2 unless the launcher that a command line names is known and installed.
 
     >>> check_launcher(["-m", "hydra/launcher=basic"])
     """
+    with one_sentence():
+        _check_launcher(arguments)
+
+
+def _check_launcher(arguments: Sequence[str]) -> None:
     for argument in arguments:
         key, _, name = argument.partition("=")
         if key.lstrip("+") != "hydra/launcher" or name == "basic":
