@@ -53,10 +53,10 @@ def study(cfg: DictConfig) -> None:
     from train import work
 
     def run(overrides: list[str], where: Path) -> None:
-        work(compose("train", overrides), where, overrides, quiet=False)
+        work(compose("train", overrides), where, overrides)
 
     folder, plan = Path(cfg.folder), {**OmegaConf.to_container(cfg.study), "version": __version__}
-    made = Study(folder, plan, TOOLS.console.print, run, choose=lambda where: start_of(where, TOOLS))
+    made = Study(folder, plan, TOOLS.say, run, choose=lambda where: start_of(where, TOOLS))
     season, gained = made.make()
     evaluate([season], folder / "report", TOOLS, more=[gained], commands=made.commands)
 

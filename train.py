@@ -32,7 +32,7 @@ from usvlearn.learning.watch import Watch
 from usvlearn.logs.fleet import align_fleet
 
 
-def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], quiet: bool, resume: str | None = None) -> float:
+def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
     """Do what is asked for, a replay or tuning, in a folder; returns the MAE, m/s."""
     console = Console(markup=False, quiet=quiet)  # of its own: what a worker is sent must be picklable
     if not tuning.asked(cfg):

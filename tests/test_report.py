@@ -13,11 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hydra.utils import instantiate
+from rich.console import Console
 
 from tests.test_crossval import boats
 from tests.test_train import SMALL, run
 from usvlearn import AID, RLS, RNN, Ensemble, Robust, SIFtRLS, SurgeDynamics
-from usvlearn.checkpoint import checkpoints
+from usvlearn.checkpoint import checkpoints, load
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.evaluation.judge import judge
 from usvlearn.evaluation.report import write_report
@@ -27,9 +29,10 @@ from usvlearn.evaluation.sections.online import online_section
 from usvlearn.evaluation.sections.parameters import course, physical_members
 from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.evaluation.sheet import Sheet
-from usvlearn.learning.saved import configuration, is_sweep, read_seasons, results, run_folders
+from usvlearn.learning.reports import Tools, read
+from usvlearn.learning.saved import configuration, is_sweep, read_seasons, run_folders
 from usvlearn.logs.fleet import align_fleet
-from usvlearn.simulate.fleet import fleet, fleet_vessels
+from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of
 from usvlearn.simulate.vessel import static_thrust
 
@@ -125,15 +128,31 @@ def test_the_page_opens_in_a_browser_without_an_error(saved, tmp_path):
     assert "CONSOLE" not in done.stderr
 
 
+def tools() -> Tools:
+    return Tools(instantiate, align_fleet, truth_of, Console(quiet=True))
+
+
 def test_sets_know_their_run_and_their_hours(saved):
-    cfg = configuration(saved)
-    data = {key: value for key, value in cfg["data"].items() if key not in ("_target_", "_convert_")}
-    data |= {"autopilot": None, "sensors": None}
-    ensemble = Ensemble({"aid": AID(mass=28.0)})
-    logs = align_fleet(fleet(**data), **cfg["align"])
+    ensemble, seasons, truth = read([saved], tools())
+    lengths = json.loads((saved / "runs.json").read_text())["boats"]["heron2"]
+    season = seasons[1]
+    assert season.boat == "heron2" and set(truth) == {"heron1", "heron2"} and not is_sweep(saved)
+    for path, own, hours in zip(season.paths, season.own, season.hours, strict=True):
+        run_, step = map(int, path.stem.split("_"))
+        assert own == run_ and path.parent.name == "heron2"
+        assert hours == pytest.approx((sum(length for _, length, _ in lengths[:run_]) + step) * 0.4 / 3600)
+    theta = load(season.paths[1])[0]["members.aid.theta"]
+    assert np.array_equal(season.state.members["aid"].theta[1].numpy(), theta)
+    assert season.others.sum(1).tolist() == [1] * len(season.own)
+    for each, (name, length, _) in zip(season.runs, lengths, strict=True):
+        assert each.name == name and each.published["predictions"].shape == (length, len(ensemble.names))
     with pytest.raises(CheckpointError, match="does not fit"):
-        read_seasons([saved], ensemble, [logs])
-    assert not is_sweep(saved) and results(saved)["objective"] > 0
+        read_seasons([saved], Ensemble({"aid": AID(mass=28.0)}), fleets(saved))
+
+
+def fleets(folder: Path) -> list:
+    cfg = configuration(folder)
+    return [align_fleet(instantiate(cfg["data"]), **cfg["align"])]
 
 
 # What bad input is told: what is done to a copy of the run, and what the sentence says.
@@ -188,20 +207,33 @@ def test_one_damaged_set_is_passed_over(copy):
     content = bytearray(path.read_bytes())
     content[-1] ^= 1
     path.write_bytes(bytes(content))
-    done = run(f"runs={copy}", folder=copy.parent, script="evaluate.py")
-    assert done.returncode == 0 and "damaged" in done.stderr + done.stdout
-    found = {r["simulations"] for r in rows(copy / "report/tables/crossval.csv") if r["boat"] == "heron1"}
-    assert found == {str(len(checkpoints(copy / "checkpoints" / "heron1")) - 1)}
+    with pytest.warns(UserWarning, match="damaged"):
+        _, seasons, _ = read([copy], tools())
+    sets = checkpoints(copy / "checkpoints" / "heron1")
+    assert list(seasons[0].paths) == sets[1:] and len(seasons[0].own) == len(sets) - 1
 
 
-def test_other_logs_of_a_boat_are_all_other_runs(saved, tmp_path):
-    plan = ("data=simulated", "data.n=2", "data.hours=0.05", "data.seed=77", f"report={tmp_path}/report")
-    done = run(f"runs={saved}", *plan, folder=tmp_path, script="evaluate.py")
-    assert done.returncode == 0, done.stderr
-    found = rows(tmp_path / "report/tables/crossval.csv")
-    sets = len(checkpoints(saved / "checkpoints" / "heron1"))
-    assert {row["simulations"] for row in found if row["boat"] == "heron1"} == {str(sets)}
-    assert "not replayed in these folders" in (tmp_path / "report/report.md").read_text()
+def test_damaged_predictions_are_passed_over(copy):
+    path = sorted((copy / "predictions").glob("00001_*"))[0]
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.warns(UserWarning, match="goes without predictions"):
+        _, seasons, _ = read([copy], tools())
+    assert [bool(each.published) for each in seasons[0].runs] == [True, False]
+
+
+def test_other_logs_of_a_boat_are_all_other_runs(saved):
+    data = {**configuration(saved)["data"], "seed": 77, "hours": 0.05}
+    _, seasons, _ = read([saved], tools(), data)
+    assert [season.boat for season in seasons] == ["heron1", "heron2"]
+    assert all(season.others.all() and not season.runs[0].published for season in seasons)
+
+
+def test_two_folders_of_one_season_are_pooled(copy, saved):
+    (copy / "results.json").unlink()
+    _, seasons, truth = read([saved, copy], tools())
+    assert len(seasons[0].runs) == 2 and truth == {}  # the same runs count once
+    assert len(seasons[0].own) == 2 * len(checkpoints(saved / "checkpoints" / "heron1"))
+    assert seasons[0].hours.max() == pytest.approx(2 * seasons[0].hours[: len(seasons[0].own) // 2].max())
 
 
 def test_run_folders_are_found_below_and_must_be_there(saved, tmp_path):

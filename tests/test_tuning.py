@@ -21,7 +21,7 @@ from tests.test_train import ENVIRONMENT, command, results
 from usvlearn import RNN, Ensemble, Estimator, Persistence, Positive, UnitInterval, UsvlearnError
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.metrics import fleet_scores
-from usvlearn.learning import fit, lanes, leaderboard, search, tuning
+from usvlearn.learning import fit, lanes, search, tuning, winners
 from usvlearn.learning.grid import counts, grid
 from usvlearn.learning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae, hyperparameter
 from usvlearn.learning.replay import replay
@@ -106,9 +106,9 @@ def test_a_lane_that_diverges_is_infinite_and_shown(fleet):
     found = Objective(lambda values: Explodes(**values), fleet)([{"gain": 1.0}, {"gain": 2.0}])
     assert [math.isfinite(each.mae) for each in found] == [True, False]
     np.testing.assert_allclose(found[0].maes, replayed(fleet, Persistence()), rtol=1e-12)
-    made = leaderboard.record({"member": "x", "command": "", "evaluations": 1}, fleet.boats, found, found[0])
+    made = winners.record({"member": "x", "command": "", "evaluations": 1}, fleet.boats, found, found[0])
     assert made["diverged"] == 1 and made["evaluated"][1]["mae"] is None
-    assert leaderboard.ranked(made)[-1]["mae"] is None
+    assert winners.ranked(made)[-1]["mae"] is None
 
 
 @pytest.mark.parametrize("kind, low, high", [(Positive, 1e-3, 1e3), (UnitInterval, 0.01, 0.9999)])
@@ -317,7 +317,7 @@ def test_every_file(tmp_path):
         assert [int(row["rank"]) for row in rows] == list(range(1, len(found["evaluated"]) + 1))
         assert [float(row["mae_m_s"]) for row in rows] == sorted(each["mae"] for each in found["evaluated"])
         assert f"{found['best']['mae']:.5f}" in done.stdout
-        best = leaderboard.label(found["best"]["setting"])
+        best = winners.label(found["best"]["setting"])
         assert list((folder / "tensorboard" / best).glob("events*")) and best in done.stdout
         added = tmp_path / "configs" / "experiment"
         added.mkdir(parents=True, exist_ok=True)

@@ -31,6 +31,10 @@ class Tools(NamedTuple):
     truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
     console: Console
 
+    def say(self, text: str) -> None:
+        """Print a line that is not to be broken, such as a command or a path."""
+        self.console.print(text, soft_wrap=True)
+
 
 def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season], Truth]:
     """The ensemble of some runs, what they left of each boat, and the truth where it is known.
@@ -76,7 +80,7 @@ def evaluate(
         bar = progress.add_task("simulating", total=simulations(seasons))
         sections, errors = judge(ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps))
     page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
-    tools.console.print(f"report: {page}", soft_wrap=True)
+    tools.say(f"report: {page}")
     return page
 
 

@@ -167,7 +167,7 @@ def _with_predictions(
     for path in sorted((folder / PREDICTIONS).glob("*.npz")):
         at = position(path)
         try:
-            with np.load(path) as archive:
+            with path.open("rb") as file, np.load(file) as archive:
                 part = {name: archive[name][:, lane] for name in archive.files}
         except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile, zlib.error) as error:
             warnings.warn(f"{path}: is damaged ({error}); its run goes without predictions", stacklevel=3)
