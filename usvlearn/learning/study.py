@@ -26,7 +26,7 @@ from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.learning.run_folder import RESULTS, RUNS
 from usvlearn.learning.saved import results
 
-PLAN, TUNING = "study.json", "tuning.json"
+PLAN, START, TUNING = "study.json", "start.json", "tuning.json"
 Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
 
 
@@ -87,8 +87,11 @@ class Study:
     def _learned(self, kind: str, settings: Sequence[str]) -> Path:
         initial, season = self.folder / kind / "initial", self.folder / kind / "season"
         self._stage([*self._season("tuning"), *settings], initial, initial / RESULTS)
-        start = [] if (season / RESULTS).exists() else [f"resume={self._choose(initial)}"]
-        self._stage([*self._season("season"), *settings, *start], season, season / RESULTS)
+        chosen = self.folder / kind / START
+        if not chosen.exists():
+            write_atomically(chosen, json.dumps(str(self._choose(initial))).encode())
+        start = f"resume={json.loads(chosen.read_text())}"
+        self._stage([*self._season("season"), *settings, start], season, season / RESULTS)
         return season
 
     def _stage(self, overrides: Sequence[str], folder: Path, done: Path) -> None:
