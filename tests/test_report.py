@@ -268,7 +268,9 @@ def test_online_section_by_hand():
 
 
 def test_tuning_section_by_hand():
-    tuned = {"aid": {"evaluations": 8, "default": {"mae": 0.2}, "best": {"mae": 0.1, "setting": {"gain": 3.0}}}}
+    tuned = {
+        "aid": {"evaluations": 8, "default": {"mae": 0.2}, "best": {"mae": 0.1, "gain": 50.0, "setting": {"gain": 3.0}}}
+    }
     after, before = ({"heron": {"aid": {"mae": a}, "rls": {"mae": 0.3}}} for a in (0.15, 0.1))
     section = tuning_section(tuned, after, before)
     row = section.sheets[0].rows[0]

@@ -39,7 +39,7 @@ class Recorder:
             (folder / "runs.json").write_text("{}")
             raise KeyboardInterrupt
         if stage.startswith("tune/"):
-            best = {"mae": 0.1, "setting": {"gain": 3.0}}
+            best = {"mae": 0.1, "gain": 50.0, "setting": {"gain": 3.0}}
             (folder / "tuning.json").write_text(
                 json.dumps({"evaluations": 4, "default": {"mae": 0.2}, "best": best, "way": "grid"})
             )

@@ -31,23 +31,34 @@ def tuning_section(
         own = (None,) * 5
         if found:
             settings = ", ".join(f"{key} {value:.4g}" for key, value in found["best"]["setting"].items())
-            first, best = found["default"]["mae"], found["best"]["mae"]
-            own = found["evaluations"], settings, first, best, 100 * (1 - best / first)
+            own = found["evaluations"], settings, found["default"]["mae"], found["best"]["mae"], found["best"]["gain"]
         rows.append((name, *own, without[name], with_tuning[name], 100 * (1 - with_tuning[name] / without[name])))
     columns = ("method", "evaluations", "tuned to", "tuning season: default, m/s", "tuned, m/s", "gain, %",
                "next season: default, m/s", "tuned, m/s", "gain, %")  # fmt: skip
+    edges = [
+        f"{name} {path}"
+        for name, found in tuned.items()
+        for path, value in found["best"]["setting"].items()
+        if value in found.get("ranges", {}).get(path, [])
+    ]
     budget = ", ".join(sorted({str(found["evaluations"]) for found in tuned.values()}))
     told = [
-        f"Each of {', '.join(tuned)} had {budget} evaluations beside its default, on the tuning season alone.",
+        f"{', '.join(tuned)} took {budget} evaluations each beside the default, on the tuning season alone.",
         *(
-            f"{name}: {row[5]:+.1f} % there, {row[8]:+.1f} % on the season that it was not tuned on."
+            f"{name}: {_percent(row[5])} there, {_percent(row[8])} on the season that it was not tuned on."
             for row in rows
             if (name := row[0]) in tuned
         ),
     ]
+    if edges:
+        told.append(f"At the edge of its range, so that more may be beyond: {', '.join(edges)}.")
     if three := [row for row in rows if row[0] in ("aid", "rls", "rnn")]:
         best = [min(three, key=lambda row, k=k: row[k])[0] for k in (6, 7)]
         told.append(
             f"The lowest error of {', '.join(r[0] for r in three)}: {best[0]} by default, {best[1]} when tuned."
         )
     return Section("tuning", "What tuning gained", SAID, told, (), [Sheet("tuning", columns, rows)])
+
+
+def _percent(gain: float | None) -> str:
+    return "unknown" if gain is None or gain != gain else f"{gain:+.1f} %"
