@@ -75,10 +75,8 @@ def boxes_figure(
     height = ROW * len(names) + 0.55
     with themed() as Figure:
         figure = Figure(figsize=(1.4 + 2.3 * across, 0.45 + height * down), layout="constrained")
-        panels = np.atleast_1d(figure.subplots(down, across, sharex=True, sharey=True)).ravel()
-        for panel in panels[len(boats) :]:
-            panel.set_visible(False)
-        for panel, (boat, row) in zip(panels, boats.items(), strict=False):
+        panels = _panels(figure, len(boats), across, sharex=True, sharey=True)
+        for panel, (boat, row) in zip(panels, boats.items(), strict=True):
             panel.set_title(f"{boat}, {subtitles[boat]}", loc="left", fontsize=8.5)
             panel.set(xscale="log", xlim=limits, ylim=(len(names) - 0.4, -0.6), yticks=range(len(names)))
             panel.set_yticklabels(names, fontsize=8)
@@ -88,12 +86,29 @@ def boxes_figure(
                 panel.axvline(base.mean, color=INK, linewidth=0.8, linestyle=":")
             for k, name in enumerate(names):
                 _draw_box(panel, k, row[name], palette[name], name.endswith("+"), points)
-        for k, panel in enumerate(panels[: len(boats)]):
+        for k, panel in enumerate(panels):
             panel.xaxis.set_major_formatter("{x:g}")
             panel.xaxis.set_minor_formatter("")
             panel.tick_params(labelbottom=k + across >= len(boats), labelsize=8)
         figure.supxlabel(xlabel, fontsize=9, color=INK)
         return figure
+
+
+def _panels(figure, count: int, across: int, **shared: bool) -> list:
+    """`count` panels in rows of `across`."""
+    every = np.atleast_1d(figure.subplots(-(-count // across), across, **shared)).ravel()
+    for panel in every[count:]:
+        panel.set_visible(False)
+    return list(every[:count])
+
+
+def _over_hours(panels: Sequence, across: int) -> None:
+    """A grid in each panel, and under the lowest of each column what its axis is."""
+    for k, panel in enumerate(panels):
+        panel.grid(color=LINE)
+        if k + across >= len(panels):
+            panel.set_xlabel("time on the water, h")
+            panel.tick_params(labelbottom=True)
 
 
 def _draw_box(panel, place: int, found: Box | None, colour: str, learning: bool, points: bool) -> None:
@@ -133,10 +148,8 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
     down = -(-len(matrices) // across)
     with themed() as Figure:
         figure = Figure(figsize=(size * across + 0.4, size * down), layout="constrained")
-        panels = np.atleast_1d(figure.subplots(down, across)).ravel()
-        for panel in panels[len(matrices) :]:
-            panel.set_visible(False)
-        for panel, (name, matrix) in zip(panels, matrices.items(), strict=False):
+        panels = _panels(figure, len(matrices), across)
+        for panel, (name, matrix) in zip(panels, matrices.items(), strict=True):
             finite = matrix[np.isfinite(matrix) & (matrix > 0)]
             low, high = (finite.min(), finite.max()) if len(finite) else (1e-4, 1.0)
             norm = LogNorm(low, high if high > low else low * 1.01)
@@ -190,10 +203,8 @@ def certificates_figure(hours: Mapping[str, np.ndarray], margins: Mapping[str, M
     down = -(-len(margins) // across)
     with themed() as Figure:
         figure = Figure(figsize=(3.2 * across + 0.3, 2.2 * down + 0.7), layout="constrained")
-        panels = np.atleast_1d(figure.subplots(down, across, sharex=True)).ravel()
-        for panel in panels[len(margins) :]:
-            panel.set_visible(False)
-        for k, (panel, (name, boats)) in enumerate(zip(panels, margins.items(), strict=False)):
+        panels = _panels(figure, len(margins), across, sharex=True)
+        for panel, (name, boats) in zip(panels, margins.items(), strict=True):
             edge, rate = (1.0, True) if name == "rate" else (0.0, False)
             for boat, values in boats.items():
                 style = {"linewidth": 1.3, "marker": ".", "markersize": 3}
@@ -206,10 +217,7 @@ def certificates_figure(hours: Mapping[str, np.ndarray], margins: Mapping[str, M
             panel.axhspan(*failed, color=WORSE, alpha=0.12, linewidth=0)
             panel.axhline(edge, color=WORSE, linewidth=1)
             panel.set_ylabel("contraction rate K, per step" if rate else f"margin of {name}")
-            panel.grid(color=LINE)
-            if k + across >= len(margins):
-                panel.set_xlabel("time on the water, h")
-                panel.tick_params(labelbottom=True)
+        _over_hours(panels, across)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper left", ncols=min(8, len(labels)), fontsize=8)
         return figure
@@ -247,10 +255,8 @@ def parameters_figure(
     down = -(-len(courses) // across)
     with themed() as Figure:
         figure = Figure(figsize=(3.1 * across + 0.2, 1.65 * down + 0.8), layout="constrained")
-        panels = np.atleast_1d(figure.subplots(down, across, sharex=True)).ravel()
-        for panel in panels[len(courses) :]:
-            panel.set_visible(False)
-        for k, (panel, (parameter, row)) in enumerate(zip(panels, courses.items(), strict=False)):
+        panels = _panels(figure, len(courses), across, sharex=True)
+        for panel, (parameter, row) in zip(panels, courses.items(), strict=True):
             shown = []
             for name, (hours, value, deviation) in row.items():
                 panel.plot(hours, value, color=palette[name], linewidth=1.4, label=name)
@@ -271,12 +277,9 @@ def parameters_figure(
                 panel.set_ylim(known.min() - room, known.max() + room)
             panel.set_title(f"{parameter}, {units[parameter]}", loc="left", fontsize=8.5)
             panel.tick_params(labelsize=8)
-            panel.grid(color=LINE)
-            if k + across >= len(courses):
-                panel.set_xlabel("time on the water, h")
-                panel.tick_params(labelbottom=True)
+        _over_hours(panels, across)
         handles: dict[str, Any] = {}
-        for panel in panels[: len(courses)]:
+        for panel in panels:
             handles |= {label: handle for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)}
         figure.legend(handles.values(), handles, loc="outside upper left", ncols=5, fontsize=8, title=title,
                       title_fontsize=9, alignment="left")  # fmt: skip
