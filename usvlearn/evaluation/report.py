@@ -103,7 +103,7 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
 
     def saved(**options: Any) -> bytes:
         content = io.BytesIO()
-        drawn.figure.savefig(content, **options)
+        drawn.figure.savefig(content, bbox_inches="tight", pad_inches=0.05, **options)
         return content.getvalue()
 
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": drawn.name}):
