@@ -50,7 +50,10 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
     if data is not None and "_target_" not in data:
         raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
     settings = [configuration(folder) for folder in folders]
-    last, sources = settings[-1], [each["data"] for each in settings] if data is None else [data]
+    last, sources = settings[-1], []
+    for each in [found["data"] for found in settings] if data is None else [data]:
+        if each not in sources:  # several folders of the same logs
+            sources.append(each)
     combiners = tools.instantiate(last["combiners"], _convert_="all")
     ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last["output"])
     with tools.console.status("reading and aligning"):
