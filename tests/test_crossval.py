@@ -212,6 +212,6 @@ def test_judge_writes_every_section_of_a_simulated_fleet():
     sections, errors = judge(ensemble, seasons, {})
     assert [section.key for section in sections] == ["online", "crossval", "fleet", "parameters", "cost"]
     assert "no online predictions" in sections[0].here[0]
-    rows = {row[0]: row for row in sections[1].sheets[0].rows if row[1] == "rls"}
+    rows = {row[0]: row for row in sections[1].sheets[1].rows if row[1] == "rls"}
     others = errors["boat1"].mae[..., 0][~np.eye(2, dtype=bool)]
     assert rows["boat1"][2] == pytest.approx(np.median(others)) and rows["boat1"][-1] == 2

@@ -68,7 +68,17 @@ def test_every_file_is_there_and_replaced(saved):
     figures = {path.name for path in (report / "figures").iterdir()}
     names = {"online", "crossval", "fleet", "certificates", "equilibria", "parameters_heron1", "parameters_heron2"}
     assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")}
-    tables = {"online", "crossval", "fleet", "equilibria", "certificates", "parameters", "cost"}
+    tables = {
+        "online",
+        "online_fleet",
+        "crossval",
+        "crossval_fleet",
+        "fleet",
+        "equilibria",
+        "certificates",
+        "parameters",
+        "cost",
+    }
     assert {path.name for path in (report / "tables").iterdir()} == {f"{t}.{k}" for t in tables for k in ("csv", "md")}
     assert (report / "report.md").read_text().count("**The paper found.**") == 6
     assert list((report / "tensorboard").glob("events*"))
@@ -260,7 +270,7 @@ def test_online_section_by_hand():
             runs.append(each._replace(published={"predictions": predictions}))
         published.append(season._replace(runs=tuple(runs)))
     section = online_section(published, ["aid", "persistence"])
-    maes = {(row[0], row[1]): row[2] for row in section.sheets[0].rows}
+    maes = {(row[0], row[1]): row[2] for row in section.sheets[1].rows}
     assert maes == pytest.approx({
         ("boat0", "aid"): 0.1, ("boat0", "persistence"): 0.2, ("boat1", "aid"): 0.3, ("boat1", "persistence"): 0.2,
     })  # fmt: skip

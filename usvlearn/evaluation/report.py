@@ -46,7 +46,8 @@ table { border-collapse: collapse; font-size: .85rem; } th, td { padding: .2rem 
 pre { background: var(--card); padding: .7rem 1rem; overflow-x: auto; border-radius: .5rem; font-size: .85rem; }
 """
 TITLE = "What was learned"
-INLINE = 12  # rows of a table that are shown without a click
+INLINE = 16  # rows of a table that are shown without a click
+LINKED = 40  # rows from which `report.md` holds a link to a table
 
 
 def write_report(
@@ -84,7 +85,7 @@ def write_report(
     write_atomically(folder / "report.md", _markdown(facts, sections, commands).encode())
     with Board(folder / "tensorboard") as board:
         for section in sections:
-            board.text(f"report/{section.key}", _section_markdown(section, figures=False))
+            board.text(f"report/{section.key}", _section_markdown(section, files=False))
             for drawn in section.figures:
                 board.figure(f"report/{drawn.name}", drawn.figure, 0)
     if errors:
@@ -163,12 +164,15 @@ def _markdown(facts: Sequence[str], sections: Sequence[Section], commands: Seque
     return "\n\n".join(parts) + "\n"
 
 
-def _section_markdown(section: Section, figures: bool = True) -> str:
+def _section_markdown(section: Section, files: bool = True) -> str:
+    """A section; with `files` its figures and long tables are links to them."""
     parts = [f"## {section.title}"]
     if section.paper:
         parts.append(f"**The paper found.** {section.paper}")
     parts.append("**Found here.**\n\n" + "\n".join(f"- {sentence}" for sentence in section.here))
-    if figures:
+    if files:
         parts += [f"![{drawn.caption or drawn.name}](figures/{drawn.name}.svg)" for drawn in section.figures]
-    parts += [sheet.markdown() for sheet in section.sheets]
+    for sheet in section.sheets:
+        linked = files and len(sheet.rows) > LINKED
+        parts.append(f"[{sheet.name}: {len(sheet.rows)} rows](tables/{sheet.name}.md)" if linked else sheet.markdown())
     return "\n\n".join(parts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from usvlearn.evaluation.sheet import Sheet
@@ -27,6 +27,23 @@ class Section(NamedTuple):
     here: Sequence[str]  # sentences
     figures: Sequence[Drawn] = ()
     sheets: Sequence[Sheet] = ()
+
+
+def summary(name: str, boats: Mapping[str, Mapping[str, float]], what: str) -> Sheet:
+    """The mean over boats of each method's error, and on how many boats it has the least; the best first.
+
+    Args:
+        name: of the table.
+        boats: errors by boat and method.
+        what: the error, with its unit.
+
+    >>> summary("mae", {"a": {"aid": 0.1, "rls": 0.4}, "b": {"aid": 0.3, "rls": 0.2}}, "MAE, m/s").rows
+    [('aid', 0.2, 1), ('rls', 0.30000000000000004, 1)]
+    """
+    names, every = next(iter(boats.values())), list(boats.values())
+    best = [min(row, key=row.__getitem__) for row in every]
+    rows = [(method, sum(row[method] for row in every) / len(every), best.count(method)) for method in names]
+    return Sheet(name, ("method", f"{what}, mean over boats", "lowest on boats"), sorted(rows, key=lambda row: row[1]))
 
 
 def on(count: int, boats: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import Box, box, boxes_figure
-from usvlearn.evaluation.section import PAPER, Drawn, Section, on, tally
+from usvlearn.evaluation.section import PAPER, Drawn, Section, on, summary, tally
 from usvlearn.evaluation.sheet import Sheet
 
 SAID = (
@@ -53,13 +53,14 @@ def cross_section(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]) -
         "Outliers of the table lie 1.5 quartile distances above the box."
     )
     known = {boat: row for boat, row in boxes.items() if all(each is not None for each in row.values())}
+    means = {boat: {name: each.mean for name, each in row.items()} for boat, row in known.items()}
     return Section(
         "crossval",
         "Cross-validation: free runs of every saved set",
         SAID,
         _told(known),
         [Drawn("crossval", boxes_figure(boxes, subtitles, "MAE of a free run, m/s"), caption)],
-        [Sheet("crossval", columns, rows)],
+        [summary("crossval_fleet", means, "MAE of a free run, m/s"), Sheet("crossval", columns, rows)],
     )
 
 

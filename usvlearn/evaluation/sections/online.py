@@ -9,7 +9,7 @@ import numpy as np
 from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import box, boxes_figure
-from usvlearn.evaluation.section import PAPER, Drawn, Section, on, tally
+from usvlearn.evaluation.section import PAPER, Drawn, Section, on, summary, tally
 from usvlearn.evaluation.sheet import Sheet
 
 SAID = (
@@ -65,7 +65,7 @@ def online_section(seasons: Sequence[Season], names: Sequence[str]) -> Section:
                 "MAE of persistence. Under each name the measured run time and the mean speed.",
             )
         ],
-        [Sheet("online", columns, rows)],
+        [summary("online_fleet", maes, "MAE, m/s"), Sheet("online", columns, rows)],
     )
 
 
