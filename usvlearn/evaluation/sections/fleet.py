@@ -71,7 +71,7 @@ def fleet_section(seasons: Sequence[Season], matrices: Mapping[str, np.ndarray],
     caption = (
         "Rows: whose set; columns: on whose runs, all of them, from the inputs alone; the best of a column is framed. "
         "A boat's best set is the one with the least MSE on the runs that it was not saved in, so that the diagonal "
-        "holds a choice that the rest of its column does not."
+        "holds a choice that the rest of its column does not. The ensemble's weights are those of the moment of saving."
     )
     columns = ("method", "best set of", "saved after, h", *(f"MSE on {boat}, m²/s²" for boat in boats))
     drawn = [Drawn("fleet", matrix_figure(matrices, boats), caption)]

@@ -164,11 +164,15 @@ def _told(shown: Sequence[str], sides: np.ndarray, rows: Sequence[tuple]) -> lis
             f"True bias of the thrusters (left over right at the usual command): {np.exp(true.min()):.2f} to "
             f"{np.exp(true.max()):.2f}."
         )
+        medians = []
         for k, name in enumerate(shown):
             ok = np.isfinite(bias[:, k]).all() and len(bias) > 2 and bias[:, k].std() > 0 and true.std() > 0
             ratio = f"; correlation with the truth over boats {np.corrcoef(bias[:, k], true)[0, 1]:.2f}" if ok else ""
-            wrong = [abs(row[4] / row[6] - 1) for row in rows if row[3] == name and " at " in row[1] and row[6]]
-            told.append(f"{name}: drag and thrust are off by {100 * np.median(wrong):.0f} % (median){ratio}.")
+            wrong = [row[4] / row[6] - 1 for row in rows if row[3] == name and " at " in row[1] and row[6]]
+            medians.append(float(np.median(wrong)))
+            told.append(f"{name}: drag and thrust differ from the truth by {100 * medians[-1]:+.0f} %, median{ratio}.")
+        if max(medians) < 0:
+            told.append("All too small: noise in a regressor, here in the speed, attenuates what it weighs.")
         inside = [abs(row[4] - row[6]) <= row[5] for row in rows if row[5] is not None and row[6] is not None]
         if inside:
             told.append(
