@@ -1,6 +1,7 @@
 """Hyperparameters by gradient: back-propagation through the online run, truncated, on lanes of runs.
 
-For what `sensitivities` cannot carry, as the thousands of initial weights of a network, and sooner done.
+For what `sensitivities` cannot carry: the thousands of initial weights of a network. Of a gain with a long memory a
+gradient that is cut is biased.
 
 Every run of every boat is a lane, `(time, runs)`. A lane starts from the state with which the boat arrives at that run
 when all runs are replayed in order with the present hyperparameters; the first run starts from `init`, so that the
