@@ -335,7 +335,9 @@ def test_every_file(tmp_path):
 def test_learn_draws_its_curves(fleet, tmp_path):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-    made = tuning.tune(configured("learn=aid", "tuning.evaluations=8"), tmp_path, instantiate, align_fleet)
+    made = tuning.tune(
+        configured("learn=aid", "tuning.evaluations=8", "tuning.window=100"), tmp_path, instantiate, align_fleet
+    )
     events = EventAccumulator(str(tmp_path / "tensorboard"))
     events.Reload()
     assert {"learn/loss", "learn/gain"} <= set(events.Tags()["scalars"])
@@ -371,7 +373,14 @@ BAD_INPUT = {
     "no seed": (["search=aid", "tuning.seed=abc"], ["tuning.seed", "abc"]),
     "window": (["learn=aid", "tuning.window=0"], ["tuning.window", "0"]),
     "start": (["learn=aid", "tuning.start=best"], ["tuning.start", "best", "middle"]),
-    "too few to learn": (["learn=aid", "tuning.evaluations=3"], ["tuning.evaluations", "3", "4 or more"]),
+    "half a window": (["learn=aid", "tuning.window=1.5"], ["tuning.window", "1.5", "whole number"]),
+    "exact weights": (["learn=rnn", "+tuning.ranges.rnn.initial=[-3,3]"], ["tuning.window", "null", "initial", "100"]),
+    "exact from nowhere": (["learn=aid", "tuning.window=null", "tuning.start=best"], ["tuning.start", "best"]),
+    "too few to learn": (
+        ["learn=aid", "tuning.evaluations=3", "tuning.window=9"],
+        ["tuning.evaluations", "3", "4 or more"],
+    ),
+    "too few to learn exactly": (["learn=rls", "tuning.evaluations=11"], ["tuning.evaluations", "11", "12 or more"]),
     "threads": (["grid=aid", "threads=0"], ["threads", "positive"]),
 }
 

@@ -1,5 +1,8 @@
 """Hyperparameters by gradient: back-propagation through the online run, truncated, on lanes of runs.
 
+For what `sensitivities` cannot carry: the thousands of initial weights of a network. Of a gain with a long memory a
+gradient that is cut is biased.
+
 Every run of every boat is a lane, `(time, runs)`. A lane starts from the state with which the boat arrives at that run
 when all runs are replayed in order with the present hyperparameters; the first run starts from `init`, so that the
 gradient reaches what the estimator starts from. The loss of a window is its share of the objective,

@@ -30,6 +30,7 @@ from usvlearn.learning.lanes import (
 )
 from usvlearn.learning.run_folder import CHECKPOINTS, digest
 from usvlearn.learning.search import search
+from usvlearn.learning.sensitivities import descend
 from usvlearn.learning.winners import EXPERIMENT, TUNING, record, report, write
 from usvlearn.signals import Fleet
 
@@ -229,6 +230,8 @@ def run(
     if request.way == "grid":
         return Fitted(*grid(objective, parameters, request.evaluations, options["rounds"]), [])
     if request.way == "learn":
+        if options["window"] is None:
+            return descend(objective, parameters, request.evaluations, options["start"])
         initial = folder / "initial"
         return fit(objective, parameters, request.evaluations, options["window"], options["start"], initial)
     samples = [digest(run, lane) for run in fleet.runs for lane in range(len(fleet.boats))]
