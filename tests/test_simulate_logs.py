@@ -15,6 +15,7 @@ from usvlearn.simulate.fleet import fleet, fleet_missions, fleet_vessels, sail
 from usvlearn.simulate.plants import PLANTS, plant
 from usvlearn.simulate.scenario import MISSIONS, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
+from usvlearn.simulate.truth import true_parameters
 from usvlearn.simulate.vessel import over_ground, steady_surge
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -286,3 +287,14 @@ def test_most_steps_of_a_default_run_are_measured(commands):
 def test_fleet_refuses_by_name(options, name):
     with pytest.raises(ConfigError, match=name):
         fleet(**options)
+
+
+def test_the_same_boats_sail_another_season():
+    first, other = (
+        true_parameters(28.0, 3, "heron", 1.0, 30.0, seed=seed, hulls=hulls) for seed, hulls in ((1, None), (2, 1))
+    )
+    assert all(np.array_equal(first[boat][name], other[boat][name]) for boat in first for name in first[boat])
+    logs = [fleet(n=1, hours=0.05, seed=seed, hulls=hulls)[0] for seed, hulls in ((1, None), (1, 1), (2, 1), (2, None))]
+    surges = [log.channels["surge"].value for log in logs]
+    assert np.array_equal(surges[0], surges[1])  # the season's own
+    assert not np.array_equal(surges[0][:50], surges[2][:50]) and not np.array_equal(surges[2], surges[3])

@@ -48,7 +48,7 @@ class Recorder:
 
 
 def made(folder: Path, recorder: Recorder, plan=PLAN) -> Study:
-    return Study(folder, plan, lambda text: None, recorder, lambda where: where / "best")
+    return Study(folder, plan, lambda text: None, recorder, lambda where: where / "best", lambda overrides: None)
 
 
 def test_stages_in_order_with_what_tuning_found(tmp_path):
@@ -79,6 +79,23 @@ def test_a_stopped_study_goes_on(tmp_path, fails):
     commands = made(tmp_path, finished)
     commands.make()
     assert finished.stages == [] and commands.commands == study.commands
+
+
+def test_a_plan_that_is_not_legal_leaves_nothing_behind(tmp_path):
+    for wrong, told in (
+        ("study.evaluations=0", "tuning.evaluations: found 0"),
+        ("study.members=[aid,nosuch]", "nosuch"),
+    ):
+        done = run("experiment=paper_small", wrong, f"folder={tmp_path}/study", folder=tmp_path, script="evaluate.py")
+        assert done.returncode == 2 and told in done.stderr and not (tmp_path / "study").exists()
+
+
+@pytest.mark.parametrize("name", ["study.json", "tune/aid/tuning.json", "default/start.json"])
+def test_a_damaged_file_is_told(tmp_path, name):
+    made(tmp_path, Recorder()).make()
+    (tmp_path / name).write_text("{")
+    with pytest.raises(ConfigError, match=rf"{name}: is damaged .* remove it"):
+        made(tmp_path, Recorder()).make()
 
 
 def test_another_plan_is_not_mixed_in(tmp_path):

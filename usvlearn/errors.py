@@ -85,6 +85,8 @@ def bad_input(error: BaseException, wrapper: type[BaseException] = UsvlearnError
         cause = cause.__cause__
     if cause is not None:
         return str(cause)
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}: mend that, or name another file or folder"
     if isinstance(error, wrapper) and isinstance(error.__cause__, TypeError | ValueError):
         return f"{' '.join(str(error).split())}: correct this key"
     return None

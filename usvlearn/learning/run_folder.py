@@ -308,7 +308,9 @@ def digest(run: Run, lane: int) -> str:
 
 
 def _has_sets(folder: Path) -> bool:
-    return any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))
+    """Whether a folder holds parameter sets that are worth keeping, not just those from which a run was to start."""
+    sets = [position(path) for path in (folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")]
+    return any(at is None or at > BEGIN for at in sets) or (bool(sets) and (folder / RUNS).exists())
 
 
 def _lane(state: EnsembleState, lane: int) -> EnsembleState:

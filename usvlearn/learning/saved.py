@@ -38,7 +38,8 @@ def run_folders(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     found = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
     if not found:
-        raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
+        what = "a tuning alone in" if (folder / "tuning.json").exists() else "no run below"
+        raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which train.py has made a run")
     return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))
 
 
@@ -76,7 +77,10 @@ def results(folder: Path) -> dict[str, Any]:
     """
     path = folder / RESULTS
     try:
-        return json.loads(path.read_text()) if path.exists() else {}
+        found = json.loads(path.read_text()) if path.exists() else {}
+        if not isinstance(found, dict):
+            raise ValueError(f"found {type(found).__name__}, expected a dictionary")
+        return found
     except (OSError, ValueError) as error:
         raise CheckpointError(
             f"{path}: is damaged ({error}): run train.py with resume={folder} hydra.run.dir={folder} to write it anew"
@@ -148,8 +152,12 @@ def _runs_file(folder: Path) -> dict[str, Any]:
     path = folder / RUNS
     try:
         found = json.loads(path.read_text())
-        return {"boats": found["boats"], "ensemble": found["ensemble"]}
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        boats = {
+            boat: [(str(name), int(length), str(key)) for name, length, key in runs]
+            for boat, runs in found["boats"].items()
+        }
+        return {"boats": boats, "ensemble": found["ensemble"]}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise CheckpointError(f"{path}: is damaged ({error}): make the run anew") from error
 
 

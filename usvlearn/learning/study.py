@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import usvlearn
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.section import Section
@@ -39,10 +40,11 @@ class Study:
             to tune; `evaluations` of each.
         say: tells the person what is being done.
         run: does what `train.py OVERRIDES` does, in a folder.
+        check: raises what is wrong with overrides that ask for tuning.
         choose: of a finished folder, the checkpoint from which the next season starts.
 
     Raises:
-        ConfigError: the folder holds a study of another plan.
+        ConfigError: the folder holds a study of another plan; a member cannot be tuned so.
     """
 
     def __init__(
@@ -52,11 +54,15 @@ class Study:
         say: Callable[[str], object],
         run: Job,
         choose: Callable[[Path], Path],
+        check: Callable[[Sequence[str]], object],
     ):
-        self.folder, self.plan, self.commands = folder, dict(plan), list[str]()
+        self.folder, self.commands = folder, list[str]()
+        self.plan = {**plan, "version": usvlearn.__version__}
         self._run, self._choose, self._say = run, choose, say
         path = folder / PLAN
-        if path.exists() and json.loads(path.read_text()) != self.plan:
+        for member in self.plan["members"]:
+            check(self._tuning(member))
+        if path.exists() and _read(path) != self.plan:
             raise ConfigError(
                 f"{path}: found a study of another plan or version, expected the same: choose another folder=DIR, or "
                 "remove this one"
@@ -77,9 +83,11 @@ class Study:
 
     def _tuned(self, member: str) -> dict[str, Any]:
         folder = self.folder / "tune" / member
-        budget = [f"grid={member}", f"tuning.evaluations={self.plan['evaluations']}"]
-        self._stage([*self._season("tuning"), *budget], folder, folder / TUNING)
-        return json.loads((folder / TUNING).read_text())
+        self._stage(self._tuning(member), folder, folder / TUNING)
+        return _read(folder / TUNING)
+
+    def _tuning(self, member: str) -> list[str]:
+        return [*self._season("tuning"), f"grid={member}", f"tuning.evaluations={self.plan['evaluations']}"]
 
     def _season(self, name: str) -> list[str]:
         return [*self.plan["common"], *self.plan[name]]
@@ -90,7 +98,7 @@ class Study:
         chosen = self.folder / kind / START
         if not chosen.exists():
             write_atomically(chosen, json.dumps(str(self._choose(initial))).encode())
-        start = f"resume={json.loads(chosen.read_text())}"
+        start = f"resume={_read(chosen)}"
         self._stage([*self._season("season"), *settings, start], season, season / RESULTS)
         return season
 
@@ -103,3 +111,10 @@ class Study:
         if (folder / RUNS).exists():  # it was stopped
             overrides = [*(each for each in overrides if not each.startswith("resume=")), f"resume={folder}"]
         self._run(overrides, folder)
+
+
+def _read(path: Path) -> Any:
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise ConfigError(f"{path}: is damaged ({error}): remove it, and give the same command again") from error

@@ -10,9 +10,11 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shlex
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
@@ -69,6 +71,29 @@ def prepare_workers(root: Path) -> None:
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), os.environ.get("PYTHONPATH")]))
 
 
+def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, Any]) -> None:
+    """Raise where a folder holds the jobs of another sweep, before its notes are written over.
+
+    Args:
+        folder: of the sweep.
+        load: reads a YAML file.
+        hydra: the configuration of Hydra itself, as `multirun.yaml` keeps it of the sweep before.
+
+    Raises:
+        ConfigError: the command, or what its sweep sets, is not the one that began there.
+    """
+    held = folder / "multirun.yaml"
+    if not (held.exists() and any(folder.glob(f"*/{JOB}"))):
+        return
+    old = load(held)["hydra"]
+    asked = [[sorted(each["overrides"]["task"]), each["sweeper"].get("params")] for each in (old, hydra)]
+    if asked[0] != asked[1]:
+        raise ConfigError(
+            f"{folder}: holds the jobs of another sweep, {shlex.join(old['overrides']['task'])}: repeat that command, "
+            "or choose another hydra.sweep.dir"
+        )
+
+
 def digest(settings: Mapping) -> str:
     """By which a job is known: a sha256 of all its settings, in their order, which is that of the members.
 
@@ -116,18 +141,21 @@ def run_job(
         print(f"finished before: {folder}")
         objective = results.get("objective")
         return float("nan") if objective is None else objective
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in (RESULTS, TRACEBACK):
-        (folder / old).unlink(missing_ok=True)
-    write_atomically(folder / JOB, json.dumps({"settings": known, "overrides": list(overrides)}, indent=2).encode())
     try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for old in (RESULTS, TRACEBACK):
+            (folder / old).unlink(missing_ok=True)
+        note = {"settings": known, "overrides": list(overrides)}
+        write_atomically(folder / JOB, json.dumps(note, indent=2).encode())
         return work(str(folder) if begun else None)
     except Exception as error:
-        if (cause := bad_input(error, wrapper)) is None:
-            write_atomically(folder / TRACEBACK, traceback.format_exc().encode())
-            cause = f"{type(error).__name__}: {error} (see {folder / TRACEBACK})"
+        cause, told = bad_input(error, wrapper), traceback.format_exc()
+        with suppress(OSError):  # a folder that nobody can write to is known by what it lacks
+            if cause is None:
+                cause = f"{type(error).__name__}: {error} (see {folder / TRACEBACK})"
+                write_atomically(folder / TRACEBACK, told.encode())
+            save_results(folder, {"error": cause})
         print(f"error: {cause}", file=sys.stderr)
-        save_results(folder, {"error": cause})
         return float("nan")
 
 

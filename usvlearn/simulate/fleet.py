@@ -191,6 +191,7 @@ def fleet(
     autopilot: Autopilot | None = None,
     sensors: Sensors | None = None,
     fault: Fault | None = None,
+    hulls: int | None = None,
 ) -> list[Recording]:
     """The logs of a fleet's season, boat by boat in the order of the missions.
 
@@ -209,6 +210,7 @@ def fleet(
         autopilot: gains of the controller; by default it never backs up.
         sensors: rates, errors and losses.
         fault: a thruster of every boat that fails; by default none does.
+        hulls: seed of the boats themselves, by default `seed`; with it the same boats sail another season.
 
     Returns:
         Recordings; `dropped` counts the messages that were lost.
@@ -219,7 +221,13 @@ def fleet(
     """
     for name, value in (("n", n), ("hours", hours), ("mission_minutes", mission_minutes)):
         check_positive(name, value)
-    for name, value in (("spread", spread), ("drift", drift), ("current", current), ("seed", seed)):
+    for name, value in (
+        ("spread", spread),
+        ("drift", drift),
+        ("current", current),
+        ("seed", seed),
+        ("hulls", hulls or 0),
+    ):
         check_not_negative(name, value)
     if drift > 1:
         raise ConfigError(f"drift: found {drift!r}, expected a share of 0 to 1")
@@ -231,7 +239,7 @@ def fleet(
     whole, each = round(3600 * hours * autopilot.hz), round(60 * mission_minutes * autopilot.hz)
     ticks = [min(each, whole - start) for start in range(0, whole, each)]
 
-    vessel = fleet_vessels(n, spread, plant, seed, len(ticks), drift)
+    vessel = fleet_vessels(n, spread, plant, seed if hulls is None else hulls, len(ticks), drift)
     names, courses = fleet_missions(n, ticks, autopilot.hz, seed, missions, aborted_share, paused_share)
     flow, direction = _river(seed, len(ticks), current)
     later = faulty_vessels(fault, vessel, ticks, autopilot.hz)
