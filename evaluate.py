@@ -6,12 +6,12 @@ python evaluate.py experiment=paper                 the paper's study from nothi
 """
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import hydra
 import torch
 from hydra import compose
-from hydra.errors import InstantiationException
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -52,22 +52,20 @@ def study(cfg: DictConfig) -> None:
     """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
     from train import work
 
-    def check(overrides: list[str]) -> None:
-        request(OmegaConf.to_container(compose("train", overrides), resolve=True), instantiate)
-
-    folder = Path(cfg.folder)
+    plain = partial(OmegaConf.to_container, resolve=True)
     made = Study(
-        folder, OmegaConf.to_container(cfg.study), TOOLS.say, check=check, choose=lambda where: start_of(where, TOOLS),
-        run=lambda overrides, where: work(compose("train", overrides), where, overrides),
+        Path(cfg.folder), plain(cfg.study), TOOLS.say, choose=lambda folder: start_of(folder, TOOLS),
+        run=lambda overrides, folder: work(compose("train", overrides), folder, overrides),
+        check=lambda overrides: request(plain(compose("train", overrides)), instantiate),
     )  # fmt: skip
     season, gained = made.make()
-    evaluate([season], folder / "report", TOOLS, more=[gained], commands=made.commands)
+    evaluate([season], Path(cfg.folder, "report"), TOOLS, more=[gained], commands=made.commands)
 
 
 @hydra.main(version_base="1.3", config_path="configs", config_name="evaluate")
 def main(cfg: DictConfig) -> None:
     torch.set_num_threads(1)
-    with one_sentence(InstantiationException):
+    with one_sentence(hydra.errors.InstantiationException):
         if cfg.study is not None:
             study(cfg)
         elif cfg.runs is None:
@@ -75,8 +73,7 @@ def main(cfg: DictConfig) -> None:
         elif is_sweep(Path(cfg.runs)):
             leaderboard(Path(cfg.runs), load)
         else:
-            report = Path(cfg.report or Path(cfg.runs, "report"))
-            evaluate(run_folders(cfg.runs), report, TOOLS, cfg.get("data"))
+            evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), TOOLS, cfg.get("data"))
 
 
 if __name__ == "__main__":

@@ -86,10 +86,6 @@ def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypa
             except Killed:
                 pass
         begun = (folder / "runs.json").exists()
-        if not begun and any(folder.rglob("*.safetensors")):  # killed while it set out: nothing was learned yet
-            with pytest.raises(ConfigError, match=r"another hydra\.run\.dir"):
-                session(folder, fleet, first)
-            continue
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it says which set is missing
             if elsewhere and begun:
