@@ -214,4 +214,5 @@ def test_judge_writes_every_section_of_a_simulated_fleet():
     assert "no online predictions" in sections[0].here[0]
     rows = {row[0]: row for row in sections[1].sheets[1].rows if row[1] == "rls"}
     others = errors["boat1"].mae[..., 0][~np.eye(2, dtype=bool)]
-    assert rows["boat1"][2] == pytest.approx(np.median(others)) and rows["boat1"][-1] == 2
+    assert rows["boat1"][2] == pytest.approx(np.median(others)) and rows["boat1"][-2] == 2
+    assert rows["boat1"][-1] == errors["boat1"].mae[0, 1, 0]  # the only run that is later than the only set before it

@@ -7,6 +7,7 @@ import math
 import re
 import shutil
 import subprocess
+import sys
 import warnings
 from pathlib import Path
 
@@ -20,9 +21,9 @@ from tests.test_crossval import boats
 from tests.test_train import SMALL, run
 from usvlearn import AID, RLS, RNN, Ensemble, Robust, SIFtRLS, SurgeDynamics
 from usvlearn.checkpoint import checkpoints, load
-from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.evaluation.judge import judge
-from usvlearn.evaluation.report import write_report
+from usvlearn.evaluation.report import check_report_folder, write_report
 from usvlearn.evaluation.season_figures import box
 from usvlearn.evaluation.sections.cost import cost_section
 from usvlearn.evaluation.sections.online import online_section
@@ -252,7 +253,36 @@ def test_run_folders_are_found_below_and_must_be_there(saved, tmp_path):
         run_folders(tmp_path)
 
 
+def test_a_report_never_takes_the_place_of_something_else(copy):
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    for folder in (copy, copy / "checkpoints"):
+        done = run(f"runs={copy}", f"report={folder}", folder=copy.parent, script="evaluate.py")
+        assert done.returncode == 2 and "holds something that is no report" in done.stderr
+    (copy.parent / "file").write_text("mine")
+    done = run(f"runs={copy}", f"report={copy.parent}/file", folder=copy.parent, script="evaluate.py")
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "Traceback" not in done.stderr
+    assert before == {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+
+
+def test_matplotlib_missing_is_told_before_anything_is_simulated(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"usvlearn\[plot\]"):
+        check_report_folder(tmp_path / "report")
+    assert not (tmp_path / "report").exists()
+
+
+def test_runs_of_several_ensembles_are_not_pooled(copy, saved, tmp_path):
+    content = json.loads((copy / "runs.json").read_text())
+    (copy / "runs.json").write_text(json.dumps({**content, "ensemble": "another"}))
+    shutil.copytree(saved, copy / "below")
+    shutil.rmtree(copy / ".hydra"), shutil.rmtree(copy / "below" / ".hydra")
+    with pytest.raises(ConfigError, match="runs of several ensembles"):
+        is_sweep(copy)
+
+
 def test_boxes_by_hand():
+    values = np.concatenate([np.arange(100.0), np.full(20, 1000.0)])
+    assert box(values).outliers == 20 and box(np.arange(100.0)).outliers == 0  # also beyond 5 % of them
     found = box(np.array([np.nan, 3.0, 1.0, 2.0, 4.0, 100.0]), 2)
     assert (found.median, found.lower, found.upper, found.count, found.diverged) == (3.0, 2.0, 4.0, 5, 2)
     assert found.mean == 22.0 and found.beyond.tolist() == [1.0, 100.0]
@@ -338,5 +368,6 @@ def test_a_report_is_written_twice_without_leftovers(tmp_path):
         write_report(tmp_path, ["One"], sections, ["python train.py"], errors)
         page = write_report(tmp_path, ["Two <i>"], sections[:2])
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {"crossval.svg", "crossval.png"}
+    assert len(list((tmp_path / "tensorboard").iterdir())) == 1
     assert "Two &lt;i&gt;</p>" in page.read_text() and "python train.py" not in page.read_text()
     assert not list(tmp_path.glob(".*"))

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 import re
 import signal
@@ -297,3 +298,16 @@ def test_a_leaderboard_that_cannot_be_written_is_told(tmp_path):
     with pytest.raises(ConfigError, match="cannot hold the leaderboard") as caught:
         write_leaderboard(tmp_path, [Job(tmp_path / "0", {}, {})])
     assert bad_input(caught.value) is not None
+
+
+def test_another_sweep_does_not_take_the_folder(swept):
+    before = {path: path.read_bytes() for path in (swept / "sweep").rglob("*") if path.is_file()}
+    done = run("-m", "estimators.rls.memory=20,30", "data.hours=0.05", "hydra.sweep.dir=sweep", folder=swept)
+    assert done.returncode == 2 and "holds the jobs of another sweep" in done.stderr and "Traceback" not in done.stderr
+    assert before == {path: path.read_bytes() for path in (swept / "sweep").rglob("*") if path.is_file()}
+
+
+def test_a_job_whose_folder_is_a_file_does_not_sink_the_rest(tmp_path, capsys):
+    (tmp_path / "1").write_text("")
+    assert math.isnan(run_job(tmp_path / "1", {"dt": 0.4}, ["dt=0.4"], lambda resume: 0.1))
+    assert capsys.readouterr().err.startswith(f"error: {tmp_path / '1'}")

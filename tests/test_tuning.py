@@ -403,9 +403,11 @@ def test_bad_input_ends_with_code_2_and_another_folder_is_left_alone(tmp_path):
     )
     assert done.returncode == 2 and "parameter sets" in done.stderr and "Traceback" not in done.stderr
     (tmp_path / "tuning.json").write_text(json.dumps({"way": "grid", "member": "rls"}))
-    with pytest.raises(ConfigError, match="grid=rls"):
-        tuning.check_folder(tmp_path, "grid", "aid")
-    tuning.check_folder(tmp_path, "grid", "rls")
+    for way, member in (("grid", "aid"), ("grid", "rls"), ("search", "rls")):
+        with pytest.raises(ConfigError, match="grid=rls"):
+            tuning.check_folder(tmp_path, way, member)
+    (tmp_path / "tuning.json").write_text(json.dumps({"way": "search", "member": "rls"}))
+    tuning.check_folder(tmp_path, "search", "rls")  # which goes on
 
 
 def test_a_hyperparameter_keeps_its_digits():

@@ -1,4 +1,4 @@
-"""Cross-validation: saved parameter sets, simulated free on runs that they were not learned from (paper, section VI-B).
+"""Cross-validation: saved parameter sets, simulated free on runs that they were not saved in (paper, section VI-B).
 
 All sets times all runs are lanes of one batch. Nothing but the inputs is told, and the speed at which a segment starts.
 A rule that weighs the members stands in the tables twice: with the weights that were saved, and as NAME+, with weights

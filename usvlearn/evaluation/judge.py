@@ -22,10 +22,11 @@ from usvlearn.evaluation.sections.parameters import Truth, parameters_section
 from usvlearn.signals import tree_map
 
 
-def simulations(seasons: Sequence[Season]) -> int:
+def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
     """Steps that `judge` simulates: of every set on every run of its boat, and of a set per boat on all runs."""
     steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
-    return sum(len(season.own) * steps[season.boat] for season in seasons) + len(seasons) * sum(steps.values())
+    matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
+    return sum(len(season.own) * steps[season.boat] for season in seasons) + matrices
 
 
 def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
@@ -81,15 +82,15 @@ def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
         seasons: of all boats.
     """
     last = [len(season.own) - 1 for season in seasons]
-    method = _shown(ensemble)
+    method = _compared(ensemble)[0]
     matrix = fleet_matrices(seasons, _each_on_all(ensemble, seasons, last), [method])[method]
     best = int(np.nanargmin(matrix.mean(1)))
     return seasons[best].paths[-1]
 
 
-def _shown(ensemble: Ensemble) -> str:
-    """The paper's method of comparing boats, or the ensemble's own."""
-    return "average" if "average" in ensemble.names else ensemble.output
+def _compared(ensemble: Ensemble) -> list[str]:
+    """The methods by which boats are compared: the paper's, if it is there, and the ensemble's own."""
+    return list(dict.fromkeys(name for name in ("average", ensemble.output) if name in ensemble.names))
 
 
 def _each_on_all(
@@ -110,9 +111,10 @@ def _each_on_all(
 def _between(
     ensemble: Ensemble, seasons: Sequence[Season], errors: Mapping[str, FreeErrors], advance: Callable[[int], object]
 ) -> Section:
-    method = _shown(ensemble)
-    chosen = best_sets(seasons, errors, method)
-    between = _each_on_all(ensemble, seasons, chosen, advance)
-    matrices = fleet_matrices(seasons, between, list(dict.fromkeys((method, ensemble.output))))
-    best = {season.boat: float(season.hours[k]) for season, k in zip(seasons, chosen, strict=True)}
+    matrices, best = {}, {}
+    for method in _compared(ensemble):
+        chosen = best_sets(seasons, errors, method)
+        between = _each_on_all(ensemble, seasons, chosen, advance)
+        matrices |= fleet_matrices(seasons, between, [method])
+        best[method] = [float(season.hours[k]) for season, k in zip(seasons, chosen, strict=True)]
     return fleet_section(seasons, matrices, best)

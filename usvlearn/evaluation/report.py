@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 from collections.abc import Mapping, Sequence
 from html import escape
@@ -12,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from usvlearn.checkpoint import write_atomically
+from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
-from usvlearn.evaluation.figures import INK, LINE
+from usvlearn.evaluation.figures import INK, LINE, themed
 from usvlearn.evaluation.section import Drawn, Section
 from usvlearn.tensorboard import Board
 
@@ -37,7 +39,7 @@ nav ul { display: flex; flex-wrap: wrap; gap: .3rem 1.2rem; padding: 0; list-sty
 figure { margin: 1rem 0; } figcaption { color: var(--soft); font-size: .88rem; max-width: 60rem; }
 .wide { overflow-x: auto; }
 .wide svg { width: 100%; min-width: min(36rem, var(--own)); max-width: var(--own); height: auto; display: block; }
-.wide svg text { font-family: system-ui, "Segoe UI", Roboto, Arial, sans-serif !important; }
+.wide svg text { fill: currentColor; font-family: system-ui, "Segoe UI", Roboto, Arial, sans-serif !important; }
 details { margin: .6rem 0; } summary { cursor: pointer; color: var(--accent); }
 table { border-collapse: collapse; font-size: .85rem; } th, td { padding: .2rem .6rem; text-align: left;
   border-bottom: 1px solid var(--line); white-space: nowrap; } .n { text-align: right;
@@ -46,6 +48,7 @@ table { border-collapse: collapse; font-size: .85rem; } th, td { padding: .2rem 
 pre { background: var(--card); padding: .7rem 1rem; overflow-x: auto; border-radius: .5rem; font-size: .85rem; }
 """
 TITLE = "What was learned"
+FOLDERS, FILES = ("figures", "tables", "tensorboard"), "files.json"  # a report's, and the list of what stands in them
 INLINE = 16  # rows of a table that are shown without a click
 LINKED = 40  # rows from which `report.md` holds a link to a table
 
@@ -69,11 +72,10 @@ def write_report(
     Returns:
         The path of the page.
     """
-    for kind in ("figures", "tables", "tensorboard"):
-        (folder / kind).mkdir(parents=True, exist_ok=True)
-        for old in (folder / kind).iterdir():
-            old.unlink()
+    check_report_folder(folder)
     drawings = {drawn.name: _drawing(drawn) for section in sections for drawn in section.figures}
+    for old in _written(folder):
+        (folder / old).unlink(missing_ok=True)
     for name, (inline, whole, png) in drawings.items():
         write_atomically(folder / "figures" / f"{name}.svg", whole)
         write_atomically(folder / "figures" / f"{name}.png", png)
@@ -94,8 +96,35 @@ def write_report(
         np.savez_compressed(content, **named)
         write_atomically(folder / "crossval.npz", content.getvalue())
     page = folder / "index.html"
+    names = sorted(f"{kind}/{path.name}" for kind in FOLDERS for path in (folder / kind).iterdir() if path.is_file())
+    write_atomically(folder / FILES, json.dumps(names, indent=2).encode())
     write_atomically(page, _html(facts, sections, commands, drawings).encode())
     return page
+
+
+def check_report_folder(folder: Path) -> None:
+    """Make the folder of a report, in which nothing but an earlier report may stand; and see that it can be drawn.
+
+    Raises:
+        ConfigError: it holds something else.
+        MissingExtraError: matplotlib is not installed.
+    """
+    with themed():
+        pass
+    if folder.is_dir() and not (folder / FILES).exists() and any(folder.iterdir()):
+        raise ConfigError(f"report: {folder} holds something that is no report: name another folder")
+    for kind in FOLDERS:
+        (folder / kind).mkdir(parents=True, exist_ok=True)
+    if not (folder / FILES).exists():
+        write_atomically(folder / FILES, b"[]")
+
+
+def _written(folder: Path) -> list[str]:
+    """The files in the folders of an earlier report that it has written itself."""
+    try:
+        return [str(name) for name in json.loads((folder / FILES).read_text())]
+    except (OSError, ValueError, TypeError):
+        return []
 
 
 def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
@@ -115,7 +144,7 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
     inline = re.sub(r'<metadata>.*?</metadata>| id="image\w+"', "", inline, flags=re.DOTALL)  # equal images, equal ids
     inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{drawn.name}-", inline)  # ids of one page differ
     for colour, variable in {INK: "currentColor", "#222222": "currentColor", LINE: "var(--line)",
-                             "#eeeeee": "var(--line)"}.items():  # fmt: skip
+                             "#eeeeee": "var(--line)", "#000000": "currentColor"}.items():  # fmt: skip
         inline = re.sub(re.escape(colour), variable, inline, flags=re.IGNORECASE)
     width = drawn.figure.get_size_inches()[0]
     label = f'<svg style="--own: {1.3 * width:.1f}in" role="img" aria-label="{escape(drawn.name)}"'

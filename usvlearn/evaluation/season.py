@@ -36,6 +36,11 @@ class Season(NamedTuple):
     hours: np.ndarray  # (sets,) h on the water until then
 
     @property
+    def later(self) -> np.ndarray:
+        """Which runs a set has not learned from, bool `(sets, runs)`: those after its own, or all if it has none."""
+        return self.own[:, None] < np.arange(len(self.runs))
+
+    @property
     def others(self) -> np.ndarray:
         """Which runs a set was not saved in, bool `(sets, runs)`."""
         return self.own[:, None] != np.arange(len(self.runs))

@@ -25,6 +25,7 @@ class Box(NamedTuple):
     mean: float
     count: int
     beyond: np.ndarray  # what lies outside low … high
+    outliers: int  # more than 1.5 quartile distances above the box
     diverged: int = 0
 
 
@@ -39,7 +40,8 @@ def box(values: np.ndarray, diverged: int = 0) -> Box | None:
         return None
     low, lower, median, upper, high = (float(x) for x in np.percentile(values, (5, 25, 50, 75, 95)))
     beyond = values[(values < low) | (values > high)]
-    return Box(median, lower, upper, low, high, float(values.mean()), len(values), beyond, diverged)
+    outliers = int((values > upper + 1.5 * (upper - lower)).sum())
+    return Box(median, lower, upper, low, high, float(values.mean()), len(values), beyond, outliers, diverged)
 
 
 def boxes_figure(
@@ -157,7 +159,7 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
             for (row, column), value in np.ndenumerate(matrix):
                 dark = not np.isfinite(value) or value <= 0 or norm(value) < 0.55
                 text = "–" if not np.isfinite(value) else f"{1000 * value:.3g}"
-                style = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white" if dark else "black"}
+                style = {"ha": "center", "va": "center", "fontsize": 7.5, "color": "white" if dark else "#010101"}
                 panel.text(column, row, text, **style)
             for column in range(matrix.shape[1]):
                 if np.isfinite(matrix[:, column]).any():

@@ -15,7 +15,7 @@ from rich.progress import Progress
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.judge import best_start, facts, judge, simulations
-from usvlearn.evaluation.report import write_report
+from usvlearn.evaluation.report import check_report_folder, write_report
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sections.parameters import Truth
@@ -58,7 +58,8 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
     ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last["output"])
     with tools.console.status("reading and aligning"):
         fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
-    return ensemble, read_seasons(folders, ensemble, fleets), tools.truth(sources, last["vehicle"]["mass"])
+    truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # of the boats that were learned
+    return ensemble, read_seasons(folders, ensemble, fleets), truth
 
 
 def evaluate(
@@ -77,10 +78,11 @@ def evaluate(
         more: sections to begin with.
         commands: with which the report can be made again.
     """
+    check_report_folder(report)
     unfinished = [f"{folder} is not finished: judged as far as it is." for folder in folders if not results(folder)]
     ensemble, seasons, truth = read(folders, tools, data)
     with Progress(console=tools.console) as progress:
-        bar = progress.add_task("simulating", total=simulations(seasons))
+        bar = progress.add_task("simulating", total=simulations(ensemble, seasons))
         sections, errors = judge(ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps))
     page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
     tools.say(f"report: {page}")

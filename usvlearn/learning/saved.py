@@ -44,9 +44,20 @@ def run_folders(folder: str | Path) -> list[Path]:
 
 
 def is_sweep(folder: Path) -> bool:
-    """Whether the runs below a folder are to be compared, not pooled: jobs of a sweep, or of several ensembles."""
-    folders = [path.parent for path in folder.glob(f"**/{RUNS}")]
-    return (folder / "multirun.yaml").exists() or len({_runs_file(each)["ensemble"] for each in folders}) > 1
+    """Whether the runs below a folder are to be compared, not pooled: jobs of a sweep, or of several ensembles.
+
+    Raises:
+        ConfigError: they are of several ensembles, and their commands are not known, as in a study's folder.
+    """
+    if (folder / "multirun.yaml").exists():
+        return True
+    folders = [path.parent for path in sorted(folder.glob(f"**/{RUNS}"))]
+    if len({_runs_file(each)["ensemble"] for each in folders}) < 2:
+        return False
+    if not any(folder.glob("**/.hydra")):
+        names = ", ".join(map(str, folders))
+        raise ConfigError(f"runs: found runs of several ensembles below {folder}, expected one: name one of {names}")
+    return True
 
 
 def configuration(folder: Path) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from typing import Any
 import usvlearn
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
+from usvlearn.evaluation.figures import themed
 from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.learning.run_folder import RESULTS, RUNS
@@ -60,6 +61,8 @@ class Study:
         self.plan = {**plan, "version": usvlearn.__version__}
         self._run, self._choose, self._say = run, choose, say
         path = folder / PLAN
+        with themed():  # what its report needs, before an hour is spent
+            pass
         for member in self.plan["members"]:
             check(self._tuning(member))
         if path.exists() and _read(path) != self.plan:

@@ -109,10 +109,12 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
         ]
         options = {**options, "evaluations": math.prod(map(len, values.values()))}
     else:
-        values, ranges = None, (options["ranges"] or {}).get(member)
+        if not isinstance(options["ranges"], Mapping):
+            raise ConfigError(f"tuning.ranges: found {options['ranges']!r}, expected {{MEMBER: {{PATH: [LOW, HIGH]}}}}")
+        values, ranges = None, options["ranges"].get(member)
         if not ranges:
             raise ConfigError(
-                f"{way}={member}: has no range to tune in: set tuning.ranges.{member}={{PATH: [LOW, HIGH]}}; it has "
+                f"{way}={member}: has no range to tune in: add '+tuning.ranges.{member}={{PATH: [LOW, HIGH]}}'; it has "
                 f"{', '.join(hyperparameters(estimator)) or 'no hyperparameter that could be tuned'}"
             )
         parameters = [hyperparameter(estimator, path, *_bounds(f"tuning.ranges.{member}.{path}", each),
@@ -157,7 +159,7 @@ def check_folder(folder: Path, way: str, member: str) -> None:
         old = json.loads((folder / TUNING).read_text())
     except (OSError, ValueError):
         return
-    if (old.get("way"), old.get("member")) != (way, member):
+    if way != "search" or (old.get("way"), old.get("member")) != (way, member):  # which alone goes on
         raise ConfigError(f"{folder}: already holds {old.get('way')}={old.get('member')}: choose another hydra.run.dir")
 
 
@@ -184,6 +186,9 @@ def tune(
     """
     torch.set_num_threads(max(1, int(check_positive("threads", configuration["threads"]))))
     asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
+    if configuration.get("resume") is not None:
+        found = configuration["resume"]
+        raise ConfigError(f"resume: found {found!r} beside {asked_for.way}, which starts anew: leave it out")
     check_folder(folder, asked_for.way, asked_for.member)
     with console.status("reading and aligning"):
         fleet = align(instantiate(configuration["data"]), **configuration["align"])

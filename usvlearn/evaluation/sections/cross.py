@@ -37,17 +37,20 @@ def cross_section(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]) -
         subtitles[season.boat] = f"{len(season.own)} sets × {len(season.runs)} runs"
         for name, each in boxes[season.boat].items():
             if each is not None:
-                iqr = each.upper - each.lower
-                outliers = int((each.beyond > each.upper + 1.5 * iqr).sum())
+                later = found.mae[..., found.methods.index(name)][season.later & (found.steps > 0)]
                 rows.append((season.boat, name, each.median, each.mean, each.lower, each.upper, each.low, each.high,
-                             outliers, each.diverged, each.count))  # fmt: skip
+                             each.outliers, each.diverged, each.count,
+                             float(np.median(later)) if len(later) else None))  # fmt: skip
     if not rows:
         here = ["There is no other run to simulate: each boat has one, from which all of its sets came."]
         return Section("crossval", "Cross-validation", SAID, here)
     columns = ("boat", "method", "median MAE, m/s", "mean, m/s", "lower quartile, m/s", "upper quartile, m/s",
-               "5 %, m/s", "95 %, m/s", "outliers", "diverged", "simulations")  # fmt: skip
+               "5 %, m/s", "95 %, m/s", "outliers", "diverged", "simulations",
+               "median over later runs, m/s")  # fmt: skip
     caption = (
-        "Every saved set on every other run of its boat, from the inputs alone. Box: quartiles of the MAE; line: 5 to "
+        "Every saved set on every run of its boat but the one that it was saved in, from the inputs and the speed at "
+        "which a stretch without a gap begins; what a set has learned from is among them, and the table has the median "
+        "over later runs alone, too. Box: quartiles of the MAE; line: 5 to "
         "95 %; diamond: mean; dots: beyond; div.: simulations that left the physical limit, which count with the error "
         "of the limit. NAME+ (hollow) weighs the free members by what was measured so far: it sees the speed. "
         "Outliers of the table lie 1.5 quartile distances above the box."

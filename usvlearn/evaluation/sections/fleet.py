@@ -48,13 +48,15 @@ def fleet_matrices(seasons: Sequence[Season], between: Mapping[str, FreeErrors],
     return {name: np.stack([column[:, names.index(name)] for column in columns], -1) for name in methods}
 
 
-def fleet_section(seasons: Sequence[Season], matrices: Mapping[str, np.ndarray], best: Mapping[str, float]) -> Section:
+def fleet_section(
+    seasons: Sequence[Season], matrices: Mapping[str, np.ndarray], best: Mapping[str, Sequence[float]]
+) -> Section:
     """The matrices, and how far each boat's own set is ahead of the others'.
 
     Args:
         seasons: of all boats.
         matrices: of `fleet_matrices`; the first is the paper's.
-        best: hours at which each boat's best set was saved.
+        best: hours at which each boat's best set was saved, by method.
     """
     boats = [season.boat for season in seasons]
     told, rows = [], []
@@ -66,12 +68,13 @@ def fleet_section(seasons: Sequence[Season], matrices: Mapping[str, np.ndarray],
             f"{name}: {on(own, len(boats))} the own set is the best; another boat's has {ratio:.2f} × the MSE "
             "of the own, on average."
         )
-        for boat, row in zip(boats, matrix, strict=True):
-            rows.append((name, boat, best[boat], *map(float, row)))
+        for boat, row, hours in zip(boats, matrix, best[name], strict=True):
+            rows.append((name, boat, hours, *map(float, row)))
     caption = (
-        "Rows: whose set; columns: on whose runs, all of them, from the inputs alone; the best of a column is framed. "
-        "A boat's best set is the one with the least MSE on the runs that it was not saved in, so that the diagonal "
-        "holds a choice that the rest of its column does not. The ensemble's weights are those of the moment of saving."
+        "Rows: whose set; columns: on whose runs, all of them, free; the best of a column is framed. "
+        "A boat's best set is the one with the least MSE of that method on the runs that it was not saved in, so that "
+        "the diagonal holds a choice that the rest of its column does not. The ensemble's weights are those of "
+        "the moment of saving."
     )
     columns = ("method", "best set of", "saved after, h", *(f"MSE on {boat}, m²/s²" for boat in boats))
     drawn = [Drawn("fleet", matrix_figure(matrices, boats), caption)]

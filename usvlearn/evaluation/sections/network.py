@@ -20,7 +20,7 @@ SAID = (
     "The contraction condition was a cost in training, and the app told whether it held; the share of time at which it "
     "did is not reported. A hypothetical network illustrates the equilibria; a contracting network has one."
 )
-LEAST = -0.5  # of x: a speed of −v_max
+DRAWN = (-0.1, 0.5)  # of x, the speeds at which boats run
 HEADINGS = 24  # at which equilibria are looked for
 
 
@@ -52,10 +52,10 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
     }
     headings = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
     inputs = surge_inputs(headings)
-    rows = []
+    rows, single = [], True
     for season in seasons:
-        last = networks[season.boat][-1]
-        rest = [each for some in sweep(last, inputs, LEAST, 1.0) for each in some]
+        found = sweep(networks[season.boat][-1], inputs, -1.0, 1.0)
+        single, rest = single and all(len(some) == 1 for some in found), [each for some in found for each in some]
         places = [2 * surge_max * each.x for each in rest]
         kinds = ", ".join(f"{kind} {n}" for kind, n in _counted(each.kind for each in rest))
         rows.append((season.boat, float(rates[season.boat][-1]), len(rest) / HEADINGS, min(places, default=None),
@@ -66,7 +66,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         "A network that holds the paper's condition (K < ¼) has a time constant under 0.72 steps, and no hull is so "
         "quick; tight (K < 1) is what all activation patterns together need."
     )
-    counts = "one equilibrium at each" if all(row[2] == 1 for row in rows) else "none or several at some"
+    counts = "one equilibrium at each" if single else "none or several at some"
     told.append(f"Without thrust the last networks have {counts} of {HEADINGS} headings.")
     first = seasons[0].boat
     drawn = [
@@ -78,7 +78,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         ),
         Drawn(
             "equilibria",
-            equilibria_figure(networks[first][-1], inputs, f"{first}: {name} at rest", LEAST, 1.0, headings),
+            equilibria_figure(networks[first][-1], inputs, f"{first}: {name} at rest", *DRAWN, headings),
             f"The map of the last network of {first} without thrust, at {HEADINGS} headings; x = v / {2 * surge_max:g} "
             "m/s.",
         ),

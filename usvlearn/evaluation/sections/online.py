@@ -62,7 +62,8 @@ def online_section(seasons: Sequence[Season], names: Sequence[str]) -> Section:
                 "online",
                 boxes_figure(boxes, subtitles, LABEL, points=False, reference=PERSISTENCE, least=LEAST),
                 "One step ahead, predicted before learning. Box: quartiles; line: 5 to 95 %; diamond: MAE; dotted: the "
-                "MAE of persistence. Under each name the measured run time and the mean speed.",
+                "MAE of persistence. Beside each name the measured run time and the mean speed. What lies below "
+                f"{1000 * LEAST:g} mm/s is off the axis.",
             )
         ],
         [summary("online_fleet", maes, "MAE, m/s"), Sheet("online", columns, rows)],

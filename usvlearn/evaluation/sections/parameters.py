@@ -126,8 +126,13 @@ def parameters_section(
             [float(courses[side][name].value[-1]) for side in (left, right)] for name in shown
         ] + ([[float(known[side][1][-1]) for side in (left, right)]] if known else []))  # fmt: skip
     drawn[0] = drawn[0]._replace(
-        caption="What was identified over the season; band: 90 % by least squares' own covariance; dashed: the truth "
-        "of each mission, scaled by declared over true mass, since surge data tell the parameters over the mass alone."
+        caption="What was identified over the season; band: 90 % by least squares' own covariance"
+        + (
+            "; dashed: the truth of each mission, scaled by declared over true mass, since surge data tell the "
+            "parameters over the mass alone."
+            if truth
+            else "."
+        )
     )
     columns = ("boat", "quantity", "unit", "method", "at the end", "± 90 %", "truth")
     return Section(
