@@ -1,5 +1,6 @@
 """What the tests share: seeded samples, and the place of the real logs."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import torch
 from usvlearn import Inputs, Sample
 
 torch.set_num_threads(1)
+os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
 REAL_LOGS = Path(__file__).parents[2] / "shared" / "data"
 
 

@@ -244,7 +244,7 @@ def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         cfg = compose("train", [*CSV, *arguments])
     with pytest.raises(Exception) as caught:
-        train.train(cfg, tmp_path / "run")
+        train.work(cfg, tmp_path / "run", [])
     sentence = bad_input(caught.value, InstantiationException)
     assert sentence is not None and all(word in sentence for word in said), sentence
     assert "\n" not in sentence and not (tmp_path / "run").exists()
