@@ -87,8 +87,8 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         "boat",
         "K of the last set, per step",
         "equilibria per heading",
-        "slowest, m/s",
-        "fastest, m/s",
+        "least, m/s",
+        "greatest, m/s",
         "classes",
     )
     conditions = [
