@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import statistics
 import time
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -15,6 +16,7 @@ from usvlearn.estimators.rls import RLS
 from usvlearn.estimators.rnn import RNN
 from usvlearn.estimators.sift import SIFtRLS
 from usvlearn.evaluation.section import Section
+from usvlearn.evaluation.sections.parameters import unwrapped
 from usvlearn.evaluation.sheet import Sheet
 from usvlearn.signals import Inputs, named_leaves
 
@@ -42,9 +44,7 @@ def cost_section(ensemble: Ensemble) -> Section:
     with torch.no_grad():
         for name, member in ensemble.members.items():
             state = member.init(())
-            inner, core = member, state
-            while hasattr(inner, "estimator"):
-                inner, core = inner.estimator, getattr(core, "inner", core)
+            inner, core = unwrapped(member, state)
             orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
             predict = _median(lambda m=member, s=state: m.predict(s, inputs))
             learn = _median(lambda m=member, s=state: m.learn(s, inputs, surge))
@@ -53,9 +53,8 @@ def cost_section(ensemble: Ensemble) -> Section:
             rows.append((name, kind, _parameters(core), *(f"O({o})" for o in orders), predict, learn))
         state = ensemble.init(())
         whole = _median(lambda: ensemble.predict(state, inputs)), _median(lambda: ensemble.learn(state, inputs, surge))
-        lanes = Inputs(*(x.expand(MANY) for x in inputs)), surge.expand(MANY)
-        wide = ensemble.init((MANY,))
-        many = _median(lambda: ensemble.learn(wide, *lanes))
+        wide, seen = ensemble.init((MANY,)), (Inputs(*(x.expand(MANY) for x in inputs)), surge.expand(MANY))
+        many = _median(lambda: ensemble.learn(wide, *seen), steps=STEPS // 10)
         rows.append(("all together", "Ensemble", sum(row[2] for row in rows), "–", "–", *whole))
     columns = ("method", "kind", "parameters", "to predict", "to learn", "predict, µs", "predict and learn, µs")
     machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
@@ -72,13 +71,13 @@ def _parameters(state: Any) -> int:
     return sum(leaf.numel() for leaf in identified)
 
 
-def _median(work) -> float:
+def _median(work: Callable[[], object], steps: int = STEPS) -> float:
     """µs a call."""
     work()
     passes = []
     for _ in range(PASSES):
         start = time.perf_counter()
-        for _ in range(STEPS):
+        for _ in range(steps):
             work()
-        passes.append((time.perf_counter() - start) / STEPS)
+        passes.append((time.perf_counter() - start) / steps)
     return 1e6 * statistics.median(passes)

@@ -28,7 +28,7 @@ def physical_members(ensemble: Ensemble) -> list[str]:
     """The members that identify the surge dynamics without further terms."""
     found = []
     for name, member in ensemble.members.items():
-        inner = _unwrapped(member, None)[0]
+        inner = unwrapped(member, None)[0]
         model = getattr(inner, "model", None)
         plain = isinstance(model, SurgeDynamics) and not (model.memory or model.ambient)
         if plain and not isinstance(member, Bank):
@@ -36,7 +36,8 @@ def physical_members(ensemble: Ensemble) -> list[str]:
     return found
 
 
-def _unwrapped(estimator: Any, state: Any) -> tuple[Any, Any]:
+def unwrapped(estimator: Any, state: Any) -> tuple[Any, Any]:
+    """The estimator at the heart of wrappers, and its state."""
     while hasattr(estimator, "estimator"):
         estimator, state = estimator.estimator, getattr(state, "inner", state)
     return estimator, state
@@ -102,7 +103,7 @@ def parameters_section(
     drawn, rows, sides = [], [], []
     for season in seasons:
         speed, command = _usual(season)
-        members = {name: _unwrapped(ensemble.members[name], season.state.members[name]) for name in shown}
+        members = {name: unwrapped(ensemble.members[name], season.state.members[name]) for name in shown}
         names = members[shown[0]][0].model.names
         sums = functionals(names, speed, command)
         courses = {
