@@ -126,8 +126,8 @@ def test_a_study_is_not_for_train(tmp_path):
 
 TINY = [
     "experiment=paper_small", "study.members=[aid,rls]", "study.evaluations=2",
-    "study.common=[data.n=2,data.mission_minutes=2,estimators.rnn.neurons=4,save_minutes=0.5,tuning.rounds=1]",
-    "study.tuning=[data.seed=1,data.hours=0.0667]", "study.season=[data.seed=2,data.hours=0.0667]",
+    "study.common=['data.n=2','data.mission_minutes=2','estimators.rnn.neurons=4','save_minutes=0.5','tuning.rounds=1']",
+    "study.tuning=['data.seed=1','data.hours=0.0667']", "study.season=['data.seed=2','data.hours=0.0667']",
 ]  # fmt: skip
 
 
