@@ -153,7 +153,7 @@ def rollout(
         predictions.append(surge)
         if record is not None:
             records.append(record(state))
-    return state, torch.stack(predictions), _stack(records)
+    return state, torch.stack(predictions), (stack(records) if records else None)
 
 
 def simulate(
@@ -196,11 +196,16 @@ def simulate(
         predictions.append(surge)
         if record is not None:
             records.append(record(state))
-    return state, torch.stack(predictions), _stack(records)
+    return state, torch.stack(predictions), (stack(records) if records else None)
 
 
-def _stack(records: list) -> Any:
-    return tree_map(lambda *leaves: torch.stack(leaves), *records) if records else None
+def stack(trees: Sequence[Any]) -> Any:
+    """Trees of tensors as one, with a first axis that counts them.
+
+    >>> stack([{"theta": torch.zeros(2)}, {"theta": torch.ones(2)}])["theta"].shape
+    torch.Size([2, 2])
+    """
+    return tree_map(lambda *leaves: torch.stack(leaves), *trees)
 
 
 def _unbind(samples: Sample | Step) -> Iterator[Any]:

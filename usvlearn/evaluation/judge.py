@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 
+from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate
 from usvlearn.evaluation.season import Season
@@ -101,9 +100,8 @@ def _each_on_all(
 ) -> dict[str, FreeErrors]:
     """The errors of one set of each boat on all runs of each boat."""
     states = [tree_map(lambda x, k=k: x[k], season.state) for season, k in zip(seasons, chosen, strict=True)]
-    state: Any = tree_map(lambda *leaves: torch.stack(leaves), *states)
     return {
-        season.boat: cross_validate(ensemble, state, [run.samples for run in season.runs], advance=advance)
+        season.boat: cross_validate(ensemble, stack(states), [run.samples for run in season.runs], advance=advance)
         for season in seasons
     }
 

@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
 from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
 from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
@@ -185,7 +185,7 @@ class RunFolder:
     def _from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one parameter set; what is watched, such as the thrusters, is watched anew."""
         state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
-        state = side_by_side([state] * len(self.fleet.boats))._replace(monitors=start.state.monitors)
+        state = stack([state] * len(self.fleet.boats))._replace(monitors=start.state.monitors)
         return start._replace(state=state, note=f"starting from {facts['boat']}, run {facts['run']}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
@@ -200,7 +200,7 @@ class RunFolder:
                 )
             lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
         note = f"starting from the newest parameter sets of {source}, from the first run on"
-        return start._replace(state=side_by_side(lanes), note=note)
+        return start._replace(state=stack(lanes), note=note)
 
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
@@ -246,7 +246,7 @@ class RunFolder:
         for (run, _), published in readable:
             self._chunks[run].append(published)
         self._bring(source, place)
-        return Start(side_by_side(lanes), place, note)
+        return Start(stack(lanes), place, note)
 
     def _own(self, lane: int, place: Position) -> Position:
         """Where a boat stood when the fleet stood at `place`: its runs may be shorter, or fewer."""
@@ -315,8 +315,3 @@ def _has_sets(folder: Path) -> bool:
 
 def _lane(state: EnsembleState, lane: int) -> EnsembleState:
     return tree_map(lambda x: x[lane], state)
-
-
-def side_by_side(lanes: Sequence[EnsembleState]) -> EnsembleState:
-    """The inverse of `_lane`: one state of all boats."""
-    return tree_map(lambda *leaves: torch.stack(leaves), *lanes)

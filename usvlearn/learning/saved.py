@@ -8,12 +8,13 @@ import zipfile
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.checkpoint import checkpoints, load, restore
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.learning.run_folder import (
@@ -24,7 +25,6 @@ from usvlearn.learning.run_folder import (
     RUNS,
     digest,
     position,
-    side_by_side,
 )
 from usvlearn.signals import Fleet, tree_map
 
@@ -126,18 +126,45 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             f"data: found the boat {', '.join(missing)}, of which the runs hold no parameter set (they have "
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
-    return [_season(boat, list(found.values()), folders, ensemble) for boat, found in runs.items()]
+    read = [_read(folder) for folder in folders]
+    return [_season(boat, list(found.values()), read, ensemble) for boat, found in runs.items()]
 
 
-def _season(boat: str, runs: list[SeasonRun], folders: Sequence[Path], ensemble: Ensemble) -> Season:
+class _Folder(NamedTuple):
+    """What a run's folder holds of all boats."""
+
+    path: Path
+    dt: float  # s, of its grid
+    learned: dict[str, list[tuple[str, int, str]]]  # boat -> name, steps and key of each of its runs
+    published: dict[int, list[dict[str, np.ndarray]]]  # index of the run -> stretches, (time, boats, …)
+
+
+def _read(folder: Path) -> _Folder:
+    learned, dt = _runs_file(folder)["boats"], float(configuration(folder)["align"]["dt"])
+    published: dict[int, list[dict[str, np.ndarray]]] = {}
+    for path in sorted((folder / PREDICTIONS).glob("*.npz")):
+        at = position(path)
+        try:
+            with path.open("rb") as file, np.load(file) as archive:
+                part = {name: archive[name] for name in archive.files}
+            if any(array.shape[1] != len(learned) for array in part.values()):
+                raise ValueError(f"it is not of {len(learned)} boats")
+        except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile, zlib.error) as error:
+            warnings.warn(f"{path}: is damaged ({error}); its run goes without predictions", stacklevel=3)
+            continue
+        if at is not None:
+            published.setdefault(at.run, []).append(part)
+    return _Folder(folder, dt, learned, published)
+
+
+def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemble: Ensemble) -> Season:
     template = tree_map(lambda x: x[0], ensemble.init((1,)))
     keys = [run.key for run in runs]
     sets, paths, own, hours, before = [], [], [], [], 0.0
     for folder in folders:
-        learned = _learned(folder, boat)
-        dt = float(configuration(folder)["align"]["dt"])
-        ends = np.cumsum([0, *(length for _, length, _ in learned)]) * dt / 3600
-        for path in checkpoints(folder / CHECKPOINTS / boat):
+        learned = folder.learned.get(boat, [])
+        ends = np.cumsum([0, *(length for _, length, _ in learned)]) * folder.dt / 3600
+        for path in checkpoints(folder.path / CHECKPOINTS / boat):
             at = position(path)
             if at is None or at.step == 0:  # what it started from
                 continue
@@ -151,12 +178,14 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[Path], ensemble:
             key = learned[at.run][2]
             paths.append(path)
             own.append(keys.index(key) if key in keys else -1)
-            hours.append(before + ends[at.run] + at.step * dt / 3600)
+            hours.append(before + ends[at.run] + at.step * folder.dt / 3600)
         before += ends[-1]
-        runs = _with_predictions(folder, boat, runs, learned)
+        runs = _with_predictions(folder, boat, runs)
     if not sets:
-        raise CheckpointError(f"{', '.join(map(str, folders))}: no parameter set of {boat} can be read")
-    return Season(boat, tuple(runs), side_by_side(sets), tuple(paths), np.array(own), np.array(hours))
+        raise CheckpointError(
+            f"{', '.join(str(each.path) for each in folders)}: no parameter set of {boat} can be read"
+        )
+    return Season(boat, tuple(runs), stack(sets), tuple(paths), np.array(own), np.array(hours))
 
 
 def _runs_file(folder: Path) -> dict[str, Any]:
@@ -172,29 +201,12 @@ def _runs_file(folder: Path) -> dict[str, Any]:
         raise CheckpointError(f"{path}: is damaged ({error}): make the run anew") from error
 
 
-def _learned(folder: Path, boat: str) -> list[tuple[str, int, str]]:
-    """Name, steps and key of each run that a boat's folder was made of."""
-    return _runs_file(folder)["boats"].get(boat, [])
-
-
-def _with_predictions(
-    folder: Path, boat: str, runs: list[SeasonRun], learned: Sequence[tuple[str, int, str]]
-) -> list[SeasonRun]:
+def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list[SeasonRun]:
     """The runs with what was published of them in a folder, where its predictions are complete."""
-    lane = list(_runs_file(folder)["boats"]).index(boat) if learned else 0
-    parts: dict[int, list[dict[str, np.ndarray]]] = {}
-    for path in sorted((folder / PREDICTIONS).glob("*.npz")):
-        at = position(path)
-        try:
-            with path.open("rb") as file, np.load(file) as archive:
-                part = {name: archive[name][:, lane] for name in archive.files}
-        except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile, zlib.error) as error:
-            warnings.warn(f"{path}: is damaged ({error}); its run goes without predictions", stacklevel=3)
-            continue
-        if at is not None:
-            parts.setdefault(at.run, []).append(part)
     complete = {}
-    for (_, length, key), some in ((learned[k], parts[k]) for k in sorted(parts) if k < len(learned)):
-        if sum(len(part["predictions"]) for part in some) >= length:
-            complete[key] = {name: np.concatenate([part[name] for part in some])[:length] for name in some[0]}
+    lane = list(folder.learned).index(boat) if boat in folder.learned else 0
+    for index, (_, length, key) in enumerate(folder.learned.get(boat, [])):
+        some = folder.published.get(index, [])
+        if some and sum(len(part["predictions"]) for part in some) >= length:
+            complete[key] = {name: np.concatenate([part[name][:, lane] for part in some])[:length] for name in some[0]}
     return [run._replace(published=complete.get(run.key, run.published)) for run in runs]

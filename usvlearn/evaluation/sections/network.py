@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -43,10 +44,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         found = [exact.conditions(weights.a, weights.w1) for weights in some]
         for condition in found[0]:
             margins.setdefault(condition, {})[boat] = np.array([float(each[condition].margin) for each in found])
-    held = {
-        condition: (sum(int((m > 0).sum()) for m in boats.values()), sum(len(m) for m in boats.values()))
-        for condition, boats in margins.items()
-    }
+    held = {condition: sum(int((m > 0).sum()) for m in boats.values()) for condition, boats in margins.items()}
     rates = {
         boat: np.array([float(max(exact.extreme_slopes(w.a, w.w1))) for w in some]) for boat, some in networks.items()
     }
@@ -57,11 +55,11 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         found = sweep(networks[season.boat][-1], inputs, -1.0, 1.0)
         single, rest = single and all(len(some) == 1 for some in found), [each for some in found for each in some]
         places = [2 * surge_max * each.x for each in rest]
-        kinds = ", ".join(f"{kind} {n}" for kind, n in _counted(each.kind for each in rest))
+        kinds = ", ".join(f"{kind} {n}" for kind, n in Counter(each.kind for each in rest).items())
         rows.append((season.boat, float(rates[season.boat][-1]), len(rest) / HEADINGS, min(places, default=None),
                      max(places, default=None), kinds or "none"))  # fmt: skip
     steps = sum(len(boats) for boats in rates.values())
-    told = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, (n, _) in held.items()) + "."]
+    told = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
     told.append(
         "A network that holds the paper's condition (K < ¼) has a time constant under 0.72 steps, and no hull is so "
         "quick; tight (K < 1) is what all activation patterns together need."
@@ -101,8 +99,3 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         Sheet("certificates", ("boat", "condition", "sets certified", "sets", "least margin", "greatest"), conditions),
     ]
     return Section("network", "The network: certificates and equilibria", SAID, told, drawn, sheets)
-
-
-def _counted(kinds) -> list[tuple[str, int]]:
-    every = list(kinds)
-    return [(kind, every.count(kind)) for kind in dict.fromkeys(every)]
