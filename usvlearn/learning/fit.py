@@ -29,7 +29,8 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, check_choice
 from usvlearn.estimator import Estimator, clean, rollout
 from usvlearn.estimators.rnn import RNN
-from usvlearn.learning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae, tensors
+from usvlearn.learning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae
+from usvlearn.learning.replay import tensors
 from usvlearn.signals import Fleet, Sample, tree_map
 
 EPOCH_COST, PASS_COST = 3, 1  # evaluations: forward and backward through all samples; forward alone
@@ -57,7 +58,7 @@ def run_lanes(fleet: Fleet, dtype: torch.dtype) -> Lanes:
         fill = math.nan if x.is_floating_point() else False
         return torch.cat([x, x.new_full((longest - len(x), boats), fill)])
 
-    runs = [tree_map(padded, tensors(run, dtype)) for run in fleet.runs]
+    runs = [tree_map(padded, tensors(run.samples, dtype)) for run in fleet.runs]
     samples = tree_map(lambda *x: torch.cat(x, 1), *runs)
     there = torch.tensor([length > 0 for run in fleet.runs for length in run.lengths])
     run = torch.arange(len(fleet.runs)).repeat_interleave(boats)

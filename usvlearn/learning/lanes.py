@@ -18,7 +18,8 @@ from usvlearn.estimator import Estimator, check_estimator, clean, rollout
 from usvlearn.estimators.ensemble import Bank
 from usvlearn.estimators.rnn import RNN
 from usvlearn.hyper import Positive, UnitInterval, as_tensor
-from usvlearn.signals import Fleet, Run, Sample, tree_map
+from usvlearn.learning.replay import tensors
+from usvlearn.signals import Fleet, tree_map
 
 Setting = dict[str, float]  # dotted path -> value
 Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
@@ -149,12 +150,6 @@ def check_one_estimator(name: str, value: Any) -> Estimator:
     return check_estimator(name, value)
 
 
-def tensors(run: Run, dtype: torch.dtype) -> Sample:
-    """A run's samples as tensors, `(time, boats)`."""
-    as_tensors = tree_map(torch.from_numpy, run.samples)
-    return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, as_tensors)
-
-
 def fleet_mae(
     estimator: Estimator,
     fleet: Fleet,
@@ -182,7 +177,7 @@ def fleet_mae(
         total, count = torch.zeros(batch, dtype=dtype), torch.zeros(len(fleet.boats), dtype=dtype)
         for run in fleet.runs:
             at_run(state)
-            samples = tensors(run, dtype)
+            samples = tensors(run.samples, dtype)
             for begin in range(0, len(run.time), length):
                 part = tree_map(lambda x, a=begin: x[a : a + length], samples)
                 step = clean(part)

@@ -11,7 +11,7 @@ import torch
 from usvlearn.estimator import rollout
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
 from usvlearn.estimators.monitors import effectiveness
-from usvlearn.signals import Fleet, tree_map
+from usvlearn.signals import Fleet, Sample, tree_map
 
 
 class Position(NamedTuple):
@@ -76,8 +76,7 @@ def replay(
                 continue
             part = tree_map(lambda x, a=done, b=stop: x[a:b], samples)
             with torch.no_grad():
-                tensors = tree_map(lambda x: _tensor(x, dtype), part)
-                state, _, published = rollout(ensemble, state, tensors, record=_published)
+                state, _, published = rollout(ensemble, state, tensors(part, dtype), record=_published)
             stepped = (part.fresh & (part.inputs.dt != 0))[..., None]
             yield Chunk(
                 Position(index, done),
@@ -99,6 +98,7 @@ def _published(state: EnsembleState) -> dict[str, torch.Tensor]:
     return kept | {"thrusters": torch.cat([effectiveness(health)[0], health.evidence, alarm], -1)}
 
 
-def _tensor(x: np.ndarray, dtype: torch.dtype) -> torch.Tensor:
-    tensor = torch.from_numpy(x)
-    return tensor.to(dtype) if tensor.is_floating_point() else tensor
+def tensors(samples: Sample, dtype: torch.dtype) -> Sample:
+    """Samples of a fleet as tensors; numbers have the dtype, masks are what they were."""
+    as_tensors = tree_map(torch.from_numpy, samples)
+    return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, as_tensors)

@@ -32,6 +32,7 @@ from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
+TUNING = "tuning.json"  # what tuning leaves in place of a run
 ESTIMATOR = "Ensemble"
 
 

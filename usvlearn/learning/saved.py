@@ -23,6 +23,7 @@ from usvlearn.learning.run_folder import (
     PREDICTIONS,
     RESULTS,
     RUNS,
+    TUNING,
     digest,
     position,
 )
@@ -38,7 +39,7 @@ def run_folders(folder: str | Path) -> list[Path]:
     folder = Path(folder)
     found = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
     if not found:
-        what = "a tuning alone in" if (folder / "tuning.json").exists() else "no run below"
+        what = "a tuning alone in" if (folder / TUNING).exists() else "no run below"
         raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which train.py has made a run")
     return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))
 

@@ -25,10 +25,10 @@ from usvlearn.errors import ConfigError
 from usvlearn.evaluation.figures import themed
 from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sections.tuning import tuning_section
-from usvlearn.learning.run_folder import RESULTS, RUNS
+from usvlearn.learning.run_folder import RESULTS, RUNS, TUNING
 from usvlearn.learning.saved import results
 
-PLAN, START, TUNING = "study.json", "start.json", "tuning.json"
+PLAN, START = "study.json", "start.json"
 Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
 
 

@@ -28,10 +28,10 @@ from usvlearn.learning.lanes import (
     hyperparameter,
     hyperparameters,
 )
-from usvlearn.learning.run_folder import CHECKPOINTS, digest
+from usvlearn.learning.run_folder import CHECKPOINTS, TUNING, digest
 from usvlearn.learning.search import search
 from usvlearn.learning.sensitivities import descend
-from usvlearn.learning.winners import EXPERIMENT, TUNING, record, report, write
+from usvlearn.learning.winners import EXPERIMENT, record, report, write
 from usvlearn.signals import Fleet
 
 WAYS = ("grid", "learn", "search")

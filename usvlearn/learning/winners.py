@@ -23,10 +23,10 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.tables import tuning_table
 from usvlearn.learning.lanes import Evaluation
-from usvlearn.learning.run_folder import save_results
+from usvlearn.learning.run_folder import TUNING, save_results
 from usvlearn.tensorboard import Board
 
-TUNING, LEADERBOARD, EXPERIMENT, TENSORBOARD = "tuning.json", "leaderboard.csv", "experiment.yaml", "tensorboard"
+LEADERBOARD, EXPERIMENT, TENSORBOARD = "leaderboard.csv", "experiment.yaml", "tensorboard"
 SHOWN, MOST_RECORDS = 10, 20  # in the terminal, on the HPARAMS page
 
 
