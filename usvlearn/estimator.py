@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 import torch
 from torch import Tensor, nn
 
+from usvlearn.backend import Record, choose, run
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.signals import ABSURD, ABSURD_INPUTS, Inputs, Sample, named_leaves, tree_map, where
 
@@ -83,16 +84,6 @@ class Estimator(nn.Module, abc.ABC):
         return tree_map(choose, learned, coasted, started, state), torch.where(step.steps, surge, math.nan)
 
 
-def described(part: Any) -> dict[str, Any] | None:
-    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing.
-
-    >>> from usvlearn import Persistence
-    >>> described(Persistence())["kind"]
-    'persistence'
-    """
-    return part.kernel() if "kernel" in vars(type(part)) else None
-
-
 def check_estimator(name: str, value: Any) -> Estimator:
     """Return `value` if it is an estimator, else raise a ConfigError."""
     if not isinstance(value, Estimator):
@@ -128,8 +119,9 @@ def rollout(
     estimator: Estimator,
     state: State,
     samples: Sample,
-    record: Callable[[State], Any] | None = None,
+    record: Record | None = None,
     detach_every: int | None = None,
+    backend: str = "auto",
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator over samples, predicting before learning.
 
@@ -137,14 +129,19 @@ def rollout(
         estimator: any `Estimator`.
         state: the state to start from, leaves `(*batch, ...)`.
         samples: leaves `(time, *batch)`, of the estimator's dtype.
-        record: picks a tree of tensors from each new state (parameters, members' predictions).
+        record: names of leaves of the state (`named_leaves`), or a function that picks a tree of tensors from each new
+            state.
         detach_every: truncates back-propagation every so many steps.
+        backend: "kernel" makes the steps by compiled code, which has no gradients; "torch" by torch; "auto" by
+            compiled code where no gradient is asked for, all is on the CPU, and the estimator has a kernel.
 
     Returns:
-        The last state; the predictions, m/s, `(time, *batch)`; what `record` picked, stacked over time (or None).
+        The last state; the predictions, m/s, `(time, *batch)`; what `record` names or picked, stacked over time (or
+        None).
 
     Raises:
         ShapeError: the samples' dtype or batch does not fit the state.
+        ConfigError: `backend="kernel"` where that cannot be.
 
     >>> from usvlearn import AID, Inputs, Sample
     >>> t = torch.ones(50, dtype=torch.float64)
@@ -155,6 +152,9 @@ def rollout(
     True
     """
     _check(state, samples)
+    pick = _picking(record, state)
+    if (description := choose(estimator, state, samples, backend)) is not None:
+        return run(description, state, samples, record, free=False)
     learns = clean(samples).learns
     all_learn = learns.reshape(len(learns), -1).all(1).tolist()
     predictions, records = [], []
@@ -166,24 +166,24 @@ def rollout(
         else:
             state, surge = estimator(state, sample)
         predictions.append(surge)
-        if record is not None:
-            records.append(record(state))
+        if pick is not None:
+            records.append(pick(state))
     return state, torch.stack(predictions), (stack(records) if records else None)
 
 
 def simulate(
-    estimator: Estimator, state: State, samples: Sample, record: Callable[[State], Any] | None = None
+    estimator: Estimator, state: State, samples: Sample, record: Record | None = None, backend: str = "auto"
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator free: from the inputs alone, learning nothing; the speed is told where a segment starts.
 
     Args:
-        estimator, state, samples, record: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
+        estimator, state, samples, record, backend: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
 
     Returns:
         As `rollout`. What `record` picks of a step that was not made is of the step before.
 
     Raises:
-        ShapeError: as `rollout`.
+        ShapeError, ConfigError: as `rollout`.
 
     >>> from usvlearn import AID, Inputs, Sample
     >>> t = torch.ones(50, dtype=torch.float64)
@@ -193,6 +193,9 @@ def simulate(
     0.0
     """
     _check(state, samples)
+    pick = _picking(record, state)
+    if (description := choose(estimator, state, samples, backend)) is not None:
+        return run(description, state, samples, record, free=True)
     steps = clean(samples)
     all_step = steps.steps.reshape(len(steps.steps), -1).all(1).tolist()
     predictions, records = [], []
@@ -209,9 +212,20 @@ def simulate(
             )
             surge = torch.where(step.steps, surge, math.nan)
         predictions.append(surge)
-        if record is not None:
-            records.append(record(state))
+        if pick is not None:
+            records.append(pick(state))
     return state, torch.stack(predictions), (stack(records) if records else None)
+
+
+def _picking(record: Record | None, state: State) -> Callable[[State], Any] | None:
+    """What `record` names or picks, as a function of the state."""
+    if record is None or callable(record):
+        return record
+    leaves = dict(named_leaves(state))
+    if unknown := [name for name in record if name not in leaves]:
+        raise ConfigError(f"record: found {unknown[0]!r}, expected names of the state's leaves: {', '.join(leaves)}")
+    names = tuple(record)
+    return lambda state: {name: leaf for name, leaf in named_leaves(state) if name in names}
 
 
 def stack(trees: Sequence[Any]) -> Any:

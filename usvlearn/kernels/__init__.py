@@ -1,11 +1,11 @@
-"""Compiled twins of the estimators' steps: the same steps on the same states, equal to them to rounding, without torch.
+"""Compiled twins of the estimators' steps: the same steps on the same states, equal to them to rounding; no torch.
 
-One program serves every estimator: a table of numbers says what it is made of (`plan`), and the kernels interpret it, so
-that nothing is compiled anew for another ensemble. A state is one row of numbers per lane, of which its leaves are
+One program serves every estimator: a table of numbers says what it is made of (`plan`), and the kernels interpret it,
+so that nothing is compiled anew for another ensemble. A state is one row of numbers per lane, of which its leaves are
 views. The files, in the order in which they build on each other:
 
-    compiled      how they are compiled, and where that is kept
-    regressors rls aid rnn stable    one file per family of estimators, `stable` projects the network's weights
+    compiled arrays                  how they are compiled, and where that is kept; sums and copies
+    regressors rls aid rnn stable    one file per family of estimators; `stable` projects the network's weights
     combiners monitors               what an ensemble does with its members' predictions
     step          one estimator, one ensemble, one step; runs over (time, lanes)
     plan          from an estimator's `kernel()` to the table, the parameters and the places of the leaves

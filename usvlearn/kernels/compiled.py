@@ -51,7 +51,7 @@ def kernel(function: Callable | None = None, *, reorder: bool = False) -> Callab
     before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(FOLDER)
     fastmath = {"contract", "reassoc"} if reorder else {"contract"}
     try:
-        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath)(function)
+        return numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=fastmath, _nrt=False)(function)
     finally:
         numba.config.CACHE_DIR = before
 

@@ -1,4 +1,4 @@
-"""From what an estimator says of itself to what the kernels interpret: a table, numbers, and the places of a state's leaves.
+"""From what an estimator says of itself to what the kernels interpret: a table, numbers, the places of the leaves.
 
 An estimator describes itself (`Estimator.kernel`) in plain values, which also fit into JSON: its `kind`, `numbers` and
 `vectors` by name (hyperparameters broadcast against the batch), what kind of choices were made, and what it wraps.
@@ -121,7 +121,9 @@ class Plan:
 
     def _views(self, states: np.ndarray) -> dict[str, np.ndarray]:
         item = states.itemsize
-        batch_strides = [int(np.prod(self.batch[k + 1 :], dtype=int)) * states.strides[0] for k in range(len(self.batch))]
+        batch_strides = [
+            int(np.prod(self.batch[k + 1 :], dtype=int)) * states.strides[0] for k in range(len(self.batch))
+        ]
         return {
             name: np.lib.stride_tricks.as_strided(
                 states[:, leaf.place :], (*self.batch, *leaf.shape), (*batch_strides, *(item * x for x in leaf.strides))
@@ -195,11 +197,15 @@ class Plan:
         if "memory" in wrappers:
             wrapper, own = wrappers["memory"]
             row[step.MEMORY_STATE] = self._place(dict.fromkeys(step.MEMORY_FIELDS, ()), own)
-            row[step.MEMORY_NUMBERS] = self._values([wrapper["numbers"][key] for key in step.MEMORY_PARAMETERS], own, setting)
+            row[step.MEMORY_NUMBERS] = self._values(
+                [wrapper["numbers"][key] for key in step.MEMORY_PARAMETERS], own, setting
+            )
         if "robust" in wrappers:
             wrapper, own = wrappers["robust"]
             row[step.ROBUST_STATE] = self._place(dict.fromkeys(step.ROBUST_FIELDS, ()), own)
-            row[step.ROBUST_NUMBERS] = self._values([wrapper["numbers"][key] for key in step.ROBUST_PARAMETERS], own, setting)
+            row[step.ROBUST_NUMBERS] = self._values(
+                [wrapper["numbers"][key] for key in step.ROBUST_PARAMETERS], own, setting
+            )
             row[step.OUTER] = int(order[0] == "robust")
         self._rows.append(row)
         needed = 4 + 16 * size if kind == "rnn" else 12 * size + 2 * size * size

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -43,7 +43,6 @@ def roll(
     steps, *batch = samples.surge.shape
     plan = Plan(description, batch, samples.surge.dtype)
     states = plan.pack(leaves)
-    rows, columns = prepared(samples, plan.dtype)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
     predictions = np.empty((plan.lanes, steps), plan.dtype)
@@ -53,7 +52,9 @@ def roll(
         work = np.empty(plan.work, plan.dtype)
         step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
 
-    in_parallel(some, plan.lanes, threads, f"run-{plan.dtype}")
+    with announced(f"run, {plan.dtype}"):
+        rows, columns = prepared(samples, plan.dtype)
+        in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
@@ -75,18 +76,16 @@ def prepared(samples: Sample, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
     inputs, *rest = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
     rows = np.empty((count, steps, step.ROW), dtype)
-    with announced(f"prepare-{dtype}"):
-        step.prepare_all(*inputs, *rest, rows)
+    step.prepare_all(*inputs, *rest, rows)
     return rows, np.broadcast_to(np.arange(count).reshape(own), batch).reshape(-1)
 
 
-def in_parallel(work, lanes: int, threads: int, name: str) -> None:
+def in_parallel(work: Callable[[int, int], None], lanes: int, threads: int) -> None:
     """Call `work(first, last)` over all lanes, on so many threads; kernels do not hold the GIL."""
-    with announced(name):
-        if threads <= 1 or lanes == 1:
-            work(0, lanes)
-            return
-        work(0, 1)  # compiles, where it is the first
-        edges = np.linspace(1, lanes, min(threads * 4, lanes - 1) + 1).astype(int)
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, edges[:-1], edges[1:]))
+    if threads <= 1 or lanes == 1:
+        work(0, lanes)
+        return
+    work(0, 1)  # compiles, where it is the first
+    edges = np.linspace(1, lanes, min(threads * 4, lanes - 1) + 1).astype(int)
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, edges[:-1], edges[1:]))

@@ -1,0 +1,109 @@
+"""Who makes the steps of a run: torch, or, where no gradient is asked for, the compiled kernels."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
+
+from usvlearn.errors import ConfigError, MissingExtraError, check_choice
+from usvlearn.kernels import compilable
+from usvlearn.signals import Sample, named_leaves, rebuild, tree_map
+
+if TYPE_CHECKING:
+    from usvlearn.estimator import Estimator
+
+BACKENDS = ("auto", "torch", "kernel")
+CHUNK = 256  # steps whose whole states are held at a time, for a record that wants to see them
+Record = Callable[[Any], Any] | Sequence[str]
+
+
+def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> dict[str, Any] | None:
+    """What the kernels are to run (`Estimator.kernel`), or None where torch makes the steps.
+
+    Raises:
+        ConfigError: an unknown backend, or `kernel` where the kernels cannot.
+        MissingExtraError: `kernel` without numba.
+    """
+    if check_choice("backend", backend, BACKENDS) == "torch":
+        return None
+    description = described(estimator)
+    obstacle = _obstacle(estimator, state, samples, description)
+    if backend == "kernel" and obstacle:
+        raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
+    missing = importlib.util.find_spec("numba") is None
+    if backend == "kernel" and missing:
+        raise MissingExtraError("numba", "kernels", "backend=kernel")
+    return None if obstacle or missing else description
+
+
+def described(part: Any) -> dict[str, Any] | None:
+    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing.
+
+    >>> from usvlearn import Persistence
+    >>> described(Persistence())["kind"]
+    'persistence'
+    """
+    return part.kernel() if "kernel" in vars(type(part)) else None
+
+
+def run(
+    description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool
+) -> tuple[Any, Tensor, Any]:
+    """`rollout`, or `simulate` (`free`), by the kernels."""
+    from usvlearn.kernels.run import roll
+
+    leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(state)}
+    arrays = tree_map(lambda x: x.detach().numpy(), samples)
+    threads = torch.get_num_threads()
+    if not callable(record):
+        leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
+        kept = (
+            {name: torch.from_numpy(_flag(state, name, x)) for name, x in kept.items()} if record is not None else None
+        )
+        return _tree(state, leaves), torch.from_numpy(predictions), kept
+    parts, records = [], []
+    for begin in range(0, len(arrays.surge), CHUNK):
+        part = tree_map(lambda x, b=begin: x[b : b + CHUNK], arrays)
+        leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads)
+        parts.append(torch.from_numpy(predictions))
+        for k in range(len(predictions)):
+            records.append(record(_tree(state, {name: _flag(state, name, x[k]) for name, x in kept.items()})))
+    return _tree(state, leaves), torch.cat(parts), tree_map(lambda *x: torch.stack(x), *records)
+
+
+def _tree(template: Any, leaves: dict[str, np.ndarray]) -> Any:
+    return rebuild(template, {name: torch.as_tensor(leaf) for name, leaf in leaves.items()})
+
+
+def _flag(state: Any, name: str, array: np.ndarray) -> np.ndarray:
+    """What the kernels have of a leaf, bool where the leaf is."""
+    return array.astype(bool) if dict(named_leaves(state))[name].dtype == torch.bool else array
+
+
+def _obstacle(estimator: Estimator, state: Any, samples: Sample, description: dict[str, Any] | None) -> str | None:
+    """Why the kernels cannot, if they cannot."""
+    if not compilable(description):
+        return f"{type(estimator).__name__}, or a part of it, has no compiled kernel"
+    tensors = [*_leaves(state), *_leaves(samples)]
+    if torch.compiler.is_compiling() or any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors)):
+        return "torch transforms this function"
+    tensors += estimator.parameters()
+    if torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
+        return "a gradient is asked for (inside torch.no_grad() none is)"
+    if any(x.is_floating_point() and unpack_dual(x).tangent is not None for x in tensors):
+        return "a forward derivative is asked for"
+    if any(x.device.type != "cpu" for x in tensors):
+        return "not all tensors are on the CPU"
+    if samples.surge.dtype not in (torch.float64, torch.float32):
+        return f"the samples are {samples.surge.dtype}"
+    return None
+
+
+def _leaves(tree: Any) -> Iterator[Tensor]:
+    return (leaf for _, leaf in named_leaves(tree))
