@@ -55,8 +55,7 @@ def run(
     """`rollout`, or `simulate` (`free`), by the kernels."""
     from usvlearn.kernels.run import roll
 
-    leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(state)}
-    arrays = tree_map(lambda x: x.detach().numpy(), samples)
+    leaves, arrays = _arrays(state, samples)
     threads = torch.get_num_threads()
     if not callable(record):
         leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
@@ -72,6 +71,21 @@ def run(
         for k in range(len(predictions)):
             records.append(record(_tree(state, {name: _flag(state, name, x[k]) for name, x in kept.items()})))
     return _tree(state, leaves), torch.cat(parts), tree_map(lambda *x: torch.stack(x), *records)
+
+
+def free_totals(description: dict[str, Any], state: Any, samples: Sample, learning: Sequence[int]) -> np.ndarray:
+    """`kernels.cross.free_totals` of tensors."""
+    from usvlearn.kernels import cross
+
+    leaves, arrays = _arrays(state, samples)
+    return cross.free_totals(description, leaves, arrays, learning, torch.get_num_threads())
+
+
+def _arrays(state: Any, samples: Sample) -> tuple[dict[str, np.ndarray], Sample]:
+    """A state's leaves by dotted name, and samples, as arrays that share their memory."""
+    return {name: leaf.detach().numpy() for name, leaf in named_leaves(state)}, tree_map(
+        lambda x: x.detach().numpy(), samples
+    )
 
 
 def _tree(template: Any, leaves: dict[str, np.ndarray]) -> Any:
