@@ -48,7 +48,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
     ensemble = Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
-    run = RunFolder(folder, fleet, {"configuration": settings, "version": __version__})
+    run = RunFolder(folder, fleet, {"configuration": settings, "version": __version__, "kernel": ensemble.kernel()})
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
     with Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)

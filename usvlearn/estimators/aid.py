@@ -186,9 +186,10 @@ class AID(Estimator):
     def kernel(self) -> dict[str, Any] | None:
         if (terms := described(self.model)) is None:
             return None
+        leak = self.leak if self.feedback == "estimate" else 1.0
         values = numbers(
-            scale=self.model.scale, surge_max=self.surge_max, gain=self.gain, dead_zone=self.dead_zone, floor=self.floor,
-            leak=self.leak if self.feedback == "estimate" else 1.0, sigma=self.sigma, bound=self.bound,
+            scale=self.model.scale, surge_max=self.surge_max, gain=self.gain, leak=leak, dead_zone=self.dead_zone,
+            floor=self.floor, sigma=self.sigma, bound=self.bound,
         )  # fmt: skip
         vectors = numbers(
             spread=self.spread, inverse_spread=self.inverse_spread, theta0=self.theta0, lower=self.lower,

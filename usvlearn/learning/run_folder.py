@@ -28,6 +28,7 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
+from usvlearn.kernels import of_lane
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
@@ -50,7 +51,8 @@ class RunFolder:
     Args:
         path: the folder.
         fleet: what is replayed.
-        metadata: JSON values that every checkpoint carries (configuration, version).
+        metadata: JSON values that every checkpoint carries (configuration, version; `kernel`, how the ensemble is
+            built, of all boats).
     """
 
     def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any]):
@@ -145,7 +147,7 @@ class RunFolder:
             run=run.names[lane],
             step=place.step,
             time=float(run.time[place.step - 1, lane]) if place.step else 0.0,
-            **self.metadata,
+            **self.metadata | {"kernel": of_lane(self.metadata.get("kernel"), len(self.fleet.boats), lane)},
         )
 
     @cached_property
