@@ -140,18 +140,18 @@ class Plan:
             self.size += int(np.prod(shape, dtype=int))
         return first
 
-    def _values(self, values: Sequence[Any], name: str, setting: tuple[int, int] | None = None, length: int = 1) -> int:
+    def _values(
+        self, values: Sequence[Any], name: str, setting: tuple[int, int] | None = None, length: int | None = None
+    ) -> int:
         """Add numbers, or vectors of a length; returns where the first stands. `setting`: of a bank, and how many."""
-        first = len(self._columns)
+        first, bank = len(self._columns), () if setting is None else (setting[1],)
         for value in values:
-            array, bank = np.asarray(value, float), () if setting is None else (setting[1],)
-            if array.ndim == 0 or length == 1:
-                array = array[..., None]
+            array = np.asarray(value, float) if length else np.asarray(value, float)[..., None]
             try:
-                array = np.broadcast_to(array, (*self.batch, *bank, length))
+                array = np.broadcast_to(array, (*self.batch, *bank, length or 1))
             except ValueError as error:
                 raise ShapeError(f"{name}: found the shape {np.shape(value)}, expected one for {self.batch}") from error
-            array = (array if setting is None else array[..., setting[0], :]).reshape(self.lanes, length)
+            array = (array if setting is None else array[..., setting[0], :]).reshape(self.lanes, length or 1)
             self._columns += list((array[:1] if (array == array[:1]).all() else array).T)
         return first
 
