@@ -93,8 +93,8 @@ def difference(found, expected) -> float:
         known = np.isfinite(y)
         if not np.array_equal(x[~known], y[~known], equal_nan=True) or not np.isfinite(x[known]).all():
             return math.inf
-        if known.any() and (error := np.abs(x - y)[known].max()) > 0:
-            worst = max(worst, float(error / np.abs(y[known]).max()) if np.abs(y[known]).max() > 0 else math.inf)
+        error, largest = (np.abs(z).max(initial=0.0) for z in (x[known] - y[known], y[known]))
+        worst = max(worst, float(error / largest) if largest > 0 else (math.inf if error > 0 else 0.0))
     return worst
 
 
@@ -109,6 +109,14 @@ def _bank() -> Bank:
 
 def _crew() -> dict:
     return {"aid": AID(28.0), "bank": _bank(), "rnn": RNN(6, unroll=2), "persistence": Persistence()}
+
+
+def _boxed(**options) -> RNN:
+    """A network of which some neurons are always on in the box of `interval`, and some never."""
+    rnn = RNN(9, condition="interval", rate=0.02, contraction_rate=0.5, initial="random", **options)
+    rnn.b.data += torch.linspace(-6.0, 6.0, 9, dtype=torch.float64)
+    rnn.a.data *= 3.0
+    return rnn
 
 
 VARIANTS = {
@@ -158,6 +166,8 @@ VARIANTS = {
         unroll=2,
     ),
     "rnn_free": lambda: RNN(3, stability="none", decay=50, clip=1e-3, momentum=0.5),
+    "rnn_box": _boxed,
+    "rnn_box_2": lambda: _boxed(unroll=2, clip=None, seed=2),
     "rnn_interval_fast": lambda: RNN(20, condition="interval", rate=0.05, clip=None, contraction_rate=0.5),
     "rnn_estimate_lmi": lambda: RNN(9, condition="lmi", feedback="estimate", rate=0.02, decay=None, surge_max=0.5),
     "all_average": lambda: Ensemble(_crew(), watched=False, coverage=0.5),
@@ -205,8 +215,12 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _lanes, unroll=2),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
     "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_lanes),
+    "pair": lambda: Ensemble(
+        {"aid": AID(28.0, gain=_lanes), "sift": Bank(SIFtRLS(SurgeDynamics(28.0), memory=[4.0, 20.0]), ["a", "b"])},
+        {"we": RecursiveWeights(), "boa": BOA()},
+    ),
     "ensemble": lambda: Ensemble(
-        {"rls": RLS(forgetting=1 - 0.01 * _lanes), "sift": Bank(SIFtRLS(SurgeDynamics(28.0), memory=[4.0, 20.0]), "ab"),
+        {"rls": RLS(forgetting=1 - 0.01 * _lanes), "sift": Bank(SIFtRLS(SurgeDynamics(28.0), memory=[4.0, 20.0]), ["short", "long"]),
          "rnn": RNN(6)} | {"persistence": Persistence()},
         {"average": Average(), "we": RecursiveWeights(), "ewa": ExponentialWeights(rate=5 * _lanes), "boa": BOA()},
     ),
