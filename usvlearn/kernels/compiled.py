@@ -18,14 +18,16 @@ from pathlib import Path
 
 import numba
 
-SOURCES = sorted(Path(__file__).parent.glob("*.py"))
+HERE = Path(__file__)
 
 
 def folder() -> Path:
     """Where the machine code of these sources is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
     digest = hashlib.sha256(numba.__version__.encode())
-    for path in SOURCES:
-        digest.update(path.read_bytes())
+    for path in [HERE.parents[1] / "signals.py", HERE, *sorted(HERE.parent.glob("*.py"))]:
+        content = path.read_bytes()
+        if b"\n@kernel" in content or path.parent != HERE.parent or path == HERE:
+            digest.update(content)
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     found = Path(base) / "usvlearn" / digest.hexdigest()[:16]
     try:

@@ -8,7 +8,7 @@ import numpy as np
 
 from usvlearn.kernels.combiners import combine, learn_rule, waken
 from usvlearn.kernels.compiled import announced, kernel
-from usvlearn.kernels.plan import Description, Plan
+from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.kernels.regressors import DT
 from usvlearn.kernels.run import in_parallel, prepared
 from usvlearn.kernels.step import (
@@ -84,7 +84,7 @@ def free_totals(
         description, leaves, samples, threads: as of `run.roll`.
         learning: rules that are judged once more, with weights that go on learning.
     """
-    plan = Plan(description, samples.surge.shape[1:], samples.surge.dtype)
+    plan = plan_for(description, samples.surge.shape[1:], samples.surge.dtype)
     states = plan.pack(leaves)
     others = states.copy()
     totals = np.zeros((plan.lanes, plan.program[0, NAMES] + len(learning), 3), plan.dtype)

@@ -9,7 +9,7 @@ import numpy as np
 
 from usvlearn.kernels import step
 from usvlearn.kernels.compiled import announced
-from usvlearn.kernels.plan import Description, Plan
+from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Inputs, Sample
 
 LIVE = step.step_once
@@ -31,10 +31,10 @@ class Live:
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         first = next(x for x in leaves.values() if x.dtype != bool)
-        one = Plan(description, (), first.dtype)
+        one = plan_for(description, (), first.dtype)
         name, leaf = next(iter(one.leaves.items()))
         batch = np.shape(leaves[name])[: np.ndim(leaves[name]) - len(leaf.shape)]
-        self.plan = Plan(description, batch, first.dtype) if batch else one
+        self.plan = plan_for(description, batch, first.dtype) if batch else one
         self.states = self.plan.pack(leaves)
         self._work = np.empty(self.plan.work, first.dtype)
         self._arguments = [

@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.kernels import step
 from usvlearn.kernels.compiled import announced
-from usvlearn.kernels.plan import Description, Plan
+from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Sample, named_leaves, tree_map
 
 
@@ -41,7 +41,7 @@ def roll(
         threads: lanes are shared among so many.
     """
     steps, *batch = samples.surge.shape
-    plan = Plan(description, batch, samples.surge.dtype)
+    plan = plan_for(description, batch, samples.surge.dtype)
     states = plan.pack(leaves)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
@@ -58,7 +58,7 @@ def roll(
     kept, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
-        kept[name] = np.moveaxis(part, len(batch), 0)
+        kept[name] = plan.typed(name, np.moveaxis(part, len(batch), 0))
         begin += place.size
     return Result(plan.unpack(states), np.moveaxis(predictions.reshape(*batch, steps), -1, 0), kept)
 
