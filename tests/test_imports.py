@@ -99,14 +99,41 @@ def test_every_module_has_a_layer():
         assert name == "usvlearn" or any(within(name, [prefix]) for prefix in OURS), name
 
 
+def loaded(code: str) -> set[str]:
+    """The packages that a fresh Python has imported at the end of some code."""
+    show = "import atexit, sys; atexit.register(lambda: print(*{name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{show}\n{code}"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.splitlines()[-1].split())
+
+
+HEAVY = {"torch", "scipy", "matplotlib", "tensorboard", "numba", "rosbags", "cvxpy", "optuna"}
+
+
+def test_the_package_is_imported_at_no_cost():
+    assert not loaded("import usvlearn") & {*HEAVY, "numpy", "hydra", "rich"}
+
+
 def test_package_logs_and_checkpoints_import_without_torch():
     code = (
-        "import sys, usvlearn, usvlearn.checkpoint, usvlearn.logs.fleet, usvlearn.logs.read, usvlearn.logs.alog\n"
+        "import usvlearn, usvlearn.checkpoint, usvlearn.logs.fleet, usvlearn.logs.read, usvlearn.logs.alog\n"
         "import usvlearn.logs.table, usvlearn.logs.rosbag\n"
-        "usvlearn.Sample, usvlearn.Aligner\n"
-        "sys.exit(any(name in sys.modules for name in ('torch', 'hydra', 'matplotlib', 'rosbags')))"
+        "usvlearn.Sample, usvlearn.Aligner"
     )
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+    assert not loaded(code) & {*HEAVY, "hydra", "rich"}
+
+
+@pytest.mark.parametrize("script", ["train.py", "evaluate.py"])
+def test_help_waits_for_nothing_heavy(script):
+    code = f"import runpy, sys\nsys.argv = [{script!r}, '--help']\nrunpy.run_path({script!r}, run_name='__main__')"
+    found = loaded(code)
+    assert "hydra" in found and not found & HEAVY
+
+
+def test_help_of_certify_waits_for_nothing_heavy():
+    code = "import runpy, sys\nsys.argv = ['certify', '--help']\nrunpy.run_module('certify', run_name='__main__')"
+    assert not loaded(code) & HEAVY
 
 
 def test_public_names_are_there():

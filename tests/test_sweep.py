@@ -22,8 +22,9 @@ from tests.test_train import ENVIRONMENT, ROOT, assert_equal_runs, command, resu
 from usvlearn import Ensemble
 from usvlearn.errors import ConfigError, bad_input
 from usvlearn.evaluation.metrics import scores
+from usvlearn.learning.launchers import check_launcher
 from usvlearn.learning.leaderboard import LONGEST, write_leaderboard
-from usvlearn.learning.sweep import Job, check_launcher, digest, jobs, run_job
+from usvlearn.learning.sweep import Job, digest, jobs, run_job
 
 LEFT_OUT = ["rnn", "memory_aid", "memory_rls", "ambient_rls", "steady_rls"]
 QUICK = ["data.hours=0.05", "save_minutes=0.5", *(f"~estimators.{name}" for name in LEFT_OUT),

@@ -1,11 +1,4 @@
-"""A run's folder: parameter sets and predictions as they come, and how a run goes on from them.
-
-checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
-predictions/RRRRR_SSSSSSS.npz                what was published since the file before, of all boats: predictions,
-                                             half-widths of their intervals, health of the thrusters
-runs.json                                    which runs, of which samples, through which ensemble
-results.json                                 the scores, at the end
-"""
+"""A run's folder: parameter sets and predictions as they come, and how a run goes on from them."""
 
 from __future__ import annotations
 
@@ -28,12 +21,9 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
+from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
-
-CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
-TUNING = "tuning.json"  # what tuning leaves in place of a run
-ESTIMATOR = "Ensemble"
 
 
 class Start(NamedTuple):
@@ -288,12 +278,6 @@ def position(path: Path) -> Position | None:
 
 def _stem(place: Position) -> str:
     return f"{place.run:05d}_{place.step:07d}"
-
-
-def save_results(folder: Path, results: Mapping[str, Any]) -> None:
-    """Write `results.json`; NaN, which JSON has not, becomes null."""
-    text = json.dumps(json.loads(json.dumps(results), parse_constant=lambda _: None), indent=2)
-    write_atomically(folder / RESULTS, text.encode())
 
 
 def _set(folder: Path, boat: str, place: Position) -> Path:
