@@ -136,13 +136,13 @@ def test_a_launcher_that_cannot_be_used_is_told_in_one_sentence(monkeypatch, tmp
     assert done.returncode == 2 and not list(tmp_path.iterdir())
     assert done.stderr.startswith("error: hydra/launcher: found 'sulrm', expected one of basic, joblib, slurm")
     assert len(done.stderr.splitlines()) == 1
-    monkeypatch.setattr("usvlearn.learning.sweep.find_spec", lambda name: None)
+    monkeypatch.setattr("usvlearn.learning.launchers.find_spec", lambda name: None)
     for name, extra in {"joblib": "sweep", "slurm": "slurm", "submitit_local": "slurm"}.items():
         with pytest.raises(SystemExit, match="2"):
             check_launcher(["-m", f"hydra/launcher={name}"])
         assert re.match(rf"error: hydra/launcher={name} needs .* 'usvlearn\[{extra}\]'", capsys.readouterr().err)
-    monkeypatch.setattr("usvlearn.learning.sweep.find_spec", lambda name: name)
-    monkeypatch.setattr("usvlearn.learning.sweep.which", lambda name: None)
+    monkeypatch.setattr("usvlearn.learning.launchers.find_spec", lambda name: name)
+    monkeypatch.setattr("usvlearn.learning.launchers.which", lambda name: None)
     check_launcher(["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"])
     with pytest.raises(SystemExit, match="2"):
         check_launcher(["hydra/launcher=slurm"])
