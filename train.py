@@ -51,7 +51,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
     run = RunFolder(folder, fleet, {"configuration": settings, "version": usvlearn.__version__})
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
-    with Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
+    with run, Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
         for chunk in replay(ensemble, fleet, start.state, start.position, watch.every, max(1, round(save_every))):
             run.save(chunk)
