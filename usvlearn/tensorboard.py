@@ -62,6 +62,14 @@ class Board:
         """A matplotlib figure."""
         self._writer.add_figure(tag, figure, step)
 
+    def image(self, tag: str, png: bytes) -> None:
+        """A picture that has been drawn already."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        width, height = (int.from_bytes(png[at : at + 4]) for at in (16, 20))  # of the header, whose place is fixed
+        image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
+        self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), 0)
+
     def text(self, tag: str, markdown: str) -> None:
         """A text, for the TEXT page."""
         self._writer.add_text(tag, markdown)
