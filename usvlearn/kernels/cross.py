@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from usvlearn.compiled import announced, kernel
 from usvlearn.kernels.combiners import combine, learn_rule, waken
-from usvlearn.kernels.compiled import announced, kernel
 from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.kernels.regressors import DT
 from usvlearn.kernels.run import in_parallel, prepared
@@ -94,7 +94,7 @@ def free_totals(
         work = np.empty(plan.work, plan.dtype)
         judge(plan.program, states, others, numbers, rows, columns, rules, totals, work, first, last)
 
-    with announced(f"judge, {plan.dtype}"):
+    with announced(__file__, f"kernels of free runs, {plan.dtype}"):
         rows, columns = prepared(samples, plan.dtype)
         in_parallel(some, plan.lanes, threads)
     return totals.reshape(*plan.batch, -1, 3)

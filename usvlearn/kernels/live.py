@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.compiled import announced
 from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Inputs, Sample
 
@@ -41,7 +41,7 @@ class Live:
             (self.plan.program, row, self.plan.numbers[k if len(self.plan.numbers) > 1 else 0], self._work)
             for k, row in enumerate(self.states)
         ]
-        with announced(f"step, {first.dtype}"):
+        with announced(__file__, f"kernels of single steps, {first.dtype}"):
             rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
             LIVE.disable_compile(False)
             LIVE(self.plan.program, self.states[0].copy(), self.plan.numbers[0], self._work, *rest)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.compiled import announced
 from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Sample, named_leaves, tree_map
 
@@ -52,7 +52,7 @@ def roll(
         work = np.empty(plan.work, plan.dtype)
         step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
 
-    with announced(f"run, {plan.dtype}"):
+    with announced(__file__, f"kernels of runs, {plan.dtype}"):
         rows, columns = prepared(samples, plan.dtype)
         in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
