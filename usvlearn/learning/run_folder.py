@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn import __version__
+import usvlearn
 from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
 from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
@@ -56,7 +56,7 @@ class RunFolder:
     """
 
     def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any]):
-        self.path, self.fleet, self.metadata = Path(path), fleet, {"version": __version__, **metadata}
+        self.path, self.fleet, self.metadata = Path(path), fleet, {"version": usvlearn.__version__, **metadata}
         self._chunks: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]  # what was published, per run
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = BEGIN
