@@ -78,8 +78,11 @@ def logging(fleet) -> str:
     """Time in TensorBoard, checkpoints and predictions over time in the replay itself, within one run."""
     model, shares = ensemble(), []
     for _ in range(REPEATS):
-        with tempfile.TemporaryDirectory() as folder, Watch(folder, fleet, model) as watch:
-            archive = RunFolder(folder, fleet, {})
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            Watch(folder, fleet, model) as watch,
+            RunFolder(folder, fleet, {}) as archive,
+        ):
             start = archive.begin(model.init((len(fleet.boats),)), None)
             began, spent = time.perf_counter(), 0.0
             for chunk in replay(model, fleet, start.state, every=watch.every):

@@ -59,17 +59,15 @@ def run(
     threads = torch.get_num_threads()
     if not callable(record):
         leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
-        kept = (
-            {name: torch.from_numpy(_flag(state, name, x)) for name, x in kept.items()} if record is not None else None
-        )
-        return _tree(state, leaves), torch.from_numpy(predictions), kept
+        named = {name: torch.from_numpy(x) for name, x in kept.items()}
+        return _tree(state, leaves), torch.from_numpy(predictions), None if record is None else named
     parts, records = [], []
     for begin in range(0, len(arrays.surge), CHUNK):
         part = tree_map(lambda x, b=begin: x[b : b + CHUNK], arrays)
         leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads)
         parts.append(torch.from_numpy(predictions))
         for k in range(len(predictions)):
-            records.append(record(_tree(state, {name: _flag(state, name, x[k]) for name, x in kept.items()})))
+            records.append(record(_tree(state, {name: x[k] for name, x in kept.items()})))
     return _tree(state, leaves), torch.cat(parts), tree_map(lambda *x: torch.stack(x), *records)
 
 
@@ -90,11 +88,6 @@ def _arrays(state: Any, samples: Sample) -> tuple[dict[str, np.ndarray], Sample]
 
 def _tree(template: Any, leaves: dict[str, np.ndarray]) -> Any:
     return rebuild(template, {name: torch.as_tensor(leaf) for name, leaf in leaves.items()})
-
-
-def _flag(state: Any, name: str, array: np.ndarray) -> np.ndarray:
-    """What the kernels have of a leaf, bool where the leaf is."""
-    return array.astype(bool) if dict(named_leaves(state))[name].dtype == torch.bool else array
 
 
 def _obstacle(estimator: Estimator, tensors: Sequence[Tensor], description: dict[str, Any] | None) -> str | None:

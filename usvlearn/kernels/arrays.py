@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
+from usvlearn.compiled import kernel
 
 
 @kernel

@@ -5,8 +5,8 @@ A rule sees x: the predictions of its members, NaN where one sleeps.
 
 import numpy as np
 
+from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, dot, fill
-from usvlearn.kernels.compiled import kernel
 from usvlearn.kernels.rls import forget, rotated
 
 RULES = ("average", "fixed", "recursive", "exponential", "boa")

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from usvlearn.compiled import announced, kernel
 from usvlearn.kernels.combiners import combine, learn_rule, waken
-from usvlearn.kernels.compiled import announced, kernel
-from usvlearn.kernels.plan import Description, Plan
+from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.kernels.regressors import DT
 from usvlearn.kernels.run import in_parallel, prepared
 from usvlearn.kernels.step import (
@@ -84,7 +84,7 @@ def free_totals(
         description, leaves, samples, threads: as of `run.roll`.
         learning: rules that are judged once more, with weights that go on learning.
     """
-    plan = Plan(description, samples.surge.shape[1:], samples.surge.dtype)
+    plan = plan_for(description, samples.surge.shape[1:], samples.surge.dtype)
     states = plan.pack(leaves)
     others = states.copy()
     totals = np.zeros((plan.lanes, plan.program[0, NAMES] + len(learning), 3), plan.dtype)
@@ -94,7 +94,7 @@ def free_totals(
         work = np.empty(plan.work, plan.dtype)
         judge(plan.program, states, others, numbers, rows, columns, rules, totals, work, first, last)
 
-    with announced(f"judge, {plan.dtype}"):
+    with announced(__file__, f"kernels of free runs, {plan.dtype}"):
         rows, columns = prepared(samples, plan.dtype)
         in_parallel(some, plan.lanes, threads)
     return totals.reshape(*plan.batch, -1, 3)

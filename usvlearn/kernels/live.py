@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.compiled import announced
-from usvlearn.kernels.plan import Description, Plan
+from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Inputs, Sample
 
 LIVE = step.step_once
@@ -31,17 +31,17 @@ class Live:
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         first = next(x for x in leaves.values() if x.dtype != bool)
-        one = Plan(description, (), first.dtype)
+        one = plan_for(description, (), first.dtype)
         name, leaf = next(iter(one.leaves.items()))
         batch = np.shape(leaves[name])[: np.ndim(leaves[name]) - len(leaf.shape)]
-        self.plan = Plan(description, batch, first.dtype) if batch else one
+        self.plan = plan_for(description, batch, first.dtype) if batch else one
         self.states = self.plan.pack(leaves)
         self._work = np.empty(self.plan.work, first.dtype)
         self._arguments = [
             (self.plan.program, row, self.plan.numbers[k if len(self.plan.numbers) > 1 else 0], self._work)
             for k, row in enumerate(self.states)
         ]
-        with announced(f"step, {first.dtype}"):
+        with announced(__file__, f"kernels of single steps, {first.dtype}"):
             rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
             LIVE.disable_compile(False)
             LIVE(self.plan.program, self.states[0].copy(), self.plan.numbers[0], self._work, *rest)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp
-from usvlearn.kernels.compiled import kernel
 from usvlearn.kernels.regressors import DT, LEFT, RIGHT, YAW_RATE
 
 MONITOR_NUMBERS = (

@@ -1,6 +1,6 @@
 """The regressors of `usvlearn.estimators.regressors`, written into an array."""
 
-from usvlearn.kernels.compiled import kernel
+from usvlearn.compiled import kernel
 
 # Places in the inputs of a step; the last three are what `WithMemory` adds.
 LEFT, RIGHT, SIN, COS, YAW_RATE, DT, SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(9)

@@ -6,8 +6,8 @@ w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What 
 
 import numpy as np
 
+from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, copy, dot, fill
-from usvlearn.kernels.compiled import kernel
 
 RLS_NUMBERS = (
     "scale", "surge_max", "prior", "loosest", "noise_share", "noise_least", "forgetting", "trace_max", "memory",

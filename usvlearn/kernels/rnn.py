@@ -5,8 +5,8 @@ The weights lie in the order of the gradient: a, w1, W2 row by row, b.
 
 import numpy as np
 
+from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, copy
-from usvlearn.kernels.compiled import kernel
 from usvlearn.kernels.regressors import COS, DT, LEFT, RIGHT, SIN
 from usvlearn.kernels.stable import NONE, project
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.compiled import announced
-from usvlearn.kernels.plan import Description, Plan
+from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Sample, named_leaves, tree_map
 
 
@@ -41,7 +41,7 @@ def roll(
         threads: lanes are shared among so many.
     """
     steps, *batch = samples.surge.shape
-    plan = Plan(description, batch, samples.surge.dtype)
+    plan = plan_for(description, batch, samples.surge.dtype)
     states = plan.pack(leaves)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
@@ -52,13 +52,13 @@ def roll(
         work = np.empty(plan.work, plan.dtype)
         step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
 
-    with announced(f"run, {plan.dtype}"):
+    with announced(__file__, f"kernels of runs, {plan.dtype}"):
         rows, columns = prepared(samples, plan.dtype)
         in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
-        kept[name] = np.moveaxis(part, len(batch), 0)
+        kept[name] = plan.typed(name, np.moveaxis(part, len(batch), 0))
         begin += place.size
     return Result(plan.unpack(states), np.moveaxis(predictions.reshape(*batch, steps), -1, 0), kept)
 

@@ -6,7 +6,7 @@ zero leave the sums until none does, which takes a few passes and no memory.
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
+from usvlearn.compiled import kernel
 
 CONDITIONS = ("none", "simple", "gershgorin", "lmi", "tight", "interval")
 NONE, SIMPLE, GERSHGORIN, LMI, TIGHT, INTERVAL = range(6)

@@ -6,12 +6,12 @@ estimator, then one for each rule. `q` holds the numbers that were tuned or are 
 
 import numpy as np
 
+from usvlearn.compiled import kernel
 from usvlearn.kernels.aid import learn_aid
 from usvlearn.kernels.arrays import clamp, copy, dot, fill, finite
 from usvlearn.kernels.combiners import NUMBERS as RULE_NUMBERS
 from usvlearn.kernels.combiners import STATE as RULE_STATE
 from usvlearn.kernels.combiners import combine, conformal, learn_rule, waken
-from usvlearn.kernels.compiled import kernel
 from usvlearn.kernels.monitors import observe_innovations, observe_thrusters
 from usvlearn.kernels.regressors import (
     DT,
