@@ -142,6 +142,9 @@ VARIANTS = {
     "projected_memory": lambda: WithMemory(Projected(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5.0))),
     "robust_sift": lambda: Robust(SIFtRLS(SurgeDynamics(28.0)), threshold=0.5, patience=1, inflation=200.0),
     "robust_rls": lambda: Robust(RLS(forgetting=0.97), threshold=1.0, patience=3, scale=0.01, memory=5.0),
+    "robust_loose": lambda: Robust(
+        RLS(SurgeDynamics(28.0), forgetting=0.7, trace_growth=1e5), threshold=1.0, patience=1, inflation=1e4
+    ),
     "robust_projected": lambda: Robust(Projected(RLS(SurgeDynamics(28.0))), threshold=1.0, patience=1, scale=1.0),
     "robust_rnn": lambda: Robust(RNN(6, rate=5e-3), threshold=1.0, patience=1, scale_min=0.05),
     "robust_rnn_blows_up": lambda: Robust(RNN(6, rate=1e200, stability="none", clip=None), threshold=100.0),
@@ -206,7 +209,7 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     "aid_estimate": lambda: AID(28.0, gain=_lanes, feedback="estimate", leak=_lanes),
     "rls": lambda: RLS(SurgeDynamics(28.0 * _lanes), forgetting=1 - 0.01 * _lanes, covariance=_lanes),
     "sift": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5 * _lanes, covariance=_lanes),
-    "projected": lambda: Projected(SIFtRLS(SurgeDynamics(28.0 * _lanes), memory=5 * _lanes), signs=SIGNS),
+    "projected": lambda: Projected(RLS(SurgeDynamics(28.0 * _lanes), forgetting=1 - 0.01 * _lanes), SIGNS),
     "robust": lambda: Robust(
         WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5 * _lanes)), 2.0, 1, inflation=1 + _lanes, scale=_lanes
     ),
@@ -216,12 +219,11 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
     "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_lanes),
     "pair": lambda: Ensemble(
-        {"aid": AID(28.0, gain=_lanes), "sift": Bank(SIFtRLS(SurgeDynamics(28.0), memory=[4.0, 20.0]), ["a", "b"])},
+        {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "still": Robust(Acceleration(), scale=_lanes)},
         {"we": RecursiveWeights(), "boa": BOA()},
     ),
     "ensemble": lambda: Ensemble(
-        {"rls": RLS(forgetting=1 - 0.01 * _lanes), "sift": Bank(SIFtRLS(SurgeDynamics(28.0), memory=[4.0, 20.0]), ["short", "long"]),
-         "rnn": RNN(6)} | {"persistence": Persistence()},
+        {"rls": RLS(forgetting=1 - 0.01 * _lanes), "bank": _bank(), "rnn": RNN(6), "persistence": Persistence()},
         {"average": Average(), "we": RecursiveWeights(), "ewa": ExponentialWeights(rate=5 * _lanes), "boa": BOA()},
     ),
 }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Who makes the steps: what stands against the kernels, and that it is the same to whoever resumes from a checkpoint."""
+"""Who makes the steps, and what stands against the kernels; checkpoints by either; where machine code is kept."""
 
 import json
 import os
@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from torch import nn
 from torch.autograd import forward_ad
 
 from tests.conftest import random_samples
@@ -122,7 +121,7 @@ def test_torch_where_torch_transforms():
 def test_other_devices_and_dtypes_are_torch_s():
     half = Persistence().to(torch.float16)
     assert chosen(half, dtype=torch.float16) is None
-    with pytest.raises(ConfigError, match="found kernel, but the state is torch.float16"):
+    with pytest.raises(ConfigError, match=r"found kernel, but the state is torch\.float16"):
         chosen(half, dtype=torch.float16, backend="kernel")
     with pytest.raises(ConfigError, match="not all tensors are on the CPU"):
         chosen(Persistence().to("meta"), backend="kernel")
@@ -159,7 +158,9 @@ def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
     for online in boats.values():
         for sample in at[:30]:
             online.step(sample)
-    paths = {backend: online.save(tmp_path / f"{backend}.safetensors", boat="heron") for backend, online in boats.items()}
+    paths = {
+        backend: online.save(tmp_path / f"{backend}.safetensors", boat="heron") for backend, online in boats.items()
+    }
     contents = {backend: path.read_bytes() for backend, path in paths.items()}
     headers = {b: json.loads(x[8 : 8 + int.from_bytes(x[:8], "little")]) for b, x in contents.items()}
     facts = [json.loads(header.pop("__metadata__")["usvlearn"]) for header in headers.values()]

@@ -18,7 +18,9 @@ from usvlearn.signals import named_leaves, tree_map
 EVERY = ESTIMATORS | VARIANTS
 FAR = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 99.9, -100.0, 1e6, -0.0]
 numbers = st.floats(-1.5, 1.5) | st.sampled_from(FAR) | st.floats()
-spans = st.sampled_from([0.0, -0.0, 0.4, 0.4, 1e-3, 30.0, 9999.0, 1e4, -0.4, math.nan, math.inf, -math.inf]) | st.floats()
+spans = (
+    st.sampled_from([0.0, -0.0, 0.4, 0.4, 1e-3, 30.0, 9999.0, 1e4, -0.4, math.nan, math.inf, -math.inf]) | st.floats()
+)
 ordinary = st.tuples(*[st.floats(-1.0, 1.0)] * 4, st.just(0.4), st.floats(-2.0, 2.0), *[st.just(True)] * 2)
 anything = st.tuples(*[numbers] * 4, spans, numbers, st.booleans(), st.booleans())
 steps = st.lists(ordinary | anything, min_size=1, max_size=12)
