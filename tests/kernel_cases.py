@@ -168,6 +168,11 @@ VARIANTS = {
         20, 3.0, "random", None, 5e-4, (1, 1, 1, 1, 1), momentum=0.9, clip=None, stability="penalty", penalty=0.1,
         unroll=2,
     ),
+    **{
+        f"rnn_{condition}_regauged": lambda c=condition: RNN(7, condition=c, rate=0.2, initial="random")
+        for condition in ("simple", "gershgorin")
+    },
+    "rnn_clips": lambda: RNN(6, rate=1e20, stability="none"),
     "rnn_free": lambda: RNN(3, stability="none", decay=50, clip=1e-3, momentum=0.5),
     "rnn_box": _boxed,
     "rnn_box_2": lambda: _boxed(unroll=2, clip=None, seed=2),
