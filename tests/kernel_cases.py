@@ -79,6 +79,19 @@ def mission(steps: int, *batch: int, seed: int = 0, faults: bool = True, dtype=t
     return tree_map(lambda x: torch.as_tensor(x, dtype=None if x.dtype == bool else dtype), Sample(*arrays))
 
 
+def failing_thrusters() -> Sample:
+    """A boat at a steady speed whose left thruster fails, recovers, and then pushes backwards."""
+    rng = np.random.default_rng(0)
+    left, right = (np.repeat(rng.uniform(-1, 1, 500), 5) for _ in range(2))
+    effect, yaw_rate = np.ones(2500), np.zeros(2500)
+    effect[1200:1400], effect[1900:2100] = 0.1, -2.0
+    for k in range(1, 2500):
+        yaw_rate[k] = 0.5 * yaw_rate[k - 1] + 0.5 * (effect[k] * left[k] - right[k]) + 0.02 * rng.standard_normal()
+    inputs = Inputs(*map(torch.from_numpy, (left, right, np.zeros(2500), yaw_rate, np.full(2500, 0.4))))
+    yes = torch.ones(2500, dtype=torch.bool)
+    return Sample(inputs, torch.ones(2500, dtype=torch.float64), yes, yes)
+
+
 def difference(found, expected) -> float:
     """The largest difference of two trees, each leaf's relative to its largest entry; infinite where NaN or inf differ.
 
@@ -148,6 +161,8 @@ VARIANTS = {
     "robust_projected": lambda: Robust(Projected(RLS(SurgeDynamics(28.0))), threshold=1.0, patience=1, scale=1.0),
     "robust_rnn": lambda: Robust(RNN(6, rate=5e-3), threshold=1.0, patience=1, scale_min=0.05),
     "robust_rnn_blows_up": lambda: Robust(RNN(6, rate=1e200, stability="none", clip=None), threshold=100.0),
+    "robust_rnn_refuses": lambda: Robust(RNN(6, rate=1e308, stability="none"), threshold=100.0),
+    "memory_around_refusal": lambda: WithMemory(Robust(RNN(6, rate=1e308, stability="none"), threshold=100.0)),
     "robust_persistence": lambda: Robust(Persistence(), threshold=1.0, patience=1, memory=20.0),
     "robust_acceleration": lambda: Robust(Acceleration(), threshold=1.0, patience=2, memory=20.0),
     "robust_around_memory": lambda: Robust(WithMemory(RLS(SurgeDynamics(28.0, **FULL))), threshold=1.0, patience=1),

@@ -13,9 +13,11 @@ import pytest
 import torch
 
 from tests.estimators import ESTIMATORS
-from tests.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, mission
-from usvlearn import RNN, Ensemble, Robust, rollout
+from tests.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
+from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
 from usvlearn.estimator import simulate
+from usvlearn.estimators.conformal import LEAST
+from usvlearn.estimators.monitors import THRESHOLD
 from usvlearn.signals import named_leaves, tree_map
 
 EVERY = ESTIMATORS | VARIANTS
@@ -80,6 +82,20 @@ def test_single_precision(name):
         for x, y, exact in zip(found, other, truth, strict=True):
             assert difference(doubled(x), exact) <= 1e-5 + 10 * difference(doubled(y), exact)
         state = found[0]
+
+
+def test_alarms_and_intervals_of_a_steady_boat():
+    """Evidence that comes, is held at its highest, ends, and is dropped; intervals as narrow as they become."""
+    ensemble, samples = Ensemble({"persistence": Persistence()}), failing_thrusters()
+    found, expected = (
+        rollout(ensemble, ensemble.init(), samples, ["monitors.thrusters.evidence", "halfwidths"], backend=backend)
+        for backend in ("kernel", "torch")
+    )
+    assert_equal(found, expected, 1e-9)
+    thrusters, evidence = expected[0].monitors.thrusters, expected[2]["monitors.thrusters.evidence"][:, 0]
+    assert thrusters.alarms >= 1 and thrusters.raised.sum() == 0 and 0 < thrusters.since < 1000
+    assert evidence.max() == 2 * THRESHOLD and (evidence.diff() < -THRESHOLD / 2).any()
+    assert expected[2]["halfwidths"].min() == LEAST
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)
@@ -182,13 +198,13 @@ def test_every_network(condition):
 @pytest.mark.parametrize("name", EVERY)
 def test_every_setting_for_long(name):
     """Over 1000 steps; alone, as a robust estimator's, and as a member of an ensemble."""
-    # The literal condition's costs are 1/(1 − |w₁|): a neuron that creeps up to 1e-11 of 1 makes 1e-7 of a rounding.
-    tolerance = 1e-6 if name.startswith(("rnn_gershgorin_literal", "rnn_gershgorin_regauged")) else 1e-9
+    # The literal condition's costs are 1/(1 − |w₁|): a neuron that creeps up to 1e-12 of 1 makes 1e-5 of a rounding.
+    tolerance = 1e-4 if name.startswith(("rnn_gershgorin_literal", "rnn_gershgorin_regauged")) else 1e-9
     estimator = EVERY[name]()
     assert_windows_equal(estimator, mission(1000, 2, seed=2), 25, tolerance)
     assert_windows_equal(estimator, mission(500, seed=3, faults=False), 25, tolerance, simulate)
     if not isinstance(estimator, Ensemble):
         assert_windows_equal(Ensemble({"it": EVERY[name]()}), mission(400, 2, seed=4), 20, tolerance)
-        if not isinstance(estimator, Robust) and "robust" not in name:
+        if "robust" not in name and "refus" not in name and name != "rnn_clips":  # an error of 1e40 has no clipped one
             robust = Robust(EVERY[name](), threshold=1.0, patience=1)
             assert_windows_equal(robust, mission(400, 2, seed=5), 20, tolerance)
