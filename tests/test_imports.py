@@ -129,6 +129,16 @@ def test_package_logs_and_checkpoints_import_without_torch():
     assert not loaded(code) & {*HEAVY, "hydra", "rich"}
 
 
+def test_kernels_run_without_torch():
+    """Nor does any part of them import it, at any depth."""
+    code = "import usvlearn.kernels.cross, usvlearn.kernels.live, usvlearn.kernels.run, usvlearn.online"
+    assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
+    for path in MODULES:
+        if within(name_of(path), ["usvlearn.kernels"]):
+            packages = {found.partition(".")[0] for found in imports(path)}
+            assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
+
+
 @pytest.mark.parametrize("script", ["train.py", "evaluate.py"])
 def test_help_waits_for_nothing_heavy(script):
     code = f"import runpy, sys\nsys.argv = [{script!r}, '--help']\nrunpy.run_path({script!r}, run_name='__main__')"

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numba import config
 
 from usvlearn.compiled import announced
 from usvlearn.errors import ShapeError
@@ -47,6 +48,8 @@ class Live:
             (self.plan.program, row, self.plan.numbers[k if len(self.plan.numbers) > 1 else 0], self._work)
             for k, row in enumerate(self.states)
         ]
+        if config.DISABLE_JIT:  # plain Python, for a debugger
+            return
         with announced(__file__, f"kernels of single steps, {first.dtype}"):
             rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
             LIVE.disable_compile(False)
