@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numba import config
 
 from usvlearn.compiled import announced
 from usvlearn.errors import ShapeError
