@@ -74,10 +74,8 @@ class Live:
 
     def _arguments(self, states: np.ndarray) -> list[tuple]:
         """What each lane's step is called with before the sample."""
-        numbers = np.broadcast_to(self.plan.numbers, (self.plan.lanes, self.plan.numbers.shape[1]))
-        return [
-            (self.plan.program, s, np.ascontiguousarray(q), self._work) for s, q in zip(states, numbers, strict=True)
-        ]
+        numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
+        return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
 
     def _advance(self, lanes: list[tuple], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
         if self.plan.batch:
