@@ -32,6 +32,8 @@ OURS = {
                                   "usvlearn.tensorboard"},
     "usvlearn.evaluation.stability": LIGHT | {"usvlearn.estimators", "certify"},
     "usvlearn.evaluation.sections.network": LIGHT | {"usvlearn.estimators", "usvlearn.evaluation", "certify"},
+    "usvlearn.evaluation.sections.cost": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.evaluation",
+                                                  "usvlearn.online"},
     "usvlearn.evaluation.report": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.tensorboard"},
     "usvlearn.evaluation": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                     "usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.backend"},

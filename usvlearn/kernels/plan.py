@@ -235,7 +235,7 @@ class Plan:
             self._numbers(rule["numbers"], order, name)
             self._vector(0.0, combiners.VECTOR - len(order), name)
             if "vector" in rule:
-                self._vector(rule["vector"], len(columns), name)
+                self._vector(rule["vector"], len(rule["vector"]), name)
             self._rows.append(row)
         whole = {step.ESTIMATORS: estimators, step.RULES: len(rules), step.NAMES: names, step.MONITORS: -1}
         whole[step.OUTPUT] = estimators + list(rules).index(description["output"])

@@ -173,33 +173,9 @@ def solve(A, b, n):
 
 
 @kernel
-def project_signs(theta, S, signs, iterations, work):
-    """`projected.project_signs`: θ becomes the nearest with these signs in the metric of P."""
-    p = len(theta)
-    held = 0
-    inside = True
-    for i in range(p):
-        if signs[i] != 0:
-            held += 1
-            inside = inside and signs[i] * theta[i] >= 0
-    if inside:
-        return
-    k = held
-    place, Q, A = work[:k], work[k : k + k * k].reshape(k, k), work[k + k * k : k + 2 * k * k].reshape(k, k)
-    rest = work[k + 2 * k * k :]
-    z, t, mu, b, active = rest[:k], rest[k : 2 * k], rest[2 * k : 3 * k], rest[3 * k : 4 * k], rest[4 * k : 5 * k]
-    moved = rest[5 * k : 5 * k + p]
-    count = 0
-    for i in range(p):
-        if signs[i] != 0:
-            place[count] = i
-            z[count] = signs[i] * theta[i]
-            count += 1
-    for a in range(k):
-        for c in range(a + 1):
-            i, j = int(place[a]), int(place[c])
-            Q[a, c] = Q[c, a] = signs[i] * signs[j] * dot(S[i], S[j])
-    largest = 0.0
+def active_sets(Q, z, iterations, t, mu, A, b, active):
+    """Rounds of (2) of `projected`: μ and t; returns whether they settled on the solution."""
+    k, largest = len(z), 0.0
     for a in range(k):
         t[a], mu[a] = z[a], 0.0
         largest = max(largest, abs(z[a]))
@@ -221,22 +197,40 @@ def project_signs(theta, S, signs, iterations, work):
             t[a] = z[a] + dot(Q[a], mu)
         for a in range(n):
             t[int(active[a])] = 0.0
-    tolerance = 1e-6 * largest
     solved = True
     for a in range(k):
-        solved = solved and t[a] >= -tolerance and mu[a] * Q[a, a] >= -tolerance
-    if solved:
-        work_column = rest[5 * k + p : 5 * k + 2 * p]
-        fill(work_column, 0.0)
+        solved = solved and t[a] >= -1e-6 * largest and mu[a] * Q[a, a] >= -1e-6 * largest
+    return solved
+
+
+@kernel
+def project_signs(theta, S, signs, iterations, work):
+    """`projected.project_signs`: θ becomes the nearest with these signs in the metric of P."""
+    p, k, inside = len(theta), 0, True
+    place, z = work[:p], work[p : 2 * p]
+    for i in range(p):
+        if signs[i] != 0:
+            place[k], z[k] = i, signs[i] * theta[i]
+            inside = inside and z[k] >= 0
+            k += 1
+    if inside:
+        return
+    z, t, mu, b = z[:k], work[2 * p : 2 * p + k], work[3 * p : 3 * p + k], work[4 * p : 4 * p + k]
+    active, pull, squares = work[5 * p : 5 * p + k], work[6 * p : 7 * p], work[7 * p :]
+    Q, A = squares[: k * k].reshape(k, k), squares[k * k : 2 * k * k].reshape(k, k)
+    for a in range(k):
+        for c in range(a + 1):
+            i, j = int(place[a]), int(place[c])
+            Q[a, c] = Q[c, a] = signs[i] * signs[j] * dot(S[i], S[j])
+    if active_sets(Q, z, iterations, t, mu, A, b, active):
+        fill(pull, 0.0)
         for a in range(k):
             i = int(place[a])
             for j in range(i + 1):
-                work_column[j] += S[i, j] * (signs[i] * mu[a])
+                pull[j] += S[i, j] * (signs[i] * mu[a])
         for i in range(p):
-            moved[i] = theta[i]
             for j in range(i + 1):
-                moved[i] += S[i, j] * work_column[j]
-        copy(theta, moved)
+                theta[i] += S[i, j] * pull[j]
     else:
         copy(t, z)
     for a in range(k):
