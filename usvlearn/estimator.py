@@ -11,10 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
+from usvlearn.signals import ABSURD, ABSURD_INPUTS, Inputs, Sample, named_leaves, tree_map, where
 
-ABSURD = 100.0  # m/s: beyond it a speed is no measurement, but data gone bad; and so, in their units, inputs are
-ABSURD_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
 State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
 
 
@@ -56,6 +54,13 @@ class Estimator(nn.Module, abc.ABC):
         """
         return self.update(state, inputs, surge), self.predict(state, inputs)[1]
 
+    def kernel(self) -> dict[str, Any] | None:
+        """What the compiled kernels need to know to make these steps (`kernels.plan`); None: torch makes them.
+
+        It speaks for this very class: a subclass, whose steps may be others, has none unless it says so itself.
+        """
+        return None
+
     def monitor(self, state: State) -> dict[str, Tensor]:
         """What a person wants to see of a state, by name: physical parameters, margins; `(*batch,)` each."""
         return {}
@@ -76,6 +81,16 @@ class Estimator(nn.Module, abc.ABC):
             return where(step.learns, learned, where(step.steps, coasted, where(step.starts, started, held)))
 
         return tree_map(choose, learned, coasted, started, state), torch.where(step.steps, surge, math.nan)
+
+
+def described(part: Any) -> dict[str, Any] | None:
+    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing.
+
+    >>> from usvlearn import Persistence
+    >>> described(Persistence())["kind"]
+    'persistence'
+    """
+    return part.kernel() if "kernel" in vars(type(part)) else None
 
 
 def check_estimator(name: str, value: Any) -> Estimator:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -63,6 +65,19 @@ class UnitInterval(nn.Module):
 
     def forward(self) -> Tensor:
         return self.logit.sigmoid()
+
+
+def numbers(**values: Any) -> dict[str, Any]:
+    """Hyperparameters and constants as numbers or lists of them, which are the same in JSON.
+
+    >>> numbers(gain=Positive([1.0, 2.0]), bound=3)
+    {'gain': [1.0, 2.0], 'bound': 3.0}
+    """
+    found = {name: value() if isinstance(value, Positive | UnitInterval) else value for name, value in values.items()}
+    return {
+        name: value.detach().cpu().double().tolist() if isinstance(value, Tensor) else float(value)
+        for name, value in found.items()
+    }
 
 
 def check_broadcast(module: nn.Module, batch: tuple[int, ...]) -> None:

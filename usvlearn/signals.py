@@ -24,6 +24,10 @@ class Inputs(NamedTuple):
     dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
 
 
+ABSURD = 100.0  # m/s: beyond it a speed is no measurement, but data gone bad; and so, in their units, inputs are
+ABSURD_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
+
+
 class Sample(NamedTuple):
     """One aligned time step. Leaves are `(*batch,)`, or `(time, *batch)` for a run.
 

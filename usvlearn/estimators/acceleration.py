@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from usvlearn.errors import check_positive
 from usvlearn.estimator import Estimator
+from usvlearn.hyper import numbers
 from usvlearn.signals import Inputs
 
 
@@ -41,6 +42,10 @@ class Acceleration(Estimator):
         self.surge_dot_max = check_positive("surge_dot_max", surge_dot_max, "of m/s²")
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
+
+    def kernel(self) -> dict[str, Any]:
+        values = numbers(surge_dot_max=self.surge_dot_max, surge_max=self.surge_max)
+        return {"kind": "acceleration", "size": 0, "numbers": values}
 
     def init(self, batch: Sequence[int] = ()) -> AccelerationState:
         return AccelerationState(*(self.rest.expand(tuple(batch)).clone() for _ in range(4)))

@@ -41,16 +41,16 @@ The mass only scales the parameters: surge data cannot tell it (see `mass`, whic
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, described
 from usvlearn.estimators.mass import known_rows, recover_mass
 from usvlearn.estimators.regressors import SurgeDynamics
-from usvlearn.hyper import Positive, as_tensor, check_broadcast
+from usvlearn.hyper import Positive, as_tensor, check_broadcast, numbers
 from usvlearn.signals import Inputs
 
 # Spread per unit of the model's scale, 1 where not named. Chosen by the one-step error on logs and simulations:
@@ -181,6 +181,22 @@ class AID(Estimator):
 
     def start(self, state: AIDState, surge: Tensor) -> AIDState:
         return state._replace(surge=surge)
+
+    def kernel(self) -> dict[str, Any] | None:
+        if (terms := described(self.model)) is None:
+            return None
+        values = numbers(
+            scale=self.model.scale, surge_max=self.surge_max, gain=self.gain, dead_zone=self.dead_zone,
+            leak=self.leak if self.feedback == "estimate" else 1.0, floor=self.floor, sigma=self.sigma, bound=self.bound,
+        )  # fmt: skip
+        vectors = numbers(
+            spread=self.spread, inverse_spread=self.inverse_spread, theta0=self.theta0, lower=self.lower,
+            upper=self.upper,
+        )  # fmt: skip
+        return {
+            "kind": "aid", "size": len(self.model.names), "terms": terms, "feedback": self.feedback, "numbers": values,
+            "vectors": vectors,
+        }  # fmt: skip
 
     def monitor(self, state: AIDState) -> dict[str, Tensor]:
         numbers, theta = {"prior_distance": self._distance(state.theta)}, state.theta

@@ -21,6 +21,7 @@ small share of the weight is spread by the priors.
 from __future__ import annotations
 
 import abc
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -29,7 +30,7 @@ from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimators.rls import rls_step
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
 
 TINY = 1e-12  # weight by which the awake share, should all that they have be 0
 
@@ -82,6 +83,10 @@ class Combiner(nn.Module, abc.ABC):
         """The state after `surge`, m/s, was measured."""
         return state
 
+    def kernel(self) -> dict[str, Any] | None:
+        """As `Estimator.kernel`, of the rule."""
+        return None
+
     def monitor(self, state: Any) -> dict[str, Tensor]:
         """What a person wants to see of the state."""
         return {}
@@ -95,6 +100,9 @@ class Average(Combiner):
 
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
         return waken(predictions, torch.ones_like(predictions)).mean(-1)
+
+    def kernel(self) -> dict[str, Any]:
+        return {"kind": "average", "numbers": numbers(tiny=TINY)}
 
 
 class FixedWeights(Combiner):
@@ -119,12 +127,15 @@ class FixedWeights(Combiner):
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
         return (self.weights * waken(predictions, self.weights.abs())).sum(-1)
 
+    def kernel(self) -> dict[str, Any]:
+        return {"kind": "fixed", "numbers": numbers(tiny=TINY), "vector": self.weights.tolist()}
+
 
 class WeightsState(NamedTuple):
     """What `RecursiveWeights` identifies."""
 
     weights: Tensor  # (*batch, members)
-    factor: Tensor  # (*batch, members, members) square root of their covariance
+    factor: Tensor  # (*batch, members, members) Cholesky factor of their covariance
 
 
 class RecursiveWeights(Combiner):
@@ -171,6 +182,12 @@ class RecursiveWeights(Combiner):
         innovation = surge - (state.weights * x).sum(-1)
         return WeightsState(*rls_step(state.weights, state.factor, x, innovation, forgetting, self.trace_max))
 
+    def kernel(self) -> dict[str, Any]:
+        values = numbers(
+            tiny=TINY, forgetting=self.forgetting, trace_max=self.trace_max, surge_max=self.surge_max
+        )  # fmt: skip
+        return {"kind": "recursive", "numbers": values}
+
     def monitor(self, state: WeightsState) -> dict[str, Tensor]:
         return {**self._weights(state.weights), "covariance_trace": (state.factor**2).sum((-2, -1))}
 
@@ -199,6 +216,10 @@ class Prior(Combiner):
             )
         prior = as_tensor([self.prior.get(name, 1.0) for name in names])
         self.register_buffer("log_prior", (prior / prior.sum()).log(), persistent=False)
+
+    def _kernel(self, kind: str, **own: Any) -> dict[str, Any]:
+        values = numbers(tiny=TINY, memory=math.inf if self.memory is None else self.memory, **own)
+        return {"kind": kind, "loss": self.loss, "numbers": values, "vector": self.log_prior.exp().tolist()}
 
     def _kept(self, dt: Tensor) -> Tensor | float:
         """κ, `(*batch, 1)`."""
@@ -252,6 +273,9 @@ class ExponentialWeights(Prior):
         error = heard(predictions, state.weights, surge) - surge[..., None]
         losses = self._kept(dt) * state.losses + (error.abs() if self.loss == "absolute" else error * error)
         return ExponentialState((self.log_prior - self.rate()[..., None] * losses).softmax(-1), losses)
+
+    def kernel(self) -> dict[str, Any]:
+        return self._kernel("exponential", rate=self.rate)
 
     def monitor(self, state: ExponentialState) -> dict[str, Tensor]:
         return self._weights(state.weights)
@@ -317,6 +341,9 @@ class BOA(Prior):
         weights = (self.log_prior + rates.log() - rates * losses).softmax(-1)  # (4)
         weights = torch.lerp(weights, self.log_prior.exp(), self.share)
         return BOAState(weights, losses, squares, ranges)
+
+    def kernel(self) -> dict[str, Any]:
+        return self._kernel("boa", scale=self.scale, share=self.share)
 
     def monitor(self, state: BOAState) -> dict[str, Tensor]:
         return self._weights(state.weights)

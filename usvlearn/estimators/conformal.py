@@ -35,6 +35,15 @@ def conformal_start(batch: Sequence[int], k: int, like: Tensor) -> ConformalStat
     return ConformalState(like.new_full((*batch, k), START), like.new_zeros((*batch, k)))
 
 
+def conformal_kernel(coverage: float) -> dict[str, float]:
+    """The numbers of `conformal_step`, for the compiled kernels.
+
+    >>> conformal_kernel(0.9)["coverage"]
+    0.9
+    """
+    return {"coverage": coverage, "rate": RATE, "boost": BOOST, "least": LEAST}
+
+
 def conformal_step(state: ConformalState, innovation: Tensor, coverage: float) -> ConformalState:
     """The intervals after innovations, m/s, `(*batch, k)`: equation (1). A column that is not finite stays.
 

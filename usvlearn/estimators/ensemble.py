@@ -9,10 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, check_estimator
+from usvlearn.estimator import Estimator, check_estimator, described
 from usvlearn.estimators import monitors
 from usvlearn.estimators.combiners import Average, Combiner
-from usvlearn.estimators.conformal import ConformalState, conformal_start, conformal_step
+from usvlearn.estimators.conformal import ConformalState, conformal_kernel, conformal_start, conformal_step
 from usvlearn.signals import Inputs, named_leaves
 
 
@@ -61,6 +61,10 @@ class Bank(nn.Module):
 
     def loosen(self, state: Any, factor: Tensor) -> Any:
         return self.estimator.loosen(state, self._wide(factor))
+
+    def kernel(self) -> dict[str, Any] | None:
+        inner = described(self.estimator)
+        return inner and {"kind": "bank", "inner": inner, "count": len(self.labels)}
 
     def monitor(self, state: Any) -> dict[str, Tensor]:
         return self.estimator.monitor(state)
@@ -187,6 +191,18 @@ class Ensemble(Estimator):
     def loosen(self, state: EnsembleState, factor: Tensor) -> EnsembleState:
         members = {name: member.loosen(state.members[name], factor) for name, member in self.members.items()}
         return state._replace(members=members)
+
+    def kernel(self) -> dict[str, Any] | None:
+        members = {name: described(member) for name, member in self.members.items()}
+        rules = {name: described(rule) for name, rule in self.combiners.items()}
+        if None in (*members.values(), *rules.values()):
+            return None
+        return {
+            "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
+            "rules": {name: {**rule, "columns": self._places[name]} for name, rule in rules.items()},
+            "numbers": {"surge_max": self.surge_max}, "conformal": conformal_kernel(self.coverage),
+            "monitors": monitors.kernel() if self.watched else None,
+        }  # fmt: skip
 
     def monitor(self, state: EnsembleState) -> dict[str, Tensor]:
         """The members' and combiners' numbers, as `name/number`; whiteness and thrusters as `monitors/number`."""

@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from usvlearn.errors import check_positive
-from usvlearn.estimator import Estimator, check_estimator
+from usvlearn.estimator import Estimator, check_estimator, described
 from usvlearn.estimators.regressors import MemoryInputs
+from usvlearn.hyper import numbers
 from usvlearn.signals import Inputs, named_leaves
 
 
@@ -80,6 +81,10 @@ class WithMemory(Estimator):
 
     def loosen(self, state: MemoryState, factor: Tensor) -> MemoryState:
         return state._replace(inner=self.estimator.loosen(state.inner, factor))
+
+    def kernel(self) -> dict[str, Any] | None:
+        inner = described(self.estimator)
+        return inner and {"kind": "memory", "inner": inner, "numbers": numbers(surge_dot_max=self.surge_dot_max)}
 
     def monitor(self, state: MemoryState) -> dict[str, Tensor]:
         return self.estimator.monitor(state.inner)

@@ -140,6 +140,21 @@ def excitation_report(names: Sequence[str], factor: Tensor, prior: Tensor | floa
     return informed | {f"least_informed_{name}": x for name, x in zip(names, direction, strict=True)}
 
 
+def kernel(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
+    """The numbers that `observe` works with, for the compiled kernels.
+
+    >>> kernel()["threshold"]
+    20.0
+    """
+    innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}
+    return innovations | {
+        "innovation_memory": memory, "yaw_memory": YAW_MEMORY, "yaw_ridge": YAW_RIDGE, "yaw_floor": YAW_FLOOR**2,
+        "yaw_rate": YAW_RATE, "knee": KNEE, "yaw_spread": YAW_SPREAD, "loss": LOSS, "horizon": HORIZON, "misfit": MISFIT,
+        "clip": CLIP, "effect": EFFECT, "calm": CALM, "threshold": threshold, "backwards": BACKWARDS, "doubt": DOUBT,
+        "cleared": CLEARED,
+    }  # fmt: skip
+
+
 def init(batch: Sequence[int], columns: int, like: Tensor) -> MonitorState:
     """The monitors before the first sample, of the dtype and device of `like`; `columns` innovation sequences.
 

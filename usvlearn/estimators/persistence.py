@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -30,6 +30,9 @@ class Persistence(Estimator):
     def __init__(self):
         super().__init__()
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
+
+    def kernel(self) -> dict[str, Any]:
+        return {"kind": "persistence", "size": 0, "numbers": {}}
 
     def init(self, batch: Sequence[int] = ()) -> PersistenceState:
         return PersistenceState(self.rest.expand(tuple(batch)).clone())

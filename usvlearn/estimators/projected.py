@@ -19,12 +19,13 @@ that is far worse than no prediction at all).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from usvlearn.errors import ConfigError
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, described
 from usvlearn.estimators.rls import LeastSquares, RLSState
 from usvlearn.signals import Inputs
 
@@ -106,6 +107,10 @@ class Projected(Estimator):
 
     def loosen(self, state: RLSState, factor: Tensor) -> RLSState:
         return self.estimator.loosen(state, factor)
+
+    def kernel(self) -> dict[str, Any] | None:
+        inner = described(self.estimator)
+        return inner and {**inner, "signs": list(self.signs), "iterations": self.iterations if any(self.signs) else 0}
 
     def monitor(self, state: RLSState) -> dict[str, Tensor]:
         return self.estimator.monitor(state)

@@ -104,6 +104,10 @@ class SurgeDynamics(nn.Module):
             raise ConfigError(f"mass: found {mass.tolist()}, expected a positive number of kg")
         self.register_buffer("mass", mass)
 
+    def kernel(self) -> list[str]:
+        """Its terms, by name."""
+        return ["dynamics", *(["memory"] if self.memory else []), *(["ambient"] if self.ambient else [])]
+
     @property
     def scale(self) -> Tensor:
         """The size of the parameters, which are proportional to the mass."""
@@ -148,6 +152,10 @@ class QuasiStatic(nn.Module):
     )
     signs = (0,) * 9  # physics gives none: the map is not a force
     scale = 1.0
+
+    def kernel(self) -> list[str]:
+        """It has none of the terms of the dynamics."""
+        return []
 
     def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """The base of the prediction, 0 m/s, `(*batch,)`, and Φ, `(*batch, 9)`."""

@@ -4,12 +4,13 @@ With y the part of the speed that φᵀθ explains, and λ the forgetting factor
 
     s = λ + φᵀPφ,   K = Pφ/s,   θ⁺ = θ + K (y − φᵀθ),   P⁺ = (P − Pφ φᵀP/s)/λ        (1)
 
-which minimises Σ λ^(k−j) (y_j − φ_jᵀθ)² + λ^k θᵀP₀⁻¹θ. Computed in the square-root form of Potter, P = S Sᵀ,
-f = Sᵀφ:
+which minimises Σ λ^(k−j) (y_j − φ_jᵀθ)² + λ^k θᵀP₀⁻¹θ. Computed with the Cholesky factor S of P = S Sᵀ, lower
+triangular (Carlson 1973): with f = Sᵀφ, P⁺ = S (I − f fᵀ/s) Sᵀ/λ, and the matrix between has a factor T in closed form,
 
-    S⁺ = (S − S f fᵀ / (s + √(λ s))) / √λ                                              (2)
+    α_j = λ + Σ_{i>j} f_i²,   T_jj = √(α_j/α_{j−1}),   T_ij = −f_i f_j/√(α_{j−1} α_j)  for i > j,   S⁺ = S T/√λ     (2)
 
-The textbook's P − K (φᵀP) multiplies its rounding asymmetry by 1/λ at every step and diverges within minutes; S Sᵀ is
+in which nothing cancels, and which costs p² operations where one goes along the rows of S from their ends. The
+textbook's P − K (φᵀP) multiplies its rounding asymmetry by 1/λ at every step and diverges within minutes; S Sᵀ is
 symmetric and positive by construction. Where data stop informing a direction, P grows there without bound: forgetting
 pauses wherever it would lift the trace of P over a limit. `SIFtRLS` forgets only what it learns anew, and needs none.
 
@@ -20,16 +21,16 @@ from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import check_choice, check_positive
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, described
 from usvlearn.estimators.monitors import excitation_report
 from usvlearn.estimators.regressors import QuasiStatic
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
 from usvlearn.signals import Inputs
 
 NOISE = 0.05  # m/s, σ before the first innovation
@@ -42,7 +43,7 @@ class RLSState(NamedTuple):
     """What recursive least squares identifies."""
 
     theta: Tensor  # (*batch, p) parameters
-    factor: Tensor  # (*batch, p, p) S, a square root of the covariance
+    factor: Tensor  # (*batch, p, p) S, the Cholesky factor of the covariance, lower triangular
     surge: Tensor  # (*batch,) speed from which the next step departs, m/s
     noise: Tensor  # (*batch,) σ², m²/s²
     deviation: Tensor  # (*batch,) standard deviation of the last prediction by (3), m/s
@@ -53,7 +54,18 @@ class RLSState(NamedTuple):
         return self.factor @ self.factor.mT
 
 
-def potter(
+def triangle(
+    x: Tensor,  # (*batch, p)
+    y: Tensor,  # (*batch, p)
+    before: Tensor,  # (*batch, p)
+    after: Tensor,  # (*batch, p)
+) -> Tensor:
+    """T of (2), `(*batch, p, p)`: √(after/before) on the diagonal, x_i y_j/√(before_j after_j) below it."""
+    below = x[..., :, None] * (y / (before * after).sqrt())[..., None, :]
+    return below.tril(-1) + torch.diag_embed((after / before).sqrt())
+
+
+def measured(
     theta: Tensor,  # (*batch, p)
     factor: Tensor,  # (*batch, p, p)
     phi: Tensor,  # (*batch, p)
@@ -62,16 +74,16 @@ def potter(
 ) -> tuple[Tensor, Tensor]:
     """One measurement update of (θ, S): equations (1) and (2), without the division by √λ.
 
-    >>> theta, factor = potter(torch.zeros(1), torch.eye(1) * 1e3, torch.ones(1), torch.tensor(2.0))
+    >>> theta, factor = measured(torch.zeros(1), torch.eye(1) * 1e3, torch.ones(1), torch.tensor(2.0))
     >>> round(float(theta), 3)
     2.0
     """
     f = (factor * phi[..., None]).sum(-2)  # Sᵀφ
-    P_phi = (factor * f[..., None, :]).sum(-1)
-    lam = lam[..., None] if isinstance(lam, Tensor) else lam
-    s = lam + (f * f).sum(-1, keepdim=True)
-    theta = theta + P_phi * (innovation[..., None] / s)
-    return theta, factor - P_phi[..., None] * (f / (s + (lam * s).sqrt()))[..., None, :]
+    lam = torch.as_tensor(lam, dtype=phi.dtype, device=phi.device)[..., None]
+    before = lam + (f * f).flip(-1).cumsum(-1).flip(-1)  # α_{j−1}
+    after = torch.cat([before[..., 1:], lam.expand_as(before[..., :1])], -1)  # α_j
+    theta = theta + (factor * f[..., None, :]).sum(-1) * (innovation[..., None] / before[..., :1])
+    return theta, factor @ triangle(f, -f, before, after)
 
 
 def rls_step(
@@ -89,7 +101,7 @@ def rls_step(
     >>> round(float(theta), 3)
     2.0
     """
-    theta, factor = potter(theta, factor, phi, innovation, forgetting)
+    theta, factor = measured(theta, factor, phi, innovation, forgetting)
     trace = (factor * factor).sum((-2, -1))
     growth = torch.where(trace < trace_max * forgetting, forgetting, 1.0).rsqrt()
     return theta, factor * growth[..., None, None]
@@ -157,6 +169,18 @@ class LeastSquares(Estimator):
         factor = torch.minimum(factor, (LOOSEST * prior / trace).clamp(min=1))
         return state._replace(factor=state.factor * factor.sqrt()[..., None, None])
 
+    def _kernel(self, kind: str, **own: Any) -> dict[str, Any] | None:
+        """`kernel` of a kind, whose numbers are `own`."""
+        if (terms := described(self.model)) is None:
+            return None
+        scale, limits = self.model.scale, {"loosest": LOOSEST, "noise_share": NOISE_SHARE, "noise_least": NOISE_LEAST**2}
+        prior = len(self.model.names) * self.covariance() * scale**2
+        none = {"forgetting": 1.0, "trace_max": 0.0, "memory": 1.0, "longest": 0.0, "floor": 0.0}
+        values = numbers(scale=scale, surge_max=self.surge_max, prior=prior, **limits, **(none | own))
+        return {
+            "kind": kind, "size": len(self.model.names), "terms": terms, "feedback": self.feedback, "numbers": values,
+        }  # fmt: skip
+
     def monitor(self, state: RLSState) -> dict[str, Tensor]:
         parameters = dict(zip(self.model.names, state.theta.unbind(-1), strict=True))
         trace = (state.factor**2).sum((-2, -1))
@@ -201,6 +225,9 @@ class RLS(LeastSquares):
         self.forgetting = UnitInterval(forgetting, "forgetting")
         growth = check_positive("trace_growth", trace_growth) * len(self.model.names)
         self.register_buffer("trace_max", growth * as_tensor(covariance) * self.model.scale**2)
+
+    def kernel(self) -> dict[str, Any] | None:
+        return self._kernel("rls", forgetting=self.forgetting, trace_max=self.trace_max)
 
     def _step(
         self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor

@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -43,7 +43,7 @@ from certify.weights import ShallowWeights
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.rnn_weights import initial_weights, pretrained_weights
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
 from usvlearn.signals import Inputs
 
 BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
@@ -265,6 +265,21 @@ class RNN(Estimator):
 
     def start(self, state: RNNState, surge: Tensor) -> RNNState:
         return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
+
+    def kernel(self) -> dict[str, Any]:
+        never = math.inf
+        values = numbers(
+            scale=self.scale, surge_max=self.surge_max, rate=self.rate, momentum=self.momentum,
+            decay=never if self.decay is None else self.decay, clip=never if self.clip is None else self.clip,
+            contraction_rate=1.0 if self.contraction_rate is None else self.contraction_rate,
+            penalty=0.0 if self.penalty is None else self.penalty, beta2=BETA2, epsilon=EPSILON,
+            tiny=torch.finfo(self.a.dtype).tiny,
+        )  # fmt: skip
+        return {
+            "kind": "rnn", "size": len(self.a), "feedback": self.feedback, "unroll": self.unroll, "numbers": values,
+            "condition": "none" if self.contraction_rate is None else self.condition, "best": self.gauge == "best",
+            "vectors": numbers(bounds=self.bounds.flatten(), rate_ratio=self.rate_ratio),
+        }  # fmt: skip
 
     def monitor(self, state: RNNState) -> dict[str, Tensor]:
         a, w1 = state.weights.a, state.weights.w1

@@ -26,8 +26,8 @@ import torch
 from torch import Tensor
 
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, check_estimator
-from usvlearn.hyper import Positive, check_broadcast
+from usvlearn.estimator import Estimator, check_estimator, described
+from usvlearn.hyper import Positive, check_broadcast, numbers
 from usvlearn.signals import Inputs, named_leaves, tree_map, where
 
 
@@ -143,6 +143,14 @@ class Robust(Estimator):
 
     def loosen(self, state: RobustState, factor: Tensor) -> RobustState:
         return state._replace(inner=self.estimator.loosen(state.inner, factor))
+
+    def kernel(self) -> dict[str, Any] | None:
+        values = numbers(
+            threshold=self.threshold, patience=self.patience, inflation=self.inflation, share=self.share,
+            variance_min=self.variance_min, moment=self.moment,
+        )  # fmt: skip
+        inner = described(self.estimator)
+        return inner and {"kind": "robust", "inner": inner, "numbers": values}
 
     def monitor(self, state: RobustState) -> dict[str, Tensor]:
         counts = {"clipped": state.clipped, "rejected": state.rejected, "escaped": state.escaped}

@@ -8,22 +8,25 @@ direction alone, and the sample gives it back (algorithm 1 there, for one output
 so that a boat that idles or cruises keeps what it knows of everything else, and P stays bounded without any limit. A
 sample with |φ|² < ε, in units of the model's scale, informs nothing: it is predicted, not learned from.
 
-In the square-root form, P = S Sᵀ, both steps have rank one. With x = S⁻¹φ and q = xᵀx = φᵀRφ,
+With the Cholesky factor S of P = S Sᵀ both steps have rank one. With x = S⁻¹φ, q = xᵀx = φᵀRφ and c = (1−λ)/(λ q),
 
-    P̄ = P + (1−λ)/(λ q) φφᵀ = S̄ S̄ᵀ,   S̄ = S + (λ^(−½) − 1)/q φxᵀ                       (2)
+    P̄ = P + c φφᵀ = S (I + c xxᵀ) Sᵀ,   S̄ = S T,                                        (2)
+    t_j = 1 + c Σ_{i≤j} x_i²,   T_jj = √(t_j/t_{j−1}),   T_ij = c x_i x_j/√(t_{j−1} t_j)  for i > j
 
-since I + (1−λ)/(λ q) xxᵀ is the square of I + (λ^(−½) − 1)/q xxᵀ; then Potter's update of S̄ with noise 1 (see `rls`).
+then the measurement update of S̄ with noise 1 (see `rls`): p² operations in all, without a loop over parameters.
 
 λ is per direction: where n directions are excited in turn, a memory τ is like the memory n τ of exponential forgetting.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import check_not_negative
-from usvlearn.estimators.rls import LeastSquares, potter
+from usvlearn.estimators.rls import LeastSquares, measured, triangle
 from usvlearn.hyper import Positive
 
 LONGEST = 20.0  # memories: a longer step forgets no more, lest 1/λ overflow
@@ -46,10 +49,13 @@ def sift_step(
     """
     informs = torch.as_tensor(informs)[..., None]
     safe = torch.where(informs, phi, 1.0)  # what stands in a sample that informs nothing must not reach the gradients
-    x = torch.linalg.solve_ex(factor, safe[..., None])[0].squeeze(-1)
-    growth = (forgetting.rsqrt()[..., None] - 1) / (x * x).sum(-1, keepdim=True)
-    opened = factor + safe[..., None] * (growth * x)[..., None, :]  # (2)
-    theta_new, factor_new = potter(theta, opened, safe, innovation)
+    x = torch.linalg.solve_triangular(factor, safe[..., None], upper=False).squeeze(-1)
+    sums = (x * x).cumsum(-1)
+    c = (1 / forgetting[..., None] - 1) / sums[..., -1:]
+    t = 1 + c * sums
+    before = torch.cat([torch.ones_like(c), t[..., :-1]], -1)
+    opened = factor @ triangle(c * x, x, before, t)  # (2)
+    theta_new, factor_new = measured(theta, opened, safe, innovation)
     return torch.where(informs, theta_new, theta), torch.where(informs[..., None], factor_new, factor)
 
 
@@ -78,6 +84,9 @@ class SIFtRLS(LeastSquares):
         super().__init__(model, covariance, feedback, surge_max)
         self.memory = Positive(memory, "memory")
         self.floor = check_not_negative("floor", floor)
+
+    def kernel(self) -> dict[str, Any] | None:
+        return self._kernel("sift", memory=self.memory, longest=LONGEST, floor=self.floor)
 
     def _step(
         self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor

@@ -1,0 +1,35 @@
+"""Compiled twins of the estimators' steps: the same steps on the same states, equal to them to rounding, without torch.
+
+One program serves every estimator: a table of numbers says what it is made of (`plan`), and the kernels interpret it, so
+that nothing is compiled anew for another ensemble. A state is one row of numbers per lane, of which its leaves are
+views. The files, in the order in which they build on each other:
+
+    compiled      how they are compiled, and where that is kept
+    regressors rls aid rnn stable    one file per family of estimators, `stable` projects the network's weights
+    combiners monitors               what an ensemble does with its members' predictions
+    step          one estimator, one ensemble, one step; runs over (time, lanes)
+    plan          from an estimator's `kernel()` to the table, the parameters and the places of the leaves
+    run           what the rest of the library calls
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def compilable(description: Mapping[str, Any] | None) -> bool:
+    """Whether the kernels can make the steps of an estimator that describes itself so (`Estimator.kernel`).
+
+    >>> compilable({"kind": "robust", "inner": {"kind": "persistence"}}), compilable(None)
+    (True, False)
+    """
+    if description is None:
+        return False
+    if description["kind"] == "ensemble":
+        return all(compilable(x) and x["kind"] != "ensemble" for x in description["members"].values())
+    wrappers = [] if description["kind"] != "bank" else ["bank"]
+    description = description["inner"] if wrappers else description
+    while description["kind"] in ("robust", "memory"):
+        wrappers.append(description["kind"])
+        description = description["inner"]
+    alone = len(set(wrappers)) == len(wrappers) and description["kind"] not in ("bank", "ensemble")
+    return alone and ("memory" in wrappers or "memory" not in description.get("terms", ()))

@@ -1,0 +1,57 @@
+"""The regressors of `usvlearn.estimators.regressors`, written into an array."""
+
+import numpy as np
+
+from usvlearn.kernels.compiled import kernel
+
+# Places in the inputs of a step; the last three are what `WithMemory` adds.
+LEFT, RIGHT, SIN, COS, YAW_RATE, DT, SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(9)
+INPUTS = 9
+
+QUASI_STATIC, DYNAMICS, MEMORY, AMBIENT = 0, 1, 2, 4  # the terms of a model; the last three are added up
+
+
+@kernel
+def regressor(terms, surge, x, scale, phi):
+    """Write φ; returns the base of the prediction, m/s."""
+    left, right = x[LEFT], x[RIGHT]
+    if terms == QUASI_STATIC:
+        phi[0], phi[1], phi[2] = right, right * abs(right), right * right * right
+        phi[3], phi[4], phi[5] = left, left * abs(left), left * left * left
+        phi[6], phi[7], phi[8] = x[SIN], x[COS], abs(x[YAW_RATE])
+        return surge * 0.0
+    speed, step = abs(surge), x[DT] / scale
+    phi[0], phi[1], phi[2] = step * (speed * surge), step * surge, step * (abs(x[YAW_RATE]) * surge)
+    phi[3], phi[4], phi[5] = step * left, step * (left * abs(left)), step * (left * speed)
+    phi[6], phi[7], phi[8] = step * right, step * (right * abs(right)), step * (right * speed)
+    place = 9
+    if terms & MEMORY:
+        phi[9], phi[10], phi[11] = step * x[SURGE_DOT], step * x[LEFT_BEFORE], step * x[RIGHT_BEFORE]
+        place = 12
+    if terms & AMBIENT:
+        phi[place], phi[place + 1], phi[place + 2] = step, step * x[SIN], step * x[COS]
+    return surge
+
+
+@kernel
+def dot(x, y):
+    """Σ x_i y_i."""
+    total = x[0] * y[0]
+    for i in range(1, len(x)):
+        total += x[i] * y[i]
+    return total
+
+
+@kernel
+def clamp(x, limit):
+    """x between −limit and limit; NaN stays."""
+    return limit if x > limit else (-limit if x < -limit else x)
+
+
+@kernel
+def finite(block):
+    """Whether a sum is finite, as it is where all its terms are, short of 1e308."""
+    total = 0.0 * block[0]
+    for i in range(len(block)):
+        total += block[i]
+    return np.isfinite(total)

@@ -1,0 +1,334 @@
+"""One step of one estimator, or of an ensemble; and runs of many lanes through many steps.
+
+The table (`program`, whole numbers) says what there is: its first row is about the whole, then a row for each
+estimator, then one for each rule. `q` holds the numbers that were tuned or are known, `s` the state of one lane.
+"""
+
+import numpy as np
+
+from usvlearn.kernels.aid import learn_aid
+from usvlearn.kernels.combiners import NUMBERS as RULE_NUMBERS
+from usvlearn.kernels.combiners import STATE as RULE_STATE
+from usvlearn.kernels.combiners import combine, conformal, learn_rule, waken
+from usvlearn.kernels.compiled import kernel
+from usvlearn.kernels.monitors import observe_innovations, observe_thrusters
+from usvlearn.kernels.regressors import (
+    DT,
+    INPUTS,
+    LEFT,
+    LEFT_BEFORE,
+    MEMORY,
+    RIGHT,
+    RIGHT_BEFORE,
+    SURGE_DOT,
+    clamp,
+    dot,
+    finite,
+    regressor,
+)
+from usvlearn.kernels.rls import coast_least_squares, learn_least_squares, loosen_least_squares, project_signs
+from usvlearn.kernels.rnn import UNBROKEN, coast_rnn, learn_rnn, predict_rnn
+from usvlearn.kernels.rnn import SURGE as RNN_SURGE
+from usvlearn.signals import ABSURD, ABSURD_INPUTS
+
+KINDS = ("rls", "sift", "aid", "rnn", "persistence", "acceleration")
+RLS, SIFT, AID, RNN, PERSISTENCE, ACCELERATION = range(6)
+
+# Places in the first row of the table, and in the row of an estimator.
+(
+    ESTIMATORS, RULES, NAMES, OUTPUT, PREDICTIONS, HALFWIDTHS, CONFORMAL, MONITORS,
+    LIMIT, CONFORMAL_NUMBERS, MONITOR_NUMBERS, COMBINING, KEPT,
+) = range(13)  # fmt: skip
+(
+    KIND, SIZE, TERMS, ESTIMATE, STATE, NUMBERS, MEMORY_STATE, MEMORY_NUMBERS, ROBUST_STATE, ROBUST_NUMBERS, OUTER,
+    SIGNS, ITERATIONS, CONDITION, BEST, UNROLL,
+) = range(16)  # fmt: skip
+
+# Places in a prepared sample: the inputs of a step, the speed, and what is to be made of it.
+SURGE, MODE, ROW = 6, 7, 8
+HOLD, START, PREDICT, LEARN = range(4)
+
+MEMORY_FIELDS = ("surge_dot", "surge", "since", "estimate", "command_left", "command_right", "known")
+ACCELERATION_OF, MEASURED, SINCE, DEPARTS, LAST_LEFT, LAST_RIGHT, KNOWN = range(7)
+MEMORY_PARAMETERS = ("surge_dot_max",)
+ROBUST_FIELDS = ("variance", "run", "clipped", "rejected", "escaped")
+VARIANCE, BEYOND, CLIPPED, REJECTED, ESCAPED = range(5)
+ROBUST_PARAMETERS = ("threshold", "patience", "inflation", "share", "variance_min", "moment")
+THRESHOLD, PATIENCE, INFLATION, SHARE, VARIANCE_MIN, MOMENT = range(6)
+PERSISTENCE_FIELDS = ("surge",)
+ACCELERATION_FIELDS = ("surge", "surge_dot", "measured", "since")
+ACCELERATION_PARAMETERS = ("surge_dot_max", "surge_max")
+
+NAN = np.nan
+ABSURD_COMMAND, _, ABSURD_HEADING, ABSURD_YAW_RATE, ABSURD_DT = ABSURD_INPUTS
+
+
+@kernel
+def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, row):
+    """`estimator.clean` of one sample."""
+    steps = (
+        fresh and dt > 0 and dt < ABSURD_DT and abs(left) < ABSURD_COMMAND and abs(right) < ABSURD_COMMAND
+        and abs(heading) < ABSURD_HEADING and abs(yaw_rate) < ABSURD_YAW_RATE
+    )  # fmt: skip
+    known = abs(surge) < ABSURD
+    if steps:
+        row[0], row[1], row[2], row[3], row[4], row[5] = left, right, np.sin(heading), np.cos(heading), yaw_rate, dt
+        row[MODE] = LEARN if measured and known else PREDICT
+    else:
+        row[:SURGE] = 0.0
+        row[MODE] = START if dt == 0 and known else HOLD
+    row[SURGE] = surge if known else 0.0
+
+
+@kernel
+def departure(node, s):
+    """Where the speed stands from which the next step departs."""
+    kind, p = node[KIND], node[SIZE]
+    if kind == RLS or kind == SIFT:
+        return node[STATE] + p + p * p
+    if kind == AID:
+        return node[STATE] + p
+    return node[STATE] + 21 * p + RNN_SURGE if kind == RNN else node[STATE]
+
+
+@kernel
+def start(node, s, surge):
+    """`Estimator.start`."""
+    kind, place = node[KIND], departure(node, s)
+    s[place] = surge
+    if kind == RNN:
+        s[node[STATE] + 21 * node[SIZE] + UNBROKEN] = 0.0
+    elif kind == ACCELERATION:
+        s[place + 1], s[place + 2], s[place + 3] = 0.0, surge, 0.0
+    if node[MEMORY_STATE] >= 0:
+        memory = s[node[MEMORY_STATE] : node[MEMORY_STATE] + 7]
+        memory[ACCELERATION_OF], memory[MEASURED], memory[SINCE] = 0.0, surge, 0.0
+        memory[DEPARTS], memory[KNOWN] = surge, 0.0
+    if node[ROBUST_STATE] >= 0:
+        s[node[ROBUST_STATE] + BEYOND] = 0.0
+
+
+@kernel
+def advance(node, s, q, row, learns, work, kept):
+    """One estimator, one step on, its wrappers included; returns what it predicted, m/s."""
+    kind, p, at = node[KIND], node[SIZE], node[STATE]
+    numbers, x, rest = q[node[NUMBERS] :], work[:INPUTS], work[INPUTS:]
+    x[:SURGE] = row[:SURGE]
+    if node[TERMS] & MEMORY:
+        memory = s[node[MEMORY_STATE] : node[MEMORY_STATE] + 7]
+        known = memory[KNOWN] > 0
+        x[SURGE_DOT] = memory[ACCELERATION_OF]
+        x[LEFT_BEFORE] = memory[LAST_LEFT] if known else x[LEFT]
+        x[RIGHT_BEFORE] = memory[LAST_RIGHT] if known else x[RIGHT]
+    estimate = s[departure(node, s)]
+    if kind == RNN:
+        predicted = predict_rnn(s[at : at + 21 * p + 9], p, numbers, x, rest)
+    elif kind == PERSISTENCE:
+        predicted = estimate
+    elif kind == ACCELERATION:
+        predicted = clamp(estimate + x[DT] * s[at + 1], numbers[1])
+    else:
+        phi = rest[:p]
+        estimate = regressor(node[TERMS], estimate, x, numbers[0], phi) + dot(phi, s[at : at + p])
+        predicted = clamp(estimate, numbers[1])
+    if not learns:
+        coast(node, s, numbers, x, predicted, rest)
+        if node[MEMORY_STATE] >= 0:
+            remember(s[node[MEMORY_STATE] :], q[node[MEMORY_NUMBERS]], x, predicted, False)
+        return predicted
+    if node[ROBUST_STATE] < 0:
+        learn(node, s, q, x, estimate, predicted, row[SURGE], rest)
+        if node[MEMORY_STATE] >= 0:
+            remember(s[node[MEMORY_STATE] :], q[node[MEMORY_NUMBERS]], x, row[SURGE], True)
+    else:
+        robust, c = s[node[ROBUST_STATE] :], q[node[ROBUST_NUMBERS] :]
+        end = node[ROBUST_STATE] if node[OUTER] or node[MEMORY_STATE] < 0 else node[MEMORY_STATE]
+        kept[: end - at] = s[at:end]
+        target, beyond, clips, first = within(robust, c, row[SURGE], predicted)
+        if first and (kind == RLS or kind == SIFT):
+            loosen_least_squares(s[at : at + p + p * p], p, numbers, c[INFLATION])
+        learn(node, s, q, x, estimate, predicted, target, rest)
+        if node[MEMORY_STATE] >= 0:
+            measured = target if node[OUTER] else row[SURGE]
+            remember(s[node[MEMORY_STATE] :], q[node[MEMORY_NUMBERS]], x, measured, True)
+        judge(robust, c, row[SURGE] - predicted, beyond, clips, first, s[at:end], kept[: end - at])
+    return predicted
+
+
+@kernel
+def coast(node, s, numbers, x, predicted, work):
+    """The state after `Estimator.predict`."""
+    kind, p, at = node[KIND], node[SIZE], node[STATE]
+    if kind == RLS or kind == SIFT:
+        coast_least_squares(s[at : at + p + p * p + 3], work[:p], predicted, work[p : 2 * p])
+    elif kind == AID:
+        s[at + p] = predicted
+    elif kind == RNN:
+        coast_rnn(s[at : at + 21 * p + 9], p, numbers, predicted)
+    elif kind == ACCELERATION:
+        s[at] = predicted
+        s[at + 3] += x[DT]
+
+
+@kernel
+def learn(node, s, q, x, estimate, predicted, target, work):
+    """The state after `Estimator.update`, without its wrappers."""
+    kind, p, at, feedback = node[KIND], node[SIZE], node[STATE], node[ESTIMATE]
+    numbers = q[node[NUMBERS] :]
+    if kind == RLS or kind == SIFT:
+        block = s[at : at + p + p * p + 3]
+        learn_least_squares(block, numbers, kind == RLS, work[:p], estimate, target, x[DT], feedback, work[p:])
+        if node[ITERATIONS] > 0:
+            signs = q[node[SIGNS] : node[SIGNS] + p]
+            project_signs(block[:p], block[p : p + p * p].reshape(p, p), signs, node[ITERATIONS], work)
+    elif kind == AID:
+        learn_aid(s[at : at + p + 1], numbers, work[:p], estimate, target, x[DT], feedback, work[p : 2 * p])
+    elif kind == RNN:
+        block = s[at : at + 21 * p + 9]
+        learn_rnn(block, p, numbers, node[CONDITION], node[BEST], node[UNROLL], feedback, x, predicted, target, work)
+    elif kind == PERSISTENCE:
+        s[at] = target
+    else:
+        since = s[at + 3] + x[DT]
+        change = (target - s[at + 2]) / (since if since > 0 else 1.0)
+        s[at], s[at + 1], s[at + 2], s[at + 3] = target, clamp(change, numbers[0]), target, 0.0
+
+
+@kernel
+def remember(memory, limit, x, surge, learned):
+    """The step before, as `WithMemory` keeps it, after `surge` was measured (`learned`), or predicted."""
+    memory[SINCE] += x[DT]
+    span = memory[SINCE] if learned else x[DT]
+    change = surge - memory[MEASURED if learned else DEPARTS]
+    memory[ACCELERATION_OF] = clamp(change / (span if span > 0 else 1.0), limit)
+    if learned:
+        memory[MEASURED], memory[SINCE] = surge, 0.0
+    memory[DEPARTS], memory[LAST_LEFT], memory[LAST_RIGHT], memory[KNOWN] = surge, x[LEFT], x[RIGHT], 1.0
+
+
+@kernel
+def within(robust, c, surge, predicted):
+    """What `Robust` lets its estimator learn, (1); whether that lies beyond the bound, is clipped, or a change's first."""
+    innovation = surge - predicted
+    bound = c[THRESHOLD] * np.sqrt(robust[VARIANCE])
+    beyond = abs(innovation) > bound
+    escapes = beyond and robust[BEYOND] >= c[PATIENCE]
+    first = escapes and robust[BEYOND] < c[PATIENCE] + 1
+    clips = beyond and not escapes
+    return predicted + clamp(innovation, bound) if clips else surge, beyond, clips, first
+
+
+@kernel
+def judge(robust, c, innovation, beyond, clips, first, inner, kept):
+    """The scale and the counts of `Robust`, (2); a sample that spoiled the estimator's state is undone."""
+    square = innovation * innovation
+    if not np.isfinite(square) or (not finite(inner) and finite(kept)):
+        inner[:] = kept
+        robust[REJECTED] += 1
+        return
+    variance, bound = robust[VARIANCE], c[THRESHOLD] * c[THRESHOLD] * robust[VARIANCE]
+    robust[VARIANCE] = max(variance + c[SHARE] * (min(square, bound) / c[MOMENT] - variance), c[VARIANCE_MIN])
+    robust[BEYOND] = robust[BEYOND] + 1 if beyond else 0.0
+    robust[CLIPPED] += clips
+    robust[ESCAPED] += first
+
+
+@kernel
+def step(program, s, q, row, work):
+    """`Estimator.forward` of a prepared sample, in place; returns the prediction, m/s, NaN where no step was made."""
+    whole = program[0]
+    estimators, mode = whole[ESTIMATORS], row[MODE]
+    if mode == HOLD:
+        return NAN
+    if mode == START:
+        for i in range(1, estimators + 1):
+            start(program[i], s, row[SURGE])
+        return NAN
+    kept = work[whole[KEPT] :]
+    if whole[RULES] == 0:
+        return advance(program[1], s, q, row, mode == LEARN, work, kept)
+    predictions = s[whole[PREDICTIONS] : whole[PREDICTIONS] + whole[NAMES]]
+    for i in range(estimators):
+        predictions[i] = advance(program[i + 1], s, q, row, mode == LEARN, work, kept)
+    aggregate(program, s, q, predictions, row, mode == LEARN, work)
+    return predictions[whole[OUTPUT]]
+
+
+@kernel
+def aggregate(program, s, q, predictions, row, learns, work):
+    """What an `Ensemble` does after its members: rules, intervals, monitors."""
+    whole = program[0]
+    n, names = whole[ESTIMATORS], whole[NAMES]
+    awake, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
+    listen(predictions, q[whole[LIMIT]], awake)
+    for r in range(whole[RULES]):
+        rule = program[1 + n + r]
+        own, numbers = s[rule[RULE_STATE] :], q[rule[RULE_NUMBERS] :]
+        asleep = waken(rule, own, numbers, awake, x)
+        predictions[n + r] = combine(rule, own, numbers, x)
+        if learns:
+            learn_rule(rule, own, numbers, x, asleep, row[SURGE], row[DT], rest)
+    halfwidth = s[whole[CONFORMAL] : whole[CONFORMAL] + names]
+    s[whole[HALFWIDTHS] : whole[HALFWIDTHS] + names] = halfwidth
+    if learns:
+        innovation = work[:names]
+        for i in range(names):
+            innovation[i] = row[SURGE] - predictions[i]
+        count = s[whole[CONFORMAL] + names : whole[CONFORMAL] + 2 * names]
+        conformal(halfwidth, count, innovation, q[whole[CONFORMAL_NUMBERS] :])
+        if whole[MONITORS] >= 0:
+            numbers = q[whole[MONITOR_NUMBERS] :]
+            observe_innovations(s[whole[MONITORS] :], innovation, names, numbers)
+            observe_thrusters(s[whole[MONITORS] + 6 * names :], row, numbers, work)
+
+
+@kernel
+def listen(predictions, limit, awake):
+    """The members' predictions, NaN where one sleeps."""
+    for i in range(len(awake)):
+        awake[i] = predictions[i] if abs(predictions[i]) < limit else NAN
+
+
+@kernel
+def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured):
+    """`step` of one sample as it came."""
+    row = work[-ROW:]
+    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, row)
+    return step(program, s, q, row, work)
+
+
+@kernel
+def prepare_all(left, right, heading, yaw_rate, dt, surge, fresh, measured, rows):
+    """`prepare` of samples `(time, columns)`; rows are `(columns, time, ROW)`."""
+    for column in range(rows.shape[0]):
+        for k in range(rows.shape[1]):
+            prepare(left[k, column], right[k, column], heading[k, column], yaw_rate[k, column], dt[k, column],
+                    surge[k, column], fresh[k, column], measured[k, column], rows[column, k])  # fmt: skip
+
+
+@kernel
+def run(program, states, q, rows, columns, free, picked, predictions, picks, work, first, last):
+    """Lanes first … last − 1 through all steps, in place.
+
+    Args:
+        program: the table.
+        states: (lanes, size).
+        q: (lanes, numbers), or (1, numbers) for all.
+        rows: prepared samples, (columns, time, ROW).
+        columns: (lanes,) whose samples each lane sees.
+        free: learn nothing.
+        picked: places of a state that are written out after each step.
+        predictions: (lanes, time), m/s, is written.
+        picks: (lanes, time, picked), is written.
+        work: as long as the table's owner says.
+    """
+    row = work[-ROW:]
+    for lane in range(first, last):
+        s, numbers = states[lane], q[lane if len(q) > 1 else 0]
+        for k in range(rows.shape[1]):
+            row[:] = rows[columns[lane], k]
+            if free and row[MODE] == LEARN:
+                row[MODE] = PREDICT
+            predictions[lane, k] = step(program, s, numbers, row, work)
+            for i in range(len(picked)):
+                picks[lane, k, i] = s[picked[i]]
