@@ -10,24 +10,16 @@ from functools import partial
 from pathlib import Path
 
 import hydra
-import torch
-from hydra import compose
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
-from usvlearn.errors import ConfigError, one_sentence
+from usvlearn.errors import ConfigError, one_sentence  # what needs torch is imported where it is used: --help is quick
+from usvlearn.learning.launchers import prepare_workers, set_threads
 from usvlearn.learning.leaderboard import leaderboard
-from usvlearn.learning.reports import Tools, evaluate, start_of
-from usvlearn.learning.saved import is_sweep, run_folders
-from usvlearn.learning.study import Study
-from usvlearn.learning.sweep import check_sweep, prepare_workers
-from usvlearn.learning.tuning import request
+from usvlearn.learning.sweep import check_sweep
 from usvlearn.logs.fleet import align_fleet
-from usvlearn.simulate.truth import truth_of
-
-TOOLS = Tools(instantiate, align_fleet, truth_of, Console(markup=False))
 
 
 def load(path: Path) -> object:
@@ -48,32 +40,40 @@ class Sweep(Callback):
                 sys.exit(2)
 
 
-def study(cfg: DictConfig) -> None:
+def study(cfg: DictConfig, tools) -> None:
     """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
     from train import work
+    from usvlearn.learning.reports import evaluate, start_of
+    from usvlearn.learning.study import Study
+    from usvlearn.learning.tuning import request
 
     plain = partial(OmegaConf.to_container, resolve=True)
     made = Study(
-        Path(cfg.folder), plain(cfg.study), TOOLS.say, choose=lambda folder: start_of(folder, TOOLS),
-        run=lambda overrides, folder: work(compose("train", overrides), folder, overrides),
-        check=lambda overrides: request(plain(compose("train", overrides)), instantiate),
+        Path(cfg.folder), plain(cfg.study), tools.say, choose=lambda folder: start_of(folder, tools),
+        run=lambda overrides, folder: work(hydra.compose("train", overrides), folder, overrides),
+        check=lambda overrides: request(plain(hydra.compose("train", overrides)), instantiate),
     )  # fmt: skip
     season, gained = made.make()
-    evaluate([season], Path(cfg.folder, "report"), TOOLS, more=[gained], commands=made.commands)
+    evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands)
 
 
 @hydra.main(version_base="1.3", config_path="configs", config_name="evaluate")
 def main(cfg: DictConfig) -> None:
-    torch.set_num_threads(1)
+    from usvlearn.learning.reports import Tools, evaluate
+    from usvlearn.learning.saved import is_sweep, run_folders
+    from usvlearn.simulate.truth import truth_of
+
+    set_threads(1)
+    tools = Tools(instantiate, align_fleet, truth_of, Console(markup=False))
     with one_sentence(hydra.errors.InstantiationException):
         if cfg.study is not None:
-            study(cfg)
+            study(cfg, tools)
         elif cfg.runs is None:
             raise ConfigError("runs is not set: set runs=FOLDER, a folder that train.py has written")
         elif is_sweep(Path(cfg.runs)):
             leaderboard(Path(cfg.runs), load)
         else:
-            evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), TOOLS, cfg.get("data"))
+            evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))
 
 
 if __name__ == "__main__":

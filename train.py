@@ -7,12 +7,10 @@ python train.py -m estimators.rls.memory=10,30            a sweep; or sweep=inpu
 
 import sys
 import time
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
 import hydra
-import torch
 from hydra.core.hydra_config import HydraConfig
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
@@ -20,20 +18,18 @@ from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import Progress
 
-from usvlearn import Ensemble, __version__
+import usvlearn  # what needs torch is imported where it is used: --help must not wait for it
 from usvlearn.errors import check_positive, one_sentence
-from usvlearn.evaluation.stability import stability
 from usvlearn.evaluation.tables import closing, report
-from usvlearn.learning import tuning
-from usvlearn.learning.replay import replay
-from usvlearn.learning.run_folder import RunFolder
-from usvlearn.learning.sweep import check_launcher, run_job
-from usvlearn.learning.watch import Watch
+from usvlearn.learning.launchers import check_launcher, set_threads
+from usvlearn.learning.sweep import run_job
 from usvlearn.logs.fleet import align_fleet
 
 
-def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
-    """Do what is asked for, a replay or tuning, in a folder; returns the MAE, m/s."""
+def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None = None, quiet=False) -> float:
+    """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the MAE, m/s."""
+    from usvlearn.learning import tuning
+
     console = Console(markup=False, quiet=quiet)  # of its own: what a worker is sent must be picklable
     if not tuning.asked(cfg):
         return train(cfg, folder, console, resume or cfg.resume)
@@ -42,15 +38,20 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
     """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
+    from usvlearn.evaluation.stability import stability
+    from usvlearn.learning.replay import replay
+    from usvlearn.learning.run_folder import RunFolder
+    from usvlearn.learning.watch import Watch
+
     began, settings = time.perf_counter(), {**OmegaConf.to_container(cfg, resolve=True), "resume": None}
-    torch.set_num_threads(max(1, int(check_positive("threads", cfg.threads))))
+    set_threads(cfg.threads)
     save_every = 60 * check_positive("save_minutes", cfg.save_minutes, "of min") / check_positive("dt", cfg.align.dt)
-    ensemble = Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
+    ensemble = usvlearn.Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
-    run = RunFolder(folder, fleet, {"configuration": settings, "version": __version__})
+    run = RunFolder(folder, fleet, {"configuration": settings, "kernel": ensemble.kernel()})
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
-    with Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
+    with run, Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
         for chunk in replay(ensemble, fleet, start.state, start.position, watch.every, max(1, round(save_every))):
             run.save(chunk)
@@ -67,8 +68,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
 def main(cfg: DictConfig) -> float:
     """One job: bad input ends it with one sentence and code 2; in a sweep it is noted, and the rest go on."""
     job, folder = HydraConfig.get(), Path(HydraConfig.get().runtime.output_dir)
-    shared = job.runtime.choices["hydra/launcher"] == "joblib"  # the terminal, by several workers
-    ask = partial(work, cfg, folder, job.overrides.task, quiet=shared)
+    ask = partial(work, cfg, folder, job.overrides.task, quiet=job.runtime.choices["hydra/launcher"] == "joblib")
     with one_sentence(InstantiationException):
         if job.mode.name != "MULTIRUN":
             return ask()

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.align import Aligner, Track, align
-from usvlearn.logs.channel import Channel
+from usvlearn.logs.align import Aligner, align
+from usvlearn.logs.channel import CHANNELS, Channel
+from usvlearn.logs.compiled import mean
 
 
 def channel(time, value, order=None, **how) -> Channel:
@@ -60,11 +61,10 @@ def test_what_each_mode_sees_of_a_step(inputs, seen):
 
 
 def test_mean_is_weighted_by_time_and_carries_the_value_in_force():
-    track = Track(held=False, window=1.0, delay=0.0)
-    track.times, track.values = [-1.0, 0.1, 0.3], [1.0, 2.0, 4.0]
-    assert track.mean(0.0, 0.4) == pytest.approx((0.1 * 1 + 0.2 * 2 + 0.1 * 4) / 0.4)
-    assert track.mean(-2.0, 0.0) == pytest.approx(1.0)  # no value before -1: from there on
-    assert math.isnan(track.mean(-2.0, -1.5))
+    held = np.array([-1.0, 0.1, 0.3]), np.array([1.0, 2.0, 4.0])
+    assert mean(*held, 0.0, 0.4) == pytest.approx((0.1 * 1 + 0.2 * 2 + 0.1 * 4) / 0.4)
+    assert mean(*held, -2.0, 0.0) == pytest.approx(1.0)  # no value before -1: from there on
+    assert math.isnan(mean(*held, -2.0, -1.5))
 
 
 def closed_loop(inputs: str, seed: int = 0) -> float:
@@ -274,6 +274,28 @@ def test_live_messages_make_the_samples_of_the_replay():
     np.testing.assert_allclose([t for t, _ in live], whole.time, atol=1e-9)
     np.testing.assert_allclose([s.surge for _, s in live], whole.samples.surge)
     np.testing.assert_allclose([s.inputs.yaw_rate for _, s in live], whole.samples.inputs.yaw_rate)
+
+
+@pytest.mark.parametrize("patience", [0.0, 1.0, 8.0])
+@pytest.mark.parametrize("inputs", ["mean", "last", "next"])
+def test_a_boat_that_forgets_makes_the_samples_of_a_whole_log_bit_for_bit(inputs, patience):
+    """Late, lost, repeated and stray stamps, outages, a clock set back: however the messages come in pieces."""
+    rng = np.random.default_rng(1)
+    count = 4000
+    stamps = np.cumsum(rng.exponential(0.03, count)) + rng.normal(0, 0.05, count)
+    stamps += 40.0 * (np.arange(count) > 1500) - 500.0 * (np.arange(count) > 3000)
+    stamps[rng.integers(0, count, 20)] = 1e9
+    stamps[rng.integers(1, count, 40)] = stamps[rng.integers(1, count, 40) - 1]
+    which, values = rng.integers(0, len(CHANNELS), count), rng.uniform(-0.2, 1.25, count)
+    channels = {name: channel([], [], held=name == "command_left", delay=0.2 * (name == "yaw_rate"), window=0.5)
+                for name in CHANNELS}  # fmt: skip
+    whole, live = (Aligner(channels, inputs=inputs, patience=patience) for _ in range(2))
+    rows = whole.feed(which, stamps, values, flush=True)
+    pushed = [done for c, t, x in zip(which, stamps, values, strict=True) for done in live.push(CHANNELS[c], t, x)]
+    pushed += live.flush()
+    assert len(rows) > 250 and whole.rejected == live.rejected and len(whole.rejected) == len(CHANNELS)
+    np.testing.assert_array_equal(np.array([(t, *s.inputs, *s[1:]) for t, s in pushed], dtype=float), rows)
+    assert live._times.shape[1] < 1000  # it holds seconds, not the log
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ def test_roundtrip_is_exact_and_complete(tmp_path):
     assert dict(named_leaves(found)).keys() == expected.keys()
     for name, leaf in named_leaves(found):
         assert torch.equal(leaf, expected[name]) and leaf.dtype == expected[name].dtype, name
-    assert facts == {"schema": 1, "estimator": "Ensemble", "boat": "heron", "time": 12.5}
+    assert facts == {"schema": 2, "estimator": "Ensemble", "boat": "heron", "time": 12.5}
     assert list(path.parent.iterdir()) == [path]  # no temporary file is left
 
 
@@ -65,7 +65,7 @@ def test_another_schema_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "SCHEMA", 99)
     path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(1)})
     monkeypatch.undo()
-    with pytest.raises(CheckpointError, match="schema 99, this version reads 1"):
+    with pytest.raises(CheckpointError, match="schema 99, this version reads 2"):
         store.load(path)
 
 

@@ -16,21 +16,25 @@ OURS = {
     "usvlearn.errors": set(),
     "usvlearn.signals": {"usvlearn.errors"},
     "usvlearn.checkpoint": LIGHT,
-    "usvlearn.logs": LIGHT | {"usvlearn.logs"},
+    "usvlearn.logs": LIGHT | {"usvlearn.compiled", "usvlearn.logs"},
+    "usvlearn.compiled": set(),
+    "usvlearn.kernels": LIGHT | {"usvlearn.compiled", "usvlearn.kernels"},
     "usvlearn.hyper": LIGHT,
-    "usvlearn.estimator": LIGHT,
-    "usvlearn.estimators": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
+    "usvlearn.backend": LIGHT | {"usvlearn.kernels", "usvlearn.estimator"},  # the latter's names, for types
+    "usvlearn.estimator": LIGHT | {"usvlearn.backend"},
+    "usvlearn.estimators": LIGHT | {"usvlearn.backend", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                     "certify"},
-    "usvlearn.simulate": LIGHT | {"usvlearn.simulate", "usvlearn.logs.channel"},
-    "usvlearn.online": LIGHT | {"usvlearn.estimator", "usvlearn.checkpoint"},
+    "usvlearn.simulate": LIGHT | {"usvlearn.compiled", "usvlearn.simulate", "usvlearn.logs.channel"},
+    "usvlearn.online": LIGHT | {"usvlearn.backend", "usvlearn.estimator", "usvlearn.checkpoint", "usvlearn.kernels"},
     "usvlearn.learning": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                   "usvlearn.checkpoint", "usvlearn.learning", "usvlearn.evaluation",
+                                  "usvlearn.kernels",
                                   "usvlearn.tensorboard"},
     "usvlearn.evaluation.stability": LIGHT | {"usvlearn.estimators", "certify"},
     "usvlearn.evaluation.sections.network": LIGHT | {"usvlearn.estimators", "usvlearn.evaluation", "certify"},
     "usvlearn.evaluation.report": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.tensorboard"},
     "usvlearn.evaluation": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
-                                    "usvlearn.checkpoint", "usvlearn.evaluation"},
+                                    "usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.backend"},
     "usvlearn.tensorboard": set(),
 }  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
@@ -42,7 +46,8 @@ CERTIFY = {
     "rich": {"certify.table"},
 }
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
-NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.logs", "usvlearn.evaluation")
+NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.compiled", "usvlearn.kernels",
+            "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.evaluation.judge", "usvlearn.evaluation.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
@@ -99,14 +104,41 @@ def test_every_module_has_a_layer():
         assert name == "usvlearn" or any(within(name, [prefix]) for prefix in OURS), name
 
 
+def loaded(code: str) -> set[str]:
+    """The packages that a fresh Python has imported at the end of some code."""
+    show = "import atexit, sys; atexit.register(lambda: print(*{name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{show}\n{code}"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return set(done.stdout.splitlines()[-1].split())
+
+
+HEAVY = {"torch", "scipy", "matplotlib", "tensorboard", "numba", "rosbags", "cvxpy", "optuna"}
+
+
+def test_the_package_is_imported_at_no_cost():
+    assert not loaded("import usvlearn") & {*HEAVY, "numpy", "hydra", "rich"}
+
+
 def test_package_logs_and_checkpoints_import_without_torch():
     code = (
-        "import sys, usvlearn, usvlearn.checkpoint, usvlearn.logs.fleet, usvlearn.logs.read, usvlearn.logs.alog\n"
+        "import usvlearn, usvlearn.checkpoint, usvlearn.logs.fleet, usvlearn.logs.read, usvlearn.logs.alog\n"
         "import usvlearn.logs.table, usvlearn.logs.rosbag\n"
-        "usvlearn.Sample, usvlearn.Aligner\n"
-        "sys.exit(any(name in sys.modules for name in ('torch', 'hydra', 'matplotlib', 'rosbags')))"
+        "usvlearn.Sample, usvlearn.Aligner"
     )
-    assert subprocess.run([sys.executable, "-c", code], cwd=ROOT).returncode == 0
+    assert not loaded(code) & {*HEAVY, "hydra", "rich"}
+
+
+@pytest.mark.parametrize("script", ["train.py", "evaluate.py"])
+def test_help_waits_for_nothing_heavy(script):
+    code = f"import runpy, sys\nsys.argv = [{script!r}, '--help']\nrunpy.run_path({script!r}, run_name='__main__')"
+    found = loaded(code)
+    assert "hydra" in found and not found & HEAVY
+
+
+def test_help_of_certify_waits_for_nothing_heavy():
+    code = "import runpy, sys\nsys.argv = ['certify', '--help']\nrunpy.run_module('certify', run_name='__main__')"
+    assert not loaded(code) & HEAVY
 
 
 def test_public_names_are_there():

@@ -36,8 +36,9 @@ def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> Run
     ensemble = model()
     folder = RunFolder(folder, fleet, metadata)
     start = folder.begin(ensemble.init((2,)), resume)
-    for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
-        folder.save(chunk)
+    with folder:
+        for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
+            folder.save(chunk)
     return folder
 
 

@@ -16,7 +16,7 @@ from usvlearn.simulate.plants import PLANTS, plant
 from usvlearn.simulate.scenario import MISSIONS, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
 from usvlearn.simulate.truth import true_parameters
-from usvlearn.simulate.vessel import over_ground, steady_surge
+from usvlearn.simulate.vessel import at_rest, over_ground, steady_surge, step
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -178,6 +178,42 @@ def test_autopilot_reaches_speed_and_heading():
         assert surge[-24:].numpy() == pytest.approx(0.6 * top, rel=0.05), name
         assert heading[-24:].numpy() == pytest.approx(-2.0, abs=0.25), name
         assert 0 <= commands.min() and commands.max() <= 1
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_compiled_sailing_is_steering_and_stepping_one_after_the_other(name):
+    """Two missions of two boats, a current, a plant that changes on the way: against a loop over `vessel.step`."""
+    pilot = Autopilot(lowest=-1.0)
+    courses = [[mission(np.random.default_rng(k), 200, pilot.hz) for k in range(2)] for mission in (MISSIONS["convoy"],
+               MISSIONS["station_keeping"])]  # fmt: skip
+    before = fleet_vessels(2, plant=name, missions=2)
+    after = before._replace(mass=2 * before.mass)
+    current, direction = tensor([[0.2], [0.3]]), tensor([[0.5], [2.5]])
+    dt, surge, heading, commands = sail(before, courses, current, direction, pilot, {120: after})
+
+    reference = torch.from_numpy(np.stack([[np.stack(course) for course in row] for row in courses]))
+    told = reference.permute(2, 3, 0, 1)  # leaves, ticks, missions, boats
+    state, integral = at_rest((2, 2), heading=told[2, 0]), torch.zeros(2, 2, dtype=torch.float64)
+    top = steady_surge(before, tensor([1.0, 1.0]))
+    for k in range(200):
+        wanted, throttle, course, power = told[:, k]
+        over = over_ground(state.surge, state.heading, current, direction)
+        error = torch.where(wanted.isnan(), 0.0, wanted - over / top)
+        charged = (integral + pilot.integral / pilot.hz * error).clamp(-1, 1)
+        integral = torch.where(wanted.isnan(), throttle, charged)
+        throttle = (integral + pilot.proportional * error).clamp(-1, 1)
+        away = torch.atan2((course - state.heading).sin(), (course - state.heading).cos())
+        turn = (pilot.heading * away).clamp(-pilot.turn_max, pilot.turn_max)
+        command = (
+            torch.stack([throttle + turn, throttle - turn], -1).clamp(-1, 1) * power[..., None] * 100
+        ).round() / 100
+        assert torch.allclose(commands[k], command, rtol=0, atol=1e-12), k
+        for i in range(3):
+            assert torch.allclose(
+                surge[3 * k + i], over_ground(state.surge, state.heading, current, direction), atol=1e-12
+            )
+            assert torch.allclose(heading[3 * k + i], state.heading, rtol=0, atol=1e-12)
+            state = step(before if k < 120 else after, state, command, dt)
 
 
 def test_boats_back_up_only_where_they_may():

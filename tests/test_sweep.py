@@ -22,8 +22,9 @@ from tests.test_train import ENVIRONMENT, ROOT, assert_equal_runs, command, resu
 from usvlearn import Ensemble
 from usvlearn.errors import ConfigError, bad_input
 from usvlearn.evaluation.metrics import scores
+from usvlearn.learning.launchers import check_launcher
 from usvlearn.learning.leaderboard import LONGEST, write_leaderboard
-from usvlearn.learning.sweep import Job, check_launcher, digest, jobs, run_job
+from usvlearn.learning.sweep import Job, digest, jobs, run_job
 
 LEFT_OUT = ["rnn", "memory_aid", "memory_rls", "ambient_rls", "steady_rls"]
 QUICK = ["data.hours=0.05", "save_minutes=0.5", *(f"~estimators.{name}" for name in LEFT_OUT),
@@ -135,13 +136,13 @@ def test_a_launcher_that_cannot_be_used_is_told_in_one_sentence(monkeypatch, tmp
     assert done.returncode == 2 and not list(tmp_path.iterdir())
     assert done.stderr.startswith("error: hydra/launcher: found 'sulrm', expected one of basic, joblib, slurm")
     assert len(done.stderr.splitlines()) == 1
-    monkeypatch.setattr("usvlearn.learning.sweep.find_spec", lambda name: None)
+    monkeypatch.setattr("usvlearn.learning.launchers.find_spec", lambda name: None)
     for name, extra in {"joblib": "sweep", "slurm": "slurm", "submitit_local": "slurm"}.items():
         with pytest.raises(SystemExit, match="2"):
             check_launcher(["-m", f"hydra/launcher={name}"])
         assert re.match(rf"error: hydra/launcher={name} needs .* 'usvlearn\[{extra}\]'", capsys.readouterr().err)
-    monkeypatch.setattr("usvlearn.learning.sweep.find_spec", lambda name: name)
-    monkeypatch.setattr("usvlearn.learning.sweep.which", lambda name: None)
+    monkeypatch.setattr("usvlearn.learning.launchers.find_spec", lambda name: name)
+    monkeypatch.setattr("usvlearn.learning.launchers.which", lambda name: None)
     check_launcher(["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"])
     with pytest.raises(SystemExit, match="2"):
         check_launcher(["hydra/launcher=slurm"])

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from safetensors.numpy import save as save_tensors
 from usvlearn.errors import CheckpointError
 from usvlearn.signals import named_leaves, rebuild
 
-SCHEMA = 1
+SCHEMA = 2  # 1 kept another square root of the covariance of least squares
 SUFFIX = ".safetensors"
 KEY = "usvlearn"  # of the metadata in the safetensors header
 
@@ -46,7 +46,7 @@ def save(path: str | Path, state: Any, **metadata: Any) -> Path:
     (array([1., 1.]), 'heron')
     """
     path = Path(path)
-    leaves = {name: _numpy(leaf) for name, leaf in named_leaves(state)}
+    leaves = {name: as_array(leaf) for name, leaf in named_leaves(state)}
     facts = {"schema": SCHEMA, **metadata}
     facts["sha256"] = _digest(leaves, facts)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -135,12 +135,21 @@ def restore_newest(folder: str | Path, template: Any, estimator: str | None = No
     Raises:
         CheckpointError: none can be read.
     """
+    return _newest(folder, lambda path: restore(path, template, estimator))
+
+
+def load_newest(folder: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """`load` the newest readable parameter set of a folder, as `restore_newest`."""
+    return _newest(folder, load)
+
+
+def _newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
     paths = checkpoints(folder)
     for path in reversed(paths):
         try:
-            return restore(path, template, estimator)
+            return read(path)
         except CheckpointError as error:
-            warnings.warn(f"{error}; trying the one before", stacklevel=2)
+            warnings.warn(f"{error}; trying the one before", stacklevel=3)
     raise CheckpointError(f"{folder}: none of its {len(paths)} checkpoints can be read: give another folder")
 
 
@@ -163,7 +172,12 @@ def write_atomically(path: Path, content: bytes) -> None:
             os.close(folder)
 
 
-def _numpy(leaf) -> np.ndarray:
+def as_array(leaf) -> np.ndarray:
+    """An array from an array or a tensor, contiguous.
+
+    >>> as_array(np.ones((2, 2)).T).flags.c_contiguous
+    True
+    """
     array = leaf if isinstance(leaf, np.ndarray) else leaf.detach().cpu().numpy()
     return np.ascontiguousarray(array).reshape(array.shape)
 

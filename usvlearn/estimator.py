@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, final
 import torch
 from torch import Tensor, nn
 
+from usvlearn.backend import Record, choose, run
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.signals import ABSURD, ABSURD_INPUTS, Inputs, Sample, named_leaves, tree_map, where
 
@@ -71,26 +72,7 @@ class Estimator(nn.Module, abc.ABC):
 
         Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.
         """
-        step = clean(sample)
-        coasted, surge = self.predict(state, step.inputs)
-        target = torch.where(step.learns, step.surge, surge.detach())
-        learned = self.update(state, step.inputs, target)
-        started = self.start(state, step.surge)
-
-        def choose(learned: Tensor, coasted: Tensor, started: Tensor, held: Tensor) -> Tensor:
-            return where(step.learns, learned, where(step.steps, coasted, where(step.starts, started, held)))
-
-        return tree_map(choose, learned, coasted, started, state), torch.where(step.steps, surge, math.nan)
-
-
-def described(part: Any) -> dict[str, Any] | None:
-    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing.
-
-    >>> from usvlearn import Persistence
-    >>> described(Persistence())["kind"]
-    'persistence'
-    """
-    return part.kernel() if "kernel" in vars(type(part)) else None
+        return _advance(self, state, clean(sample), EVERY)
 
 
 def check_estimator(name: str, value: Any) -> Estimator:
@@ -108,6 +90,18 @@ class Step(NamedTuple):
     steps: Tensor  # bool: predict
     learns: Tensor  # bool: and learn
     starts: Tensor  # bool: take the speed
+
+
+class Kinds(NamedTuple):
+    """Which of the four happens to some lane in a step."""
+
+    learns: bool
+    coasts: bool
+    starts: bool
+    holds: bool
+
+
+EVERY = Kinds(True, True, True, True)
 
 
 def clean(sample: Sample) -> Step:
@@ -128,8 +122,9 @@ def rollout(
     estimator: Estimator,
     state: State,
     samples: Sample,
-    record: Callable[[State], Any] | None = None,
+    record: Record | None = None,
     detach_every: int | None = None,
+    backend: str = "auto",
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator over samples, predicting before learning.
 
@@ -137,14 +132,19 @@ def rollout(
         estimator: any `Estimator`.
         state: the state to start from, leaves `(*batch, ...)`.
         samples: leaves `(time, *batch)`, of the estimator's dtype.
-        record: picks a tree of tensors from each new state (parameters, members' predictions).
+        record: names of leaves of the state (`named_leaves`), or a function that picks a tree of tensors from each new
+            state.
         detach_every: truncates back-propagation every so many steps.
+        backend: "kernel" makes the steps by compiled code, which has no gradients; "torch" by torch; "auto" by
+            compiled code where no gradient is asked for, all is on the CPU, and the estimator has a kernel.
 
     Returns:
-        The last state; the predictions, m/s, `(time, *batch)`; what `record` picked, stacked over time (or None).
+        The last state; the predictions, m/s, `(time, *batch)`; what `record` names or picked, stacked over time (or
+        None).
 
     Raises:
         ShapeError: the samples' dtype or batch does not fit the state.
+        ConfigError: `backend="kernel"` where that cannot be.
 
     >>> from usvlearn import AID, Inputs, Sample
     >>> t = torch.ones(50, dtype=torch.float64)
@@ -155,35 +155,25 @@ def rollout(
     True
     """
     _check(state, samples)
-    learns = clean(samples).learns
-    all_learn = learns.reshape(len(learns), -1).all(1).tolist()
-    predictions, records = [], []
-    for k, sample in enumerate(_unbind(samples)):
-        if detach_every and k % detach_every == 0:
-            state = tree_map(Tensor.detach, state)
-        if all_learn[k]:  # what forward comes to when no lane is masked
-            state, surge = estimator.learn(state, sample.inputs, sample.surge)
-        else:
-            state, surge = estimator(state, sample)
-        predictions.append(surge)
-        if record is not None:
-            records.append(record(state))
-    return state, torch.stack(predictions), (stack(records) if records else None)
+    pick = _picking(record, state)
+    if (description := choose(estimator, state, samples, backend)) is not None:
+        return run(description, state, samples, record, free=False)
+    return _run(estimator, state, clean(samples), pick, detach_every)
 
 
 def simulate(
-    estimator: Estimator, state: State, samples: Sample, record: Callable[[State], Any] | None = None
+    estimator: Estimator, state: State, samples: Sample, record: Record | None = None, backend: str = "auto"
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator free: from the inputs alone, learning nothing; the speed is told where a segment starts.
 
     Args:
-        estimator, state, samples, record: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
+        estimator, state, samples, record, backend: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
 
     Returns:
         As `rollout`. What `record` picks of a step that was not made is of the step before.
 
     Raises:
-        ShapeError: as `rollout`.
+        ShapeError, ConfigError: as `rollout`.
 
     >>> from usvlearn import AID, Inputs, Sample
     >>> t = torch.ones(50, dtype=torch.float64)
@@ -193,25 +183,60 @@ def simulate(
     0.0
     """
     _check(state, samples)
+    pick = _picking(record, state)
+    if (description := choose(estimator, state, samples, backend)) is not None:
+        return run(description, state, samples, record, free=True)
     steps = clean(samples)
-    all_step = steps.steps.reshape(len(steps.steps), -1).all(1).tolist()
+    return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
+
+
+def _run(estimator: Estimator, state: State, steps: Step, pick: Callable | None, detach_every: int | None = None):
+    """All steps by torch; leaves of `steps` are `(time, *batch)`."""
+    holds = ~(steps.steps | steps.starts)
+    kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
+    some = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1).tolist()
     predictions, records = [], []
     for k, step in enumerate(_unbind(steps)):
-        coasted, surge = estimator.predict(state, step.inputs)
-        if all_step[k]:
-            state = coasted
-        else:
-            state = tree_map(
-                lambda coasted, started, held, step=step: where(step.steps, coasted, where(step.starts, started, held)),
-                coasted,
-                estimator.start(state, step.surge),
-                state,
-            )
-            surge = torch.where(step.steps, surge, math.nan)
+        if detach_every and k % detach_every == 0:
+            state = tree_map(Tensor.detach, state)
+        state, surge = _advance(estimator, state, step, Kinds(*some[k]))
         predictions.append(surge)
-        if record is not None:
-            records.append(record(state))
+        if pick is not None:
+            records.append(pick(state))
     return state, torch.stack(predictions), (stack(records) if records else None)
+
+
+def _advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tuple[State, Tensor]:
+    """`Estimator.forward` of a clean sample, without what happens in no lane."""
+    if some == Kinds(learns=True, coasts=False, starts=False, holds=False):
+        return estimator.learn(state, step.inputs, step.surge)
+    layers = [(None, state)] if some.holds else []  # each covers those before it in its lanes, the first is everywhere
+    if some.starts:
+        layers.append((step.starts, estimator.start(state, step.surge)))
+    surge = torch.full_like(step.surge, math.nan)
+    if some.learns or some.coasts:
+        coasted, predicted = estimator.predict(state, step.inputs)
+        surge = torch.where(step.steps, predicted, math.nan)
+        if some.coasts:
+            layers.append((step.steps, coasted))
+        if some.learns:
+            target = torch.where(step.learns, step.surge, predicted.detach())
+            layers.append((step.learns, estimator.update(state, step.inputs, target)))
+    (_, result), *above = layers
+    for mask, tree in above:
+        result = tree_map(lambda new, old, mask=mask: where(mask, new, old), tree, result)
+    return result, surge
+
+
+def _picking(record: Record | None, state: State) -> Callable[[State], Any] | None:
+    """What `record` names or picks, as a function of the state."""
+    if record is None or callable(record):
+        return record
+    leaves = dict(named_leaves(state))
+    if unknown := [name for name in record if name not in leaves]:
+        raise ConfigError(f"record: found {unknown[0]!r}, expected names of the state's leaves: {', '.join(leaves)}")
+    names = tuple(record)
+    return lambda state: {name: leaf for name, leaf in named_leaves(state) if name in names}
 
 
 def stack(trees: Sequence[Any]) -> Any:
@@ -223,11 +248,11 @@ def stack(trees: Sequence[Any]) -> Any:
     return tree_map(lambda *leaves: torch.stack(leaves), *trees)
 
 
-def _unbind(samples: Sample | Step) -> Iterator[Any]:
+def _unbind(steps: Step) -> Iterator[Step]:
     """What belongs to each time, one after the other."""
-    inputs = zip(*(x.unbind(0) for x in samples.inputs), strict=True)
-    for x, *y in zip(inputs, *(y.unbind(0) for y in samples[1:]), strict=True):
-        yield type(samples)(Inputs(*x), *y)
+    inputs = zip(*(x.unbind(0) for x in steps.inputs), strict=True)
+    for x, *y in zip(inputs, *(y.unbind(0) for y in steps[1:]), strict=True):
+        yield Step(Inputs(*x), *y)
 
 
 def _check(state: State, samples: Sample) -> None:

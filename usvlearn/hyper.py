@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -89,8 +90,8 @@ def check_broadcast(module: nn.Module, batch: tuple[int, ...]) -> None:
         if isinstance(part, Positive | UnitInterval):
             shape = tuple(next(part.parameters()).shape)
             try:
-                fits = torch.broadcast_shapes(shape, batch) == torch.Size(batch)
-            except RuntimeError:
+                fits = np.broadcast_shapes(shape, batch) == tuple(batch)
+            except ValueError:
                 fits = False
             if not fits:
                 raise ShapeError(

@@ -1,17 +1,23 @@
-"""Online: an estimator with the state of one vehicle (or of a batch), for a program that just wants to call it."""
+"""Online: an estimator with the state of one vehicle (or of a batch), for a program that just wants to call it.
+
+Imports no torch: `Online.open` goes on from a checkpoint by the compiled kernels alone, aboard a small computer.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from usvlearn import checkpoint
-from usvlearn.estimator import Estimator
-from usvlearn.signals import Inputs, Sample, named_leaves, tree_map
+from usvlearn.errors import CheckpointError
+from usvlearn.kernels import compilable
+from usvlearn.signals import Inputs, Sample, named_leaves
+
+if TYPE_CHECKING:
+    from usvlearn.estimator import Estimator
 
 
 class Online:
@@ -20,49 +26,81 @@ class Online:
     Args:
         estimator: any `Estimator`.
         batch: `()` for one vehicle.
+        backend: "kernel", "torch", or "auto", as of `rollout`.
 
     Attributes:
-        state: the estimator's state, to read, or to set from elsewhere.
+        state: the estimator's state, a copy, or to set from elsewhere; after `open` a dict of arrays by dotted name.
+        names: of the predictions in the state's leaf `predictions`, where the estimator is an ensemble.
+
+    Raises:
+        ConfigError: `backend="kernel"` for an estimator that has none.
 
     >>> from usvlearn import AID
     >>> online = Online(AID(mass=28.0))
     >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
     >>> for speed in (0.1, 0.2, 0.3):
     ...     predicted = online.step(Sample(inputs, surge=speed, fresh=True, measured=True))
-    >>> bool(0.2 < online.predict(inputs) < 0.5)
+    >>> 0.2 < online.predict(inputs) < 0.5
     True
     """
 
-    def __init__(self, estimator: Estimator, batch: Sequence[int] = ()):
-        self.estimator = estimator
-        self.state: Any = tree_map(Tensor.detach, estimator.init(batch))
-        self._like = next(leaf for _, leaf in named_leaves(self.state) if leaf.is_floating_point())
+    def __init__(self, estimator: Estimator, batch: Sequence[int] = (), backend: str = "auto"):
+        from usvlearn.backend import Stepper, described, live
 
-    @torch.no_grad()
-    def predict(self, inputs: Inputs) -> Tensor:
+        self._template = Stepper(estimator, batch)  # torch's steps, and the shape of the state
+        self._name, self._description = type(estimator).__name__, described(estimator)
+        self._live = live(estimator, self._template.state, backend) or self._template
+
+    @classmethod
+    def open(cls, path: str | Path) -> Online:
+        """Go on from a checkpoint (the newest readable one where `path` is a folder), by the kernels, without torch.
+
+        Raises:
+            CheckpointError: it cannot be read, or does not say how its estimator is built.
+        """
+        leaves, facts = (checkpoint.load_newest if Path(path).is_dir() else checkpoint.load)(path)
+        if not compilable(facts.get("kernel")):
+            raise CheckpointError(
+                f"{path}: does not say how its estimator is built, or that has no compiled kernel: use "
+                "Online(ESTIMATOR).load(path), with torch"
+            )
+        from usvlearn.kernels.live import Live
+
+        self = cls.__new__(cls)
+        self._template, self._name, self._description = None, facts["estimator"], facts["kernel"]
+        self._live = Live(self._description, leaves)
+        return self
+
+    @property
+    def state(self) -> Any:
+        leaves = self._live.leaves
+        return leaves if self._template is None else self._template.tree(leaves)
+
+    @state.setter
+    def state(self, state: Any) -> None:
+        self._live.leaves = {name: checkpoint.as_array(leaf) for name, leaf in named_leaves(state)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        if self._template is not None:
+            return getattr(self._template.estimator, "names", ())
+        return (*self._description.get("columns", ()), *self._description.get("rules", ()))
+
+    def predict(self, inputs: Inputs) -> float | np.ndarray:
         """The predicted surge at the end of the step, m/s; nothing is learned."""
-        return self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[1]
+        return self._live.predict(inputs)
 
-    @torch.no_grad()
-    def step(self, sample: Sample) -> Tensor:
+    def step(self, sample: Sample) -> float | np.ndarray:
         """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s."""
-        inputs, surge, fresh, measured = sample
-        sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
-        self.state, predicted = self.estimator(self.state, sample)
-        return predicted
+        return self._live.step(sample)
 
     def save(self, path: str | Path, **metadata: Any) -> Path:
-        """Save the state; see `usvlearn.checkpoint.save`."""
-        return checkpoint.save(path, self.state, estimator=type(self.estimator).__name__, **metadata)
+        """Save the state, and how the estimator is built; see `usvlearn.checkpoint.save`."""
+        facts = {"estimator": self._name, "kernel": self._description} | metadata
+        return checkpoint.save(path, self.state, **facts)
 
     def load(self, path: str | Path) -> dict[str, Any]:
         """Go on from a saved state (the newest readable one where `path` is a folder); returns its metadata."""
         restore = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
-        self.state, metadata = restore(path, self.state, type(self.estimator).__name__)
+        self.state, metadata = restore(path, self.state, self._name)
         return metadata
-
-    def _float(self, value) -> Tensor:
-        return torch.as_tensor(value, dtype=self._like.dtype, device=self._like.device)
-
-    def _bool(self, value) -> Tensor:
-        return torch.as_tensor(value, dtype=torch.bool, device=self._like.device)

@@ -44,9 +44,11 @@ class Board:
         self._writer = SummaryWriter(str(folder), max_queue=1000, flush_secs=30)
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:
-        """One point of each curve `prefix/name`."""
-        for name, value in values.items():
-            self._writer.add_scalar(f"{prefix}/{name}", value, step)
+        """One point of each curve `prefix/name`, all in one record: a record each takes ten times as long."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        points = [Summary.Value(tag=f"{prefix}/{name}", simple_value=value) for name, value in values.items()]
+        self._writer.file_writer.add_summary(Summary(value=points), step)
 
     def charts(self, pages: Mapping[str, Mapping[str, list[str]]]) -> None:
         """What the CUSTOM SCALARS page draws together: page -> chart -> tags."""
@@ -59,6 +61,14 @@ class Board:
     def figure(self, tag: str, figure, step: int) -> None:
         """A matplotlib figure."""
         self._writer.add_figure(tag, figure, step)
+
+    def image(self, tag: str, png: bytes) -> None:
+        """A picture that has been drawn already."""
+        from tensorboard.compat.proto.summary_pb2 import Summary
+
+        width, height = (int.from_bytes(png[at : at + 4]) for at in (16, 20))  # of the header, whose place is fixed
+        image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
+        self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), 0)
 
     def text(self, tag: str, markdown: str) -> None:
         """A text, for the TEXT page."""

@@ -46,8 +46,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from usvlearn.backend import described
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
-from usvlearn.estimator import Estimator, described
+from usvlearn.estimator import Estimator
 from usvlearn.estimators.mass import known_rows, recover_mass
 from usvlearn.estimators.regressors import SurgeDynamics
 from usvlearn.hyper import Positive, as_tensor, check_broadcast, numbers
@@ -185,9 +186,10 @@ class AID(Estimator):
     def kernel(self) -> dict[str, Any] | None:
         if (terms := described(self.model)) is None:
             return None
+        leak = self.leak if self.feedback == "estimate" else 1.0
         values = numbers(
-            scale=self.model.scale, surge_max=self.surge_max, gain=self.gain, dead_zone=self.dead_zone,
-            leak=self.leak if self.feedback == "estimate" else 1.0, floor=self.floor, sigma=self.sigma, bound=self.bound,
+            scale=self.model.scale, surge_max=self.surge_max, gain=self.gain, leak=leak, dead_zone=self.dead_zone,
+            floor=self.floor, sigma=self.sigma, bound=self.bound,
         )  # fmt: skip
         vectors = numbers(
             spread=self.spread, inverse_spread=self.inverse_spread, theta0=self.theta0, lower=self.lower,

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from usvlearn.backend import described
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, check_estimator, described
+from usvlearn.estimator import Estimator, check_estimator
 from usvlearn.estimators import monitors
 from usvlearn.estimators.combiners import Average, Combiner
 from usvlearn.estimators.conformal import ConformalState, conformal_kernel, conformal_start, conformal_step

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from usvlearn.backend import described
 from usvlearn.errors import check_positive
-from usvlearn.estimator import Estimator, check_estimator, described
+from usvlearn.estimator import Estimator, check_estimator
 from usvlearn.estimators.regressors import MemoryInputs
 from usvlearn.hyper import numbers
 from usvlearn.signals import Inputs, named_leaves

@@ -149,9 +149,9 @@ def kernel(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, flo
     innovations = {"huber": HUBER, "huber_mean": HUBER_MEAN, "huber_rate": HUBER_RATE, "least_scale": LEAST_SCALE**2}
     return innovations | {
         "innovation_memory": memory, "yaw_memory": YAW_MEMORY, "yaw_ridge": YAW_RIDGE, "yaw_floor": YAW_FLOOR**2,
-        "yaw_rate": YAW_RATE, "knee": KNEE, "yaw_spread": YAW_SPREAD, "loss": LOSS, "horizon": HORIZON, "misfit": MISFIT,
-        "clip": CLIP, "effect": EFFECT, "calm": CALM, "threshold": threshold, "backwards": BACKWARDS, "doubt": DOUBT,
-        "cleared": CLEARED,
+        "yaw_rate": YAW_RATE, "knee": KNEE, "yaw_spread": YAW_SPREAD, "loss": LOSS, "horizon": HORIZON,
+        "misfit": MISFIT, "clip": CLIP, "effect": EFFECT, "calm": CALM, "threshold": threshold, "backwards": BACKWARDS,
+        "doubt": DOUBT, "cleared": CLEARED,
     }  # fmt: skip
 
 

@@ -24,8 +24,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.backend import described
 from usvlearn.errors import ConfigError
-from usvlearn.estimator import Estimator, described
+from usvlearn.estimator import Estimator
 from usvlearn.estimators.rls import LeastSquares, RLSState
 from usvlearn.signals import Inputs
 

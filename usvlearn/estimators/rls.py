@@ -26,8 +26,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from usvlearn.backend import described
 from usvlearn.errors import check_choice, check_positive
-from usvlearn.estimator import Estimator, described
+from usvlearn.estimator import Estimator
 from usvlearn.estimators.monitors import excitation_report
 from usvlearn.estimators.regressors import QuasiStatic
 from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
@@ -173,7 +174,10 @@ class LeastSquares(Estimator):
         """`kernel` of a kind, whose numbers are `own`."""
         if (terms := described(self.model)) is None:
             return None
-        scale, limits = self.model.scale, {"loosest": LOOSEST, "noise_share": NOISE_SHARE, "noise_least": NOISE_LEAST**2}
+        scale, limits = (
+            self.model.scale,
+            {"loosest": LOOSEST, "noise_share": NOISE_SHARE, "noise_least": NOISE_LEAST**2},
+        )
         prior = len(self.model.names) * self.covariance() * scale**2
         none = {"forgetting": 1.0, "trace_max": 0.0, "memory": 1.0, "longest": 0.0, "floor": 0.0}
         values = numbers(scale=scale, surge_max=self.surge_max, prior=prior, **limits, **(none | own))

@@ -25,8 +25,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from usvlearn.backend import described
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, check_estimator, described
+from usvlearn.estimator import Estimator, check_estimator
 from usvlearn.hyper import Positive, check_broadcast, numbers
 from usvlearn.signals import Inputs, named_leaves, tree_map, where
 

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from usvlearn.backend import choose, free_totals
 from usvlearn.estimator import clean, simulate
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
@@ -70,6 +71,7 @@ def cross_validate(
     runs: Sequence[Sample],
     lanes: int = LANES,
     advance: Callable[[int], object] = lambda steps: None,
+    backend: str = "auto",
 ) -> FreeErrors:
     """Simulate every parameter set free on every run.
 
@@ -79,6 +81,10 @@ def cross_validate(
         runs: samples of one run each, leaves `(time,)`, NumPy arrays or tensors.
         lanes: simulations in a batch, at most, or all sets on one run.
         advance: is told of measured steps done, over all lanes, for a progress bar.
+        backend: "kernel", "torch" or "auto", as of `rollout`.
+
+    Raises:
+        ConfigError: as `rollout`.
 
     >>> from usvlearn import AID, Persistence
     >>> t = torch.ones(5, dtype=torch.float64)
@@ -97,7 +103,7 @@ def cross_validate(
     at_once = max(1, lanes // sets)
     for first in range(0, len(runs), at_once):
         some = order[first : first + at_once]  # of nearly the same length
-        absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance)
+        absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance, backend)
         found.steps[some] = steps
         with np.errstate(invalid="ignore"):
             found.mae[:, some], found.mse[:, some] = absolute / steps[:, None], square / steps[:, None]
@@ -105,18 +111,24 @@ def cross_validate(
     return found
 
 
-def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object]):
+def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object], backend: str):
     """Sums of |error| and error², `(sets, runs, methods)`, which simulations diverged, and the runs' measured steps."""
     dtype, sets = state.predictions.dtype, state.predictions.shape[0]
     samples = _side_by_side(runs, dtype)  # (time, runs)
     batch = (sets, len(runs))
     state = tree_map(lambda x: x[:, None].expand(*batch, *x.shape[1:]), state)
     weights, learning = state.combiners, _learning(ensemble)
-    total = [0.0, 0.0, False]
     scored = clean(samples).learns.to(dtype).sum(0).numpy()
+    whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
+    if (description := choose(ensemble, state, whole, backend)) is not None:
+        rules = [list(ensemble.combiners).index(name) for name in learning]
+        totals = free_totals(description, state, whole, rules)
+        advance(scored.sum().item() * sets)
+        return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
+    total = [0.0, 0.0, False]
     for begin in range(0, len(samples.surge), CHUNK):
-        part = tree_map(lambda x, b=begin: x[b : b + CHUNK, None].expand(-1, *batch), samples)
-        state, _, published = simulate(ensemble, state, part, record=lambda s: s.predictions)
+        part = tree_map(lambda x, b=begin: x[b : b + CHUNK], whole)
+        state, _, published = simulate(ensemble, state, part, lambda s: s.predictions, backend="torch")
         step = clean(part)
         if learning:
             weights, combined = _reweighed(ensemble, weights, published, step, learning)

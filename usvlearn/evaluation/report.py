@@ -76,6 +76,7 @@ def write_report(
     drawings = {drawn.name: _drawing(drawn) for section in sections for drawn in section.figures}
     for old in _written(folder):
         (folder / old).unlink(missing_ok=True)
+    images = {name: png for name, (_, _, png) in drawings.items()}
     for name, (inline, whole, png) in drawings.items():
         write_atomically(folder / "figures" / f"{name}.svg", whole)
         write_atomically(folder / "figures" / f"{name}.png", png)
@@ -89,7 +90,7 @@ def write_report(
         for section in sections:
             board.text(f"report/{section.key}", _section_markdown(section, files=False))
             for drawn in section.figures:
-                board.figure(f"report/{drawn.name}", drawn.figure, 0)
+                board.image(f"report/{drawn.name}", images[drawn.name])
     if errors:
         content = io.BytesIO()
         named = {f"{boat}_{name}": x for boat, found in errors.items() for name, x in found._asdict().items()}
@@ -131,14 +132,17 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
     """As SVG for the page, which follows its theme; as SVG and PNG for themselves."""
     from matplotlib import rc_context
 
+    drawn.figure.draw_without_rendering()  # once: "tight" would lay the figure out anew for each file
+    box = drawn.figure.get_tightbbox().padded(0.05)
+
     def saved(**options: Any) -> bytes:
         content = io.BytesIO()
-        drawn.figure.savefig(content, bbox_inches="tight", pad_inches=0.05, **options)
+        drawn.figure.savefig(content, bbox_inches=box, **options)
         return content.getvalue()
 
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": drawn.name}):
         inline = saved(format="svg", transparent=True, metadata={"Date": None}).decode()
-        whole = saved(format="svg", facecolor="white", metadata={"Date": None})
+    whole = re.sub("(<svg[^>]*>)", r'\1<rect width="100%" height="100%" fill="white"/>', inline, count=1).encode()
     png = saved(format="png", dpi=150, facecolor="white")
     inline = inline[inline.index("<svg") :]
     inline = re.sub(r'<metadata>.*?</metadata>| id="image\w+"', "", inline, flags=re.DOTALL)  # equal images, equal ids

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
-from usvlearn.kernels.regressors import clamp, dot
+from usvlearn.compiled import kernel
+from usvlearn.kernels.arrays import clamp, dot
 
 AID_NUMBERS = ("scale", "surge_max", "gain", "leak", "dead_zone", "floor", "sigma", "bound")
 SCALE, SURGE_MAX, GAIN, LEAK, DEAD_ZONE, FLOOR, SIGMA, BOUND = range(8)

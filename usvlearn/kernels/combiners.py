@@ -5,8 +5,8 @@ A rule sees x: the predictions of its members, NaN where one sleeps.
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
-from usvlearn.kernels.regressors import clamp, dot
+from usvlearn.compiled import kernel
+from usvlearn.kernels.arrays import clamp, dot, fill
 from usvlearn.kernels.rls import forget, rotated
 
 RULES = ("average", "fixed", "recursive", "exponential", "boa")
@@ -90,7 +90,7 @@ def learn_rule(row, s, q, x, asleep, surge, dt, work):
         forget(weights, factor, f, innovation, q[FORGETTING], q[TRACE_MAX], work[m : 2 * m], work[2 * m : 3 * m])
     if kind == EXPONENTIAL or kind == BOA:
         if asleep:
-            x[:m] = surge
+            fill(x[:m], surge)
         kept = np.exp(-dt / q[MEMORY])
         if kind == EXPONENTIAL:
             learn_exponential(s, q, x, m, row[SQUARE], surge, kept, work)

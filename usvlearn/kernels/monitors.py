@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
-from usvlearn.kernels.regressors import DT, LEFT, RIGHT, YAW_RATE, clamp
+from usvlearn.compiled import kernel
+from usvlearn.kernels.arrays import clamp
+from usvlearn.kernels.regressors import DT, LEFT, RIGHT, YAW_RATE
 
 MONITOR_NUMBERS = (
     "huber", "huber_mean", "huber_rate", "least_scale", "innovation_memory",

@@ -1,4 +1,4 @@
-"""From what an estimator says of itself to what the kernels interpret: a table, numbers, and the places of a state's leaves.
+"""From what an estimator says of itself to what the kernels interpret: a table, numbers, the places of the leaves.
 
 An estimator describes itself (`Estimator.kernel`) in plain values, which also fit into JSON: its `kind`, `numbers` and
 `vectors` by name (hyperparameters broadcast against the batch), what kind of choices were made, and what it wraps.
@@ -6,7 +6,9 @@ An estimator describes itself (`Estimator.kernel`) in plain values, which also f
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,6 +43,16 @@ def fields(kind: str, size: int) -> dict[str, tuple[int, ...]]:
     if kind == "rnn":
         return rnn.rnn_fields(size)
     return dict.fromkeys(step.PERSISTENCE_FIELDS if kind == "persistence" else step.ACCELERATION_FIELDS, ())
+
+
+def plan_for(description: Description, batch: Sequence[int], dtype: np.dtype) -> Plan:
+    """`Plan`, made once: a replay asks for the same one chunk after chunk."""
+    return _plan(json.dumps(description), tuple(batch), np.dtype(dtype))
+
+
+@lru_cache(maxsize=8)
+def _plan(description: str, batch: tuple[int, ...], dtype: np.dtype) -> Plan:
+    return Plan(json.loads(description), batch, dtype)
 
 
 class Plan:
@@ -92,24 +104,27 @@ class Plan:
         self.numbers = np.empty((lanes, len(self._columns)), self.dtype)
         for place, column in enumerate(self._columns):
             self.numbers[:, place] = column
-
-    def empty(self) -> np.ndarray:
-        """States, `(lanes, size)`."""
-        return np.empty((self.lanes, self.size), self.dtype)
+        item = self.dtype.itemsize
+        rows = [item * self.size * int(np.prod(self.batch[k + 1 :], dtype=int)) for k in range(len(self.batch))]
+        self._layout = {
+            name: ((*self.batch, *leaf.shape), item * leaf.place, (*rows, *(item * x for x in leaf.strides)))
+            for name, leaf in self.leaves.items()
+        }
 
     def pack(self, leaves: Mapping[str, np.ndarray]) -> np.ndarray:
         """States, `(lanes, size)`, from leaves `(*batch, …)` by dotted name."""
-        states = self.empty()
+        states = np.empty((self.lanes, self.size), self.dtype)
         for name, view in self._views(states).items():
             view[...] = leaves[name]
         return states
 
     def unpack(self, states: np.ndarray) -> dict[str, np.ndarray]:
         """Leaves `(*batch, …)` by dotted name: views of the states, but for those that are bool."""
-        return {
-            name: view.astype(bool) if name.rpartition(".")[2] in FLAGS else view
-            for name, view in self._views(states).items()
-        }
+        return {name: self.typed(name, view) for name, view in self._views(states).items()}
+
+    def typed(self, name: str, array: np.ndarray) -> np.ndarray:
+        """What the kernels have of a leaf, as bool where the leaf is."""
+        return array.astype(bool) if name.rpartition(".")[2] in FLAGS else array
 
     def places(self, name: str) -> np.ndarray:
         """Where the numbers of a leaf stand in a lane's row, in its shape."""
@@ -120,13 +135,9 @@ class Plan:
         return found
 
     def _views(self, states: np.ndarray) -> dict[str, np.ndarray]:
-        item = states.itemsize
-        batch_strides = [int(np.prod(self.batch[k + 1 :], dtype=int)) * states.strides[0] for k in range(len(self.batch))]
         return {
-            name: np.lib.stride_tricks.as_strided(
-                states[:, leaf.place :], (*self.batch, *leaf.shape), (*batch_strides, *(item * x for x in leaf.strides))
-            )
-            for name, leaf in self.leaves.items()
+            name: np.ndarray(shape, self.dtype, states, offset, strides)
+            for name, (shape, offset, strides) in self._layout.items()
         }
 
     def _place(self, fields: Mapping[str, tuple[int, ...]], prefix: str) -> int:
@@ -195,11 +206,15 @@ class Plan:
         if "memory" in wrappers:
             wrapper, own = wrappers["memory"]
             row[step.MEMORY_STATE] = self._place(dict.fromkeys(step.MEMORY_FIELDS, ()), own)
-            row[step.MEMORY_NUMBERS] = self._values([wrapper["numbers"][key] for key in step.MEMORY_PARAMETERS], own, setting)
+            row[step.MEMORY_NUMBERS] = self._values(
+                [wrapper["numbers"][key] for key in step.MEMORY_PARAMETERS], own, setting
+            )
         if "robust" in wrappers:
             wrapper, own = wrappers["robust"]
             row[step.ROBUST_STATE] = self._place(dict.fromkeys(step.ROBUST_FIELDS, ()), own)
-            row[step.ROBUST_NUMBERS] = self._values([wrapper["numbers"][key] for key in step.ROBUST_PARAMETERS], own, setting)
+            row[step.ROBUST_NUMBERS] = self._values(
+                [wrapper["numbers"][key] for key in step.ROBUST_PARAMETERS], own, setting
+            )
             row[step.OUTER] = int(order[0] == "robust")
         self._rows.append(row)
         needed = 4 + 16 * size if kind == "rnn" else 12 * size + 2 * size * size

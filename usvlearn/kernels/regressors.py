@@ -1,8 +1,6 @@
 """The regressors of `usvlearn.estimators.regressors`, written into an array."""
 
-import numpy as np
-
-from usvlearn.kernels.compiled import kernel
+from usvlearn.compiled import kernel
 
 # Places in the inputs of a step; the last three are what `WithMemory` adds.
 LEFT, RIGHT, SIN, COS, YAW_RATE, DT, SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(9)
@@ -31,27 +29,3 @@ def regressor(terms, surge, x, scale, phi):
     if terms & AMBIENT:
         phi[place], phi[place + 1], phi[place + 2] = step, step * x[SIN], step * x[COS]
     return surge
-
-
-@kernel
-def dot(x, y):
-    """Σ x_i y_i."""
-    total = x[0] * y[0]
-    for i in range(1, len(x)):
-        total += x[i] * y[i]
-    return total
-
-
-@kernel
-def clamp(x, limit):
-    """x between −limit and limit; NaN stays."""
-    return limit if x > limit else (-limit if x < -limit else x)
-
-
-@kernel
-def finite(block):
-    """Whether a sum is finite, as it is where all its terms are, short of 1e308."""
-    total = 0.0 * block[0]
-    for i in range(len(block)):
-        total += block[i]
-    return np.isfinite(total)

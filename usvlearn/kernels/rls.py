@@ -6,12 +6,12 @@ w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What 
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
-from usvlearn.kernels.regressors import clamp, dot
+from usvlearn.compiled import kernel
+from usvlearn.kernels.arrays import clamp, copy, dot, fill
 
 RLS_NUMBERS = (
-    "scale", "surge_max", "prior", "loosest", "noise_share", "noise_least", "forgetting", "trace_max", "memory", "longest",
-    "floor",
+    "scale", "surge_max", "prior", "loosest", "noise_share", "noise_least", "forgetting", "trace_max", "memory",
+    "longest", "floor",
 )  # fmt: skip
 SCALE, SURGE_MAX, PRIOR, LOOSEST, NOISE_SHARE, NOISE_LEAST, FORGETTING, TRACE_MAX, TAU, LONGEST, FLOOR = range(11)
 
@@ -24,7 +24,7 @@ def rls_fields(p):
 @kernel
 def rotated(S, phi, f):
     """f = Sᵀφ; returns fᵀf."""
-    f[:] = 0.0
+    fill(f, 0.0)
     for i in range(len(phi)):
         for j in range(i + 1):
             f[j] += S[i, j] * phi[i]
@@ -145,7 +145,9 @@ def loosen_least_squares(block, p, q, factor):
     S = block[p : p + p * p]
     limit = q[LOOSEST] * q[PRIOR] / dot(S, S)
     limit = 1.0 if limit < 1.0 else limit
-    S *= np.sqrt(limit if factor > limit else factor)
+    growth = np.sqrt(limit if factor > limit else factor)
+    for i in range(len(S)):
+        S[i] *= growth
 
 
 @kernel
@@ -212,7 +214,7 @@ def project_signs(theta, S, signs, iterations, work):
             for c in range(n):
                 A[a, c] = Q[int(active[a]), int(active[c])]
         solve(A, b, n)
-        mu[:] = 0.0
+        fill(mu, 0.0)
         for a in range(n):
             mu[int(active[a])] = b[a]
         for a in range(k):
@@ -225,7 +227,7 @@ def project_signs(theta, S, signs, iterations, work):
         solved = solved and t[a] >= -tolerance and mu[a] * Q[a, a] >= -tolerance
     if solved:
         work_column = rest[5 * k + p : 5 * k + 2 * p]
-        work_column[:] = 0.0
+        fill(work_column, 0.0)
         for a in range(k):
             i = int(place[a])
             for j in range(i + 1):
@@ -234,9 +236,9 @@ def project_signs(theta, S, signs, iterations, work):
             moved[i] = theta[i]
             for j in range(i + 1):
                 moved[i] += S[i, j] * work_column[j]
-        theta[:] = moved
+        copy(theta, moved)
     else:
-        t[:] = z
+        copy(t, z)
     for a in range(k):
         i = int(place[a])
         theta[i] = signs[i] * (0.0 if t[a] < 0 else t[a])

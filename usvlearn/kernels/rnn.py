@@ -5,8 +5,9 @@ The weights lie in the order of the gradient: a, w1, W2 row by row, b.
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
-from usvlearn.kernels.regressors import COS, DT, LEFT, RIGHT, SIN, clamp
+from usvlearn.compiled import kernel
+from usvlearn.kernels.arrays import clamp, copy
+from usvlearn.kernels.regressors import COS, DT, LEFT, RIGHT, SIN
 from usvlearn.kernels.stable import NONE, project
 
 RNN_NUMBERS = (
@@ -114,7 +115,7 @@ def adam(weights, moment1, moment2, grad, q, updates):
         for i in range(len(grad)):
             moment1[i] += (1 - momentum) * (grad[i] - moment1[i])
     else:
-        moment1[:] = grad
+        copy(moment1, grad)
     correction = 1.0 / (1 - q[BETA2] ** count)
     ratios = q[RATIOS : RATIOS + len(grad)]
     for i in range(len(grad)):
@@ -164,6 +165,6 @@ def learn_rnn(block, n, q, condition, best, unroll, feedback, x, surge, target, 
     rest[UPDATES] += 1
     rest[SURGE_BEFORE] = rest[SURGE]
     rest[SURGE] = clamp(surge, 2 * q[SURGE_MAX]) if feedback else target
-    rest[INPUTS_BEFORE : INPUTS_BEFORE + 4] = u
+    copy(rest[INPUTS_BEFORE : INPUTS_BEFORE + 4], u)
     rest[LAST_DT] = x[DT]
     rest[UNBROKEN] = 1.0

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.compiled import announced
-from usvlearn.kernels.plan import Description, Plan
+from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Sample, named_leaves, tree_map
 
 
@@ -41,9 +41,8 @@ def roll(
         threads: lanes are shared among so many.
     """
     steps, *batch = samples.surge.shape
-    plan = Plan(description, batch, samples.surge.dtype)
+    plan = plan_for(description, batch, samples.surge.dtype)
     states = plan.pack(leaves)
-    rows, columns = prepared(samples, plan.dtype)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
     predictions = np.empty((plan.lanes, steps), plan.dtype)
@@ -53,11 +52,13 @@ def roll(
         work = np.empty(plan.work, plan.dtype)
         step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
 
-    in_parallel(some, plan.lanes, threads, f"run-{plan.dtype}")
+    with announced(__file__, f"kernels of runs, {plan.dtype}"):
+        rows, columns = prepared(samples, plan.dtype)
+        in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
-        kept[name] = np.moveaxis(part, len(batch), 0)
+        kept[name] = plan.typed(name, np.moveaxis(part, len(batch), 0))
         begin += place.size
     return Result(plan.unpack(states), np.moveaxis(predictions.reshape(*batch, steps), -1, 0), kept)
 
@@ -75,18 +76,16 @@ def prepared(samples: Sample, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
     inputs, *rest = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
     rows = np.empty((count, steps, step.ROW), dtype)
-    with announced(f"prepare-{dtype}"):
-        step.prepare_all(*inputs, *rest, rows)
+    step.prepare_all(*inputs, *rest, rows)
     return rows, np.broadcast_to(np.arange(count).reshape(own), batch).reshape(-1)
 
 
-def in_parallel(work, lanes: int, threads: int, name: str) -> None:
+def in_parallel(work: Callable[[int, int], None], lanes: int, threads: int) -> None:
     """Call `work(first, last)` over all lanes, on so many threads; kernels do not hold the GIL."""
-    with announced(name):
-        if threads <= 1 or lanes == 1:
-            work(0, lanes)
-            return
-        work(0, 1)  # compiles, where it is the first
-        edges = np.linspace(1, lanes, min(threads * 4, lanes - 1) + 1).astype(int)
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(work, edges[:-1], edges[1:]))
+    if threads <= 1 or lanes == 1:
+        work(0, lanes)
+        return
+    work(0, 1)  # compiles, where it is the first
+    edges = np.linspace(1, lanes, min(threads * 4, lanes - 1) + 1).astype(int)
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, edges[:-1], edges[1:]))

@@ -6,7 +6,7 @@ zero leave the sums until none does, which takes a few passes and no memory.
 
 import numpy as np
 
-from usvlearn.kernels.compiled import kernel
+from usvlearn.compiled import kernel
 
 CONDITIONS = ("none", "simple", "gershgorin", "lmi", "tight", "interval")
 NONE, SIMPLE, GERSHGORIN, LMI, TIGHT, INTERVAL = range(6)
@@ -14,7 +14,7 @@ NONE, SIMPLE, GERSHGORIN, LMI, TIGHT, INTERVAL = range(6)
 
 @kernel
 def threshold(a, cost, radius):
-    """θ of (1), and 1/Σ c² of those that do not become zero, by which it falls with the radius; 0, 0 inside the ball."""
+    """θ of (1), and 1/Σ c² of those that do not become zero, by which it falls with the radius; 0, 0 in the ball."""
     theta, slope = 0.0, 0.0
     kept = -1
     while True:

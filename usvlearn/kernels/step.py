@@ -6,11 +6,12 @@ estimator, then one for each rule. `q` holds the numbers that were tuned or are 
 
 import numpy as np
 
+from usvlearn.compiled import kernel
 from usvlearn.kernels.aid import learn_aid
+from usvlearn.kernels.arrays import clamp, copy, dot, fill, finite
 from usvlearn.kernels.combiners import NUMBERS as RULE_NUMBERS
 from usvlearn.kernels.combiners import STATE as RULE_STATE
 from usvlearn.kernels.combiners import combine, conformal, learn_rule, waken
-from usvlearn.kernels.compiled import kernel
 from usvlearn.kernels.monitors import observe_innovations, observe_thrusters
 from usvlearn.kernels.regressors import (
     DT,
@@ -21,14 +22,11 @@ from usvlearn.kernels.regressors import (
     RIGHT,
     RIGHT_BEFORE,
     SURGE_DOT,
-    clamp,
-    dot,
-    finite,
     regressor,
 )
 from usvlearn.kernels.rls import coast_least_squares, learn_least_squares, loosen_least_squares, project_signs
-from usvlearn.kernels.rnn import UNBROKEN, coast_rnn, learn_rnn, predict_rnn
 from usvlearn.kernels.rnn import SURGE as RNN_SURGE
+from usvlearn.kernels.rnn import UNBROKEN, coast_rnn, learn_rnn, predict_rnn
 from usvlearn.signals import ABSURD, ABSURD_INPUTS
 
 KINDS = ("rls", "sift", "aid", "rnn", "persistence", "acceleration")
@@ -75,7 +73,7 @@ def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, row):
         row[0], row[1], row[2], row[3], row[4], row[5] = left, right, np.sin(heading), np.cos(heading), yaw_rate, dt
         row[MODE] = LEARN if measured and known else PREDICT
     else:
-        row[:SURGE] = 0.0
+        fill(row[:SURGE], 0.0)
         row[MODE] = START if dt == 0 and known else HOLD
     row[SURGE] = surge if known else 0.0
 
@@ -112,9 +110,10 @@ def start(node, s, surge):
 def advance(node, s, q, row, learns, work, kept):
     """One estimator, one step on, its wrappers included; returns what it predicted, m/s."""
     kind, p, at = node[KIND], node[SIZE], node[STATE]
-    numbers, x, rest = q[node[NUMBERS] :], work[:INPUTS], work[INPUTS:]
-    x[:SURGE] = row[:SURGE]
+    numbers, x, rest = q[node[NUMBERS] :], row, work[INPUTS:]
     if node[TERMS] & MEMORY:
+        x = work[:INPUTS]
+        copy(x[:SURGE], row[:SURGE])
         memory = s[node[MEMORY_STATE] : node[MEMORY_STATE] + 7]
         known = memory[KNOWN] > 0
         x[SURGE_DOT] = memory[ACCELERATION_OF]
@@ -143,7 +142,7 @@ def advance(node, s, q, row, learns, work, kept):
     else:
         robust, c = s[node[ROBUST_STATE] :], q[node[ROBUST_NUMBERS] :]
         end = node[ROBUST_STATE] if node[OUTER] or node[MEMORY_STATE] < 0 else node[MEMORY_STATE]
-        kept[: end - at] = s[at:end]
+        copy(kept[: end - at], s[at:end])
         target, beyond, clips, first = within(robust, c, row[SURGE], predicted)
         if first and (kind == RLS or kind == SIFT):
             loosen_least_squares(s[at : at + p + p * p], p, numbers, c[INFLATION])
@@ -208,7 +207,7 @@ def remember(memory, limit, x, surge, learned):
 
 @kernel
 def within(robust, c, surge, predicted):
-    """What `Robust` lets its estimator learn, (1); whether that lies beyond the bound, is clipped, or a change's first."""
+    """What `Robust` lets its estimator learn, (1); whether it is beyond the bound, clipped, or a change's first."""
     innovation = surge - predicted
     bound = c[THRESHOLD] * np.sqrt(robust[VARIANCE])
     beyond = abs(innovation) > bound
@@ -223,7 +222,7 @@ def judge(robust, c, innovation, beyond, clips, first, inner, kept):
     """The scale and the counts of `Robust`, (2); a sample that spoiled the estimator's state is undone."""
     square = innovation * innovation
     if not np.isfinite(square) or (not finite(inner) and finite(kept)):
-        inner[:] = kept
+        copy(inner, kept)
         robust[REJECTED] += 1
         return
     variance, bound = robust[VARIANCE], c[THRESHOLD] * c[THRESHOLD] * robust[VARIANCE]
@@ -234,10 +233,10 @@ def judge(robust, c, innovation, beyond, clips, first, inner, kept):
 
 
 @kernel
-def step(program, s, q, row, work):
+def step(program, s, q, row, mode, work):
     """`Estimator.forward` of a prepared sample, in place; returns the prediction, m/s, NaN where no step was made."""
     whole = program[0]
-    estimators, mode = whole[ESTIMATORS], row[MODE]
+    estimators = whole[ESTIMATORS]
     if mode == HOLD:
         return NAN
     if mode == START:
@@ -269,7 +268,7 @@ def aggregate(program, s, q, predictions, row, learns, work):
         if learns:
             learn_rule(rule, own, numbers, x, asleep, row[SURGE], row[DT], rest)
     halfwidth = s[whole[CONFORMAL] : whole[CONFORMAL] + names]
-    s[whole[HALFWIDTHS] : whole[HALFWIDTHS] + names] = halfwidth
+    copy(s[whole[HALFWIDTHS] : whole[HALFWIDTHS] + names], halfwidth)
     if learns:
         innovation = work[:names]
         for i in range(names):
@@ -294,7 +293,7 @@ def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fr
     """`step` of one sample as it came."""
     row = work[-ROW:]
     prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, row)
-    return step(program, s, q, row, work)
+    return step(program, s, q, row, row[MODE], work)
 
 
 @kernel
@@ -322,13 +321,11 @@ def run(program, states, q, rows, columns, free, picked, predictions, picks, wor
         picks: (lanes, time, picked), is written.
         work: as long as the table's owner says.
     """
-    row = work[-ROW:]
     for lane in range(first, last):
         s, numbers = states[lane], q[lane if len(q) > 1 else 0]
         for k in range(rows.shape[1]):
-            row[:] = rows[columns[lane], k]
-            if free and row[MODE] == LEARN:
-                row[MODE] = PREDICT
-            predictions[lane, k] = step(program, s, numbers, row, work)
+            row = rows[columns[lane], k]
+            mode = PREDICT if free and row[MODE] == LEARN else row[MODE]
+            predictions[lane, k] = step(program, s, numbers, row, mode, work)
             for i in range(len(picked)):
                 picks[lane, k, i] = s[picked[i]]

@@ -22,6 +22,7 @@ class Position(NamedTuple):
 
 
 BEGIN = Position(0, 0)
+THRUSTERS = "monitors.thrusters."  # before the names of a state's leaves
 PUBLISHED = {
     "predictions": "(time, boats, estimators), m/s",
     "halfwidths": "(time, boats, estimators), of their intervals, m/s",
@@ -76,7 +77,8 @@ def replay(
                 continue
             part = tree_map(lambda x, a=done, b=stop: x[a:b], samples)
             with torch.no_grad():
-                state, _, published = rollout(ensemble, state, tensors(part, dtype), record=_published)
+                state, _, kept = rollout(ensemble, state, tensors(part, dtype), record=_recorded(state))
+                published = _published(state, kept)
             stepped = (part.fresh & (part.inputs.dt != 0))[..., None]
             yield Chunk(
                 Position(index, done),
@@ -88,14 +90,20 @@ def replay(
             done = stop
 
 
-def _published(state: EnsembleState) -> dict[str, torch.Tensor]:
-    """What is kept of every step."""
-    kept = {"predictions": state.predictions, "halfwidths": state.halfwidths}
+def _recorded(state: EnsembleState) -> list[str]:
+    """The leaves that are kept of every step."""
+    thrusters = [f"{THRUSTERS}{leaf}" for leaf in ("evidence", "sums", "raised")] if state.monitors else []
+    return ["predictions", "halfwidths", *thrusters]
+
+
+def _published(state: EnsembleState, kept: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """What is published of every step, from the leaves that were kept."""
+    published = {name: kept[name] for name in ("predictions", "halfwidths")}
     if not state.monitors:
-        return kept
-    health = state.monitors.thrusters
-    alarm = health.raised.amax(-1, keepdim=True)
-    return kept | {"thrusters": torch.cat([effectiveness(health)[0], health.evidence, alarm], -1)}
+        return published
+    health = state.monitors.thrusters._replace(evidence=kept[f"{THRUSTERS}evidence"], sums=kept[f"{THRUSTERS}sums"])
+    alarm = kept[f"{THRUSTERS}raised"].amax(-1, keepdim=True)
+    return published | {"thrusters": torch.cat([effectiveness(health)[0], health.evidence, alarm], -1)}
 
 
 def tensors(samples: Sample, dtype: torch.dtype) -> Sample:

@@ -1,11 +1,4 @@
-"""A run's folder: parameter sets and predictions as they come, and how a run goes on from them.
-
-checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
-predictions/RRRRR_SSSSSSS.npz                what was published since the file before, of all boats: predictions,
-                                             half-widths of their intervals, health of the thrusters
-runs.json                                    which runs, of which samples, through which ensemble
-results.json                                 the scores, at the end
-"""
+"""A run's folder: parameter sets and predictions as they come, and how a run goes on from them."""
 
 from __future__ import annotations
 
@@ -16,24 +9,24 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+import usvlearn
 from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
 from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
+from usvlearn.kernels import of_lane
+from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
-
-CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
-TUNING = "tuning.json"  # what tuning leaves in place of a run
-ESTIMATOR = "Ensemble"
 
 
 class Start(NamedTuple):
@@ -44,20 +37,31 @@ class Start(NamedTuple):
     note: str  # for the person who started it
 
 
+class Set(NamedTuple):
+    """A parameter set on its way to the disk."""
+
+    path: Path
+    state: Any  # a tree of arrays, a copy
+    facts: dict[str, Any]
+
+
 class RunFolder:
-    """Saves a replay as it goes, and finds where to go on.
+    """Saves a replay as it goes, and finds where to go on. As a context, it ends when all is written.
 
     Args:
         path: the folder.
         fleet: what is replayed.
-        metadata: JSON values that every checkpoint carries (configuration, version).
+        metadata: JSON values that every checkpoint carries (configuration; `kernel`, how the ensemble is
+            built, of all boats).
     """
 
     def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any]):
-        self.path, self.fleet, self.metadata = Path(path), fleet, dict(metadata)
+        self.path, self.fleet, self.metadata = Path(path), fleet, {"version": usvlearn.__version__, **metadata}
         self._chunks: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]  # what was published, per run
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = BEGIN
+        self._writer = ThreadPoolExecutor(1)
+        self._writing: Future | None = None  # one place behind the replay, at most
         self.state: EnsembleState | None = None  # the newest, leaves (boats, ...)
 
     @property
@@ -100,7 +104,8 @@ class RunFolder:
             start = self._continued(source, start)
         elif resume is not None:  # kept, should the run stop before its first set
             for lane, boat in enumerate(self.fleet.boats):
-                self._save_lane(start.state, lane, boat, BEGIN)
+                first = self._lane_set(start.state, lane, boat, BEGIN)
+                save_checkpoint(first.path, first.state, **first.facts)
         self._saved, self.state = start.position, start.state
         self._forget(start.position)
         write_atomically(self.path / RUNS, json.dumps(self._runs, indent=2).encode())
@@ -113,40 +118,55 @@ class RunFolder:
         self._pending.append(chunk.published)
         if not chunk.save:
             return
-        content = io.BytesIO()
-        np.savez_compressed(content, **_joined(self._pending))
-        folder = self.path / PREDICTIONS
-        folder.mkdir(exist_ok=True)
-        write_atomically(folder / f"{_stem(chunk.end)}.npz", content.getvalue())
-        self._pending.clear()
+        self._wait()
         run = self.fleet.runs[chunk.end.run]
         before = self._saved.step if self._saved.run == chunk.end.run else 0
-        for lane, boat in enumerate(self.fleet.boats):
-            if run.lengths[lane] > before:
-                place = Position(chunk.end.run, min(chunk.end.step, run.lengths[lane]))
-                self._save_lane(chunk.state, lane, boat, place)
-        self._saved = chunk.end
+        sets = [
+            self._lane_set(chunk.state, lane, boat, Position(chunk.end.run, min(chunk.end.step, run.lengths[lane])))
+            for lane, boat in enumerate(self.fleet.boats)
+            if run.lengths[lane] > before
+        ]
+        self._writing = self._writer.submit(self._write, chunk.end, self._pending, sets)
+        self._pending, self._saved = [], chunk.end
+
+    def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
+        """Predictions and sets of one place; a disk is slow, so that the replay goes on meanwhile."""
+        content = io.BytesIO()
+        np.savez_compressed(content, **_joined(published))
+        folder = self.path / PREDICTIONS
+        folder.mkdir(exist_ok=True)
+        write_atomically(folder / f"{_stem(place)}.npz", content.getvalue())
+        for each in sets:
+            save_checkpoint(each.path, each.state, **each.facts)
+
+    def _wait(self) -> None:
+        """Until what was handed on is written; raises what went wrong with it."""
+        if self._writing is not None:
+            writing, self._writing = self._writing, None
+            writing.result()
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._wait()
 
     def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
         """Judge all that was published; returns what stands in `results.json`: scores, alarms, the objective."""
+        self._wait()
         boats = fleet_scores(self.fleet, self.published, ensemble.names)
         found = {"boats": boats, "alarms": alarms(self.fleet, self.published), "rejected": self.fleet.rejected}
         found |= {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
         save_results(self.path, found)
         return found
 
-    def _save_lane(self, state: EnsembleState, lane: int, boat: str, place: Position) -> None:
+    def _lane_set(self, state: EnsembleState, lane: int, boat: str, place: Position) -> Set:
         run = self.fleet.runs[place.run]
-        save_checkpoint(
-            _set(self.path, boat, place),
-            _lane(state, lane),
-            estimator=ESTIMATOR,
-            boat=boat,
-            run=run.names[lane],
-            step=place.step,
-            time=float(run.time[place.step - 1, lane]) if place.step else 0.0,
-            **self.metadata,
-        )
+        time = float(run.time[place.step - 1, lane]) if place.step else 0.0
+        facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[lane], "step": place.step, "time": time}
+        copied = tree_map(lambda leaf: leaf[lane].detach().numpy().copy(), state)
+        built = {"kernel": of_lane(self.metadata.get("kernel"), len(self.fleet.boats), lane)}
+        return Set(_set(self.path, boat, place), copied, facts | self.metadata | built)
 
     @cached_property
     def _runs(self) -> dict[str, Any]:
@@ -288,12 +308,6 @@ def position(path: Path) -> Position | None:
 
 def _stem(place: Position) -> str:
     return f"{place.run:05d}_{place.step:07d}"
-
-
-def save_results(folder: Path, results: Mapping[str, Any]) -> None:
-    """Write `results.json`; NaN, which JSON has not, becomes null."""
-    text = json.dumps(json.loads(json.dumps(results), parse_constant=lambda _: None), indent=2)
-    write_atomically(folder / RESULTS, text.encode())
 
 
 def _set(folder: Path, boat: str, place: Position) -> Path:

@@ -17,16 +17,8 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.learning.run_folder import (
-    CHECKPOINTS,
-    ESTIMATOR,
-    PREDICTIONS,
-    RESULTS,
-    RUNS,
-    TUNING,
-    digest,
-    position,
-)
+from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
+from usvlearn.learning.run_folder import digest, position
 from usvlearn.signals import Fleet, tree_map
 
 

@@ -25,7 +25,7 @@ from usvlearn.errors import ConfigError
 from usvlearn.evaluation.figures import themed
 from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sections.tuning import tuning_section
-from usvlearn.learning.run_folder import RESULTS, RUNS, TUNING
+from usvlearn.learning.layout import RESULTS, RUNS, TUNING
 from usvlearn.learning.saved import results
 
 PLAN, START = "study.json", "start.json"

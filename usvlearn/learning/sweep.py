@@ -9,29 +9,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shlex
 import sys
 import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from importlib.util import find_spec
 from pathlib import Path
-from shutil import which
 from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.errors import ConfigError, MissingExtraError, UsvlearnError, bad_input, one_sentence
+from usvlearn.errors import ConfigError, UsvlearnError, bad_input
 from usvlearn.evaluation.tables import differing, told
-from usvlearn.learning.run_folder import RESULTS, RUNS, save_results
+from usvlearn.learning.layout import RESULTS, RUNS, save_results
 
 JOB, TRACEBACK = "job.json", "traceback.txt"
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-LAUNCHERS = {  # name -> its plugin, and the extra that brings it
-    "basic": None,
-    "joblib": ("hydra_joblib_launcher", "sweep"),
-    **dict.fromkeys(["slurm", "submitit_slurm", "submitit_local"], ("hydra_submitit_launcher", "slurm")),
-}
 
 
 class Job(NamedTuple):
@@ -40,35 +31,6 @@ class Job(NamedTuple):
     folder: Path
     settings: dict[str, str]  # what its command set, by key
     results: dict[str, Any]  # of results.json; {"error": reason} where it failed, {} where it did not finish
-
-
-def check_launcher(arguments: Sequence[str]) -> None:
-    """End with one sentence and code 2 unless the launcher that a command line names is known and installed.
-
-    >>> check_launcher(["-m", "hydra/launcher=basic"])
-    """
-    with one_sentence():
-        _check_launcher(arguments)
-
-
-def _check_launcher(arguments: Sequence[str]) -> None:
-    for argument in arguments:
-        key, _, name = argument.partition("=")
-        if key.lstrip("+") != "hydra/launcher" or name == "basic":
-            continue
-        plugin, extra = LAUNCHERS.get(name) or (f"hydra_{name}_launcher", None)
-        if not (find_spec("hydra_plugins") and find_spec(f"hydra_plugins.{plugin}")):
-            if extra is None:
-                raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}")
-            raise MissingExtraError(plugin.replace("_", "-"), extra, argument)
-        if name.endswith("slurm") and which("srun") is None:
-            raise ConfigError(f"{argument}: found no srun, expected a Slurm cluster: start it there, or take joblib")
-
-
-def prepare_workers(root: Path) -> None:
-    """Let the processes that a launcher starts compute with one thread each, and find the scripts in `root`."""
-    os.environ |= dict.fromkeys(THREADS, "1")
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), os.environ.get("PYTHONPATH")]))
 
 
 def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, Any]) -> None:

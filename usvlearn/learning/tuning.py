@@ -11,11 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import torch
 from rich.console import Console
 from rich.progress import Progress
 
-from usvlearn.errors import ConfigError, check_positive
+from usvlearn.errors import ConfigError
 from usvlearn.estimators.persistence import Persistence
 from usvlearn.estimators.rnn import RNN
 from usvlearn.learning.fit import Fitted, fit
@@ -28,7 +27,9 @@ from usvlearn.learning.lanes import (
     hyperparameter,
     hyperparameters,
 )
-from usvlearn.learning.run_folder import CHECKPOINTS, TUNING, digest
+from usvlearn.learning.launchers import set_threads
+from usvlearn.learning.layout import CHECKPOINTS, TUNING
+from usvlearn.learning.run_folder import digest
 from usvlearn.learning.search import search
 from usvlearn.learning.sensitivities import descend
 from usvlearn.learning.winners import EXPERIMENT, record, report, write
@@ -184,7 +185,7 @@ def tune(
     Returns:
         The best MAE, m/s, mean over boats; infinite where all settings diverge.
     """
-    torch.set_num_threads(max(1, int(check_positive("threads", configuration["threads"]))))
+    set_threads(configuration["threads"])
     asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
     if configuration.get("resume") is not None:
         found = configuration["resume"]

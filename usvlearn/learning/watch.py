@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections import deque
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from usvlearn.errors import MissingExtraError
-from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.estimator import stack
+from usvlearn.estimators.ensemble import Ensemble, EnsembleState
 from usvlearn.estimators.monitors import THRESHOLD
 from usvlearn.estimators.rnn import RNN
 from usvlearn.evaluation.fault_figure import fault_figure
@@ -22,8 +25,10 @@ from usvlearn.tensorboard import Board
 
 PAPER = ("aid", "rls", "rnn")
 WINDOW = 750  # steps over which errors are averaged
-STEPS_PER_POINT = 50  # and boat: a point of all curves costs about what one step costs
-MOST_POINTS = 1000  # of a curve
+STEPS_PER_POINT = 100  # and boat: a point of all curves costs about what so many compiled steps cost
+MOST_POINTS = 500  # of a curve: two or three from one parameter set to the next, over a season
+BATCH = 32  # points, or
+PATIENCE = 2.0  # s, after which they are written: what is shown of many states costs little more than of one
 STEPS_PER_FIGURE = 2500  # of the run: a figure costs what some hundred steps cost
 FIGURE_STEPS = 450  # shown in the figure of predictions
 
@@ -40,6 +45,8 @@ class Watch:
     def __init__(self, folder: str | Path, fleet: Fleet, ensemble: Ensemble):
         self.board, self.fleet, self.ensemble = Board(folder), fleet, ensemble
         self.every = max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))  # steps between points
+        self._points: list[tuple[int, np.ndarray, EnsembleState]] = []  # step, MAE (boats, estimators), state
+        self._written = time.monotonic()
         self._errors: deque[np.ndarray] = deque()  # (time, boats, estimators), the last WINDOW steps or a little more
         charts = {
             boat: {
@@ -63,31 +70,43 @@ class Watch:
         return self
 
     def __exit__(self, *_) -> None:
+        self._write()
         self.board.close()
 
     def show(self, chunk: Chunk) -> None:
-        """One point of every curve."""
+        """One point of every curve, written before long."""
         samples = self.fleet.runs[chunk.end.run].samples
         part = slice(chunk.begin.step, chunk.end.step)
         surge = np.where(samples.measured[part], samples.surge[part], np.nan)
         self._errors.append(np.abs(chunk.predictions - surge[..., None]))
         while sum(map(len, self._errors)) - len(self._errors[0]) >= WINDOW:
             self._errors.popleft()
-        step = self.fleet.steps_before(*chunk.end)
         errors = np.concatenate(self._errors)
         seen = np.isfinite(errors)
         counts = np.where(seen.any(0), seen.sum(0), np.nan)
-        mae = np.where(seen, errors, 0.0).sum(0) / counts  # (boats, estimators)
-        names = self.ensemble.names
-        numbers = {key: value.tolist() for key, value in self.ensemble.monitor(chunk.state).items()}
-        for lane, boat in enumerate(self.fleet.boats):
-            if not seen[:, lane].any():
-                continue
-            row = dict(zip(names, mae[lane].tolist(), strict=True))
-            self.board.scalars(f"online/mae/{boat}", row, step)
-            if base := row.get(PERSISTENCE):
-                self.board.scalars(f"online/skill/{boat}", {name: 1 - x / base for name, x in row.items()}, step)
-            self.board.scalars(f"state/{boat}", {key: value[lane] for key, value in numbers.items()}, step)
+        mae = np.where(seen, errors, 0.0).sum(0) / counts
+        self._points.append((self.fleet.steps_before(*chunk.end), mae, chunk.state))
+        if len(self._points) == BATCH or time.monotonic() - self._written > PATIENCE:
+            self._write()
+
+    def _write(self) -> None:
+        """Write the points that are due, of boats whose speed was measured."""
+        if self._points:
+            names = self.ensemble.names
+            with torch.no_grad():
+                found = self.ensemble.monitor(stack([state for _, _, state in self._points]))
+                state = torch.stack([x.double() for x in found.values()], -1).tolist()  # points, boats, numbers
+            for k, (step, mae, _) in enumerate(self._points):
+                for lane, boat in enumerate(self.fleet.boats):
+                    if np.isfinite(mae[lane]).any():
+                        row = dict(zip(names, mae[lane].tolist(), strict=True))
+                        self.board.scalars(f"online/mae/{boat}", row, step)
+                        if base := row.get(PERSISTENCE):
+                            skill = {name: 1 - x / base for name, x in row.items()}
+                            self.board.scalars(f"online/skill/{boat}", skill, step)
+                        self.board.scalars(f"state/{boat}", dict(zip(found, state[k][lane], strict=True)), step)
+        self._points.clear()
+        self._written = time.monotonic()
 
     def finish(
         self,
@@ -109,6 +128,7 @@ class Watch:
             published: what `usvlearn.learning.replay.PUBLISHED` says, an array per run.
             alarms: per boat; see `usvlearn.evaluation.metrics.alarms`.
         """
+        self._write()
         step = self.fleet.steps
         tuned = {**settings["estimators"], **settings["combiners"], "align": settings["align"]}
         self.board.hparams(tuned, {f"total/mae/{name}": mae for name, mae in mean_mae(boats).items()})

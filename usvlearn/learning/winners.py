@@ -23,7 +23,7 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.tables import tuning_table
 from usvlearn.learning.lanes import Evaluation
-from usvlearn.learning.run_folder import TUNING, save_results
+from usvlearn.learning.layout import TUNING, save_results
 from usvlearn.tensorboard import Board
 
 LEADERBOARD, EXPERIMENT, TENSORBOARD = "leaderboard.csv", "experiment.yaml", "tensorboard"

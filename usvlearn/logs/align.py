@@ -20,8 +20,6 @@ later one stands (`repeated`). A step without a recent message of a channel coun
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
-from collections import Counter
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -31,52 +29,7 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not
 from usvlearn.logs.channel import CHANNELS, REQUIRED, Channel
 from usvlearn.signals import Inputs, Sample
 
-EPSILON = 1e-6  # s, below which two stamps are one
-SLACK = 1.0  # s, by which a channel may lag behind the newest message of any other
-RESETS = 3  # messages in a row, of several channels, that far behind are a clock that was set back
-TURN = 2 * math.pi
-
-
-class Track:
-    """The recent messages of one channel, oldest first."""
-
-    __slots__ = ("delay", "held", "times", "values", "window")
-
-    def __init__(self, held: bool, window: float, delay: float):
-        self.held, self.window, self.delay = held, window, delay
-        self.times: list[float] = []  # stamp + delay: when a value takes effect
-        self.values: list[float] = []
-
-    def at(self, time: float) -> int:
-        """Index of the last message stamped at or before `time`; -1 where there is none."""
-        return bisect_right(self.times, time + EPSILON) - 1
-
-    def before(self, time: float) -> int:
-        """Index of the last message stamped before `time`; -1 where there is none."""
-        return bisect_left(self.times, time - EPSILON) - 1
-
-    def mean(self, start: float, end: float) -> float:
-        """Time-weighted mean of the held signal over [start, end); NaN where it had no value yet."""
-        times, values = self.times, self.values
-        j, last = self.at(start), self.before(end)
-        if last < 0:
-            return math.nan
-        if j < 0:
-            j, start = 0, times[0]
-        if j == last:
-            return values[j]
-        total, since = 0.0, start
-        for i in range(j, last):
-            total += values[i] * (times[i + 1] - since)
-            since = times[i + 1]
-        return (total + values[last] * (end - since)) / (end - start)
-
-    def forget(self, time: float, span: float) -> None:
-        """Drop what is not needed to know the signal from `span` before its last message at or before `time`."""
-        last = self.at(time)
-        keep = self.at(self.times[last] - span) if last > 0 else 0
-        if keep > 0:
-            del self.times[:keep], self.values[:keep]
+ROOM = 64  # messages of a channel that a live boat holds at first
 
 
 class Aligner:
@@ -118,11 +71,14 @@ class Aligner:
         patience: float = 0.1,
         outage: float = 5.0,
     ):
-        self.dt = check_positive("dt", dt, "of s")
-        self.inputs = check_choice("inputs", inputs, ("mean", "last", "next"))
-        self.outage = check_positive("outage", outage, "of s")
-        self.patience = check_not_negative("patience", patience, "of s")
-        self.limits = {
+        from usvlearn.compiled import announced  # numba takes a moment to import
+        from usvlearn.logs import compiled
+
+        check_positive("dt", dt, "of s")
+        check_choice("inputs", inputs, compiled.INPUTS)
+        check_positive("outage", outage, "of s")
+        check_not_negative("patience", patience, "of s")
+        limits = {
             "command_left": check_positive("command_max", command_max),
             "command_right": command_max,
             "surge": check_positive("surge_max", surge_max, "of m/s"),
@@ -137,165 +93,79 @@ class Aligner:
             raise ConfigError("delay of surge: expected 0: give the inputs the delay with which they act on it")
         if channels["surge"].held:
             raise ConfigError("held of surge: expected false: an old speed is no measurement")
-        self.tracks = {name: Track(bool(c.held), float(c.window), float(c.delay)) for name, c in channels.items()}
-        self.rejected = {name: Counter() for name in (*self.tracks, "yaw_rate")}
-        self._newest = -math.inf  # newest stamp of any channel
-        self._behind: list[str] = []  # channels of the messages in a row that lie far behind it
-        self._ahead = -math.inf  # stamp of the last message that lay beyond an outage
-        self._heard = -math.inf  # grid time of the last measured speed
-        self._tick: float | None = None  # the grid time that was emitted last
-        self._known = False  # whether an estimator knows the speed at that time
+        self._places, self._compiled = {name: CHANNELS.index(name) for name in channels}, compiled
+        logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope stands for a yaw rate
+        self._settings = compiled.new_settings(
+            dt=dt,
+            inputs=compiled.INPUTS.index(inputs),
+            patience=patience,
+            outage=outage,
+            limit=[limits[name] for name in CHANNELS],
+            logged=[name in channels for name in CHANNELS],
+            **{key: [getattr(channel, key) for channel in logged] for key in ("held", "window", "delay")},
+        )
+        self._memory = compiled.new_memory()
+        self._times, self._values = np.empty((2, len(CHANNELS), ROOM))  # recent messages
+        self._room = ROOM  # messages until some are to be forgotten
+        none = np.empty(0)
+        with announced(__file__, "alignment"):  # before the first message of a boat waits for it
+            self.feed(none.astype(np.int64), none, none)
+
+    @property
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Counts of what was rejected: channel -> cause -> count."""
+        found = {
+            name: {cause: int(n) for cause, n in zip(self._compiled.CAUSES, row, strict=True) if n}
+            for name, row in zip(CHANNELS, self._memory["rejected"][0], strict=True)
+        }
+        return {name: causes for name, causes in found.items() if causes}
 
     def push(self, channel: str, time: float, value: float) -> list[tuple[float, Sample]]:
         """Take one message in SI units; returns the samples that it completes, each with its grid time, s."""
-        if channel not in self.tracks:
-            raise ConfigError(f"channel: found {channel!r}, expected one of {', '.join(self.tracks)}")
-        count = self.rejected[channel]
+        if channel not in self._places:
+            raise ConfigError(f"channel: found {channel!r}, expected one of {', '.join(self._places)}")
         try:
             time, value = float(time), float(value)
         except (TypeError, ValueError):
             time = value = math.nan
-        if not (math.isfinite(value) and math.isfinite(time)):
-            count["not_a_number"] += 1
-            return []
-        if not -self.limits[channel] <= value <= self.limits[channel]:
-            count["out_of_range"] += 1
-            return []
-        out = []
-        track = self.tracks[channel]
-        if time < self._newest - SLACK:
-            self._behind.append(channel)
-            if len(self._behind) < RESETS or len(set(self._behind)) == 1:
-                count["backwards"] += 1
-                return []
-            out += self.flush()  # the clock was set back: a new segment
-            self._restart()
-        elif time > self._newest + self.outage and self._newest > -math.inf:
-            strays, self._ahead = abs(time - self._ahead) > self.outage, time
-            if strays:  # a stray stamp, unless the next message confirms it
-                count["ahead"] += 1
-                return []
-            out += self.flush()
-            self._restart()
-        self._behind.clear()
-        if channel == "heading":
-            value = self._unwrap(track, value)
-        effect = time + track.delay
-        if track.times and effect <= track.times[-1]:
-            if effect < track.times[-1]:
-                count["backwards"] += 1
-            elif value == track.values[-1]:
-                count["duplicate"] += 1
-            else:
-                count["repeated"] += 1
-                track.values[-1] = value
-            return out
-        track.times.append(effect)
-        track.values.append(value)
-        self._newest = max(self._newest, time)
-        if self._tick is None:
-            if channel == "surge":
-                self._tick, self._known, self._heard = time, True, time
-                out.append((time, self._start(value)))
-        elif self._newest > self._tick + self.dt + self.patience:
-            out += self._advance(self._newest - self.patience)
-        return out
+        rows = self.feed(np.array([self._places[channel]]), np.array([time]), np.array([value]))
+        return _samples(rows) if len(rows) else []
 
     def flush(self) -> list[tuple[float, Sample]]:
         """The samples up to the newest message, without waiting for stragglers."""
-        return self._advance(self._newest) if self._tick is not None else []
+        none = np.empty(0)
+        return _samples(self.feed(none.astype(np.int64), none, none, flush=True))
 
-    def _restart(self) -> None:
-        for track in self.tracks.values():
-            # what is held stands, however old
-            track.times[:] = [-math.inf] if track.held and track.times else []
-            track.values[:] = track.values[-1:] if track.held else []
-        self._newest, self._tick, self._known = -math.inf, None, False
+    def feed(self, channels: np.ndarray, times: np.ndarray, values: np.ndarray, flush: bool = False) -> np.ndarray:
+        """Take many messages as `push` takes one; returns rows, see `usvlearn.logs.compiled.COLUMNS`.
 
-    def _unwrap(self, track: Track, value: float) -> float:
-        if not track.times:
-            return value
-        return value + TURN * round((track.values[-1] - value) / TURN)
+        Args:
+            channels: `(messages,)` int64, places in `CHANNELS`.
+            times, values: `(messages,)` float64, s and SI units.
+            flush: as `flush` then.
+        """
+        if len(times) > self._room:
+            self._make_room(len(times))
+        self._room -= len(times)
+        recent = self._memory, self._times, self._values
+        return self._compiled.feed(self._settings, *recent, channels, times, values, flush)
 
-    def _advance(self, until: float) -> list[tuple[float, Sample]]:
-        out = []
-        while self._tick + self.dt <= until + EPSILON:
-            start, end = self._tick, self._tick + self.dt
-            out.append((end, self._step(start, end)))
-            self._tick = end
-            for track in self.tracks.values():
-                track.forget(start, self.dt)
-        return out
+    def _make_room(self, messages: int) -> None:
+        """Drop what is not needed any more; hold twice what then is, so that it is seldom done."""
+        self._compiled.forget(self._settings, self._memory, self._times, self._values)
+        used = int(self._memory["count"].max())
+        if 2 * (used + messages) > self._times.shape[1]:
+            new = np.empty((2, len(CHANNELS), 2 * (used + messages)))
+            new[:, :, :used] = self._times[:, :used], self._values[:, :used]
+            self._times, self._values = new
+        self._room = self._times.shape[1] - used
 
-    def _step(self, start: float, end: float) -> Sample:
-        """The sample of the step from `start` to `end`."""
-        speed = self.tracks["surge"]
-        i = speed.at(end)
-        measured = i >= 0 and speed.times[i] > start + EPSILON and end - speed.times[i] <= speed.window + EPSILON
-        surge = speed.values[i] if measured else math.nan
-        if not measured:
-            self.rejected["surge"]["stale"] += 1
-        elif end - self._heard > self.outage:
-            self._known = False  # too long ago for the way from there to be one step
-        if measured:
-            self._heard = end
-        # [start, cut): what a prediction may see under "mean"
-        cut = speed.times[i] if measured else end
-        values = {}
-        for name, track in self.tracks.items():
-            if name != "surge":
-                values[name] = self._input(name, track, start, cut, end)
-        if "yaw_rate" not in values:
-            values["yaw_rate"] = self._heading_slope(start, cut, end)
-        fresh = not any(math.isnan(x) for x in values.values())
-        if not (fresh and self._known):
-            # no step can be made; a measured speed still tells where the next one departs
-            self._known = measured
-            return self._start(surge) if measured else self._hold()
-        inputs = Inputs(
-            values["command_left"],
-            values["command_right"],
-            values["heading"] % TURN,
-            values["yaw_rate"],
-            self.dt,
-        )
-        return Sample(inputs, surge, True, measured)
 
-    def _input(self, name: str, track: Track, start: float, cut: float, end: float) -> float:
-        """The value of one input, NaN where it is stale."""
-        if self.inputs == "mean":
-            when, i = cut, track.before(cut)
-        else:
-            when = start if self.inputs == "last" else end
-            i = track.at(when)
-        if i < 0 or not (track.held or when - track.times[i] <= track.window + EPSILON):
-            self.rejected[name]["stale"] += 1
-            return math.nan
-        return track.mean(start, cut) if self.inputs == "mean" else track.values[i]
-
-    def _heading_slope(self, start: float, cut: float, end: float) -> float:
-        """Yaw rate, rad/s, from the unwrapped heading over about one step; NaN where unknown or impossible."""
-        track = self.tracks["heading"]
-        j = track.before(cut) if self.inputs == "mean" else track.at(start if self.inputs == "last" else end)
-        if j < 0:
-            return math.nan  # counted as a stale heading
-        i = track.at(track.times[j] - self.dt / 2)
-        if track.held and (cut - track.times[j]) > 2 * self.dt + track.window:
-            return 0.0  # it is held: the boat keeps its heading
-        if i < 0 or track.times[j] - track.times[i] > 2 * self.dt + track.window:
-            self.rejected["yaw_rate"]["stale"] += 1
-            return math.nan
-        slope = (track.values[j] - track.values[i]) / (track.times[j] - track.times[i])
-        if abs(slope) > self.limits["yaw_rate"]:
-            self.rejected["yaw_rate"]["out_of_range"] += 1
-            return math.nan
-        return slope
-
-    def _start(self, surge: float) -> Sample:
-        return Sample(Inputs(0.0, 0.0, 0.0, 0.0, 0.0), surge, False, False)
-
-    def _hold(self) -> Sample:
-        return Sample(Inputs(0.0, 0.0, 0.0, 0.0, self.dt), math.nan, False, False)
+def _samples(rows: np.ndarray) -> list[tuple[float, Sample]]:
+    return [
+        (time, Sample(Inputs(*inputs), surge, fresh > 0, measured > 0))
+        for time, *inputs, surge, fresh, measured in rows.tolist()
+    ]
 
 
 class Aligned(NamedTuple):
@@ -314,19 +184,12 @@ def align(channels: Mapping[str, Channel], **options) -> Aligned:
         **options: of `Aligner`.
     """
     aligner = Aligner(channels, **options)
-    names = list(channels)
-    which = np.repeat(np.arange(len(names)), [len(channels[name].time) for name in names])
-    stamps = np.concatenate([channels[name].time for name in names])
-    values = np.concatenate([channels[name].value for name in names])
-    order = np.argsort(np.concatenate([channels[name].order for name in names]), kind="stable")
-    rows: list[tuple[float, Sample]] = []
-    push = aligner.push
-    for c, t, x in zip(which[order].tolist(), stamps[order].tolist(), values[order].tolist(), strict=True):
-        if done := push(names[c], t, x):
-            rows += done
-    rows += aligner.flush()
-    table = np.array([(t, *s.inputs, *s[1:]) for t, s in rows], dtype=np.float64).reshape(len(rows), 9)
-    time, *inputs, surge, fresh, measured = table.T.copy()
-    samples = Sample(Inputs(*inputs), surge, fresh > 0, measured > 0)
-    rejected = {name: dict(count) for name, count in aligner.rejected.items() if count}
-    return Aligned(time, samples, rejected)
+    counts = [len(channel.time) for channel in channels.values()]
+    which = np.repeat([CHANNELS.index(name) for name in channels], counts)
+    time, value, order = (
+        np.concatenate([getattr(channel, name) for channel in channels.values()]) for name in ("time", "value", "order")
+    )
+    place = np.argsort(order, kind="stable")
+    rows = aligner.feed(which[place], time[place], value[place], flush=True)
+    time, *inputs, surge, fresh, measured = rows.T.copy()
+    return Aligned(time, Sample(Inputs(*inputs), surge, fresh > 0, measured > 0), aligner.rejected)

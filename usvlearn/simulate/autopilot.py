@@ -6,15 +6,14 @@
     command = round(power * clip(throttle +- turn))           left +, right -                         (4)
 
 Where the throttle is open the integral follows it, so that taking control over makes no bump.
+It is computed by `compiled.steer`.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from usvlearn.errors import check_positive
@@ -54,39 +53,3 @@ class Autopilot:
     def __post_init__(self):
         check_positive("hz of the autopilot", self.hz, "Hz")
         check_positive("resolution of the autopilot", self.resolution)
-
-
-def wrap(angle: Tensor) -> Tensor:
-    """The angle within -pi ... pi, rad; shape unchanged.
-
-    >>> round(wrap(torch.tensor(2 * math.pi + 0.5)).item(), 5)
-    0.5
-    """
-    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
-
-
-def steer(
-    autopilot: Autopilot, integral: Tensor, reference: Reference, surge: Tensor, heading: Tensor
-) -> tuple[Tensor, Tensor]:
-    """The next integral `(*batch,)` and the command `(*batch, 2)`.
-
-    Args:
-        integral: I, `(*batch,)`.
-        surge: speed over ground, share of the top speed, `(*batch,)`.
-        heading: rad, `(*batch,)`.
-
-    >>> one = torch.ones(())
-    >>> ahead = Reference(surge=one * torch.nan, throttle=0.5 * one, heading=0 * one, power=one)
-    >>> steer(Autopilot(), 0 * one, ahead, 0 * one, 0 * one)[1].tolist()
-    [0.5, 0.5]
-    """
-    controlled = ~torch.isnan(reference.surge)
-    error = torch.where(controlled, reference.surge, surge) - surge  # 1.
-    charged = (integral + autopilot.integral / autopilot.hz * error).clamp(autopilot.lowest, 1.0)  # 2.
-    integral = torch.where(controlled, charged, reference.throttle)
-    throttle = (integral + autopilot.proportional * error).clamp(autopilot.lowest, 1.0)
-    turn = autopilot.heading * wrap(reference.heading - heading)  # 3.
-    turn = turn.clamp(-autopilot.turn_max, autopilot.turn_max)
-    command = torch.stack((throttle + turn, throttle - turn), dim=-1).clamp(autopilot.lowest, 1.0)  # 4.
-    steps = (command * reference.power.unsqueeze(-1) / autopilot.resolution).round()
-    return integral, steps * autopilot.resolution

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -16,12 +17,12 @@ from torch import Tensor
 
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.logs.channel import Recording
-from usvlearn.simulate.autopilot import Autopilot, Reference, steer
+from usvlearn.simulate.autopilot import Autopilot, Reference
 from usvlearn.simulate.fault import Fault, faulty_vessels
 from usvlearn.simulate.plants import plant as plant_named
 from usvlearn.simulate.scenario import MISSIONS, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
-from usvlearn.simulate.vessel import Vessel, at_rest, over_ground, scale_thrust, steady_surge, step
+from usvlearn.simulate.vessel import Vessel, VesselState, at_rest, over_ground, scale_thrust, steady_surge
 
 LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
 SUBSTEPS_HZ = 10.0  # the motion is stepped at least so often, 1/s
@@ -141,29 +142,29 @@ def sail(
     >>> surge.shape, commands.shape
     (torch.Size([1201, 1, 1]), torch.Size([400, 1, 1, 2]))
     """
+    from usvlearn.compiled import announced  # numba takes a moment to import
+    from usvlearn.simulate.compiled import gains, known, sail_on
+
     substeps = math.ceil(SUBSTEPS_HZ / autopilot.hz)
     dt = 1 / (autopilot.hz * substeps)
-    batch = (len(courses), len(courses[0]))
-    reference = _stacked(courses)
-    ticks = reference.power.shape[0]
+    batch, reference = (len(courses), len(courses[0])), _stacked(courses)
+    ticks, count = len(reference.power), batch[0] * batch[1]
     top = steady_surge(vessel, torch.ones(2, dtype=torch.float64))
-    state = at_rest(batch, heading=reference.heading[0])
-    integral = torch.zeros(batch, dtype=torch.float64)
-    later = later or {}
-    surge, heading = torch.empty((2, ticks * substeps + 1, *batch), dtype=torch.float64)
-    commands = torch.empty((ticks, *batch, 2), dtype=torch.float64)
-    with torch.no_grad():
-        for k in range(ticks):
-            vessel = later.get(k, vessel)
-            told = Reference(*(leaf[k] for leaf in reference))
-            seen = over_ground(state.surge, state.heading, current, direction) / top
-            integral, commands[k] = steer(autopilot, integral, told, seen, state.heading)
-            for i in range(k * substeps, (k + 1) * substeps):
-                surge[i], heading[i] = state.surge, state.heading
-                state = step(vessel, state, commands[k], dt)
-        surge[-1], heading[-1] = state.surge, state.heading
-        surge += current * torch.cos(direction - heading)
-    return dt, surge, heading, commands
+    state = VesselState(*(leaf.numpy().copy() for leaf in at_rest((count,), reference.heading[0].flatten())))
+    surge, heading = np.empty((2, ticks * substeps + 1, count))
+    integral, commands = np.zeros(count), np.empty((ticks, count, 2))
+    vessels = {0: vessel} | {tick: changed for tick, changed in (later or {}).items() if tick < ticks}
+    for begin, end in pairwise([*sorted(vessels), ticks]):
+        told = Reference(*(leaf[begin:end].flatten(1).numpy() for leaf in reference))
+        steps = slice(begin * substeps, end * substeps)
+        told = gains(autopilot), told, *known(vessels[begin], batch, dt, top, current, direction), dt, substeps
+        with announced(__file__, "simulator"):
+            sail_on(*told, integral, state, surge[steps], heading[steps], commands[begin:end])
+    surge[-1], heading[-1] = state.surge, state.heading
+    surge, heading, commands = (
+        torch.from_numpy(x.reshape(len(x), *batch, *x.shape[2:])) for x in (surge, heading, commands)
+    )
+    return dt, over_ground(surge, heading, current, direction), heading, commands
 
 
 def _stacked(courses: list[list[Mission]]) -> Reference:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -106,7 +107,7 @@ def static_thrust(vessel: Vessel, shaft: Tensor) -> Tensor:
     """
     shaft = shaft.clamp(-1.0, 1.0)
     nodes = vessel.thrust_table.shape[-1]
-    shape = torch.broadcast_shapes(shaft.shape, vessel.thrust_table.shape[:-1])
+    shape = np.broadcast_shapes(shaft.shape, vessel.thrust_table.shape[:-1])
     place = ((shaft + 1) * ((nodes - 1) / 2)).expand(shape)
     below = place.detach().floor().clamp(max=nodes - 2)
     index = below.long().unsqueeze(-1)

@@ -1,0 +1,178 @@
+"""Who makes the steps of a run: torch, or, where no gradient is asked for, the compiled kernels."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
+
+from usvlearn.errors import ConfigError, check_choice
+from usvlearn.kernels import compilable
+from usvlearn.signals import Inputs, Sample, named_leaves, rebuild, tree_map
+
+if TYPE_CHECKING:
+    from usvlearn.estimator import Estimator
+
+BACKENDS = ("auto", "torch", "kernel")
+CHUNK = 256  # steps whose whole states are held at a time, for a record that wants to see them
+Record = Callable[[Any], Any] | Sequence[str]
+
+
+def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> dict[str, Any] | None:
+    """What the kernels are to run (`Estimator.kernel`), or None where torch makes the steps.
+
+    Raises:
+        ConfigError: an unknown backend, or `kernel` where the kernels cannot.
+    """
+    if check_choice("backend", backend, BACKENDS) == "torch":
+        return None
+    description = described(estimator)
+    tensors = [*_leaves(state), *_leaves(samples), *estimator.parameters()]
+    obstacle = _obstacle(estimator, tensors, description) or _derivative(tensors)
+    if backend == "kernel" and obstacle:
+        raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
+    return None if obstacle else description
+
+
+def described(part: Any) -> dict[str, Any] | None:
+    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing.
+
+    >>> from usvlearn import Persistence
+    >>> described(Persistence())["kind"]
+    'persistence'
+    """
+    return part.kernel() if "kernel" in vars(type(part)) else None
+
+
+def run(
+    description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool
+) -> tuple[Any, Tensor, Any]:
+    """`rollout`, or `simulate` (`free`), by the kernels."""
+    from usvlearn.kernels.run import roll
+
+    leaves, arrays = _arrays(state, samples)
+    threads = torch.get_num_threads()
+    if not callable(record):
+        leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
+        named = {name: torch.from_numpy(x) for name, x in kept.items()}
+        return _tree(state, leaves), torch.from_numpy(predictions), None if record is None else named
+    parts, records = [], []
+    for begin in range(0, len(arrays.surge), CHUNK):
+        part = tree_map(lambda x, b=begin: x[b : b + CHUNK], arrays)
+        leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads)
+        parts.append(torch.from_numpy(predictions))
+        for k in range(len(predictions)):
+            records.append(record(_tree(state, {name: x[k] for name, x in kept.items()})))
+    return _tree(state, leaves), torch.cat(parts), tree_map(lambda *x: torch.stack(x), *records)
+
+
+def free_totals(description: dict[str, Any], state: Any, samples: Sample, learning: Sequence[int]) -> np.ndarray:
+    """`kernels.cross.free_totals` of tensors."""
+    from usvlearn.kernels import cross
+
+    leaves, arrays = _arrays(state, samples)
+    return cross.free_totals(description, leaves, arrays, learning, torch.get_num_threads())
+
+
+def _arrays(state: Any, samples: Sample) -> tuple[dict[str, np.ndarray], Sample]:
+    """A state's leaves by dotted name, and samples, as arrays that share their memory."""
+    return {name: leaf.detach().numpy() for name, leaf in named_leaves(state)}, tree_map(
+        lambda x: x.detach().numpy(), samples
+    )
+
+
+def _tree(template: Any, leaves: dict[str, np.ndarray]) -> Any:
+    return rebuild(template, {name: torch.as_tensor(leaf) for name, leaf in leaves.items()})
+
+
+def _obstacle(estimator: Estimator, tensors: Sequence[Tensor], description: dict[str, Any] | None) -> str | None:
+    """Why the kernels cannot, if they cannot."""
+    if not compilable(description):
+        return f"{type(estimator).__name__}, or a part of it, has no compiled kernel"
+    if importlib.util.find_spec("numba") is None:
+        return "numba is not installed (pip install numba)"
+    if torch.compiler.is_compiling() or any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors)):
+        return "torch transforms this function"
+    if any(x.device.type != "cpu" for x in tensors):
+        return "not all tensors are on the CPU"
+    dtype = next(x.dtype for x in tensors if x.is_floating_point())
+    return None if dtype in (torch.float64, torch.float32) else f"the state is {dtype}"
+
+
+def _derivative(tensors: Sequence[Tensor]) -> str | None:
+    """Why torch has to make the steps, if a derivative is asked for."""
+    if torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
+        return "a gradient is asked for (inside torch.no_grad() none is)"
+    if any(x.is_floating_point() and unpack_dual(x).tangent is not None for x in tensors):
+        return "a forward derivative is asked for"
+    return None
+
+
+class Stepper:
+    """The steps of one state by torch, without gradients, on numbers as they come; as `kernels.live.Live`."""
+
+    def __init__(self, estimator: Estimator, batch: Sequence[int]):
+        self.estimator = estimator
+        self.state = tree_map(Tensor.detach, estimator.init(batch))
+        self._like = next(leaf for leaf in _leaves(self.state) if leaf.is_floating_point())
+
+    @property
+    def leaves(self) -> dict[str, np.ndarray]:
+        return {name: leaf.numpy(force=True) for name, leaf in named_leaves(self.state)}
+
+    @leaves.setter
+    def leaves(self, leaves: dict[str, np.ndarray]) -> None:
+        self.state = self.tree(leaves)
+
+    def tree(self, leaves: dict[str, np.ndarray]) -> Any:
+        """A state like its own, from leaves by dotted name."""
+        own = {name: torch.as_tensor(leaf, device=self._like.device) for name, leaf in leaves.items()}
+        return rebuild(self.state, own)
+
+    @torch.no_grad()
+    def predict(self, inputs: Inputs) -> float | np.ndarray:
+        return _plain(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[1])
+
+    @torch.no_grad()
+    def step(self, sample: Sample) -> float | np.ndarray:
+        inputs, surge, fresh, measured = sample
+        sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
+        self.state, predicted = self.estimator(self.state, sample)
+        return _plain(predicted)
+
+    def _float(self, value: Any) -> Tensor:
+        return torch.as_tensor(value, dtype=self._like.dtype, device=self._like.device)
+
+    def _bool(self, value: Any) -> Tensor:
+        return torch.as_tensor(value, dtype=torch.bool, device=self._like.device)
+
+
+def live(estimator: Estimator, state: Any, backend: str) -> Any:
+    """A `kernels.live.Live` of a state, or None where torch has to make the steps.
+
+    Raises:
+        ConfigError: as `choose`.
+    """
+    if check_choice("backend", backend, BACKENDS) == "torch":
+        return None
+    description = described(estimator)
+    if obstacle := _obstacle(estimator, list(_leaves(state)), description):
+        if backend == "kernel":
+            raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
+        return None
+    from usvlearn.kernels.live import Live
+
+    return Live(description, {name: leaf.numpy(force=True) for name, leaf in named_leaves(state)})
+
+
+def _plain(predicted: Tensor) -> float | np.ndarray:
+    return predicted.numpy(force=True) if predicted.ndim else predicted.item()
+
+
+def _leaves(tree: Any) -> Iterator[Tensor]:
+    return (leaf for _, leaf in named_leaves(tree))

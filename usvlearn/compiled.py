@@ -1,0 +1,78 @@
+"""How functions are compiled by numba, and where the machine code is kept.
+
+Numba looks at one file when it asks whether what it kept is still good, not at those whose functions that file calls.
+So each state of all compiled sources of a package has a folder of its own.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, partial
+from pathlib import Path
+
+import numba
+
+HERE = Path(__file__).parent
+
+
+@cache
+def folder(package: Path) -> Path:
+    """Where the machine code of a package is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
+    digest = hashlib.sha256(numba.__version__.encode())
+    for path in [HERE / "compiled.py", HERE / "signals.py", *sorted(package.glob("*.py"))]:
+        content = path.read_bytes()
+        if b"\n@kernel" in content or path.parent == HERE:
+            digest.update(content)
+    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    found = Path(base) / "usvlearn" / f"{package.name}-{digest.hexdigest()[:12]}"
+    try:
+        found.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=found):
+            return found
+    except OSError:  # a home that cannot be written to
+        own = Path(tempfile.gettempdir()) / f"usvlearn-{os.getuid() if hasattr(os, 'getuid') else 0}" / found.name
+        own.mkdir(parents=True, exist_ok=True)
+        return own
+
+
+def kernel(function: Callable | None = None, *, reorder: bool = False, memory: bool = False) -> Callable:
+    """Compile a function when it is first called; without the GIL, and with division as NumPy's.
+
+    Args:
+        function: of numbers and arrays.
+        reorder: whether sums may be taken several terms at a time: for long ones.
+        memory: whether it may make arrays. Without, an array or a part of one is handed on without counting references
+            to it, which takes longer than most of what is done here with one.
+    """
+    if function is None:
+        return partial(kernel, reorder=reorder, memory=memory)
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder(Path(function.__code__.co_filename).parent))
+    fastmath = {"contract", "reassoc"} if reorder else {"contract"}
+    options = {"nogil": True, "error_model": "numpy", "fastmath": not memory and fastmath, "_nrt": memory}
+    try:
+        return numba.njit(cache=True, **options)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+@contextmanager
+def announced(package: str, what: str) -> Iterator[None]:
+    """Say on stderr that a part of a package compiles, and how long it took, where that was never done here before."""
+    mark = folder(Path(package).parent) / what.replace(" ", "-")
+    if numba.config.DISABLE_JIT or mark.exists():
+        yield
+        return
+    print(f"usvlearn: compiling the {what}, once on this machine …", end="", file=sys.stderr, flush=True)
+    began = time.perf_counter()
+    yield
+    print(f" {time.perf_counter() - began:.0f} s; kept in {mark.parent}", file=sys.stderr)
+    try:
+        mark.touch()
+    except OSError:
+        pass

@@ -1,0 +1,84 @@
+"""One state, aboard: a step is one call of compiled code, on numbers as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from usvlearn.compiled import announced
+from usvlearn.kernels import step
+from usvlearn.kernels.plan import Description, plan_for
+from usvlearn.signals import Inputs, Sample
+
+LIVE = step.step_once
+
+
+class Live:
+    """Makes one estimator's steps in place.
+
+    Args:
+        description: of the estimator (`Estimator.kernel`).
+        leaves: of its state, `(*batch, …)`, by dotted name; all float64 or all float32, but for those that are bool.
+
+    >>> live = Live({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
+    >>> live.step(Sample(Inputs(0.0, 0.0, 0.0, 0.0, 0.4), surge=1.6, fresh=True, measured=True))
+    1.5
+    >>> float(live.leaves["surge"])
+    1.6
+    """
+
+    def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
+        first = next(x for x in leaves.values() if x.dtype != bool)
+        one = plan_for(description, (), first.dtype)
+        name, leaf = next(iter(one.leaves.items()))
+        batch = np.shape(leaves[name])[: np.ndim(leaves[name]) - len(leaf.shape)]
+        self.plan = plan_for(description, batch, first.dtype) if batch else one
+        self.states = self.plan.pack(leaves)
+        self._work = np.empty(self.plan.work, first.dtype)
+        self._arguments = [
+            (self.plan.program, row, self.plan.numbers[k if len(self.plan.numbers) > 1 else 0], self._work)
+            for k, row in enumerate(self.states)
+        ]
+        with announced(__file__, f"kernels of single steps, {first.dtype}"):
+            rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
+            LIVE.disable_compile(False)
+            LIVE(self.plan.program, self.states[0].copy(), self.plan.numbers[0], self._work, *rest)
+            LIVE.disable_compile()  # whole numbers and the like become what it was compiled for
+
+    @property
+    def leaves(self) -> dict[str, np.ndarray]:
+        """The state, copied."""
+        return {name: leaf.copy() for name, leaf in self.plan.unpack(self.states).items()}
+
+    @leaves.setter
+    def leaves(self, leaves: Mapping[str, np.ndarray]) -> None:
+        self.states[:] = self.plan.pack(leaves)
+
+    def step(self, sample: Sample) -> Any:
+        """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
+        if self.plan.batch:
+            return self._each(self._arguments, sample)
+        (left, right, heading, yaw_rate, dt), surge, fresh, measured = sample
+        arguments = self._arguments[0]
+        try:
+            return LIVE(*arguments, left, right, heading, yaw_rate, dt, surge, fresh, measured)
+        except TypeError:  # an array or a tensor of one number
+            return LIVE(
+                *arguments, *map(float, (left, right, heading, yaw_rate, dt, surge)), bool(fresh), bool(measured)
+            )
+
+    def predict(self, inputs: Inputs) -> Any:
+        """The prediction, m/s; the state stays as it is."""
+        arguments = [(program, s.copy(), *rest) for program, s, *rest in self._arguments]
+        return self._each(arguments, Sample(inputs, np.nan, True, False))
+
+    def _each(self, arguments: list[tuple], sample: Sample) -> Any:
+        inputs, *rest = sample
+        values = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in (*inputs, *rest)]
+        found = [
+            LIVE(*own, *map(float, numbers), bool(fresh), bool(measured))
+            for own, *numbers, fresh, measured in zip(arguments, *values, strict=True)
+        ]
+        return np.array(found, self.plan.dtype).reshape(self.plan.batch) if self.plan.batch else found[0]

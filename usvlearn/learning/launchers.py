@@ -1,0 +1,60 @@
+"""What starts the jobs of a sweep: which launchers there are, and what their workers are told."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from shutil import which
+
+from usvlearn.errors import ConfigError, MissingExtraError, check_positive, one_sentence
+
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+LAUNCHERS = {  # name -> its plugin, and the extra that brings it
+    "basic": None,
+    "joblib": ("hydra_joblib_launcher", "sweep"),
+    **dict.fromkeys(["slurm", "submitit_slurm", "submitit_local"], ("hydra_submitit_launcher", "slurm")),
+}
+
+
+def check_launcher(arguments: Sequence[str]) -> None:
+    """End with one sentence and code 2 unless the launcher that a command line names is known and installed.
+
+    >>> check_launcher(["-m", "hydra/launcher=basic"])
+    """
+    with one_sentence():
+        _check_launcher(arguments)
+
+
+def _check_launcher(arguments: Sequence[str]) -> None:
+    for argument in arguments:
+        key, _, name = argument.partition("=")
+        if key.lstrip("+") != "hydra/launcher" or name == "basic":
+            continue
+        plugin, extra = LAUNCHERS.get(name) or (f"hydra_{name}_launcher", None)
+        if not (find_spec("hydra_plugins") and find_spec(f"hydra_plugins.{plugin}")):
+            if extra is None:
+                raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}")
+            raise MissingExtraError(plugin.replace("_", "-"), extra, argument)
+        if name.endswith("slurm") and which("srun") is None:
+            raise ConfigError(f"{argument}: found no srun, expected a Slurm cluster: start it there, or take joblib")
+
+
+def prepare_workers(root: Path) -> None:
+    """Let the processes that a launcher starts compute with one thread each, and find the scripts in `root`."""
+    os.environ |= dict.fromkeys(THREADS, "1")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), os.environ.get("PYTHONPATH")]))
+
+
+def set_threads(count: float) -> None:
+    """Let torch compute with so many threads.
+
+    Raises:
+        ConfigError: the count is not positive.
+
+    >>> set_threads(1)
+    """
+    import torch
+
+    torch.set_num_threads(max(1, int(check_positive("threads", count))))
