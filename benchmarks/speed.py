@@ -13,7 +13,7 @@ from pathlib import Path
 import speed_jobs
 import speed_steps
 import torch
-from timing import QUICK, WHOLE, Effort, Section, machine, set_threads
+from timing import QUICK, WHOLE, Effort, Section, machine
 
 SECTIONS: dict[str, tuple[str, Callable[[Effort], Section]]] = {
     "steps": ("A step", speed_steps.steps),
@@ -59,7 +59,7 @@ def main() -> None:
     )
     given = asked.parse_args()
     whole = given.only is None and not given.quick
-    set_threads(1)
+    torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as spare:
         folder = given.folder or (Path(__file__).parent if whole else Path(spare))
         folder.mkdir(parents=True, exist_ok=True)

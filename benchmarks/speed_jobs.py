@@ -1,6 +1,6 @@
 """What whole jobs cost: lanes of a grid, replays, cross-validation, memory, and what lies around them."""
 
-import json
+import gc
 import os
 import pickle
 import statistics
@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from speed_plots import throughput
 from speed_steps import estimators, samples, streamed
-from timing import Effort, Section, in_turn, micro, once, ratio, set_threads, table
+from timing import Effort, Section, in_turn, micro, once, ratio, table
 
 from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
 from usvlearn.evaluation.crossval import cross_validate
@@ -35,6 +35,7 @@ from usvlearn.simulate.fleet import fleet as simulated
 MASS, MISSION = 28.0, 15.0  # kg, minutes
 LEAST_STEPS = 50  # of a rollout through many lanes
 MANY = 20_000_000  # lane-steps of a job that is measured once
+RESET, STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 SETTINGS = {"estimators": {}, "combiners": {}, "align": {}, "data": {}}
 
 
@@ -61,7 +62,7 @@ def lanes(effort: Effort) -> Section:
     cores = sorted({1, os.cpu_count() or 1})
     found: dict[str, dict[int, float]] = {}
     for threads in cores:
-        set_threads(threads)
+        torch.set_num_threads(threads)
         for name, title in chosen.items():
             label = name if threads == 1 else f"{name}, {threads} cores"
             found[label] = {}
@@ -70,7 +71,7 @@ def lanes(effort: Effort) -> Section:
                 wide = tree_map(lambda x, n=count, k=length: x[:k, None].expand(-1, n), samples(effort.steps))
                 spent = in_turn({name: partial(streamed, known[title], wide)}, effort.repeats)[name]
                 found[label][count] = statistics.median(spent) / (length * count)
-    set_threads(1)
+    torch.set_num_threads(1)
     rows = [[name, *(micro(each) for each in by_lanes.values())] for name, by_lanes in found.items()]
     head = ["µs a lane-step", *(f"{n} lanes" for n in effort.lanes)]
     return Section(table(head, rows), {"lanes": throughput(found)})
@@ -84,7 +85,7 @@ def jobs(effort: Effort) -> Section:
 
     def row(title: str, work, lane_steps: int) -> None:
         repeats = 1 if lane_steps > MANY else 3
-        spent = statistics.median(in_turn({title: work}, repeats)[title] if repeats > 1 else [once(work)])
+        spent = statistics.median(once(work) for _ in range(repeats))
         rows.append([title, f"{lane_steps:,}", f"{spent:.2f}", micro(spent / lane_steps)])
 
     replayed(ensemble, season(1, short))  # compiled by now
@@ -112,6 +113,8 @@ def size(run: Sample) -> int:
 
 def memory(effort: Effort) -> Section:
     """Peaks of processes of their own."""
+    if not RESET.exists():
+        return Section(["Measured on Linux alone."])
     cases = [(f"replay, default ensemble, {boats} boats", "ensemble", boats, boats, h) for boats in (1, 8)
              for h in effort.hours]  # fmt: skip
     cases += [(f"grid, sift, {n} lanes", "sift", n, 1, h) for n in effort.lanes if n <= 512 for h in effort.hours]
@@ -122,25 +125,20 @@ def memory(effort: Effort) -> Section:
             file.write_bytes(pickle.dumps(fleet))
             command = [sys.executable, __file__, kind, str(count), str(file)]
             done = subprocess.run(command, capture_output=True, text=True, check=True)
-            loaded, peak = json.loads(done.stdout.splitlines()[-1])
-            own = sum(size(run.samples) for run in fleet.runs)
-            rows.append([title, f"{hours:g}", *(f"{x / 2**20:.1f}" for x in (own, peak - loaded))])
+            beyond, own = int(done.stdout.split()[-1]), sum(size(run.samples) for run in fleet.runs)
+            rows.append([title, f"{hours:g}", *(f"{x / 2**20:.1f}" for x in (own, beyond))])
     note = (
         "Peak of the resident memory of a process that does nothing else, less what it was with the samples loaded and "
-        "all compiled. `samples` are on top of it."
+        "all compiled."
     )
-    return Section([*table(["MiB", "hours", "samples", "beyond them"], rows), "", note])
+    return Section([*table(["MiB", "hours", "samples", "all else"], rows), "", note])
 
 
-def measured_memory(kind: str, count: int, file: str) -> tuple[int, int]:
-    """Bytes of resident memory at its peak: with the samples loaded and a first run done, and at the end."""
-    import resource
-
-    def peak() -> int:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
-
-    set_threads(1)
-    fleet: Fleet = pickle.loads(Path(file).read_bytes())
+def measured_memory(kind: str, count: int, file: str) -> int:
+    """Bytes of resident memory at its peak, less those with the samples loaded and a first run done."""
+    torch.set_num_threads(1)
+    with open(file, "rb") as content:
+        fleet: Fleet = pickle.load(content)
     run = fleet.runs[0]
     first = fleet._replace(runs=(run._replace(time=run.time[:2], samples=tree_map(lambda x: x[:2], run.samples)),))
     ensemble = accuracy.ensemble(())
@@ -152,9 +150,17 @@ def measured_memory(kind: str, count: int, file: str) -> tuple[int, int]:
             fleet_mae(grid_of(kind, count), fleet, (count,))
 
     work(first, 1)
-    loaded = peak()
+    gc.collect()
+    RESET.write_text("5")  # getrusage would tell the peak of the imports, and of the process that started this one
+    before = peak()
     work(fleet, count)
-    return loaded, peak()
+    return peak() - before
+
+
+def peak() -> int:
+    """Bytes of resident memory at its peak since it was reset."""
+    (line,) = [line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM")]
+    return 1024 * int(line.split()[1])
 
 
 def around(effort: Effort) -> Section:
@@ -167,8 +173,11 @@ def logging(fleet: Fleet, effort: Effort) -> str:
     """Time in TensorBoard, checkpoints and predictions over time in the replay itself, within one run."""
     model, shares, seconds = accuracy.ensemble(()), [], []
     for _ in range(effort.repeats):
-        with tempfile.TemporaryDirectory() as folder, Watch(folder, fleet, model) as watch:
-            archive = RunFolder(folder, fleet, {})
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            Watch(folder, fleet, model) as watch,
+            RunFolder(folder, fleet, {}) as archive,
+        ):
             start = archive.begin(model.init((len(fleet.boats),)), None)
             began, spent = time.perf_counter(), 0.0
             for chunk in replay(model, fleet, start.state, every=watch.every):
@@ -211,7 +220,7 @@ def lines(effort: Effort, count: int = 260_000) -> str:
 
 def main(arguments: Sequence[str]) -> None:
     kind, count, file = arguments
-    print(json.dumps(measured_memory(kind, int(count), file)))
+    print(measured_memory(kind, int(count), file))
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import torch
 from reference import FLAGS, compiler
 
 Work = Callable[[], Any]
@@ -107,11 +106,3 @@ def machine() -> str:
 
 def _read(path: str) -> str:
     return Path(path).read_text() if Path(path).exists() else ""
-
-
-def set_threads(count: int) -> None:
-    """Of torch and of the compiled steps."""
-    import numba
-
-    torch.set_num_threads(count)
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
