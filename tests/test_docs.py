@@ -26,7 +26,7 @@ def code(name: str) -> str:
 def test_readme_example_runs_and_is_short():
     names: dict = {}
     exec(compile(code("README.md"), "README.md", "exec"), names)
-    assert names["predicted"].shape == () and names["surge"].shape == (50, 3, 8)
+    assert isinstance(names["predicted"], float) and names["surge"].shape == (50, 3, 8)
     assert names["aid"].gain.log.grad.abs().min() > 0
     assert len((ROOT / "README.md").read_text().splitlines()) <= 100
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usvlearn import checkpoint
-from usvlearn.errors import CheckpointError
+from usvlearn.errors import CheckpointError, ShapeError
 from usvlearn.kernels import compilable
 from usvlearn.signals import Inputs, Sample, named_leaves
 
@@ -68,7 +68,13 @@ class Online:
 
         self = cls.__new__(cls)
         self._template, self._name, self._description = None, facts["estimator"], facts["kernel"]
-        self._live = Live(self._description, leaves)
+        try:
+            self._live = Live(self._description, leaves)
+        except (ShapeError, KeyError, TypeError, ValueError) as error:
+            raise CheckpointError(
+                f"{path}: does not fit what it says of its estimator ({error}): use the set saved before it, or "
+                "Online(ESTIMATOR).load(path), with torch"
+            ) from error
         return self
 
     @property

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.compiled import announced
+from usvlearn.errors import ShapeError
 from usvlearn.kernels import step
 from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Inputs, Sample
@@ -22,6 +23,9 @@ class Live:
         description: of the estimator (`Estimator.kernel`).
         leaves: of its state, `(*batch, …)`, by dotted name; all float64 or all float32, but for those that are bool.
 
+    Raises:
+        ShapeError: the leaves are not those of such an estimator.
+
     >>> live = Live({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
     >>> live.step(Sample(Inputs(0.0, 0.0, 0.0, 0.0, 0.4), surge=1.6, fresh=True, measured=True))
     1.5
@@ -32,6 +36,8 @@ class Live:
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         first = next(x for x in leaves.values() if x.dtype != bool)
         one = plan_for(description, (), first.dtype)
+        if other := sorted(one.leaves.keys() ^ leaves.keys()):
+            raise ShapeError(f"leaves: {', '.join(other[:4])} are not in both the state and its description")
         name, leaf = next(iter(one.leaves.items()))
         batch = np.shape(leaves[name])[: np.ndim(leaves[name]) - len(leaf.shape)]
         self.plan = plan_for(description, batch, first.dtype) if batch else one

@@ -112,9 +112,11 @@ class Plan:
         }
 
     def pack(self, leaves: Mapping[str, np.ndarray]) -> np.ndarray:
-        """States, `(lanes, size)`, from leaves `(*batch, …)` by dotted name."""
+        """States, `(lanes, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
         states = np.empty((self.lanes, self.size), self.dtype)
         for name, view in self._views(states).items():
+            if leaves[name].shape != view.shape:
+                raise ShapeError(f"{name}: found the shape {leaves[name].shape}, expected {view.shape}")
             view[...] = leaves[name]
         return states
 
