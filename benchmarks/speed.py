@@ -1,6 +1,6 @@
 """What a step, a grid and whole jobs cost, measured in one run; writes `benchmarks/results.md` and its figures.
 
-python benchmarks/speed.py                       all, a quarter of an hour
+python benchmarks/speed.py                       all, ten minutes; wants the extras bench and plot, and an idle machine
 python benchmarks/speed.py --only steps          one section, printed alone
 python benchmarks/speed.py --quick               all, on little data: whether it runs
 """

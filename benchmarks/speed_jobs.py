@@ -1,6 +1,7 @@
 """What whole jobs cost: lanes of a grid, replays, cross-validation, memory, and what lies around them."""
 
 import gc
+import itertools
 import os
 import pickle
 import statistics
@@ -17,7 +18,7 @@ import numpy as np
 import torch
 from speed_plots import throughput
 from speed_steps import estimators, samples, streamed
-from timing import Effort, Section, in_turn, micro, once, ratio, table
+from timing import Effort, Section, counted, in_turn, micro, once, ratio, table
 
 from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
 from usvlearn.evaluation.crossval import cross_validate
@@ -34,7 +35,7 @@ from usvlearn.simulate.fleet import fleet as simulated
 
 MASS, MISSION = 28.0, 15.0  # kg, minutes
 LEAST_STEPS = 50  # of a rollout through many lanes
-MANY = 20_000_000  # lane-steps of a job that is measured once
+MANY = 50_000_000  # lane-steps of a job that is measured once
 RESET, STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 SETTINGS = {"estimators": {}, "combiners": {}, "align": {}, "data": {}}
 
@@ -60,20 +61,24 @@ def lanes(effort: Effort) -> Section:
     known = estimators()
     chosen = {"aid": "aid", "sift": "sift", "rnn": "rnn, n = 20", "ensemble": "default ensemble"}
     cores = sorted({1, os.cpu_count() or 1})
-    found: dict[str, dict[int, float]] = {}
-    for threads in cores:
+    found: dict[tuple[str, int], dict[int, float]] = {(name, threads): {} for threads in cores for name in chosen}
+
+    def shared(threads: int, estimator: Estimator, run: Sample) -> None:
         torch.set_num_threads(threads)
-        for name, title in chosen.items():
-            label = name if threads == 1 else f"{name}, {threads} cores"
-            found[label] = {}
-            for count in effort.lanes:
-                length = min(effort.steps, max(LEAST_STEPS, effort.lane_steps // count))
-                wide = tree_map(lambda x, n=count, k=length: x[:k, None].expand(-1, n), samples(effort.steps))
-                spent = in_turn({name: partial(streamed, known[title], wide)}, effort.repeats)[name]
-                found[label][count] = statistics.median(spent) / (length * count)
+        streamed(estimator, run)
+
+    for (name, title), count in itertools.product(chosen.items(), effort.lanes):
+        length = min(effort.steps, max(LEAST_STEPS, effort.lane_steps // count))
+        wide = tree_map(lambda x, n=count, k=length: x[:k, None].expand(-1, n), samples(effort.steps))
+        works = {threads: partial(shared, threads, known[title], wide) for threads in cores}
+        for threads, spent in in_turn(works, effort.repeats).items():
+            found[name, threads][count] = statistics.median(spent) / (length * count)
     torch.set_num_threads(1)
-    rows = [[name, *(micro(each) for each in by_lanes.values())] for name, by_lanes in found.items()]
-    head = ["µs a lane-step", *(f"{n} lanes" for n in effort.lanes)]
+    rows = [
+        [name if threads == 1 else f"{name}, {threads} threads", *map(micro, by_lanes.values())]
+        for (name, threads), by_lanes in found.items()
+    ]
+    head = ["µs a lane-step", *(counted(n, "lane") for n in effort.lanes)]
     return Section(table(head, rows), {"lanes": throughput(found)})
 
 
@@ -92,7 +97,7 @@ def jobs(effort: Effort) -> Section:
     one = season(1, long)
     for boats in (1, 8):
         fleet = season(boats, long)
-        title = f"{long:g} h of the default ensemble, {boats} boat{'s' * (boats > 1)}"
+        title = f"{long:g} h of the default ensemble, {counted(boats, 'boat')}"
         row(title, partial(replayed, ensemble, fleet), fleet.steps * boats)
     for kind in ("aid", "sift"):
         estimator = grid_of(kind, effort.settings)
@@ -100,6 +105,7 @@ def jobs(effort: Effort) -> Section:
         title = f"{effort.settings} settings of one {kind} × {long:g} h"
         row(title, partial(fleet_mae, estimator, one, (effort.settings,)), effort.settings * one.steps)
     runs = [tree_map(lambda x, n=run.lengths[0]: x[:n, 0], run.samples) for run in one.runs]
+    cross_validate(ensemble, ensemble.init((1,)), runs[:1])
     title = f"cross-validation, {effort.sets} sets × {long:g} h"
     work = partial(cross_validate, ensemble, ensemble.init((effort.sets,)), runs)
     row(title, work, effort.sets * one.steps)
@@ -115,9 +121,14 @@ def memory(effort: Effort) -> Section:
     """Peaks of processes of their own."""
     if not RESET.exists():
         return Section(["Measured on Linux alone."])
-    cases = [(f"replay, default ensemble, {boats} boats", "ensemble", boats, boats, h) for boats in (1, 8)
+    cases = [(f"replay, default ensemble, {counted(boats, 'boat')}", "ensemble", boats, boats, h) for boats in (1, 8)
              for h in effort.hours]  # fmt: skip
-    cases += [(f"grid, sift, {n} lanes", "sift", n, 1, h) for n in effort.lanes if n <= 512 for h in effort.hours]
+    cases += [
+        (f"grid, sift, {counted(n, 'setting')}", "sift", n, 1, h)
+        for n in effort.lanes
+        if n <= 512
+        for h in effort.hours
+    ]
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         for title, kind, count, boats, hours in cases:
@@ -187,8 +198,9 @@ def logging(fleet: Fleet, effort: Effort) -> str:
             spent += once(partial(watch.finish, SETTINGS, boats, archive.published, quiet))
             seconds.append(spent)
             shares.append(spent / (time.perf_counter() - began - spent))
+    boats = counted(len(fleet.boats), "boat")
     return (
-        f"- {len(fleet.boats)} boats, {fleet.steps} steps: logging and saving take {statistics.median(seconds):.2f} s, "
+        f"- {boats}, {fleet.steps} steps: logging and saving take {statistics.median(seconds):.2f} s, "
         f"{statistics.median(shares):.0%} of the replay of the default ensemble"
     )
 

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from timing import micro
 
 matplotlib.rcParams |= {"svg.hashsalt": "speed", "svg.fonttype": "none", "font.size": 9, "axes.axisbelow": True}
 WIDTH = 8.0  # inches
@@ -22,22 +23,28 @@ def bars(costs: Mapping[str, Mapping[str, float | None]]) -> Figure:
         axes.barh(places, values, height, label=way)
         for place, value in zip(places, values, strict=True):
             if np.isfinite(value):
-                axes.annotate(f"{value:.2g}", (value, place), (2, 0), textcoords="offset points", va="center", size=6)
+                axes.annotate(
+                    micro(value / 1e6), (value, place), (2, 0), textcoords="offset points", va="center", size=6
+                )
     axes.set_yticks(range(len(costs)), list(costs))
-    axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="µs a step")
+    axes.set(xscale="log", xlabel="µs a step", ylim=(len(costs) - 0.5, -0.5))
+    axes.margins(x=0.1)
     axes.grid(axis="x", which="both", alpha=0.25)
-    axes.legend(loc="lower right")
+    figure.legend(loc="outside upper center", ncols=len(ways))
     return figure
 
 
-def throughput(costs: Mapping[str, Mapping[int, float]]) -> Figure:
-    """Seconds of a lane-step against lanes."""
+def throughput(costs: Mapping[tuple[str, int], Mapping[int, float]]) -> Figure:
+    """Seconds of a lane-step against lanes, by estimator and threads."""
     figure = Figure((WIDTH, 3.6), layout="constrained")
     axes = figure.subplots()
-    for name, by_lanes in costs.items():
-        style = "--" if "cores" in name else "-"
-        axes.plot(list(by_lanes), [1e6 * x for x in by_lanes.values()], style, marker="o", ms=4, label=name)
+    names = list(dict.fromkeys(name for name, _ in costs))
+    for (name, threads), by_lanes in costs.items():
+        style, label = ("-", name) if threads == 1 else ("--", f"{name}, {threads} threads")
+        color = f"C{names.index(name)}"
+        axes.plot(
+            list(by_lanes), [1e6 * x for x in by_lanes.values()], style, color=color, marker="o", ms=4, label=label
+        )
     lanes = list(next(iter(costs.values())))
     axes.set(xscale="log", yscale="log", xlabel="lanes", ylabel="µs a lane-step")
     axes.set_xticks(lanes, [str(n) for n in lanes])
@@ -51,9 +58,10 @@ def growth_curves(kinds: Mapping[str, Mapping[str, Mapping[int, float]]]) -> Fig
     """Seconds of a step against each size, in a panel of its own."""
     figure = Figure((WIDTH, 2.8), layout="constrained")
     for k, (axes, (kind, ways)) in enumerate(zip(figure.subplots(1, len(kinds)), kinds.items(), strict=True)):
-        for way, by_size in ways.items():
+        for j, (way, by_size) in enumerate(ways.items()):
             if by_size:
-                axes.plot(list(by_size), [1e6 * x for x in by_size.values()], marker="o", ms=4, label=way)
+                costs = [1e6 * x for x in by_size.values()]
+                axes.plot(list(by_size), costs, color=f"C{j}", marker="o", ms=4, label=way)
         axes.set(xlabel=kind, ylim=(0, None), ylabel="" if k else "µs a step")
         axes.grid(alpha=0.25)
         axes.legend()

@@ -10,7 +10,7 @@ import peers
 import torch
 from reference import compiler, reference
 from speed_plots import bars, growth_curves
-from timing import Effort, Section, Work, in_turn, micro, ratio, table
+from timing import Effort, Section, Work, in_turn, micro, ratio, table, three_digits
 
 from usvlearn import (
     AID,
@@ -103,7 +103,7 @@ def median(spent: Mapping[str, Sequence[float]], way: str) -> float | None:
 
 
 def times(spent: Mapping[str, Sequence[float]], way: str, reference: str) -> str:
-    return f"{ratio(spent[way], spent[reference]):.3g}×" if reference in spent else ""
+    return f"{three_digits(ratio(spent[way], spent[reference]))}×" if reference in spent else ""
 
 
 def steps(effort: Effort) -> Section:

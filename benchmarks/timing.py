@@ -47,7 +47,7 @@ def once(work: Work) -> float:
     return time.perf_counter() - start
 
 
-def in_turn(works: Mapping[str, Work], repeats: int) -> dict[str, list[float]]:
+def in_turn(works: Mapping[Any, Work], repeats: int) -> dict[Any, list[float]]:
     """Seconds of every work, once each and all again: a machine that drifts harms their ratios least.
 
     Before, each is done once unmeasured: it may compile, and fills the caches.
@@ -76,17 +76,31 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     return [text[0], "|---|" + "---:|" * (len(head) - 1), *text[1:]]
 
 
-def micro(seconds: float | None) -> str:
-    """Microseconds, of three digits.
+def three_digits(value: float) -> str:
+    """Without an exponent.
 
-    >>> micro(1.2345e-4), micro(1.5e-8), micro(None)
-    ('123', '0.0150', '')
+    >>> three_digits(1234.5), three_digits(0.015)
+    ('1234', '0.0150')
     """
-    if seconds is None:
-        return ""
-    value = seconds * 1e6
     digits = max(0, 2 - int(f"{value:e}".partition("e")[2]))
     return f"{value:.{digits}f}"
+
+
+def micro(seconds: float | None) -> str:
+    """Microseconds; nothing where nothing was measured.
+
+    >>> micro(1.2345e-4), micro(None)
+    ('123', '')
+    """
+    return "" if seconds is None else three_digits(seconds * 1e6)
+
+
+def counted(number: int, thing: str) -> str:
+    """
+    >>> counted(1, "boat"), counted(8, "boat")
+    ('1 boat', '8 boats')
+    """
+    return f"{number} {thing}{'s' * (number != 1)}"
 
 
 def machine() -> str:
@@ -101,6 +115,8 @@ def machine() -> str:
     if compiler():
         told = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
         found.append(f"{told.splitlines()[0]} with `{' '.join(FLAGS)}`")
+    if hasattr(os, "getloadavg"):
+        found.append(f"load {os.getloadavg()[0]:.1f} before")
     return "; ".join(found)
 
 

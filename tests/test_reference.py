@@ -39,7 +39,7 @@ def samples():
 def test_the_reference_is_the_estimator(name, samples):
     estimator = TWINS[name]()
     with torch.no_grad():
-        state, predictions, _ = rollout(estimator, estimator.init(), samples)
+        state, predictions, _ = rollout(estimator, estimator.init(), samples, backend="torch")
     made = reference(estimator, samples)
     for _ in range(2):  # it starts anew
         assert equal(torch.from_numpy(made.run()), predictions)
