@@ -33,7 +33,7 @@ from usvlearn.logs.fleet import align_fleet
 from usvlearn.signals import tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 
-NEURONS, MEMBERS = (10, 20, 50, 100, 200, 500), (2, 4, 7, 10, 14)
+NEURONS, MEMBERS = (10, 20, 50, 100, 200, 500), (1, 2, 4, 7, 10, 14)
 WAYS = {"C": "C", "streamed": "streamed", "call": "called from Python", "torch": "eager torch"}
 
 

@@ -32,6 +32,8 @@ OURS = {
                                   "usvlearn.tensorboard"},
     "usvlearn.evaluation.stability": LIGHT | {"usvlearn.estimators", "certify"},
     "usvlearn.evaluation.sections.network": LIGHT | {"usvlearn.estimators", "usvlearn.evaluation", "certify"},
+    "usvlearn.evaluation.sections.cost": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.evaluation",
+                                                  "usvlearn.online"},
     "usvlearn.evaluation.report": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.tensorboard"},
     "usvlearn.evaluation": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                     "usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.backend"},
@@ -127,6 +129,16 @@ def test_package_logs_and_checkpoints_import_without_torch():
         "usvlearn.Sample, usvlearn.Aligner"
     )
     assert not loaded(code) & {*HEAVY, "hydra", "rich"}
+
+
+def test_kernels_run_without_torch():
+    """Nor does any part of them import it, at any depth."""
+    code = "import usvlearn.kernels.cross, usvlearn.kernels.live, usvlearn.kernels.run, usvlearn.online"
+    assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
+    for path in MODULES:
+        if within(name_of(path), ["usvlearn.kernels"]):
+            packages = {found.partition(".")[0] for found in imports(path)}
+            assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
 
 
 @pytest.mark.parametrize("script", ["train.py", "evaluate.py"])

@@ -1,6 +1,6 @@
 """Aboard: what a boat's computer does, in an environment with numpy, numba and safetensors alone.
 
-Where `USVLEARN_RUN` names the folder of a run, its sets are taken, and torch must not be there; else a set is made here.
+Where `USVLEARN_RUN` names the folder of a run, its sets are taken, and torch must not be there; else one is made here.
 """
 
 import importlib.util

@@ -343,12 +343,17 @@ class BOA(Prior):
         return BOAState(weights, losses, squares, ranges)
 
     def kernel(self) -> dict[str, Any]:
-        return self._kernel("boa", scale=self.scale, share=self.share)
+        found = self._kernel("boa", scale=self.scale, share=self.share)
+        return found | {"vector": [*found["vector"], *self._costs().tolist()]}
 
     def monitor(self, state: BOAState) -> dict[str, Tensor]:
         return self._weights(state.weights)
 
+    def _costs(self) -> Tensor:
+        """c = log(1/w0) of (3), `(members,)`."""
+        return (-self.log_prior).clamp(min=TINY)
+
     def _rates(self, ranges: Tensor, squares: Tensor) -> Tensor:
         """η of (3) as √(c / max(V, c E²)), whose slope is finite where V = 0; c > 0 though there be one member only."""
-        c = (-self.log_prior).clamp(min=TINY)
+        c = self._costs()
         return (c / torch.maximum(squares, c * ranges * ranges)).sqrt()

@@ -56,13 +56,13 @@ def scores(
 
 def fleet_scores(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]], names: Sequence[str]) -> dict[str, dict]:
     """`scores` per boat over all its runs; published are arrays `(time, boats, estimators)` per run."""
-    together = np.concatenate(published["predictions"])
-    widths = np.concatenate(published["halfwidths"]) if "halfwidths" in published else None
-    surge = np.concatenate([np.where(run.samples.measured, run.samples.surge, np.nan) for run in fleet.runs])
-    return {
-        boat: scores(together[:, lane], surge[:, lane], names, None if widths is None else widths[:, lane])
-        for lane, boat in enumerate(fleet.boats)
-    }
+    found = {}
+    for lane, boat in enumerate(fleet.boats):  # one by one: over many hours this is most of a run's memory
+        mine = {name: np.concatenate([run[:, lane] for run in runs]) for name, runs in published.items()}
+        measured = [(run.samples.measured[:, lane], run.samples.surge[:, lane]) for run in fleet.runs]
+        surge = np.concatenate([np.where(known, speed, np.nan) for known, speed in measured])
+        found[boat] = scores(mine["predictions"], surge, names, mine.get("halfwidths"))
+    return found
 
 
 def alarms(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[dict]]:

@@ -27,9 +27,9 @@ def compilable(description: Mapping[str, Any] | None) -> bool:
     if description is None:
         return False
     if description["kind"] == "ensemble":
-        return all(compilable(x) and x["kind"] != "ensemble" for x in description["members"].values())
-    wrappers = [] if description["kind"] != "bank" else ["bank"]
-    description = description["inner"] if wrappers else description
+        members = description["members"].values()
+        return all(compilable(x["inner"] if x["kind"] == "bank" else x) and x["kind"] != "ensemble" for x in members)
+    wrappers = []
     while description["kind"] in ("robust", "memory"):
         wrappers.append(description["kind"])
         description = description["inner"]

@@ -22,7 +22,7 @@ RULE_NUMBERS = {
 }
 TINY, FORGETTING, TRACE_MAX, SURGE_MAX = range(4)
 MEMORY, RATE, SCALE, SHARE = 1, 2, 2, 3
-VECTOR = 4  # weights of `fixed`, priors of the last two
+VECTOR = 4  # weights of `fixed`, priors of the last two; behind those of `boa`, c of (3)
 
 
 def rule_fields(kind, m):
@@ -126,14 +126,15 @@ def learn_exponential(s, q, x, m, square, surge, kept, work):
 def learn_boa(s, q, x, m, square, surge, kept, work):
     """`BOA.learn`, equations (1) to (4)."""
     weights, losses, squares, ranges = s[:m], s[m : 2 * m], s[2 * m : 3 * m], s[3 * m : 4 * m]
-    prior, factors, exponents = q[VECTOR : VECTOR + m], work[:m], work[m : 2 * m]
+    prior, costs = q[VECTOR : VECTOR + m], q[VECTOR + m : VECTOR + 2 * m]
+    factors, exponents = work[:m], work[m : 2 * m]
     combined = dot(weights, x[:m])
     error = combined - surge
     slope = 2 * error if square else np.sign(error)
     for k in range(m):
         loss = slope * (x[k] - combined)
         ranges[k] = max(kept * ranges[k], q[SCALE], abs(loss))  # (1)
-        c = max(-np.log(prior[k]), q[TINY])
+        c = costs[k]
         least = c * ranges[k] * ranges[k]
         surprising = np.sqrt(c / max(squares[k], least)) * loss
         surcharge = ranges[k] if surprising > 0.5 else 0.0

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numba import config
 
 from usvlearn.compiled import announced
 from usvlearn.errors import ShapeError
@@ -42,11 +43,11 @@ class Live:
         batch = np.shape(leaves[name])[: np.ndim(leaves[name]) - len(leaf.shape)]
         self.plan = plan_for(description, batch, first.dtype) if batch else one
         self.states = self.plan.pack(leaves)
+        self._spare = self.states.copy()  # in which a prediction is made
         self._work = np.empty(self.plan.work, first.dtype)
-        self._arguments = [
-            (self.plan.program, row, self.plan.numbers[k if len(self.plan.numbers) > 1 else 0], self._work)
-            for k, row in enumerate(self.states)
-        ]
+        self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
+        if config.DISABLE_JIT:  # plain Python, for a debugger
+            return
         with announced(__file__, f"kernels of single steps, {first.dtype}"):
             rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
             LIVE.disable_compile(False)
@@ -64,27 +65,31 @@ class Live:
 
     def step(self, sample: Sample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
-        if self.plan.batch:
-            return self._each(self._arguments, sample)
-        (left, right, heading, yaw_rate, dt), surge, fresh, measured = sample
-        arguments = self._arguments[0]
-        try:
-            return LIVE(*arguments, left, right, heading, yaw_rate, dt, surge, fresh, measured)
-        except TypeError:  # an array or a tensor of one number
-            return LIVE(
-                *arguments, *map(float, (left, right, heading, yaw_rate, dt, surge)), bool(fresh), bool(measured)
-            )
+        return self._advance(self._steps, *sample)
 
     def predict(self, inputs: Inputs) -> Any:
         """The prediction, m/s; the state stays as it is."""
-        arguments = [(program, s.copy(), *rest) for program, s, *rest in self._arguments]
-        return self._each(arguments, Sample(inputs, np.nan, True, False))
+        np.copyto(self._spare, self.states)
+        return self._advance(self._predictions, inputs, np.nan, True, False)
 
-    def _each(self, arguments: list[tuple], sample: Sample) -> Any:
-        inputs, *rest = sample
-        values = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in (*inputs, *rest)]
+    def _arguments(self, states: np.ndarray) -> list[tuple]:
+        """What each lane's step is called with before the sample."""
+        numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
+        return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
+
+    def _advance(self, lanes: list[tuple], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
+        if self.plan.batch:
+            return self._each(lanes, (*inputs, surge), (fresh, measured))
+        left, right, heading, yaw_rate, dt = inputs
+        try:
+            return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
+        except TypeError:  # an array or a tensor of one number
+            return LIVE(*lanes[0], *map(float, (*inputs, surge)), bool(fresh), bool(measured))
+
+    def _each(self, lanes: list[tuple], numbers: tuple, masks: tuple) -> np.ndarray:
+        wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in (*numbers, *masks)]
         found = [
-            LIVE(*own, *map(float, numbers), bool(fresh), bool(measured))
-            for own, *numbers, fresh, measured in zip(arguments, *values, strict=True)
+            LIVE(*lane, *map(float, own), bool(fresh), bool(measured))
+            for lane, *own, fresh, measured in zip(lanes, *wide, strict=True)
         ]
-        return np.array(found, self.plan.dtype).reshape(self.plan.batch) if self.plan.batch else found[0]
+        return np.array(found, self.plan.dtype).reshape(self.plan.batch)

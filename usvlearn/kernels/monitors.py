@@ -51,26 +51,26 @@ def observe_innovations(s, innovation, k, q):
 
 @kernel
 def solve_model(moments, ridge, L, x, theta, solved):
-    """ϑ of (4) into `theta`, (Σ w x xᵀ + ρ I)⁻¹ x into `solved`, by Cholesky."""
+    """ϑ of (4) into `theta`, (Σ w x xᵀ + ρ I)⁻¹ x into `solved`, by Cholesky; the diagonal holds its inverse."""
     n = FEATURES
     for i in range(n):
         for j in range(i + 1):
             total = moments[i + 1, j + 1] + (ridge if i == j else 0.0)
             for k in range(j):
                 total -= L[i, k] * L[j, k]
-            L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
+            L[i, j] = 1.0 / np.sqrt(total) if i == j else total * L[j, j]
     for i in range(n):
         one, other = moments[i + 1, 0], x[i]
         for k in range(i):
             one -= L[i, k] * theta[k]
             other -= L[i, k] * solved[k]
-        theta[i], solved[i] = one / L[i, i], other / L[i, i]
+        theta[i], solved[i] = one * L[i, i], other * L[i, i]
     for i in range(n - 1, -1, -1):
         for k in range(i + 1, n):
             theta[i] -= L[k, i] * theta[k]
             solved[i] -= L[k, i] * solved[k]
-        theta[i] /= L[i, i]
-        solved[i] /= L[i, i]
+        theta[i] *= L[i, i]
+        solved[i] *= L[i, i]
 
 
 @kernel

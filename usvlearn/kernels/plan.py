@@ -7,7 +7,7 @@ An estimator describes itself (`Estimator.kernel`) in plain values, which also f
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from usvlearn.errors import ShapeError
 from usvlearn.kernels import aid, combiners, monitors, regressors, rls, rnn, stable, step
 
 Description = Mapping[str, Any]
+Setting = tuple[int, int] | None  # of a bank, and how many it has
 ORDER = {  # of the numbers of an estimator
     "rls": rls.RLS_NUMBERS, "sift": rls.RLS_NUMBERS, "aid": aid.AID_NUMBERS, "rnn": rnn.RNN_NUMBERS,
     "persistence": (), "acceleration": step.ACCELERATION_PARAMETERS,
@@ -151,19 +152,22 @@ class Plan:
             self.size += int(np.prod(shape, dtype=int))
         return first
 
-    def _values(self, values: Sequence[Any], name: str, setting: tuple[int, int] | None = None, length: int = 1) -> int:
-        """Add numbers, or vectors of a length; returns where the first stands. `setting`: of a bank, and how many."""
+    def _numbers(self, values: Mapping[str, Any], order: Sequence[str], name: str, setting: Setting = None) -> int:
+        """Add numbers; returns where the first stands."""
         first = len(self._columns)
-        for value in values:
-            array, bank = np.asarray(value, float), () if setting is None else (setting[1],)
-            if array.ndim == 0 or length == 1:
-                array = array[..., None]
-            try:
-                array = np.broadcast_to(array, (*self.batch, *bank, length))
-            except ValueError as error:
-                raise ShapeError(f"{name}: found the shape {np.shape(value)}, expected one for {self.batch}") from error
-            array = (array if setting is None else array[..., setting[0], :]).reshape(self.lanes, length)
-            self._columns += list((array[:1] if (array == array[:1]).all() else array).T)
+        for key in order:
+            self._vector(np.asarray(values[key], float)[..., None], 1, f"{name}: {key}", setting)
+        return first
+
+    def _vector(self, value: Any, length: int, name: str, setting: Setting = None) -> int:
+        """Add so many numbers, `(*batch, length)`; returns where the first stands."""
+        first, bank = len(self._columns), () if setting is None else (setting[1],)
+        try:
+            array = np.broadcast_to(np.asarray(value, float), (*self.batch, *bank, length))
+        except ValueError as error:
+            raise ShapeError(f"{name}: found the shape {np.shape(value)}, expected one for {self.batch}") from error
+        array = (array if setting is None else array[..., setting[0], :]).reshape(self.lanes, length)
+        self._columns += list((array[:1] if (array == array[:1]).all() else array).T)
         return first
 
     def _member(self, description: Description, prefix: str) -> None:
@@ -180,7 +184,7 @@ class Plan:
                 own = Leaf(leaf.place - (count - 1) * block, (count, *leaf.shape), (block, *leaf.strides))
                 self.leaves[name] = own
 
-    def _estimator(self, description: Description, prefix: str, setting: tuple[int, int] | None) -> None:
+    def _estimator(self, description: Description, prefix: str, setting: Setting) -> None:
         row = [-1] * 16
         wrappers: dict[str, tuple[Description, str]] = {}
         order = []
@@ -188,35 +192,30 @@ class Plan:
             order.append(description["kind"])
             wrappers[description["kind"]] = description, prefix
             description, prefix = description["inner"], f"{prefix}inner."
-        signs, iterations = description.get("signs"), description.get("iterations", 0)
-        kind, size = description["kind"], description["size"]
-        numbers, vectors = description["numbers"], description.get("vectors", {})
+        kind, size, iterations = description["kind"], description["size"], description.get("iterations", 0)
         name = prefix.rstrip(".") or kind
         row[step.KIND], row[step.SIZE] = step.KINDS.index(kind), size
         row[step.TERMS] = sum(TERMS[term] for term in description.get("terms", ()))
         row[step.ESTIMATE] = int(description.get("feedback") == "estimate")
         row[step.STATE] = self._place(fields(kind, size), prefix)
-        row[step.NUMBERS] = self._values([numbers[key] for key in ORDER[kind]], name, setting)
+        row[step.NUMBERS] = self._numbers(description["numbers"], ORDER[kind], name, setting)
         for key in VECTORS.get(kind, ()):
-            self._values([vectors[key]], f"{name}: {key}", setting, np.shape(vectors[key])[-1])
+            vector = description["vectors"][key]
+            self._vector(vector, np.shape(vector)[-1], f"{name}: {key}", setting)
         if kind == "rnn":
             row[step.CONDITION] = stable.CONDITIONS.index(description["condition"])
             row[step.BEST], row[step.UNROLL] = int(description["best"]), int(description["unroll"] == 2)
         row[step.ITERATIONS] = iterations
         if iterations:
-            row[step.SIGNS] = self._values([signs], name, setting, size)
+            row[step.SIGNS] = self._vector(description["signs"], size, f"{name}: signs", setting)
         if "memory" in wrappers:
             wrapper, own = wrappers["memory"]
             row[step.MEMORY_STATE] = self._place(dict.fromkeys(step.MEMORY_FIELDS, ()), own)
-            row[step.MEMORY_NUMBERS] = self._values(
-                [wrapper["numbers"][key] for key in step.MEMORY_PARAMETERS], own, setting
-            )
+            row[step.MEMORY_NUMBERS] = self._numbers(wrapper["numbers"], step.MEMORY_PARAMETERS, own, setting)
         if "robust" in wrappers:
             wrapper, own = wrappers["robust"]
             row[step.ROBUST_STATE] = self._place(dict.fromkeys(step.ROBUST_FIELDS, ()), own)
-            row[step.ROBUST_NUMBERS] = self._values(
-                [wrapper["numbers"][key] for key in step.ROBUST_PARAMETERS], own, setting
-            )
+            row[step.ROBUST_NUMBERS] = self._numbers(wrapper["numbers"], step.ROBUST_PARAMETERS, own, setting)
             row[step.OUTER] = int(order[0] == "robust")
         self._rows.append(row)
         needed = 4 + 16 * size if kind == "rnn" else 12 * size + 2 * size * size
@@ -232,22 +231,23 @@ class Plan:
             kind, columns = rule["kind"], rule["columns"]
             row = [combiners.RULES.index(kind), len(columns), self._place(combiners.rule_fields(kind, len(columns)),
                    f"combiners.{name}."), len(self._columns), int(rule.get("loss") == "square"), *columns]  # fmt: skip
-            values = [rule["numbers"][key] for key in combiners.RULE_NUMBERS[kind]]
-            self._values([*values, *[0.0] * (combiners.VECTOR - len(values))], name)
+            order = combiners.RULE_NUMBERS[kind]
+            self._numbers(rule["numbers"], order, name)
+            self._vector(0.0, combiners.VECTOR - len(order), name)
             if "vector" in rule:
-                self._values([rule["vector"]], name, None, len(columns))
+                self._vector(rule["vector"], len(rule["vector"]), name)
             self._rows.append(row)
         whole = {step.ESTIMATORS: estimators, step.RULES: len(rules), step.NAMES: names, step.MONITORS: -1}
         whole[step.OUTPUT] = estimators + list(rules).index(description["output"])
         whole[step.CONFORMAL] = self._place({"conformal.halfwidth": (names,), "conformal.count": (names,)}, "")
         whole[step.PREDICTIONS] = self._place({"predictions": (names,)}, "")
         whole[step.HALFWIDTHS] = self._place({"halfwidths": (names,)}, "")
-        whole[step.LIMIT] = self._values([description["numbers"]["surge_max"]], "surge_max")
-        numbers: Callable = lambda part, order: self._values([description[part][key] for key in order], part)  # noqa: E731
-        whole[step.CONFORMAL_NUMBERS] = numbers("conformal", combiners.CONFORMAL_NUMBERS)
-        if description["monitors"] is not None:
+        whole[step.LIMIT] = self._numbers(description["numbers"], ("surge_max",), "ensemble")
+        numbers = description["conformal"]
+        whole[step.CONFORMAL_NUMBERS] = self._numbers(numbers, combiners.CONFORMAL_NUMBERS, "conformal")
+        if (numbers := description["monitors"]) is not None:
             whole[step.MONITORS] = self._place(monitors.monitor_fields(names), "monitors.")
-            whole[step.MONITOR_NUMBERS] = numbers("monitors", monitors.MONITOR_NUMBERS)
+            whole[step.MONITOR_NUMBERS] = self._numbers(numbers, monitors.MONITOR_NUMBERS, "monitors")
         widest = max(len(rule["columns"]) for rule in rules.values())
         self._largest = max(self._largest, 2 * estimators + 4 * widest, names + 4 * monitors.Z + monitors.Z**2)
         return whole

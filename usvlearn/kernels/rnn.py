@@ -11,10 +11,10 @@ from usvlearn.kernels.regressors import COS, DT, LEFT, RIGHT, SIN
 from usvlearn.kernels.stable import NONE, project
 
 RNN_NUMBERS = (
-    "scale", "surge_max", "rate", "decay", "momentum", "clip", "contraction_rate", "penalty", "beta2", "epsilon",
+    "scale", "surge_max", "rate", "decay", "momentum", "clip", "contraction_rate", "penalty", "share2", "epsilon",
     "tiny",
 )  # fmt: skip
-SCALE, SURGE_MAX, RATE, DECAY, MOMENTUM, CLIP, KAPPA, PENALTY, BETA2, EPSILON, TINY = range(11)
+SCALE, SURGE_MAX, RATE, DECAY, MOMENTUM, CLIP, KAPPA, PENALTY, SHARE2, EPSILON, TINY = range(11)
 BOUNDS = 11  # least and greatest x, u of the box, ten numbers
 RATIOS = 21  # relative rates, 7n numbers
 
@@ -109,17 +109,17 @@ def adam(weights, moment1, moment2, grad, q, updates):
     rate = q[RATE]
     if q[DECAY] < np.inf:
         rate /= np.sqrt(1 + np.floor(updates / q[DECAY]))
-    momentum, keep, epsilon, tiny = q[MOMENTUM], 1 - q[BETA2], q[EPSILON], q[TINY]
+    momentum, share2, epsilon, tiny = q[MOMENTUM], q[SHARE2], q[EPSILON], q[TINY]  # share2 is 1 − β₂
     if momentum > 0:
         rate /= 1 - momentum**count
         for i in range(len(grad)):
             moment1[i] += (1 - momentum) * (grad[i] - moment1[i])
     else:
         copy(moment1, grad)
-    correction = 1.0 / (1 - q[BETA2] ** count)
+    correction = 1.0 / (1 - (1 - share2) ** count)
     ratios = q[RATIOS : RATIOS + len(grad)]
     for i in range(len(grad)):
-        v = moment2[i] + keep * (grad[i] * grad[i] - moment2[i])
+        v = moment2[i] + share2 * (grad[i] * grad[i] - moment2[i])
         moment2[i] = v
         weights[i] -= rate * ratios[i] * moment1[i] / (np.sqrt(max(v * correction, tiny)) + epsilon)
 

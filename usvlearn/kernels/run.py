@@ -77,7 +77,7 @@ def prepared(samples: Sample, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     inputs, *rest = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
     rows = np.empty((count, steps, step.ROW), dtype)
     step.prepare_all(*inputs, *rest, rows)
-    return rows, np.broadcast_to(np.arange(count).reshape(own), batch).reshape(-1)
+    return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
 
 
 def in_parallel(work: Callable[[int, int], None], lanes: int, threads: int) -> None:

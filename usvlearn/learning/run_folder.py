@@ -67,7 +67,8 @@ class RunFolder:
     @property
     def published(self) -> dict[str, list[np.ndarray]]:
         """What was published so far, by `replay.PUBLISHED`, an array per run; earlier sessions included."""
-        runs = [_joined(chunks) for chunks in self._chunks if chunks]
+        self._chunks = [[_joined(chunks)] if chunks else [] for chunks in self._chunks]  # in place of their parts
+        runs = [run for chunks in self._chunks for run in chunks]
         return {name: [run[name] for run in runs] for name in (runs[0] if runs else {})}
 
     def begin(self, state: EnsembleState, resume: str | None) -> Start:
@@ -154,8 +155,9 @@ class RunFolder:
     def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
         """Judge all that was published; returns what stands in `results.json`: scores, alarms, the objective."""
         self._wait()
-        boats = fleet_scores(self.fleet, self.published, ensemble.names)
-        found = {"boats": boats, "alarms": alarms(self.fleet, self.published), "rejected": self.fleet.rejected}
+        published = self.published
+        boats = fleet_scores(self.fleet, published, ensemble.names)
+        found = {"boats": boats, "alarms": alarms(self.fleet, published), "rejected": self.fleet.rejected}
         found |= {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
         save_results(self.path, found)
         return found

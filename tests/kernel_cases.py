@@ -1,0 +1,229 @@
+"""What the compiled kernels are held against torch on: estimators far from their defaults, and samples with faults."""
+
+import math
+
+import numpy as np
+import torch
+
+from usvlearn import (
+    AID,
+    BOA,
+    RLS,
+    RNN,
+    Average,
+    Bank,
+    Ensemble,
+    ExponentialWeights,
+    FixedWeights,
+    Inputs,
+    Persistence,
+    Projected,
+    QuasiStatic,
+    RecursiveWeights,
+    Robust,
+    Sample,
+    SIFtRLS,
+    SurgeDynamics,
+    WithMemory,
+)
+from usvlearn.estimators.acceleration import Acceleration
+from usvlearn.signals import named_leaves, tree_map
+
+PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
+CONDITIONS = ("simple", "gershgorin", "lmi", "tight", "interval")
+SIGNS = [-1, 1, -1, 1, -1, 1, -1, 1, -1]  # most of them wrong, so that the projection acts
+FULL = {"memory": True, "ambient": True}
+
+
+def mission(steps: int, *batch: int, seed: int = 0, faults: bool = True, dtype=torch.float64) -> Sample:
+    """A boat under steps of command, with noise; with missing, stale, absurd and outlying samples, and new segments."""
+    rng = np.random.default_rng(seed)
+    shape, held = (steps, *batch), (steps // 12 + 1, *batch)
+    left, right = (np.repeat(rng.uniform(-0.3, 1, held), 12, 0)[:steps] for _ in range(2))
+    dt = np.where(rng.random(shape) < 0.9, 0.4, rng.uniform(0.05, 2.0, shape))
+    yaw_rate = 0.3 * (left - right) + 0.02 * rng.standard_normal(shape)
+    heading = np.cumsum(yaw_rate * dt, 0)
+    surge, v = np.empty(shape), np.zeros(batch)
+    for k in range(steps):
+        force = 18 * (left[k] + right[k]) + 15 * (left[k] * abs(left[k]) + right[k] * abs(right[k]))
+        v = v + np.minimum(dt[k], 0.5) / 28 * (force - 6 * v * abs(v) - 8 * v + 2 * np.cos(heading[k]))
+        surge[k] = v
+    surge += 0.02 * rng.standard_normal(shape)
+    fresh, measured = np.ones(shape, bool), np.ones(shape, bool)
+    if faults:
+        chance = rng.random(shape)
+        places = iter(np.arange(0, 0.12, 0.01))
+
+        def some() -> np.ndarray:
+            begin = next(places)
+            return (chance >= begin) & (chance < begin + 0.01)
+
+        surge[some()] += 5.0
+        surge[some()] = -99.0
+        surge[some()] = 1e6
+        surge[some()] = math.nan
+        left[some()] = math.nan
+        right[some()] = 1.5
+        yaw_rate[some()] = -math.inf
+        heading[some()] = 1e5
+        dt[some()] = 0.0  # a segment starts
+        dt[some()] = 60.0
+        measured[some()] = False
+        fresh[some()] = False
+        for begin in range(150, steps, 400):  # an outage, a standstill, a change
+            measured[begin : begin + 20] = False
+            left[begin + 60 : begin + 90] = right[begin + 60 : begin + 90] = surge[begin + 60 : begin + 90] = 0.0
+            surge[begin + 120 : begin + 150] += 1.0
+        measured &= fresh
+    arrays = Inputs(left, right, heading, yaw_rate, dt), surge, fresh, measured
+    return tree_map(lambda x: torch.as_tensor(x, dtype=None if x.dtype == bool else dtype), Sample(*arrays))
+
+
+def difference(found, expected) -> float:
+    """The largest difference of two trees, each leaf's relative to its largest entry; infinite where NaN or inf differ.
+
+    >>> difference({"a": torch.tensor([1.0, 4.0])}, {"a": torch.tensor([1.0, 5.0])})
+    0.2
+    """
+    found, expected, worst = dict(named_leaves(found)), dict(named_leaves(expected)), 0.0
+    assert found.keys() == expected.keys()
+    for name, leaf in expected.items():
+        assert found[name].shape == leaf.shape and found[name].dtype == leaf.dtype, name
+        x, y = found[name].double().numpy(), leaf.detach().double().numpy()
+        known = np.isfinite(y)
+        if not np.array_equal(x[~known], y[~known], equal_nan=True) or not np.isfinite(x[known]).all():
+            return math.inf
+        error, largest = (np.abs(z).max(initial=0.0) for z in (x[known] - y[known], y[known]))
+        worst = max(worst, float(error / largest) if largest > 0 else (math.inf if error > 0 else 0.0))
+    return worst
+
+
+def _three() -> dict:
+    return {"aid": AID(28.0), "rls": RLS(), "rnn": RNN(6)}
+
+
+def _bank() -> Bank:
+    inner = WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=[4.0, 20.0]))
+    return Bank(Robust(inner, threshold=2.0, patience=1, inflation=2.0), ["short", "long"])
+
+
+def _crew() -> dict:
+    return {"aid": AID(28.0), "bank": _bank(), "rnn": RNN(6, unroll=2), "persistence": Persistence()}
+
+
+def _boxed(**options) -> RNN:
+    """A network of which some neurons are always on in the box of `interval`, and some never."""
+    rnn = RNN(9, condition="interval", rate=0.02, contraction_rate=0.5, initial="random", **options)
+    rnn.b.data += torch.linspace(-6.0, 6.0, 9, dtype=torch.float64)
+    rnn.a.data *= 3.0
+    return rnn
+
+
+VARIANTS = {
+    "aid_dead_zone": lambda: AID(28.0, dead_zone=0.05, gain=4.0, floor=0.02),
+    "aid_prior": lambda: AID(28.0, theta0=PRIOR, spread=[5, 0, 2, 9, 9, 1, 9, 9, 1], project=False),
+    "aid_leaks": lambda: AID(28.0, sigma=5.0, bound=0.3, theta0=PRIOR),
+    "aid_never_leaks": lambda: AID(28.0, sigma=0.0, gain=30.0),
+    "aid_estimate_leaks": lambda: AID(28.0, feedback="estimate", leak=0.3, bound=0.5, surge_max=2.0),
+    "aid_ambient": lambda: AID(model=SurgeDynamics(20.0, ambient=True), gain=2.0),
+    "aid_quasi_static": lambda: AID(model=QuasiStatic(), gain=0.5),
+    "aid_full": lambda: WithMemory(AID(model=SurgeDynamics(28.0, **FULL)), surge_dot_max=0.5),
+    "rls_surge_max": lambda: RLS(SurgeDynamics(28.0, ambient=True), forgetting=0.9, surge_max=1.2),
+    "rls_trace": lambda: RLS(SurgeDynamics(28.0), forgetting=0.8, trace_growth=1e-3, feedback="estimate"),
+    "rls_memory": lambda: WithMemory(RLS(SurgeDynamics(28.0, **FULL), forgetting=0.97, covariance=0.1)),
+    "sift_floor": lambda: SIFtRLS(SurgeDynamics(28.0), memory=2.0, floor=0.3, surge_max=1.5),
+    "sift_no_floor": lambda: SIFtRLS(memory=0.5, floor=0.0, covariance=100.0),
+    "sift_long": lambda: SIFtRLS(SurgeDynamics(5.0, ambient=True), memory=1e4, feedback="estimate"),
+    "projected_rls": lambda: Projected(RLS(SurgeDynamics(28.0), forgetting=0.95)),
+    "projected_signs": lambda: Projected(SIFtRLS(SurgeDynamics(28.0), memory=5.0), signs=SIGNS, iterations=2),
+    "projected_once": lambda: Projected(RLS(SurgeDynamics(28.0), forgetting=0.95), signs=SIGNS, iterations=1),
+    "projected_map": lambda: Projected(SIFtRLS(memory=5.0), signs=[1] * 9, iterations=8),
+    "projected_free": lambda: Projected(SIFtRLS(memory=5.0)),
+    "projected_memory": lambda: WithMemory(Projected(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5.0))),
+    "robust_sift": lambda: Robust(SIFtRLS(SurgeDynamics(28.0)), threshold=0.5, patience=1, inflation=200.0),
+    "robust_rls": lambda: Robust(RLS(forgetting=0.97), threshold=1.0, patience=3, scale=0.01, memory=5.0),
+    "robust_loose": lambda: Robust(
+        RLS(SurgeDynamics(28.0), forgetting=0.7, trace_growth=1e5), threshold=1.0, patience=1, inflation=1e4
+    ),
+    "robust_projected": lambda: Robust(Projected(RLS(SurgeDynamics(28.0))), threshold=1.0, patience=1, scale=1.0),
+    "robust_rnn": lambda: Robust(RNN(6, rate=5e-3), threshold=1.0, patience=1, scale_min=0.05),
+    "robust_rnn_blows_up": lambda: Robust(RNN(6, rate=1e200, stability="none", clip=None), threshold=100.0),
+    "robust_persistence": lambda: Robust(Persistence(), threshold=1.0, patience=1, memory=20.0),
+    "robust_acceleration": lambda: Robust(Acceleration(), threshold=1.0, patience=2, memory=20.0),
+    "robust_around_memory": lambda: Robust(WithMemory(RLS(SurgeDynamics(28.0, **FULL))), threshold=1.0, patience=1),
+    "memory_around_robust": lambda: WithMemory(Robust(RLS(SurgeDynamics(28.0, **FULL)), threshold=1.0, patience=1)),
+    "memory_around_robust_aid": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, memory=True)), threshold=0.7)),
+    "memory_around_nothing": lambda: WithMemory(Persistence()),
+    "acceleration": Acceleration,
+    "acceleration_limited": lambda: Acceleration(surge_dot_max=0.1, surge_max=1.0),
+    **{
+        f"rnn_{condition}_{gauge}_{unroll}": lambda c=condition, g=gauge, u=unroll: RNN(
+            7, condition=c, gauge=g, unroll=u, rate=0.02, contraction_rate=0.9, seed=3, initial="random"
+        )
+        for condition in CONDITIONS
+        for gauge in ("literal", "best")
+        for unroll in (1, 2)
+    },
+    "rnn_paper": lambda: RNN(
+        20, 3.0, "random", None, 5e-4, (1, 1, 1, 1, 1), momentum=0.9, clip=None, stability="penalty", penalty=0.1,
+        unroll=2,
+    ),
+    "rnn_free": lambda: RNN(3, stability="none", decay=50, clip=1e-3, momentum=0.5),
+    "rnn_box": _boxed,
+    "rnn_box_2": lambda: _boxed(unroll=2, clip=None, seed=2),
+    "rnn_interval_fast": lambda: RNN(20, condition="interval", rate=0.05, clip=None, contraction_rate=0.5),
+    "rnn_estimate_lmi": lambda: RNN(9, condition="lmi", feedback="estimate", rate=0.02, decay=None, surge_max=0.5),
+    "all_average": lambda: Ensemble(_crew(), watched=False, coverage=0.5),
+    "all_fixed": lambda: Ensemble(_crew(), {"fixed": FixedWeights({"aid": -0.5, "bank_long": 1.2, "rnn": 0.3})}),
+    "recursive": lambda: Ensemble(
+        _crew(), {"all": RecursiveWeights(forgetting=0.9, trace_max=2.0, surge_max=1.0),
+                  "some": RecursiveWeights(["rnn", "bank"], covariance=1e-3)}, output="all",
+    ),
+    "every_rule": lambda: Ensemble(
+        _crew(),
+        {
+            "average": Average("rnn"), "fixed": FixedWeights({"rnn": 0.0, "aid": 0.0}),
+            "exponential": ExponentialWeights(rate=3.0, memory=5.0, loss="square", prior={"aid": 3.0}),
+            "exponential_all": ExponentialWeights(["aid", "rnn"], memory=None, rate=0.1),
+            "boa": BOA(memory=None, share=0.0), "boa_square": BOA(["bank", "rnn"], 3.0, "square", 0.1, 0.2),
+            "one": BOA(["rnn"]), "weighted": RecursiveWeights(),
+        },
+        output="boa_square", coverage=0.99,
+    ),
+    "sleepers": lambda: Ensemble(
+        _three() | {"acceleration": Acceleration(), "projected": Projected(SIFtRLS(SurgeDynamics(28.0)))},
+        {"average": Average(["aid", "rls"]), "fixed": FixedWeights({"rls": 0.5, "rnn": 0.0}), "we": RecursiveWeights(),
+         "exponential": ExponentialWeights(), "boa": BOA(), "square": BOA(loss="square", prior={"rnn": 9.0})},
+        surge_max=1.0, output="we",
+    ),
+    "robust_members": lambda: Ensemble(
+        {"a": Robust(RNN(6), threshold=1.0), "b": Robust(AID(28.0), threshold=1.0), "c": WithMemory(Persistence())},
+        {"boa": BOA(memory=1.0)},
+    ),
+    "bank_of_aid": lambda: Ensemble({"aid": Bank(AID([20.0, 28.0, 40.0], gain=[0.3, 1.0, 3.0]), ["a", "b", "c"])}),
+}  # fmt: skip
+
+_lanes = torch.tensor([0.3, 1.0, 2.0, 5.0], dtype=torch.float64)
+LONG = {  # one of every family; four lanes, which are settings where hyperparameters broadcast
+    "aid": lambda: AID(28.0 * _lanes, gain=_lanes, bound=1.5, dead_zone=0.01),
+    "aid_estimate": lambda: AID(28.0, gain=_lanes, feedback="estimate", leak=_lanes),
+    "rls": lambda: RLS(SurgeDynamics(28.0 * _lanes), forgetting=1 - 0.01 * _lanes, covariance=_lanes),
+    "sift": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5 * _lanes, covariance=_lanes),
+    "projected": lambda: Projected(RLS(SurgeDynamics(28.0 * _lanes), forgetting=1 - 0.01 * _lanes), SIGNS),
+    "robust": lambda: Robust(
+        WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5 * _lanes)), 2.0, 1, inflation=1 + _lanes, scale=_lanes
+    ),
+    "memory_robust": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, **FULL), gain=_lanes), 2.0)),
+    "rnn": lambda: RNN(6, rate=1e-3 * _lanes, contraction_rate=1 - 0.1 * _lanes),
+    "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _lanes, unroll=2),
+    "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
+    "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_lanes),
+    "pair": lambda: Ensemble(
+        {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "still": Robust(Acceleration(), scale=_lanes)},
+        {"we": RecursiveWeights(), "boa": BOA()},
+    ),
+    "ensemble": lambda: Ensemble(
+        {"rls": RLS(forgetting=1 - 0.01 * _lanes), "bank": _bank(), "rnn": RNN(6), "persistence": Persistence()},
+        {"average": Average(), "we": RecursiveWeights(), "ewa": ExponentialWeights(rate=5 * _lanes), "boa": BOA()},
+    ),
+}  # fmt: skip

@@ -1,0 +1,251 @@
+"""Who makes the steps, and what stands against the kernels; checkpoints by either; where machine code is kept."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from torch.autograd import forward_ad
+
+from tests.conftest import random_samples
+from tests.estimators import ESTIMATORS
+from tests.kernel_cases import difference, mission
+from usvlearn import AID, RLS, Average, Bank, Ensemble, Online, Persistence, Robust, SurgeDynamics, WithMemory, rollout
+from usvlearn import checkpoint as store
+from usvlearn.backend import choose
+from usvlearn.errors import ConfigError
+from usvlearn.signals import tree_map
+
+ROOT = Path(__file__).parents[1]
+
+
+class OwnAID(AID):
+    """Whose steps may be others."""
+
+
+class OwnModel(SurgeDynamics):
+    """Likewise."""
+
+
+class OwnRule(Average):
+    """Likewise."""
+
+
+def chosen(estimator, samples=None, batch=(), dtype=torch.float64, backend="auto"):
+    samples = random_samples(2, *batch, dtype=dtype) if samples is None else samples
+    return choose(estimator, estimator.init(batch), samples, backend)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_the_kernels_where_no_gradient_is_asked_for(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(3)
+    learnable = any(x.requires_grad for x in estimator.parameters())
+    assert (chosen(estimator) is None) == learnable
+    with torch.no_grad():
+        description = chosen(estimator)
+        assert json.loads(json.dumps(description)) == description
+        by = {b: rollout(estimator, estimator.init(), samples, backend=b)[1] for b in ("auto", "kernel")}
+        assert torch.equal(by["auto"], by["kernel"])
+        assert chosen(estimator, backend="torch") is None
+    estimator.requires_grad_(False)
+    assert chosen(estimator) is not None
+    by = [rollout(estimator, estimator.init(), samples, backend=b)[1] for b in ("auto", "torch")]
+    assert difference(*by) < 1e-9 and not by[0].requires_grad
+
+
+NO_KERNEL = "OBSTACLE, or a part of it, has no compiled kernel"
+OBSTACLES = {
+    "subclass": (lambda: OwnAID(), NO_KERNEL.replace("OBSTACLE", "OwnAID")),
+    "model": (lambda: RLS(OwnModel()), NO_KERNEL.replace("OBSTACLE", "RLS")),
+    "inner": (lambda: Robust(WithMemory(OwnAID())), NO_KERNEL.replace("OBSTACLE", "Robust")),
+    "twice": (lambda: Robust(Robust(AID())), NO_KERNEL.replace("OBSTACLE", "Robust")),
+    "member": (lambda: Ensemble({"a": AID(), "b": OwnAID()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
+    "bank": (lambda: Ensemble({"a": Bank(OwnAID(gain=[1.0, 2.0]), ["a", "b"])}), "Ensemble, or a part"),
+    "nested": (lambda: Ensemble({"a": Ensemble({"b": AID()})}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
+    "rule": (lambda: Ensemble({"a": AID()}, {"own": OwnRule()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
+}
+
+
+@pytest.mark.parametrize("what", OBSTACLES)
+def test_torch_where_there_is_no_kernel(what):
+    make, reason = OBSTACLES[what]
+    with torch.no_grad():
+        estimator = make()
+        assert chosen(estimator) is None
+        assert rollout(estimator, estimator.init(), random_samples(3))[1].isfinite().all()
+        with pytest.raises(ConfigError, match=f"backend: found kernel, but {reason}.*use auto or torch"):
+            rollout(estimator, estimator.init(), random_samples(3), backend="kernel")
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script:DeprecationWarning")  # of torch's own forward mode
+def test_torch_where_a_derivative_is_asked_for():
+    aid, rest, samples = AID(), Persistence(), random_samples(3)
+    assert chosen(rest) is not None
+    with pytest.raises(ConfigError, match=r"a gradient is asked for \(inside torch.no_grad\(\) none is\)"):
+        chosen(aid, backend="kernel")
+    wanted = samples._replace(surge=samples.surge.requires_grad_())
+    assert chosen(rest, wanted) is None
+    assert torch.autograd.grad(rollout(rest, rest.init(), wanted)[1].sum(), wanted.surge)[0].tolist() == [1, 1, 0]
+    state = tree_map(lambda x: x.clone().requires_grad_(), rest.init())
+    assert choose(rest, state, random_samples(3), "auto") is None
+    with torch.no_grad():
+        assert choose(rest, state, wanted, "auto") is not None
+        assert rollout(rest, state, wanted, backend="kernel")[1].tolist() == [0.0, *wanted.surge[:2].tolist()]
+    plain = random_samples(3)
+    with torch.no_grad(), forward_ad.dual_level():
+        dual = plain._replace(surge=forward_ad.make_dual(plain.surge, torch.ones(3).double()))
+        with pytest.raises(ConfigError, match="a forward derivative is asked for"):
+            chosen(rest, dual, backend="kernel")
+        assert forward_ad.unpack_dual(rollout(rest, rest.init(), dual)[1]).tangent.tolist() == [0, 1, 1]
+
+
+def test_torch_where_torch_transforms():
+    rest, samples = Persistence(), random_samples(3)
+    speeds = torch.tensor([0.5, 1.5], dtype=torch.float64)
+
+    def predictions(surge, backend="auto"):
+        return rollout(rest, rest.init()._replace(surge=surge), samples, backend=backend)[1]
+
+    expected = torch.stack([predictions(speed, "torch") for speed in speeds])
+    assert torch.equal(torch.vmap(predictions)(speeds), expected)
+    assert torch.func.jvp(predictions, (speeds[0],), (speeds[1],))[1].tolist() == [1.5, 0, 0]
+    with pytest.raises(ConfigError, match="torch transforms this function"):
+        torch.vmap(lambda x: predictions(x, "kernel"))(speeds)
+    torch.compiler.reset()
+    assert torch.equal(torch.compile(predictions, backend="eager")(speeds[1]), expected[1])
+
+
+def test_other_devices_and_dtypes_are_torch_s():
+    half = Persistence().to(torch.float16)
+    assert chosen(half, dtype=torch.float16) is None
+    with pytest.raises(ConfigError, match=r"found kernel, but the state is torch\.float16"):
+        chosen(half, dtype=torch.float16, backend="kernel")
+    with pytest.raises(ConfigError, match="not all tensors are on the CPU"):
+        chosen(Persistence().to("meta"), backend="kernel")
+    with pytest.raises(ConfigError, match="backend: found 'numba', expected one of auto, torch, kernel"):
+        chosen(Persistence(), backend="numba")
+
+
+def test_without_numba_torch_makes_the_steps(monkeypatch):
+    real = __import__("importlib.util").util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None if name == "numba" else real(name, *rest))
+    rest, samples = Persistence(), random_samples(3)
+    assert chosen(rest) is None and Online(rest).step(tree_map(lambda x: x[0], samples)) == 0.0
+    for ask in (lambda: chosen(rest, backend="kernel"), lambda: Online(rest, backend="kernel")):
+        with pytest.raises(ConfigError, match="numba is not installed"):
+            ask()
+
+
+def test_hyperparameters_that_do_not_fit_the_batch_are_refused():
+    aid, samples = AID(gain=torch.ones(5, 1)), random_samples(3, 5, 2)
+    state, narrow = aid.init((5, 2)), AID(gain=torch.ones(4, 1))
+    with torch.no_grad():
+        for backend in ("kernel", "torch"):
+            with pytest.raises((ValueError, RuntimeError)):
+                rollout(narrow, state, samples, backend=backend)
+
+
+@pytest.mark.parametrize("batch", [(), (2,)], ids=str)
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
+    """Names, shapes, dtypes and what is said of them; numbers to rounding. Either goes on from the other's."""
+    samples = mission(60, *batch, seed=7)
+    at = [tree_map(lambda x, k=k: x[k], samples) for k in range(60)]
+    boats = {backend: Online(ESTIMATORS[name](), batch, backend) for backend in ("kernel", "torch")}
+    for online in boats.values():
+        for sample in at[:30]:
+            online.step(sample)
+    paths = {
+        backend: online.save(tmp_path / f"{backend}.safetensors", boat="heron") for backend, online in boats.items()
+    }
+    contents = {backend: path.read_bytes() for backend, path in paths.items()}
+    headers = {b: json.loads(x[8 : 8 + int.from_bytes(x[:8], "little")]) for b, x in contents.items()}
+    facts = [json.loads(header.pop("__metadata__")["usvlearn"]) for header in headers.values()]
+    assert all(one.pop("sha256") for one in facts) and facts[0] == facts[1]
+    assert headers["kernel"] == headers["torch"] and len(contents["kernel"]) == len(contents["torch"])
+    loaded = [tree_map(torch.from_numpy, store.load(path)[0]) for path in paths.values()]
+    assert difference(*loaded) <= 1e-9
+    boats["kernel"].load(paths["torch"])
+    boats["torch"].load(paths["kernel"])
+    found = [torch.tensor([online.step(sample) for sample in at[30:40]]) if batch == () else
+             torch.stack([torch.from_numpy(online.step(sample)) for sample in at[30:40]])
+             for online in boats.values()]  # fmt: skip
+    assert difference(*found) <= 1e-9 and difference(*(online.state for online in boats.values())) <= 1e-9
+
+
+PREPARE = """
+import numpy as np
+from usvlearn.kernels import step
+from usvlearn.compiled import announced
+with announced(step.__file__, "trial"):
+    ones = np.ones((2, 1))
+    rows = np.empty((1, 2, step.ROW))
+    step.prepare_all(*[ones] * 6, ones > 0, ones > 0, rows)
+print(rows[0, 0, -1])
+"""
+
+
+def python(code, **environment):
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def test_machine_code_is_kept_and_announced_once(tmp_path):
+    first = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
+    (folder,) = (tmp_path / "usvlearn").glob("kernels-*")
+    assert first.stdout == "3.0\n" and f"kept in {folder}" in first.stderr
+    assert first.stderr.startswith("usvlearn: compiling the trial, once on this machine …")
+    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
+    assert kept
+    again = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
+    assert again.stdout == "3.0\n" and again.stderr == ""
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
+
+
+def test_a_home_that_cannot_be_written_to(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "other").mkdir()
+    done = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path / "other"))
+    assert done.stdout == "3.0\n" and list((tmp_path / "other").glob("usvlearn-*/kernels-*/**/*.nb*"))
+
+
+def test_another_source_has_a_folder_of_its_own(tmp_path, monkeypatch):
+    from usvlearn import compiled
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    source = tmp_path / "part" / "a.py"
+    source.parent.mkdir()
+    found = []
+    for body in ("\n@kernel\ndef f(): return 1\n", "\n@kernel\ndef f(): return 2\n", "\n@kernel\ndef f(): return 1\n"):
+        source.write_text(body)
+        compiled.folder.cache_clear()
+        found.append(compiled.folder(source.parent))
+    compiled.folder.cache_clear()
+    assert found[0] == found[2] != found[1]
+
+
+PLAIN = """
+import torch
+from tests.estimators import ESTIMATORS
+from tests.kernel_cases import difference, mission
+from usvlearn import Online, rollout
+from usvlearn.signals import tree_map
+torch.set_grad_enabled(False)
+for make in ESTIMATORS.values():
+    estimator, samples = make(), mission(8, 2, seed=1)
+    found, expected = (rollout(estimator, estimator.init((2,)), samples, backend=b) for b in ("kernel", "torch"))
+    assert max(difference(x, y) for x, y in zip(found[:2], expected[:2])) < 1e-9
+    one = tree_map(lambda x: x[0, 0], samples)
+    assert Online(estimator, backend="kernel").step(one) == Online(estimator, backend="torch").step(one)
+"""
+
+
+def test_plain_python_makes_the_same_steps():
+    """As a debugger sees them."""
+    python(PLAIN, NUMBA_DISABLE_JIT="1")
