@@ -62,6 +62,7 @@ def growth_curves(kinds: Mapping[str, Mapping[str, Mapping[int, float]]]) -> Fig
             if by_size:
                 costs = [1e6 * x for x in by_size.values()]
                 axes.plot(list(by_size), costs, color=f"C{j}", marker="o", ms=4, label=way)
+        axes.xaxis.get_major_locator().set_params(integer=True)
         axes.set(xlabel=kind, ylim=(0, None), ylabel="" if k else "µs a step")
         axes.grid(alpha=0.25)
         axes.legend()
