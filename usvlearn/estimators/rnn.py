@@ -272,7 +272,8 @@ class RNN(Estimator):
             scale=self.scale, surge_max=self.surge_max, rate=self.rate, momentum=self.momentum,
             decay=never if self.decay is None else self.decay, clip=never if self.clip is None else self.clip,
             contraction_rate=1.0 if self.contraction_rate is None else self.contraction_rate,
-            penalty=0.0 if self.penalty is None else self.penalty, share2=1 - BETA2, epsilon=EPSILON,
+            penalty=0.0 if self.penalty is None else self.penalty, share2=1 - BETA2,
+            log_beta2=math.log(BETA2), epsilon=EPSILON,
             tiny=torch.finfo(self.a.dtype).tiny,
         )  # fmt: skip
         return {

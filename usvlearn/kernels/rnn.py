@@ -11,12 +11,12 @@ from usvlearn.kernels.samples import COS, DT, LEFT, RIGHT, SIN
 from usvlearn.kernels.stable import NONE, project
 
 RNN_NUMBERS = (
-    "scale", "surge_max", "rate", "decay", "momentum", "clip", "contraction_rate", "penalty", "share2", "epsilon",
-    "tiny",
+    "scale", "surge_max", "rate", "decay", "momentum", "clip", "contraction_rate", "penalty", "share2",
+    "log_beta2", "epsilon", "tiny",
 )  # fmt: skip
-SCALE, SURGE_MAX, RATE, DECAY, MOMENTUM, CLIP, KAPPA, PENALTY, SHARE2, EPSILON, TINY = range(11)
-BOUNDS = 11  # least and greatest x, u of the box, ten numbers
-RATIOS = 21  # relative rates, 7n numbers
+SCALE, SURGE_MAX, RATE, DECAY, MOMENTUM, CLIP, KAPPA, PENALTY, SHARE2, LOG_BETA2, EPSILON, TINY = range(12)
+BOUNDS = 12  # least and greatest x, u of the box, ten numbers
+RATIOS = 22  # relative rates, 7n numbers
 
 
 def rnn_fields(n):
@@ -92,19 +92,17 @@ def penalise(weights, penalty, n, grad):
 
 @kernel(reorder=True)
 def clip(grad, limit):
-    """`rnn.clipped`, in place."""
+    """What `rnn.clipped` multiplies the gradient by."""
     total = 0.0
     for i in range(len(grad)):
         grad[i] = min(max(grad[i], -1e15), 1e15)
         total += grad[i] * grad[i]
-    scale = 1.0 / np.sqrt(1 + total / (limit * limit))
-    for i in range(len(grad)):
-        grad[i] *= scale
+    return 1.0 / np.sqrt(1 + total / (limit * limit))
 
 
 @kernel
-def adam(weights, moment1, moment2, grad, q, updates):
-    """One step of Adam."""
+def adam(weights, moment1, moment2, grad, shrink, q, updates):
+    """One step of Adam by the gradient times `shrink`."""
     count = updates + 1
     rate = q[RATE]
     if q[DECAY] < np.inf:
@@ -112,16 +110,14 @@ def adam(weights, moment1, moment2, grad, q, updates):
     momentum, share2, epsilon, tiny = q[MOMENTUM], q[SHARE2], q[EPSILON], q[TINY]  # share2 is 1 − β₂
     if momentum > 0:
         rate /= 1 - momentum**count
-        for i in range(len(grad)):
-            moment1[i] += (1 - momentum) * (grad[i] - moment1[i])
-    else:
-        copy(moment1, grad)
-    correction = 1.0 / (1 - (1 - share2) ** count)
+    correction = 1.0 / (1 - np.exp(count * q[LOG_BETA2]))
     ratios = q[RATIOS : RATIOS + len(grad)]
     for i in range(len(grad)):
-        v = moment2[i] + share2 * (grad[i] * grad[i] - moment2[i])
-        moment2[i] = v
-        weights[i] -= rate * ratios[i] * moment1[i] / (np.sqrt(max(v * correction, tiny)) + epsilon)
+        g = grad[i] * shrink
+        m = g + momentum * (moment1[i] - g)
+        v = moment2[i] + share2 * (g * g - moment2[i])
+        moment1[i], moment2[i] = m, v
+        weights[i] -= rate * ratios[i] * m / (np.sqrt(max(v * correction, tiny)) + epsilon)
 
 
 @kernel
@@ -157,9 +153,8 @@ def learn_rnn(block, n, q, condition, best, unroll, feedback, x, surge, target, 
         gradient(weights, z, start, u, e, grad)
     if q[PENALTY] > 0:
         penalise(weights, q[PENALTY], n, grad)
-    if q[CLIP] < np.inf:
-        clip(grad, q[CLIP])
-    adam(weights, block[7 * n : 14 * n], block[14 * n : 21 * n], grad, q, rest[UPDATES])
+    shrink = clip(grad, q[CLIP]) if q[CLIP] < np.inf else 1.0
+    adam(weights, block[7 * n : 14 * n], block[14 * n : 21 * n], grad, shrink, q, rest[UPDATES])
     if condition != NONE:
         project(weights, n, condition, best, q[KAPPA], q[BOUNDS : BOUNDS + 10], work[4 + n :])
     rest[UPDATES] += 1
