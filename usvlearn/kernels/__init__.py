@@ -4,7 +4,7 @@ One program serves every estimator: a table of numbers says what it is made of (
 so that nothing is compiled anew for another ensemble. A state is one row of numbers per lane, of which its leaves are
 views. The files, in the order in which they build on each other:
 
-    compiled arrays                  how they are compiled, and where that is kept; sums and copies
+    arrays samples                   sums and copies; samples as the kernels read them
     regressors rls aid rnn stable    one file per family of estimators; `stable` projects the network's weights
     combiners monitors               what an ensemble does with its members' predictions
     step          one estimator, one ensemble, one step; runs over (time, lanes)

@@ -4,6 +4,8 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, dot
+from usvlearn.kernels.regressors import regressor
+from usvlearn.kernels.samples import DT, HOLD, LEARN, MODE, START, SURGE
 
 AID_NUMBERS = ("scale", "surge_max", "gain", "leak", "dead_zone", "floor", "sigma", "bound")
 SCALE, SURGE_MAX, GAIN, LEAK, DEAD_ZONE, FLOOR, SIGMA, BOUND = range(8)
@@ -17,25 +19,32 @@ def aid_fields(p):
 
 
 @kernel
-def learn_aid(block, q, phi, estimate, target, dt, feedback, gamma_phi):
-    """`AID.learn` on the leaves in `block`."""
+def adaptation(q, gamma):
+    """The diagonal of Γ, (2)."""
+    for i in range(len(gamma)):
+        gamma[i] = q[GAIN] * (q[VECTORS + i] * q[VECTORS + i])
+
+
+@kernel
+def learn_aid(block, q, gamma, phi, estimate, target, dt, feedback):
+    """`AID.learn` on the leaves in `block`, with the diagonal of Γ."""
     p = len(phi)
-    theta = block[:p]
+    theta, inverse_spread, theta0 = block[:p], q[VECTORS + p : VECTORS + 2 * p], q[VECTORS + 2 * p : VECTORS + 3 * p]
+    lower, upper = q[VECTORS + 3 * p : VECTORS + 4 * p], q[VECTORS + 4 * p : VECTORS + 5 * p]
     error = estimate - target
     outside = error - clamp(error, q[DEAD_ZONE]) if q[DEAD_ZONE] > 0 else error
     N = 0.0
+    square = 0.0
     for i in range(p):
-        spread = q[VECTORS + i]
-        gamma_phi[i] = q[GAIN] * (spread * spread) * phi[i]  # (2)
-        N += phi[i] * gamma_phi[i]
-    step = outside / (1 + N) if dot(phi, phi) * q[SCALE] ** 2 >= q[FLOOR] else 0.0
+        N += phi[i] * (gamma[i] * phi[i])
+        square += phi[i] * phi[i]
+    step = outside / (1 + N) if square * q[SCALE] ** 2 >= q[FLOOR] else 0.0
     n = 0.0
     for i in range(p):
-        moved = theta[i] - step * gamma_phi[i]  # (3)
-        lower, upper = q[VECTORS + 3 * p + i], q[VECTORS + 4 * p + i]
-        moved = lower if moved < lower else (upper if moved > upper else moved)
+        moved = theta[i] - step * (gamma[i] * phi[i])  # (3)
+        moved = lower[i] if moved < lower[i] else (upper[i] if moved > upper[i] else moved)
         theta[i] = moved
-        distance = (moved - q[VECTORS + 2 * p + i]) * q[VECTORS + p + i]
+        distance = (moved - theta0[i]) * inverse_spread[i]
         n += distance * distance
     bound = q[BOUND]
     if q[SIGMA] > 0 and n > bound * bound:
@@ -43,7 +52,30 @@ def learn_aid(block, q, phi, estimate, target, dt, feedback, gamma_phi):
         rate = q[SIGMA] * min(n / bound - 1, 1.0)  # (4)
         leak = min(-np.expm1(-rate * dt), 1 - bound / n)
         for i in range(p):
-            theta[i] -= leak * (theta[i] - q[VECTORS + 2 * p + i])  # (5)
+            theta[i] -= leak * (theta[i] - theta0[i])  # (5)
     if feedback:
         target = clamp(target + (error - N * step) * np.exp(-q[LEAK] * dt), q[SURGE_MAX])  # (6)
     block[p] = target
+
+
+@kernel
+def run_aid(block, q, terms, feedback, rows, free, predictions, picked, picks, work):
+    """One lane of AID alone through all steps, as `step.run`."""
+    p = len(block) - 1
+    gamma, phi = work[:p], work[p : 2 * p]
+    adaptation(q, gamma)
+    for k in range(len(rows)):
+        row = rows[k]
+        predicted = np.nan
+        if row[MODE] == START:
+            block[p] = row[SURGE]
+        elif row[MODE] != HOLD:
+            estimate = regressor(terms, block[p], row, q[SCALE], phi) + dot(phi, block[:p])
+            predicted = clamp(estimate, q[SURGE_MAX])
+            if row[MODE] == LEARN and not free:
+                learn_aid(block, q, gamma, phi, estimate, row[SURGE], row[DT], feedback)
+            else:
+                block[p] = predicted
+        predictions[k] = predicted
+        for i in range(len(picked)):
+            picks[k, i] = block[picked[i]]

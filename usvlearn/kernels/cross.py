@@ -9,20 +9,15 @@ import numpy as np
 from usvlearn.compiled import announced, kernel
 from usvlearn.kernels.combiners import combine, learn_rule, waken
 from usvlearn.kernels.plan import Description, plan_for
-from usvlearn.kernels.regressors import DT
 from usvlearn.kernels.run import in_parallel, prepared
+from usvlearn.kernels.samples import DT, LEARN, MODE, PREDICT, START, SURGE
 from usvlearn.kernels.step import (
     ESTIMATORS,
-    LEARN,
     LIMIT,
-    MODE,
     NAMES,
-    PREDICT,
     PREDICTIONS,
     RULE_NUMBERS,
     RULE_STATE,
-    START,
-    SURGE,
     listen,
     step,
 )
@@ -95,6 +90,6 @@ def free_totals(
         judge(plan.program, states, others, numbers, rows, columns, rules, totals, work, first, last)
 
     with announced(__file__, f"kernels of free runs, {plan.dtype}"):
-        rows, columns = prepared(samples, plan.dtype)
+        rows, columns = prepared(samples, plan)
         in_parallel(some, plan.lanes, threads)
     return totals.reshape(*plan.batch, -1, 3)

@@ -4,7 +4,7 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp
-from usvlearn.kernels.regressors import DT, LEFT, RIGHT, YAW_RATE
+from usvlearn.kernels.samples import DT, LEFT, RIGHT, YAW_RATE
 
 MONITOR_NUMBERS = (
     "huber", "huber_mean", "huber_rate", "least_scale", "innovation_memory",

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ShapeError
-from usvlearn.kernels import aid, combiners, monitors, regressors, rls, rnn, stable, step
+from usvlearn.kernels import aid, combiners, monitors, regressors, rls, rnn, samples, stable, step
 
 Description = Mapping[str, Any]
 Setting = tuple[int, int] | None  # of a bank, and how many it has
@@ -85,7 +85,7 @@ class Plan:
         self.leaves: dict[str, Leaf] = {}
         self.size = 0
         self._columns: list[np.ndarray] = []  # (1,) or (lanes,) each
-        self._largest, self._kept = 0, 1
+        self._largest, self._kept, self._heads = 0, 1, 0
         self._rows: list[list[int]] = []
         if description["kind"] == "ensemble":
             whole = self._ensemble(description)
@@ -99,8 +99,8 @@ class Plan:
             self.program[0, place] = value
         for row, values in zip(self.program[1:], self._rows, strict=True):
             row[: len(values)] = values
-        self.program[0, step.KEPT] = self._largest
-        self.work = self._largest + self._kept + step.ROW
+        self.program[0, step.KEPT], self.program[0, step.HEADS] = self._largest, self._heads
+        self.work = self._largest + self._kept + samples.ROW
         lanes = max((len(column) for column in self._columns), default=1)
         self.numbers = np.empty((lanes, len(self._columns)), self.dtype)
         for place, column in enumerate(self._columns):
@@ -196,6 +196,9 @@ class Plan:
         name = prefix.rstrip(".") or kind
         row[step.KIND], row[step.SIZE] = step.KINDS.index(kind), size
         row[step.TERMS] = sum(TERMS[term] for term in description.get("terms", ()))
+        terms = row[step.TERMS]
+        if kind == "rnn" or (size and (terms == regressors.QUASI_STATIC or terms & regressors.AMBIENT)):
+            self._heads = 1  # it asks for the heading
         row[step.ESTIMATE] = int(description.get("feedback") == "estimate")
         row[step.STATE] = self._place(fields(kind, size), prefix)
         row[step.NUMBERS] = self._numbers(description["numbers"], ORDER[kind], name, setting)

@@ -1,9 +1,11 @@
 """The regressors of `usvlearn.estimators.regressors`, written into an array."""
 
 from usvlearn.compiled import kernel
+from usvlearn.kernels.samples import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 
-# Places in the inputs of a step; the last three are what `WithMemory` adds.
-LEFT, RIGHT, SIN, COS, YAW_RATE, DT, SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(9)
+SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(
+    6, 9
+)  # places of what `WithMemory` adds to the inputs of a prepared sample
 INPUTS = 9
 
 QUASI_STATIC, DYNAMICS, MEMORY, AMBIENT = 0, 1, 2, 4  # the terms of a model; the last three are added up

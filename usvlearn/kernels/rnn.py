@@ -7,7 +7,7 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, copy
-from usvlearn.kernels.regressors import COS, DT, LEFT, RIGHT, SIN
+from usvlearn.kernels.samples import COS, DT, LEFT, RIGHT, SIN
 from usvlearn.kernels.stable import NONE, project
 
 RNN_NUMBERS = (

@@ -10,7 +10,8 @@ import numpy as np
 
 from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.plan import Description, plan_for
+from usvlearn.kernels.plan import Description, Plan, plan_for
+from usvlearn.kernels.samples import ROW, prepare_all
 from usvlearn.signals import Sample, named_leaves, tree_map
 
 
@@ -53,7 +54,7 @@ def roll(
         step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
 
     with announced(__file__, f"kernels of runs, {plan.dtype}"):
-        rows, columns = prepared(samples, plan.dtype)
+        rows, columns = prepared(samples, plan)
         in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
     for name, place in places.items():
@@ -63,7 +64,7 @@ def roll(
     return Result(plan.unpack(states), np.moveaxis(predictions.reshape(*batch, steps), -1, 0), kept)
 
 
-def prepared(samples: Sample, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     """Samples as the kernels want them, `(columns, time, ROW)`, and whose each lane sees, `(lanes,)`.
 
     Lanes that share their samples, along an axis of stride 0, share a column.
@@ -75,8 +76,8 @@ def prepared(samples: Sample, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
     count = int(np.prod(own, dtype=int))
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
     inputs, *rest = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
-    rows = np.empty((count, steps, step.ROW), dtype)
-    step.prepare_all(*inputs, *rest, rows)
+    rows = np.empty((count, steps, ROW), plan.dtype)
+    prepare_all(*inputs, *rest, plan.program[0, step.HEADS] > 0, rows)
     return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
 
 

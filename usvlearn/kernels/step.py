@@ -7,27 +7,17 @@ estimator, then one for each rule. `q` holds the numbers that were tuned or are 
 import numpy as np
 
 from usvlearn.compiled import kernel
-from usvlearn.kernels.aid import learn_aid
-from usvlearn.kernels.arrays import clamp, copy, dot, fill, finite
+from usvlearn.kernels.aid import adaptation, learn_aid, run_aid
+from usvlearn.kernels.arrays import clamp, copy, dot, finite
 from usvlearn.kernels.combiners import NUMBERS as RULE_NUMBERS
 from usvlearn.kernels.combiners import STATE as RULE_STATE
 from usvlearn.kernels.combiners import combine, conformal, learn_rule, waken
 from usvlearn.kernels.monitors import observe_innovations, observe_thrusters
-from usvlearn.kernels.regressors import (
-    DT,
-    INPUTS,
-    LEFT,
-    LEFT_BEFORE,
-    MEMORY,
-    RIGHT,
-    RIGHT_BEFORE,
-    SURGE_DOT,
-    regressor,
-)
+from usvlearn.kernels.regressors import INPUTS, LEFT_BEFORE, MEMORY, RIGHT_BEFORE, SURGE_DOT, regressor
 from usvlearn.kernels.rls import coast_least_squares, learn_least_squares, loosen_least_squares, project_signs
 from usvlearn.kernels.rnn import SURGE as RNN_SURGE
 from usvlearn.kernels.rnn import UNBROKEN, coast_rnn, learn_rnn, predict_rnn
-from usvlearn.signals import ABSURD, ABSURD_INPUTS
+from usvlearn.kernels.samples import DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, START, SURGE, prepare
 
 KINDS = ("rls", "sift", "aid", "rnn", "persistence", "acceleration")
 RLS, SIFT, AID, RNN, PERSISTENCE, ACCELERATION = range(6)
@@ -35,16 +25,12 @@ RLS, SIFT, AID, RNN, PERSISTENCE, ACCELERATION = range(6)
 # Places in the first row of the table, and in the row of an estimator.
 (
     ESTIMATORS, RULES, NAMES, OUTPUT, PREDICTIONS, HALFWIDTHS, CONFORMAL, MONITORS,
-    LIMIT, CONFORMAL_NUMBERS, MONITOR_NUMBERS, COMBINING, KEPT,
+    LIMIT, CONFORMAL_NUMBERS, MONITOR_NUMBERS, KEPT, HEADS,
 ) = range(13)  # fmt: skip
 (
     KIND, SIZE, TERMS, ESTIMATE, STATE, NUMBERS, MEMORY_STATE, MEMORY_NUMBERS, ROBUST_STATE, ROBUST_NUMBERS, OUTER,
     SIGNS, ITERATIONS, CONDITION, BEST, UNROLL,
 ) = range(16)  # fmt: skip
-
-# Places in a prepared sample: the inputs of a step, the speed, and what is to be made of it.
-SURGE, MODE, ROW = 6, 7, 8
-HOLD, START, PREDICT, LEARN = range(4)
 
 MEMORY_FIELDS = ("surge_dot", "surge", "since", "estimate", "command_left", "command_right", "known")
 ACCELERATION_OF, MEASURED, SINCE, DEPARTS, LAST_LEFT, LAST_RIGHT, KNOWN = range(7)
@@ -58,24 +44,6 @@ ACCELERATION_FIELDS = ("surge", "surge_dot", "measured", "since")
 ACCELERATION_PARAMETERS = ("surge_dot_max", "surge_max")
 
 NAN = np.nan
-ABSURD_COMMAND, _, ABSURD_HEADING, ABSURD_YAW_RATE, ABSURD_DT = ABSURD_INPUTS
-
-
-@kernel
-def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, row):
-    """`estimator.clean` of one sample."""
-    steps = (
-        fresh and dt > 0 and dt < ABSURD_DT and abs(left) < ABSURD_COMMAND and abs(right) < ABSURD_COMMAND
-        and abs(heading) < ABSURD_HEADING and abs(yaw_rate) < ABSURD_YAW_RATE
-    )  # fmt: skip
-    known = abs(surge) < ABSURD
-    if steps:
-        row[0], row[1], row[2], row[3], row[4], row[5] = left, right, np.sin(heading), np.cos(heading), yaw_rate, dt
-        row[MODE] = LEARN if measured and known else PREDICT
-    else:
-        fill(row[:SURGE], 0.0)
-        row[MODE] = START if dt == 0 and known else HOLD
-    row[SURGE] = surge if known else 0.0
 
 
 @kernel
@@ -181,7 +149,9 @@ def learn(node, s, q, x, estimate, predicted, target, work):
             signs = q[node[SIGNS] : node[SIGNS] + p]
             project_signs(block[:p], block[p : p + p * p].reshape(p, p), signs, node[ITERATIONS], work)
     elif kind == AID:
-        learn_aid(s[at : at + p + 1], numbers, work[:p], estimate, target, x[DT], feedback, work[p : 2 * p])
+        gamma = work[p : 2 * p]
+        adaptation(numbers, gamma)
+        learn_aid(s[at : at + p + 1], numbers, gamma, work[:p], estimate, target, x[DT], feedback)
     elif kind == RNN:
         block = s[at : at + 21 * p + 9]
         learn_rnn(block, p, numbers, node[CONDITION], node[BEST], node[UNROLL], feedback, x, predicted, target, work)
@@ -292,17 +262,8 @@ def listen(predictions, limit, awake):
 def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured):
     """`step` of one sample as it came."""
     row = work[-ROW:]
-    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, row)
+    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, HEADS] > 0, row)
     return step(program, s, q, row, row[MODE], work)
-
-
-@kernel
-def prepare_all(left, right, heading, yaw_rate, dt, surge, fresh, measured, rows):
-    """`prepare` of samples `(time, columns)`; rows are `(columns, time, ROW)`."""
-    for column in range(rows.shape[0]):
-        for k in range(rows.shape[1]):
-            prepare(left[k, column], right[k, column], heading[k, column], yaw_rate[k, column], dt[k, column],
-                    surge[k, column], fresh[k, column], measured[k, column], rows[column, k])  # fmt: skip
 
 
 @kernel
@@ -321,8 +282,15 @@ def run(program, states, q, rows, columns, free, picked, predictions, picks, wor
         picks: (lanes, time, picked), is written.
         work: as long as the table's owner says.
     """
+    wrapped = program[1, MEMORY_STATE] >= 0 or program[1, ROBUST_STATE] >= 0
+    bare = program[0, RULES] == 0 and program[1, KIND] == AID and not wrapped
     for lane in range(first, last):
         s, numbers = states[lane], q[lane if len(q) > 1 else 0]
+        if bare:  # what is chosen for every step of others is chosen once
+            own = s[: program[1, SIZE] + 1]
+            run_aid(own, numbers, program[1, TERMS], program[1, ESTIMATE], rows[columns[lane]], free, predictions[lane],
+                    picked, picks[lane], work)  # fmt: skip
+            continue
         for k in range(rows.shape[1]):
             row = rows[columns[lane], k]
             mode = PREDICT if free and row[MODE] == LEARN else row[MODE]

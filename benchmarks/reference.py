@@ -1,0 +1,161 @@
+"""The estimators in C (`reference.c`), compiled with the machine's own compiler: how fast a step can be.
+
+Each call runs one boat over samples `(time,)`, all of which are fresh and measured, from the state that the estimator
+begins with. A state comes back with the names and shapes of the estimator's own.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from usvlearn import AID, RLS, RNN, Estimator, QuasiStatic, Sample, SIFtRLS
+
+SOURCE = Path(__file__).with_suffix(".c")
+FLAGS = ("-std=c99", "-O3", "-march=native", "-ffast-math")  # no sample is NaN
+P, N, ROWS = 16, 520, 7  # P_MAX, N_MAX, ROWS
+NUMBER, WHOLE = ctypes.c_double, ctypes.c_int
+POINTER = ctypes.POINTER(NUMBER)
+
+
+def fields(names: str, kind: type = NUMBER) -> list[tuple[str, type]]:
+    return [(name, kind) for name in names.split()]
+
+
+class Samples(ctypes.Structure):
+    _fields_ = fields("left right heading yaw_rate dt surge", POINTER)
+
+
+class LeastSquares(ctypes.Structure):
+    _fields_ = fields("model p", WHOLE) + fields("mass surge_max memory floor forgetting trace_max")
+
+
+class LeastSquaresState(ctypes.Structure):
+    _fields_ = [("theta", NUMBER * P), ("columns", NUMBER * P * P), *fields("surge noise deviation")]
+
+
+class Adaptive(ctypes.Structure):
+    _fields_ = [("p", WHOLE), *fields("mass surge_max floor sigma bound"),
+                *fields("gamma inverse_spread lower upper", NUMBER * P)]  # fmt: skip
+
+
+class AdaptiveState(ctypes.Structure):
+    _fields_ = [("theta", NUMBER * P), ("surge", NUMBER)]
+
+
+class Network(ctypes.Structure):
+    _fields_ = [("n", WHOLE), *fields("scale rate decay clip contraction_rate"), ("ratio", NUMBER * ROWS)]
+
+
+class NetworkState(ctypes.Structure):
+    _fields_ = [*fields("weights squares", NUMBER * N * ROWS), *fields("updates surge")]
+
+
+class Reference(NamedTuple):
+    """An estimator in C."""
+
+    run: Callable[[], np.ndarray]  # from the first state; the predictions, m/s, (time,)
+    state: Callable[[], dict[str, np.ndarray]]  # after it
+
+
+def compiler() -> str | None:
+    """The C compiler of the machine, or None."""
+    return shutil.which("gcc") or shutil.which("cc")
+
+
+@cache
+def library() -> ctypes.CDLL:
+    with tempfile.TemporaryDirectory() as folder:
+        built = Path(folder) / "reference.so"
+        subprocess.run([compiler(), *FLAGS, "-shared", "-fPIC", "-o", built, SOURCE, "-lm"], check=True)
+        return ctypes.CDLL(str(built))
+
+
+@torch.no_grad()
+def reference(estimator: Estimator, samples: Sample) -> Reference | None:
+    """The same estimator in C, or None where there is none.
+
+    Args:
+        estimator: an AID, RLS, SIFtRLS or RNN; all but the RNN's size, the model and the numbers that are tuned as by
+            default.
+        samples: `(time,)`, as arrays or tensors.
+    """
+    make = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network}.get(type(estimator))
+    if make is None:
+        return None
+    function, settings, first, state = make(estimator)
+    inputs = [np.ascontiguousarray(x, dtype=float) for x in (*samples.inputs, samples.surge)]
+    seen, out = Samples(*(x.ctypes.data_as(POINTER) for x in inputs)), np.empty(len(inputs[0]))
+    here, call = type(first)(), getattr(library(), function)
+    call.restype, call.argtypes = None, [ctypes.c_long, *[ctypes.c_void_p] * 4]
+    arguments = len(out), ctypes.byref(seen), ctypes.byref(settings), ctypes.byref(here), out.ctypes.data
+
+    def run(_inputs=inputs) -> np.ndarray:  # which must outlive the pointers to them
+        ctypes.pointer(here)[0] = first
+        call(*arguments)
+        return out
+
+    return Reference(run, lambda: state(here))
+
+
+def numbers(values, length: int = P):
+    """Numbers as a C array, filled up with zeros."""
+    found = np.zeros(length)
+    found[: len(values)] = values
+    return (NUMBER * length)(*found)
+
+
+def least_squares(estimator: RLS | SIFtRLS):
+    model, begin, p = estimator.model, estimator.init(), len(estimator.model.names)
+    settings = LeastSquares(isinstance(model, QuasiStatic), p, float(model.scale), estimator.surge_max)
+    if isinstance(estimator, RLS):
+        settings.forgetting, settings.trace_max = float(estimator.forgetting()), float(estimator.trace_max)
+    else:
+        settings.memory, settings.floor = float(estimator.memory()), estimator.floor
+    first = LeastSquaresState(noise=float(begin.noise))
+    for k in range(p):
+        first.columns[k] = numbers(begin.factor[:, k])
+
+    def state(here: LeastSquaresState) -> dict[str, np.ndarray]:
+        found = {name: np.array(getattr(here, name)) for name, _ in here._fields_}
+        L = found.pop("columns")[:p, :p].T
+        return {**found, "theta": found["theta"][:p], "covariance": L @ L.T}
+
+    return "rls" if isinstance(estimator, RLS) else "sift", settings, first, state
+
+
+def adaptive(aid: AID):
+    p, gamma = len(aid.model.names), float(aid.gain()) * aid.spread**2
+    settings = Adaptive(p, float(aid.model.mass), aid.surge_max, aid.floor, aid.sigma, aid.bound,
+                        *map(numbers, (gamma, aid.inverse_spread, aid.lower, aid.upper)))  # fmt: skip
+
+    def state(here: AdaptiveState) -> dict[str, np.ndarray]:
+        return {"theta": np.array(here.theta)[:p], "surge": np.array(here.surge)}
+
+    return "aid", settings, AdaptiveState(), state
+
+
+def network(rnn: RNN):
+    n, begin = len(rnn.a), rnn.init()
+    ratio = rnn.rate_ratio.tolist()
+    settings = Network(n, rnn.scale, float(rnn.rate()), rnn.decay, rnn.clip, float(rnn.contraction_rate()),
+                       numbers([ratio[0], ratio[n], *ratio[2 * n : 2 * n + 4], ratio[-1]], ROWS))  # fmt: skip
+    a, w1, W2, b = (w.numpy() for w in begin.weights)
+    first = NetworkState()
+    for row, values in enumerate((a, w1, *W2.T, b)):
+        first.weights[row] = numbers(values, N)
+
+    def state(here: NetworkState) -> dict[str, np.ndarray]:
+        a, w1, *W2, b = np.array(here.weights)[:, :n]
+        return {"a": a, "w1": w1, "W2": np.stack(W2, -1), "b": b, "surge": np.array(here.surge)}
+
+    return "rnn", settings, first, state

@@ -1,0 +1,240 @@
+"""What whole jobs cost: lanes of a grid, replays, cross-validation, memory, and what lies around them."""
+
+import gc
+import itertools
+import os
+import pickle
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from functools import cache, partial
+from pathlib import Path
+
+import accuracy
+import numpy as np
+import torch
+from speed_plots import throughput
+from speed_steps import estimators, samples, streamed
+from timing import Effort, Section, counted, in_turn, micro, once, ratio, table
+
+from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
+from usvlearn.evaluation.crossval import cross_validate
+from usvlearn.evaluation.metrics import fleet_scores
+from usvlearn.learning.lanes import fleet_mae
+from usvlearn.learning.replay import replay
+from usvlearn.learning.run_folder import RunFolder
+from usvlearn.learning.watch import Watch
+from usvlearn.logs.alog import Alog
+from usvlearn.logs.channel import Source
+from usvlearn.logs.fleet import align_fleet
+from usvlearn.signals import Fleet, Sample, named_leaves, tree_map
+from usvlearn.simulate.fleet import fleet as simulated
+
+MASS, MISSION = 28.0, 15.0  # kg, minutes
+LEAST_STEPS = 50  # of a rollout through many lanes
+MANY = 50_000_000  # lane-steps of a job that is measured once
+RESET, STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
+SETTINGS = {"estimators": {}, "combiners": {}, "align": {}, "data": {}}
+
+
+@cache
+def season(boats: int, hours: float) -> Fleet:
+    return align_fleet(simulated(n=boats, hours=hours, mission_minutes=MISSION))
+
+
+def replayed(ensemble: Ensemble, fleet: Fleet) -> None:
+    for _ in replay(ensemble, fleet, ensemble.init((len(fleet.boats),))):
+        pass
+
+
+def grid_of(kind: str, settings: int) -> Estimator:
+    """So many settings of one hyperparameter, as lanes."""
+    values = torch.logspace(-1, 1, settings, dtype=torch.float64)[:, None]
+    return AID(MASS, values) if kind == "aid" else SIFtRLS(SurgeDynamics(MASS), 10 * values)
+
+
+def lanes(effort: Effort) -> Section:
+    """Each boat a lane; the same samples."""
+    known = estimators()
+    chosen = {"aid": "aid", "sift": "sift", "rnn": "rnn, n = 20", "ensemble": "default ensemble"}
+    cores = sorted({1, os.cpu_count() or 1})
+    found: dict[tuple[str, int], dict[int, float]] = {(name, threads): {} for threads in cores for name in chosen}
+
+    def shared(threads: int, estimator: Estimator, run: Sample) -> None:
+        torch.set_num_threads(threads)
+        streamed(estimator, run)
+
+    for (name, title), count in itertools.product(chosen.items(), effort.lanes):
+        length = min(effort.steps, max(LEAST_STEPS, effort.lane_steps // count))
+        wide = tree_map(lambda x, n=count, k=length: x[:k, None].expand(-1, n), samples(effort.steps))
+        works = {threads: partial(shared, threads, known[title], wide) for threads in cores}
+        for threads, spent in in_turn(works, effort.repeats).items():
+            found[name, threads][count] = statistics.median(spent) / (length * count)
+    torch.set_num_threads(1)
+    rows = [
+        [name if threads == 1 else f"{name}, {threads} threads", *map(micro, by_lanes.values())]
+        for (name, threads), by_lanes in found.items()
+    ]
+    head = ["µs a lane-step", *(counted(n, "lane") for n in effort.lanes)]
+    return Section(table(head, rows), {"lanes": throughput(found)})
+
+
+def jobs(effort: Effort) -> Section:
+    """From aligned samples in memory to the end."""
+    short, long = effort.hours
+    ensemble = accuracy.ensemble(())
+    rows = []
+
+    def row(title: str, work, lane_steps: int) -> None:
+        repeats = 1 if lane_steps > MANY else 3
+        spent = statistics.median(once(work) for _ in range(repeats))
+        rows.append([title, f"{lane_steps:,}", f"{spent:.2f}", micro(spent / lane_steps)])
+
+    replayed(ensemble, season(1, short))  # compiled by now
+    one = season(1, long)
+    for boats in (1, 8):
+        fleet = season(boats, long)
+        title = f"{long:g} h of the default ensemble, {counted(boats, 'boat')}"
+        row(title, partial(replayed, ensemble, fleet), fleet.steps * boats)
+    for kind in ("aid", "sift"):
+        estimator = grid_of(kind, effort.settings)
+        fleet_mae(estimator, season(1, short), (effort.settings,))
+        title = f"{effort.settings} settings of one {kind} × {long:g} h"
+        row(title, partial(fleet_mae, estimator, one, (effort.settings,)), effort.settings * one.steps)
+    runs = [tree_map(lambda x, n=run.lengths[0]: x[:n, 0], run.samples) for run in one.runs]
+    cross_validate(ensemble, ensemble.init((1,)), runs[:1])
+    title = f"cross-validation, {effort.sets} sets × {long:g} h"
+    work = partial(cross_validate, ensemble, ensemble.init((effort.sets,)), runs)
+    row(title, work, effort.sets * one.steps)
+    note = f"Medians of 3, of jobs beyond {MANY // 1_000_000} million lane-steps once. One thread."
+    return Section([*table(["job", "lane-steps", "s", "µs a lane-step"], rows), "", note])
+
+
+def size(run: Sample) -> int:
+    return sum(x.nbytes for _, x in named_leaves(run))
+
+
+def memory(effort: Effort) -> Section:
+    """Peaks of processes of their own."""
+    if not RESET.exists():
+        return Section(["Measured on Linux alone."])
+    cases = [(f"replay, default ensemble, {counted(boats, 'boat')}", "ensemble", boats, boats, h) for boats in (1, 8)
+             for h in effort.hours]  # fmt: skip
+    cases += [
+        (f"grid, sift, {counted(n, 'setting')}", "sift", n, 1, h)
+        for n in effort.lanes
+        if n <= 512
+        for h in effort.hours
+    ]
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for title, kind, count, boats, hours in cases:
+            fleet, file = season(boats, hours), Path(folder) / f"{boats}_{hours}.pickle"
+            file.write_bytes(pickle.dumps(fleet))
+            command = [sys.executable, __file__, kind, str(count), str(file)]
+            done = subprocess.run(command, capture_output=True, text=True, check=True)
+            beyond, own = int(done.stdout.split()[-1]), sum(size(run.samples) for run in fleet.runs)
+            rows.append([title, f"{hours:g}", *(f"{x / 2**20:.1f}" for x in (own, beyond))])
+    note = (
+        "Peak of the resident memory of a process that does nothing else, less what it was with the samples loaded and "
+        "all compiled."
+    )
+    return Section([*table(["MiB", "hours", "samples", "all else"], rows), "", note])
+
+
+def measured_memory(kind: str, count: int, file: str) -> int:
+    """Bytes of resident memory at its peak, less those with the samples loaded and a first run done."""
+    torch.set_num_threads(1)
+    with open(file, "rb") as content:
+        fleet: Fleet = pickle.load(content)
+    run = fleet.runs[0]
+    first = fleet._replace(runs=(run._replace(time=run.time[:2], samples=tree_map(lambda x: x[:2], run.samples)),))
+    ensemble = accuracy.ensemble(())
+
+    def work(fleet: Fleet, count: int) -> None:
+        if kind == "ensemble":
+            replayed(ensemble, fleet)
+        else:
+            fleet_mae(grid_of(kind, count), fleet, (count,))
+
+    work(first, 1)
+    gc.collect()
+    RESET.write_text("5")  # getrusage would tell the peak of the imports, and of the process that started this one
+    before = peak()
+    work(fleet, count)
+    return peak() - before
+
+
+def peak() -> int:
+    """Bytes of resident memory at its peak since it was reset."""
+    (line,) = [line for line in STATUS.read_text().splitlines() if line.startswith("VmHWM")]
+    return 1024 * int(line.split()[1])
+
+
+def around(effort: Effort) -> Section:
+    """What a replay is surrounded by, as a share of it."""
+    hours = min(1.0, effort.hours[1])
+    return Section([logging(season(1, hours), effort), logging(season(8, hours), effort), lines(effort)])
+
+
+def logging(fleet: Fleet, effort: Effort) -> str:
+    """Time in TensorBoard, checkpoints and predictions over time in the replay itself, within one run."""
+    model, shares, seconds = accuracy.ensemble(()), [], []
+    for _ in range(effort.repeats):
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            Watch(folder, fleet, model) as watch,
+            RunFolder(folder, fleet, {}) as archive,
+        ):
+            start = archive.begin(model.init((len(fleet.boats),)), None)
+            began, spent = time.perf_counter(), 0.0
+            for chunk in replay(model, fleet, start.state, every=watch.every):
+                spent += once(partial(archive.save, chunk)) + once(partial(watch.show, chunk))
+            boats = fleet_scores(fleet, archive.published, model.names)
+            quiet = {boat: [] for boat in fleet.boats}
+            spent += once(partial(watch.finish, SETTINGS, boats, archive.published, quiet))
+            seconds.append(spent)
+            shares.append(spent / (time.perf_counter() - began - spent))
+    boats = counted(len(fleet.boats), "boat")
+    return (
+        f"- {boats}, {fleet.steps} steps: logging and saving take {statistics.median(seconds):.2f} s, "
+        f"{statistics.median(shares):.0%} of the replay of the default ensemble"
+    )
+
+
+def split(path: Path) -> None:
+    with path.open() as file:
+        for line in file:
+            line.split(None, 3)
+
+
+def lines(effort: Effort, count: int = 260_000) -> str:
+    """An `.alog`, against the time to split its lines and nothing else."""
+    names = [f"VAR_{k}" for k in range(60)] + ["NAV_SPEED", "NAV_HEADING", "DESIRED_THRUST_L", "DESIRED_THRUST_R"]
+    rng = np.random.default_rng(0)
+    rows = [f"{k * 0.01:<15.3f} {names[k % 64]:<20} pApp {rng.random():.5f}" for k in range(count)]
+    sources = {name: Source(variable) for name, variable in zip(
+        ("surge", "heading", "command_left", "command_right"), names[60:], strict=True)}  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.alog"
+        path.write_text("%% LOGSTART 0\n" + "\n".join(rows) + "\n")
+        works = {"ours": lambda: Alog().read(path, sources), "split": partial(split, path)}
+        spent = in_turn(works, effort.repeats)
+    share = ratio(spent["ours"], spent["split"])
+    return (
+        f"- a {count:,}-line `.alog` is read in {statistics.median(spent['ours']):.2f} s, {share:.1f} × the time to "
+        "split its lines"
+    )
+
+
+def main(arguments: Sequence[str]) -> None:
+    kind, count, file = arguments
+    print(measured_memory(kind, int(count), file))
+
+
+if __name__ == "__main__":
+    with torch.no_grad():
+        main(sys.argv[1:])

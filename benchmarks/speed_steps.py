@@ -1,0 +1,198 @@
+"""What a step costs: streamed, called from Python, in eager torch, in C and in other libraries; how it grows."""
+
+import itertools
+import statistics
+from collections.abc import Mapping, Sequence
+from functools import cache, partial
+
+import accuracy
+import peers
+import torch
+from reference import compiler, reference
+from speed_plots import bars, growth_curves
+from timing import Effort, Section, Work, in_turn, micro, ratio, table, three_digits
+
+from usvlearn import (
+    AID,
+    BOA,
+    RLS,
+    RNN,
+    Ensemble,
+    Estimator,
+    Inputs,
+    Online,
+    Robust,
+    Sample,
+    SIFtRLS,
+    SurgeDynamics,
+    WithMemory,
+    rollout,
+)
+from usvlearn.estimator import clean
+from usvlearn.logs.fleet import align_fleet
+from usvlearn.signals import tree_map
+from usvlearn.simulate.fleet import fleet as simulated
+
+NEURONS, MEMBERS = (10, 20, 50, 100, 200, 500), (1, 2, 4, 7, 10, 14)
+WAYS = {"C": "C", "streamed": "streamed", "call": "called from Python", "torch": "eager torch"}
+
+
+def estimators() -> dict[str, Estimator]:
+    """One of each kind, as the default configuration has them, and its ensemble."""
+    ensemble = accuracy.ensemble(())
+    of = ensemble.members
+    mass = float(of["aid"].model.mass)
+    ambient = Robust(WithMemory(SIFtRLS(SurgeDynamics(mass, memory=True, ambient=True), memory=4.0)))
+    return {
+        "persistence": of["persistence"],
+        "aid": of["aid"],
+        "rls, exponential": RLS(),
+        "sift": of["dynamic_rls"].estimator,
+        "robust sift": of["dynamic_rls"],
+        "projected sift": of["steady_rls"],
+        "memory sift, p = 12": of["memory_rls"],
+        "ambient sift, p = 15": ambient,
+        "rnn, n = 20": of["rnn"],
+        "default ensemble": ensemble,
+    }
+
+
+@cache
+def samples(steps: int) -> Sample:
+    """One boat, what can be learned from, `(steps,)`, again and again: C knows no other."""
+    (run,) = align_fleet(simulated(n=1, hours=1.0, mission_minutes=60.0)).runs
+    every = tree_map(lambda x: torch.as_tensor(x[:, 0]), run.samples)
+    learned = clean(every).learns
+    places = torch.arange(steps) % int(learned.sum())
+    return tree_map(lambda x: x[learned][places].contiguous(), every)
+
+
+def as_numbers(run: Sample) -> list[Sample]:
+    """Samples as a program aboard has them."""
+    inputs = zip(*(x.tolist() for x in run.inputs), strict=True)
+    return [Sample(Inputs(*x), *y) for x, *y in zip(inputs, *(y.tolist() for y in run[1:]), strict=True)]
+
+
+def streamed(estimator: Estimator, run: Sample, backend: str = "kernel") -> None:
+    rollout(estimator, estimator.init(run.surge.shape[1:]), run, backend=backend)
+
+
+def called(step: Work, calls: Sequence) -> None:
+    for each in calls:
+        step(each)
+
+
+def costs(estimator: Estimator, effort: Effort, ways: Sequence[str]) -> dict[str, list[float]]:
+    """Seconds of a step in each way, round by round."""
+    run = samples(effort.steps)
+    short, calls = tree_map(lambda x: x[: effort.eager], run), as_numbers(tree_map(lambda x: x[: effort.calls], run))
+    works = {
+        "streamed": partial(streamed, estimator, run),
+        "call": partial(called, Online(estimator).step, calls),
+        "torch": partial(streamed, estimator, short, "torch"),
+    }
+    if made := compiler() and reference(estimator, run):
+        works["C"] = made.run
+    counts = {"streamed": effort.steps, "C": effort.steps, "call": len(calls), "torch": effort.eager}
+    spent = in_turn({way: works[way] for way in ways if way in works}, effort.repeats)
+    return {way: [s / counts[way] for s in each] for way, each in spent.items()}
+
+
+def median(spent: Mapping[str, Sequence[float]], way: str) -> float | None:
+    return statistics.median(spent[way]) if way in spent else None
+
+
+def times(spent: Mapping[str, Sequence[float]], way: str, reference: str) -> str:
+    return f"{three_digits(ratio(spent[way], spent[reference]))}×" if reference in spent else ""
+
+
+def steps(effort: Effort) -> Section:
+    found = {name: costs(estimator, effort, list(WAYS)) for name, estimator in estimators().items()}
+    rows = [
+        [name, *(micro(median(spent, way)) for way in WAYS), times(spent, "streamed", "C"),
+         times(spent, "torch", "streamed")]
+        for name, spent in found.items()
+    ]  # fmt: skip
+    head = ["µs a step", *WAYS.values(), "streamed / C", "torch / streamed"]
+    note = "C is `benchmarks/reference.c`, equal to ours to rounding; called from Python is `Online.step`."
+    shown = {name: {label: median(spent, way) for way, label in WAYS.items()} for name, spent in found.items()}
+    return Section([*table(head, rows), "", note], {"steps": bars(shown)})
+
+
+def others(effort: Effort) -> Section:
+    """Other libraries, p = 9, on the same regressors and increments."""
+    run = samples(effort.steps)
+    model = SurgeDynamics(1.0)
+    before = run.surge.roll(1)
+    phi = model(before, run.inputs)[1]
+    pairs = list(zip(phi.numpy(), (run.surge - before).tolist(), strict=True))[: effort.calls]
+    calls = as_numbers(tree_map(lambda x: x[: effort.calls], run))
+    rls, sift = RLS(model), SIFtRLS(model)
+    works: dict[str, Work] = {
+        "ours, RLS": partial(called, Online(rls).step, calls),
+        "ours, SIFt-RLS": partial(called, Online(sift).step, calls),
+        "ours, RLS, streamed": partial(streamed, rls, run),
+        "ours, SIFt-RLS, streamed": partial(streamed, sift, run),
+    }
+    counts = dict(zip(works, [len(calls)] * 2 + [effort.steps] * 2, strict=True))
+
+    def one_by_one(make: Work) -> None:
+        peer = make()
+        for x, y in pairs:
+            peer.predict(x)
+            peer.learn(x, y)
+
+    for name, make in peers.peers(phi.T @ phi / len(phi)).items():
+        works[name], counts[name] = partial(one_by_one, make), len(pairs)
+    spent = {
+        name: [s / counts[name] for s in each] for name, each in in_turn(works, effort.repeats).items()
+    }  # fmt: skip
+    rows = [
+        [
+            name,
+            micro(median(spent, name)),
+            times(spent, name, "ours, SIFt-RLS"),
+            times(spent, name, "ours, RLS, streamed"),
+        ]
+        for name in spent
+    ]
+    note = (
+        "A prediction, then a measurement, p = 9, from Python unless streamed. Others are handed the regressor; ours "
+        "make it, and keep the limits and the noise's variance."
+    )
+    return Section([*table(["", "µs a step", "over our SIFt-RLS, called", "over our RLS, streamed"], rows), "", note])
+
+
+def growth(effort: Effort) -> Section:
+    """With the neurons, the parameters and the members."""
+    mass = 28.0
+    parameters = {
+        9: SIFtRLS(SurgeDynamics(mass)),
+        12: SIFtRLS(SurgeDynamics(mass, ambient=True)),
+        15: WithMemory(SIFtRLS(SurgeDynamics(mass, ambient=True, memory=True))),
+    }
+    gains = [10 ** (k / 7 - 1) for k in range(max(MEMBERS))]
+    kinds = {
+        "neurons of the RNN": {n: RNN(n) for n in NEURONS},
+        "parameters of SIFt-RLS": parameters,
+        "members of an ensemble": {
+            k: Ensemble({f"aid{j}": AID(mass, gain) for j, gain in enumerate(gains[:k])}, {"boa": BOA()})
+            for k in MEMBERS
+        },
+    }
+    found = {
+        kind: {size: costs(estimator, effort, ["streamed", "C"]) for size, estimator in sizes.items()}
+        for kind, sizes in kinds.items()
+    }
+    rows = [
+        [f"{size} {kind}", *(micro(median(spent, way)) for way in ("C", "streamed")), times(spent, "streamed", "C")]
+        for kind, sizes in found.items()
+        for size, spent in sizes.items()
+    ]
+    note = "15 parameters: with the memory wrapper. The members are AIDs of different gains, weighed by BOA."
+    curves = {
+        kind: {label: {size: median(spent, way) for size, spent in sizes.items() if way in spent}
+               for way, label in itertools.islice(WAYS.items(), 2)}
+        for kind, sizes in found.items()
+    }  # fmt: skip
+    return Section([*table(["µs a step", "C", "streamed", "ratio"], rows), "", note], {"growth": growth_curves(curves)})

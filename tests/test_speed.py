@@ -1,0 +1,69 @@
+"""The measurements of speed: works in turn, every way of a step, memory, the page and its figures."""
+
+import doctest
+
+import numpy as np
+import pytest
+import speed
+import speed_jobs
+import speed_steps
+import timing
+import torch
+from reference import compiler
+
+TINY = timing.Effort(2, 40, 5, 20, (1, 3), 120, (0.05, 0.1), 3, 2)
+
+
+@pytest.fixture(autouse=True)
+def without_gradients():
+    """As the benchmark runs."""
+    with torch.no_grad():
+        yield
+
+
+def test_works_are_timed_in_turn():
+    done = []
+    spent = timing.in_turn({name: lambda name=name: done.append(name) for name in "ab"}, repeats=3)
+    assert done == list("ab" * 4)  # the first round is not measured
+    assert {name: len(seconds) for name, seconds in spent.items()} == {"a": 3, "b": 3}
+
+
+def test_a_ratio_is_of_works_of_one_round():
+    assert timing.ratio([1.0, 10.0, 300.0], [1.0, 5.0, 100.0]) == 2.0
+
+
+def test_examples_of_timing():
+    assert doctest.testmod(timing) == (0, 4)
+
+
+@pytest.mark.parametrize("name", ["aid", "projected sift", "default ensemble"])
+def test_every_way_of_a_step_is_measured(name):
+    estimator = speed_steps.estimators()[name]
+    found = speed_steps.costs(estimator, TINY, list(speed_steps.WAYS))
+    twin = {"C"} if name == "aid" and compiler() else set()
+    assert set(found) == {"streamed", "call", "torch"} | twin
+    assert all(len(each) == TINY.repeats and min(each) > 0 for each in found.values())
+
+
+def test_the_samples_are_learned_from_every_one():
+    from usvlearn.estimator import clean
+
+    run = speed_steps.samples(9000)  # more than the log has: it begins again
+    assert len(run.surge) == 9000 and bool(clean(run).learns.all())
+
+
+def test_the_peak_of_memory_is_that_since_it_was_reset():
+    if not speed_jobs.RESET.exists():
+        pytest.skip("the peak can be reset on Linux alone")
+    np.ones(2**23).sum()
+    speed_jobs.RESET.write_text("5")
+    before = speed_jobs.peak()
+    np.ones(2**22).sum()  # 32 MiB
+    assert 30 < (speed_jobs.peak() - before) / 2**20 < 40
+
+
+def test_the_page_has_its_sections_and_their_figures(tmp_path):
+    pytest.importorskip("matplotlib")
+    text = speed.page(tmp_path, TINY, ["lanes"])
+    assert "## Lanes" in text and "| ensemble |" in text and "(speed_lanes.svg)" in text
+    assert (tmp_path / "speed_lanes.svg").read_text().count("µs a lane-step") == 1
