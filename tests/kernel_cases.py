@@ -163,6 +163,7 @@ VARIANTS = {
     "robust_rnn_blows_up": lambda: Robust(RNN(6, rate=1e200, stability="none", clip=None), threshold=100.0),
     "robust_rnn_refuses": lambda: Robust(RNN(6, rate=1e308, stability="none"), threshold=100.0),
     "memory_around_refusal": lambda: WithMemory(Robust(RNN(6, rate=1e308, stability="none"), threshold=100.0)),
+    "refusal_around_memory": lambda: Robust(WithMemory(RNN(6, rate=1e308, stability="none")), threshold=100.0),
     "robust_persistence": lambda: Robust(Persistence(), threshold=1.0, patience=1, memory=20.0),
     "robust_acceleration": lambda: Robust(Acceleration(), threshold=1.0, patience=2, memory=20.0),
     "robust_around_memory": lambda: Robust(WithMemory(RLS(SurgeDynamics(28.0, **FULL))), threshold=1.0, patience=1),
