@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
 
 BACKENDS = ("auto", "torch", "kernel")
-CHUNK = 256  # steps whose whole states are held at a time, for a record that wants to see them
+CHUNK, CELLS = (
+    256,
+    2**24,
+)  # steps, and numbers, whose whole states are held at a time for a record that wants to see them
 Record = Callable[[Any], Any] | Sequence[str]
 
 
@@ -31,22 +34,23 @@ def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> d
     """
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
-    description = described(estimator)
-    tensors = [*_leaves(state), *_leaves(samples), *estimator.parameters()]
-    obstacle = _obstacle(estimator, tensors, description) or _derivative(tensors)
-    if backend == "kernel" and obstacle:
-        raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
-    return None if obstacle else description
+    own = [*estimator.parameters(), *estimator.buffers()]
+    tensors = [*_leaves(state), *_leaves(samples), *own]
+    obstacle = _out_of_reach(tensors) or _derivative(tensors)
+    if not obstacle and samples.surge.numel() == 0:
+        obstacle = "there are no lanes"
+    return _description(estimator, obstacle, backend)
 
 
 def described(part: Any) -> dict[str, Any] | None:
-    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing.
+    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing, or it was changed.
 
     >>> from usvlearn import Persistence
     >>> described(Persistence())["kind"]
     'persistence'
     """
-    return part.kernel() if "kernel" in vars(type(part)) else None
+    changed = vars(part).keys() & {"predict", "update", "learn", "start", "loosen", "combine", "forward"}
+    return part.kernel() if "kernel" in vars(type(part)) and not changed else None
 
 
 def run(
@@ -62,8 +66,9 @@ def run(
         named = {name: torch.from_numpy(x) for name, x in kept.items()}
         return _tree(state, leaves), torch.from_numpy(predictions), None if record is None else named
     parts, records = [], []
-    for begin in range(0, len(arrays.surge), CHUNK):
-        part = tree_map(lambda x, b=begin: x[b : b + CHUNK], arrays)
+    steps = max(1, min(CHUNK, CELLS // sum(x.size for x in leaves.values())))
+    for begin in range(0, len(arrays.surge), steps):
+        part = tree_map(lambda x, b=begin: x[b : b + steps], arrays)
         leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads)
         parts.append(torch.from_numpy(predictions))
         for k in range(len(predictions)):
@@ -80,28 +85,37 @@ def free_totals(description: dict[str, Any], state: Any, samples: Sample, learni
 
 
 def _arrays(state: Any, samples: Sample) -> tuple[dict[str, np.ndarray], Sample]:
-    """A state's leaves by dotted name, and samples, as arrays that share their memory."""
-    return {name: leaf.detach().numpy() for name, leaf in named_leaves(state)}, tree_map(
-        lambda x: x.detach().numpy(), samples
-    )
+    """A state's leaves by dotted name, and samples, as arrays that share their memory where they can."""
+    leaves = {name: leaf.detach().resolve_neg().numpy() for name, leaf in named_leaves(state)}
+    return leaves, tree_map(lambda x: x.detach().resolve_neg().numpy(), samples)
 
 
 def _tree(template: Any, leaves: dict[str, np.ndarray]) -> Any:
     return rebuild(template, {name: torch.as_tensor(leaf) for name, leaf in leaves.items()})
 
 
-def _obstacle(estimator: Estimator, tensors: Sequence[Tensor], description: dict[str, Any] | None) -> str | None:
-    """Why the kernels cannot, if they cannot."""
-    if not compilable(description):
-        return f"{type(estimator).__name__}, or a part of it, has no compiled kernel"
-    if importlib.util.find_spec("numba") is None:
-        return "numba is not installed (pip install numba)"
+def _description(estimator: Estimator, obstacle: str | None, backend: str) -> dict[str, Any] | None:
+    """What the kernels are to run; None, or a ConfigError, where something stands in their way."""
+    if not obstacle and importlib.util.find_spec("numba") is None:
+        obstacle = "numba is not installed (pip install numba)"
+    description = None if obstacle else described(estimator)
+    if not obstacle and not compilable(description):
+        obstacle = f"{type(estimator).__name__}, or a part of it, has no compiled kernel"
+    if backend == "kernel" and obstacle:
+        raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
+    return None if obstacle else description
+
+
+def _out_of_reach(tensors: Sequence[Tensor]) -> str | None:
+    """Why the kernels cannot read these numbers, if they cannot."""
     if torch.compiler.is_compiling() or any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors)):
         return "torch transforms this function"
     if any(x.device.type != "cpu" for x in tensors):
         return "not all tensors are on the CPU"
-    dtype = next(x.dtype for x in tensors if x.is_floating_point())
-    return None if dtype in (torch.float64, torch.float32) else f"the state is {dtype}"
+    dtypes = {x.dtype for x in tensors if x.is_floating_point()}
+    if dtypes not in ({torch.float64}, {torch.float32}):
+        return f"the numbers are {' and '.join(sorted(map(str, dtypes)))}"
+    return None
 
 
 def _derivative(tensors: Sequence[Tensor]) -> str | None:
@@ -160,10 +174,8 @@ def live(estimator: Estimator, state: Any, backend: str) -> Any:
     """
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
-    description = described(estimator)
-    if obstacle := _obstacle(estimator, list(_leaves(state)), description):
-        if backend == "kernel":
-            raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
+    obstacle = _out_of_reach([*_leaves(state), *estimator.parameters(), *estimator.buffers()])
+    if (description := _description(estimator, obstacle, backend)) is None:
         return None
     from usvlearn.kernels.live import Live
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import sys
 import tempfile
 import time
@@ -17,6 +18,7 @@ from functools import cache, partial
 from pathlib import Path
 
 import numba
+from llvmlite.binding import get_host_cpu_name
 
 HERE = Path(__file__).parent
 
@@ -24,21 +26,36 @@ HERE = Path(__file__).parent
 @cache
 def folder(package: Path) -> Path:
     """Where the machine code of a package is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
-    digest = hashlib.sha256(numba.__version__.encode())
+    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(package)
+    digest = hashlib.sha256("\n".join(machine).encode())
     for path in [HERE / "compiled.py", HERE / "signals.py", *sorted(package.glob("*.py"))]:
         content = path.read_bytes()
         if b"\n@kernel" in content or path.parent == HERE:
             digest.update(content)
-    base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    found = Path(base) / "usvlearn" / f"{package.name}-{digest.hexdigest()[:12]}"
+    name = f"{package.name}-{digest.hexdigest()[:12]}"
     try:
+        base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        found = Path(base) / "usvlearn" / name
         found.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=found):
             return found
-    except OSError:  # a home that cannot be written to
-        own = Path(tempfile.gettempdir()) / f"usvlearn-{os.getuid() if hasattr(os, 'getuid') else 0}" / found.name
-        own.mkdir(parents=True, exist_ok=True)
-        return own
+    except (OSError, RuntimeError):  # no home, or none that can be written to
+        return _temporary() / name
+
+
+@cache
+def _temporary() -> Path:
+    """A folder of this user's alone among temporary files: what lies there is run."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    own = Path(tempfile.gettempdir()) / f"usvlearn-{user}"
+    try:
+        own.mkdir(mode=0o700, exist_ok=True)
+        state = own.lstat()
+        if stat.S_ISDIR(state.st_mode) and (not user or state.st_uid == user) and not state.st_mode & 0o022:
+            return own
+    except OSError:
+        pass
+    return Path(tempfile.mkdtemp(prefix="usvlearn-"))
 
 
 def kernel(function: Callable | None = None, *, reorder: bool = False, memory: bool = False) -> Callable:

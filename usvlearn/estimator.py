@@ -210,7 +210,8 @@ def _advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tup
     """`Estimator.forward` of a clean sample, without what happens in no lane."""
     if some == Kinds(learns=True, coasts=False, starts=False, holds=False):
         return estimator.learn(state, step.inputs, step.surge)
-    layers = [(None, state)] if some.holds else []  # each covers those before it in its lanes, the first is everywhere
+    # Each layer covers those before it in its lanes, the first is everywhere.
+    layers = [(None, state)] if some.holds or not any(some) else []
     if some.starts:
         layers.append((step.starts, estimator.start(state, step.surge)))
     surge = torch.full_like(step.surge, math.nan)

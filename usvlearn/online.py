@@ -24,7 +24,7 @@ class Online:
     """Owns a state; learns one sample at a time, without gradients.
 
     Args:
-        estimator: any `Estimator`.
+        estimator: any `Estimator`; what is tuned in it is read now.
         batch: `()` for one vehicle.
         backend: "kernel", "torch", or "auto", as of `rollout`.
 

@@ -91,5 +91,6 @@ def free_totals(
 
     with announced(__file__, f"kernels of free runs, {plan.dtype}"):
         rows, columns = prepared(samples, plan)
-        in_parallel(some, plan.lanes, threads)
+        some(0, 0)  # compiles
+    in_parallel(some, plan.lanes, threads)
     return totals.reshape(*plan.batch, -1, 3)

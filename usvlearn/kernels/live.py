@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
 from typing import Any
 
@@ -9,12 +10,11 @@ import numpy as np
 from numba import config
 
 from usvlearn.compiled import announced
-from usvlearn.errors import ShapeError
 from usvlearn.kernels import step
 from usvlearn.kernels.plan import Description, plan_for
 from usvlearn.signals import Inputs, Sample
 
-LIVE = step.step_once
+LIVE, COMPILING = step.step_once, threading.Lock()
 
 
 class Live:
@@ -35,11 +35,10 @@ class Live:
     """
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
+        self._description, self._lock = description, threading.Lock()  # the kernels share what they work in
         first = next(x for x in leaves.values() if x.dtype != bool)
         one = plan_for(description, (), first.dtype)
-        if other := sorted(one.leaves.keys() ^ leaves.keys()):
-            raise ShapeError(f"leaves: {', '.join(other[:4])} are not in both the state and its description")
-        name, leaf = next(iter(one.leaves.items()))
+        name, leaf = next((name, leaf) for name, leaf in one.leaves.items() if name in leaves)
         batch = np.shape(leaves[name])[: np.ndim(leaves[name]) - len(leaf.shape)]
         self.plan = plan_for(description, batch, first.dtype) if batch else one
         self.states = self.plan.pack(leaves)
@@ -48,11 +47,14 @@ class Live:
         self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
         if config.DISABLE_JIT:  # plain Python, for a debugger
             return
-        with announced(__file__, f"kernels of single steps, {first.dtype}"):
+        with COMPILING, announced(__file__, f"kernels of single steps, {first.dtype}"):
             rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
             LIVE.disable_compile(False)
             LIVE(self.plan.program, self.states[0].copy(), self.plan.numbers[0], self._work, *rest)
             LIVE.disable_compile()  # whole numbers and the like become what it was compiled for
+
+    def __reduce__(self):  # rows are parts of `states`, a copy must make its own
+        return Live, (self._description, self.leaves)
 
     @property
     def leaves(self) -> dict[str, np.ndarray]:
@@ -65,12 +67,14 @@ class Live:
 
     def step(self, sample: Sample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
-        return self._advance(self._steps, *sample)
+        with self._lock:
+            return self._advance(self._steps, *sample)
 
     def predict(self, inputs: Inputs) -> Any:
         """The prediction, m/s; the state stays as it is."""
-        np.copyto(self._spare, self.states)
-        return self._advance(self._predictions, inputs, np.nan, True, False)
+        with self._lock:
+            np.copyto(self._spare, self.states)
+            return self._advance(self._predictions, inputs, np.nan, True, False)
 
     def _arguments(self, states: np.ndarray) -> list[tuple]:
         """What each lane's step is called with before the sample."""

@@ -114,6 +114,8 @@ class Plan:
 
     def pack(self, leaves: Mapping[str, np.ndarray]) -> np.ndarray:
         """States, `(lanes, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
+        if other := sorted(self.leaves.keys() ^ leaves.keys()):
+            raise ShapeError(f"leaves: {', '.join(other[:4])} are not in both the state and what its estimator says")
         states = np.empty((self.lanes, self.size), self.dtype)
         for name, view in self._views(states).items():
             if leaves[name].shape != view.shape:

@@ -55,13 +55,15 @@ def roll(
 
     with announced(__file__, f"kernels of runs, {plan.dtype}"):
         rows, columns = prepared(samples, plan)
-        in_parallel(some, plan.lanes, threads)
+        some(0, 0)  # compiles
+    in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
-        kept[name] = plan.typed(name, np.moveaxis(part, len(batch), 0))
+        kept[name] = plan.typed(name, np.ascontiguousarray(np.moveaxis(part, len(batch), 0)))
         begin += place.size
-    return Result(plan.unpack(states), np.moveaxis(predictions.reshape(*batch, steps), -1, 0), kept)
+    together = np.ascontiguousarray(np.moveaxis(predictions.reshape(*batch, steps), -1, 0))
+    return Result(plan.unpack(states), together, kept)
 
 
 def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
@@ -86,7 +88,6 @@ def in_parallel(work: Callable[[int, int], None], lanes: int, threads: int) -> N
     if threads <= 1 or lanes == 1:
         work(0, lanes)
         return
-    work(0, 1)  # compiles, where it is the first
-    edges = np.linspace(1, lanes, min(threads * 4, lanes - 1) + 1).astype(int)
+    edges = np.linspace(0, lanes, min(threads * 4, lanes) + 1).astype(int)
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(work, edges[:-1], edges[1:]))

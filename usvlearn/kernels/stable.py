@@ -25,7 +25,7 @@ def threshold(a, cost, radius):
                 total += cost[i] * size
                 squares += cost[i] * cost[i]
                 count += 1
-        if (kept == -1 and not total > radius) or count == 0 or count == kept:
+        if (kept == -1 and not total > radius) or count == 0 or 0 <= kept <= count:  # they only become fewer
             return theta, slope
         kept = count
         theta, slope = (total - radius) / squares, 1.0 / squares

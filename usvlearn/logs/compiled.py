@@ -14,6 +14,7 @@ from usvlearn.logs.channel import CHANNELS
 
 EPSILON = 1e-6  # s, below which two stamps are one
 SLACK = 1.0  # s, by which a channel may lag behind the newest message of any other
+LATEST = 1e12  # s, beyond which a stamp is none: the next step would be at the same time
 RESETS = 3  # messages in a row, of several channels, that far behind are a clock that was set back
 TURN = 2 * math.pi
 LEFT, RIGHT, HEADING, YAW_RATE, SURGE = range(5)
@@ -173,7 +174,7 @@ def mean(times, values, start, end):
 def _hear(settings, memory, channel, time, value):
     """Whether a message is to be dropped, taken, or taken as the first of a new segment."""
     limit = settings.limit[channel]
-    if not (math.isfinite(value) and math.isfinite(time)):
+    if not (math.isfinite(value) and abs(time) < LATEST):
         memory.rejected[channel, NOT_A_NUMBER] += 1
         return DROP
     if not -limit <= value <= limit:
