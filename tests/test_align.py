@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.align import Aligner, align
-from usvlearn.logs.channel import CHANNELS, Channel
+from usvlearn.logs.align import REQUIRED, Aligner, align
+from usvlearn.logs.channel import CHANNELS, Channel, Source
 from usvlearn.logs.compiled import mean
 
 
@@ -324,3 +324,11 @@ def test_a_log_without_speed_is_refused():
     del channels["surge"]
     with pytest.raises(LogFormatError, match="surge"):
         align(channels)
+
+
+def test_stamps_in_nanoseconds_are_none():
+    """At 1.7e18 s the next step would be at the same time as the last."""
+    aligner = Aligner({name: Source(name) for name in REQUIRED})
+    for k in range(8):
+        assert not aligner.push("surge", 1.7e18 + 1e8 * k, 1.0)
+    assert aligner.rejected == {"surge": {"not_a_number": 8}}

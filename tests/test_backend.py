@@ -1,11 +1,15 @@
 """Who makes the steps, and what stands against the kernels; checkpoints by either; where machine code is kept."""
 
+import copy
 import json
 import os
+import pickle
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch.autograd import forward_ad
@@ -13,7 +17,22 @@ from torch.autograd import forward_ad
 from tests.conftest import random_samples
 from tests.estimators import ESTIMATORS
 from tests.kernel_cases import difference, mission
-from usvlearn import AID, RLS, Average, Bank, Ensemble, Online, Persistence, Robust, SurgeDynamics, WithMemory, rollout
+from usvlearn import (
+    AID,
+    RLS,
+    Average,
+    Bank,
+    Ensemble,
+    Inputs,
+    Online,
+    Persistence,
+    Robust,
+    Sample,
+    SIFtRLS,
+    SurgeDynamics,
+    WithMemory,
+    rollout,
+)
 from usvlearn import checkpoint as store
 from usvlearn.backend import choose
 from usvlearn.errors import ConfigError
@@ -121,7 +140,7 @@ def test_torch_where_torch_transforms():
 def test_other_devices_and_dtypes_are_torch_s():
     half = Persistence().to(torch.float16)
     assert chosen(half, dtype=torch.float16) is None
-    with pytest.raises(ConfigError, match=r"found kernel, but the state is torch\.float16"):
+    with pytest.raises(ConfigError, match=r"found kernel, but the numbers are torch\.float16"):
         chosen(half, dtype=torch.float16, backend="kernel")
     with pytest.raises(ConfigError, match="not all tensors are on the CPU"):
         chosen(Persistence().to("meta"), backend="kernel")
@@ -178,12 +197,12 @@ def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
 
 PREPARE = """
 import numpy as np
-from usvlearn.kernels import step
+from usvlearn.kernels import samples
 from usvlearn.compiled import announced
-with announced(step.__file__, "trial"):
+with announced(samples.__file__, "trial"):
     ones = np.ones((2, 1))
-    rows = np.empty((1, 2, step.ROW))
-    step.prepare_all(*[ones] * 6, ones > 0, ones > 0, rows)
+    rows = np.empty((1, 2, samples.ROW))
+    samples.prepare_all(*[ones] * 6, ones > 0, ones > 0, True, rows)
 print(rows[0, 0, -1])
 """
 
@@ -249,3 +268,91 @@ for make in ESTIMATORS.values():
 def test_plain_python_makes_the_same_steps():
     """As a debugger sees them."""
     python(PLAIN, NUMBA_DISABLE_JIT="1")
+
+
+def test_a_gradient_of_a_constant_is_asked_for_too():
+    aid = AID(28.0).requires_grad_(False)
+    aid.model.mass.requires_grad_(True)
+    assert rollout(aid, aid.init(), random_samples(3))[1].requires_grad
+
+
+def test_a_method_that_was_replaced_is_heard():
+    aid = AID(28.0)
+    aid.learn = lambda state, inputs, surge: (state, surge)
+    with torch.no_grad():
+        samples = random_samples(3)
+        assert torch.equal(rollout(aid, aid.init(), samples)[1], samples.surge)
+
+
+def test_no_lanes_are_no_steps():
+    aid = AID(28.0)
+    with torch.no_grad():
+        assert rollout(aid, aid.init((0,)), random_samples(4, 0))[1].shape == (4, 0)
+
+
+def test_hyperparameters_are_mapped_over():
+    """vmap hands over parameters that no kernel can read."""
+
+    samples = random_samples(5)
+
+    class Errors(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.aid = AID(28.0)
+
+        def forward(self):
+            return rollout(self.aid, self.aid.init(), samples)[1]
+
+    module = Errors()
+    stacked = {name: torch.stack([x.detach(), x.detach() + 1]) for name, x in module.named_parameters()}
+    with torch.no_grad():
+        both = torch.vmap(lambda each: torch.func.functional_call(module, each, ()))(stacked)
+        torch.testing.assert_close(both[0], module(), rtol=1e-12, atol=1e-12)
+    assert not torch.equal(both[0], both[1])
+
+
+def test_results_and_samples_are_tensors_like_any():
+    aid, samples = AID(28.0), random_samples(5, 3)
+    with torch.no_grad():
+        expected = rollout(aid, aid.init((3,)), samples)[1]
+        assert expected.view(-1).shape == (15,)
+        negated = torch.complex(samples.surge, -samples.surge).conj().imag  # a view that only says that it is negated
+        assert torch.equal(rollout(aid, aid.init((3,)), samples._replace(surge=negated))[1], expected)
+
+
+def copies(online: Online) -> list[Online]:
+    return [copy.deepcopy(online), pickle.loads(pickle.dumps(online))]
+
+
+def test_a_copy_of_a_boat_goes_its_own_way():
+    sample = Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)
+    boat, whole = (Online(SIFtRLS(SurgeDynamics(28.0))) for _ in range(2))
+    boat.step(sample), whole.step(sample)
+    before = boat.state
+    for other in copies(boat):
+        expected = [whole.step(sample._replace(surge=x)) for x in (1.1, 1.3)]
+        assert [other.step(sample._replace(surge=x)) for x in (1.1, 1.3)] == expected
+        assert torch.equal(other.state.theta, whole.state.theta) and torch.equal(boat.state.theta, before.theta)
+        whole.state = before
+
+
+def test_a_boat_that_is_asked_while_it_learns():
+    """The kernels hold no GIL: what they work in is one thread's at a time."""
+    samples = mission(1500, seed=3, faults=False)
+    numbers = zip(*(x.tolist() for x in (*samples.inputs, *samples[1:])), strict=True)
+    rows = [Sample(Inputs(*row[:5]), *row[5:]) for row in numbers]
+    asked, alone = (Online(SIFtRLS(SurgeDynamics(28.0))) for _ in range(2))
+    done = threading.Event()
+
+    def ask() -> None:
+        while not done.is_set():
+            asked.predict(rows[5].inputs)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    try:
+        found = [asked.step(row) for row in rows]
+    finally:
+        done.set()
+        thread.join()
+    np.testing.assert_array_equal(found, [alone.step(row) for row in rows])

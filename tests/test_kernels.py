@@ -9,6 +9,7 @@ against torch over windows, torch starting each from the kernels' state, and one
 import copy
 import itertools
 
+import numpy as np
 import pytest
 import torch
 
@@ -18,6 +19,7 @@ from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
 from usvlearn.estimator import simulate
 from usvlearn.estimators.conformal import LEAST
 from usvlearn.estimators.monitors import THRESHOLD
+from usvlearn.kernels.stable import threshold
 from usvlearn.signals import named_leaves, tree_map
 
 EVERY = ESTIMATORS | VARIANTS
@@ -206,3 +208,11 @@ def test_every_setting_for_long(name):
         if "robust" not in name and "refus" not in name and name != "rnn_clips":  # an error of 1e40 has no clipped one
             robust = Robust(EVERY[name](), threshold=1.0, patience=1)
             assert_windows_equal(robust, mission(400, 2, seed=5), 20, tolerance)
+
+
+def test_a_projection_ends_where_a_neuron_lies_on_the_threshold():
+    """To rounding: whoever becomes zero in one round, and not in the next, must not keep the search going."""
+    a = np.array([0.7697867137638703, 0.5409735239361947, 0.5165276355285291, 0.15141619292868486])
+    cost = np.array([0.9132702392002724, 1.0127555772777217, 0.7066357757671798, 0.6436249914654228])
+    theta, _ = threshold(a, cost, 1.0609103068595371)
+    assert abs(cost @ np.maximum(a - theta * cost, 0) - 1.0609103068595371) < 1e-12
