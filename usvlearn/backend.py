@@ -19,10 +19,8 @@ if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
 
 BACKENDS = ("auto", "torch", "kernel")
-CHUNK, CELLS = (
-    256,
-    2**24,
-)  # steps, and numbers, whose whole states are held at a time for a record that wants to see them
+CHUNK = 256  # steps whose whole states are held at a time, for a record that wants to see them,
+CELLS = 2**24  # and numbers in these
 Record = Callable[[Any], Any] | Sequence[str]
 
 
