@@ -262,12 +262,13 @@ for make in ESTIMATORS.values():
     assert max(difference(x, y) for x, y in zip(found[:2], expected[:2])) < 1e-9
     one = tree_map(lambda x: x[0, 0], samples)
     assert Online(estimator, backend="kernel").step(one) == Online(estimator, backend="torch").step(one)
+print(len(ESTIMATORS))
 """
 
 
 def test_plain_python_makes_the_same_steps():
     """As a debugger sees them."""
-    python(PLAIN, NUMBA_DISABLE_JIT="1")
+    assert python(PLAIN, NUMBA_DISABLE_JIT="1").stdout == f"{len(ESTIMATORS)}\n"
 
 
 def test_a_gradient_of_a_constant_is_asked_for_too():

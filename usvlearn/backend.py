@@ -57,7 +57,7 @@ def run(
     """`rollout`, or `simulate` (`free`), by the kernels."""
     from usvlearn.kernels.run import roll
 
-    leaves, arrays = _arrays(state, samples)
+    leaves, arrays = _arrays(state), tree_map(_array, samples)
     threads = torch.get_num_threads()
     if not callable(record):
         leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
@@ -71,25 +71,38 @@ def run(
         parts.append(torch.from_numpy(predictions))
         for k in range(len(predictions)):
             records.append(record(_tree(state, {name: x[k] for name, x in kept.items()})))
-    return _tree(state, leaves), torch.cat(parts), tree_map(lambda *x: torch.stack(x), *records)
+    return _tree(state, leaves), torch.cat(parts), stack(records)
+
+
+def stack(trees: Sequence[Any]) -> Any:
+    """Trees of tensors as one, with a first axis that counts them.
+
+    >>> stack([{"theta": torch.zeros(2)}, {"theta": torch.ones(2)}])["theta"].shape
+    torch.Size([2, 2])
+    """
+    return tree_map(lambda *leaves: torch.stack(leaves), *trees)
 
 
 def free_totals(description: dict[str, Any], state: Any, samples: Sample, learning: Sequence[int]) -> np.ndarray:
     """`kernels.cross.free_totals` of tensors."""
     from usvlearn.kernels import cross
 
-    leaves, arrays = _arrays(state, samples)
-    return cross.free_totals(description, leaves, arrays, learning, torch.get_num_threads())
+    return cross.free_totals(description, _arrays(state), tree_map(_array, samples), learning, torch.get_num_threads())
 
 
-def _arrays(state: Any, samples: Sample) -> tuple[dict[str, np.ndarray], Sample]:
-    """A state's leaves by dotted name, and samples, as arrays that share their memory where they can."""
-    leaves = {name: leaf.detach().resolve_neg().numpy() for name, leaf in named_leaves(state)}
-    return leaves, tree_map(lambda x: x.detach().resolve_neg().numpy(), samples)
+def _array(x: Tensor) -> np.ndarray:
+    """A tensor as an array that shares its memory where it can."""
+    return x.numpy(force=True)
 
 
-def _tree(template: Any, leaves: dict[str, np.ndarray]) -> Any:
-    return rebuild(template, {name: torch.as_tensor(leaf) for name, leaf in leaves.items()})
+def _arrays(state: Any) -> dict[str, np.ndarray]:
+    """A state's leaves as arrays, by dotted name."""
+    return {name: _array(leaf) for name, leaf in named_leaves(state)}
+
+
+def _tree(template: Any, leaves: dict[str, np.ndarray], device: torch.device | None = None) -> Any:
+    """A state like the template, from leaves by dotted name."""
+    return rebuild(template, {name: torch.as_tensor(leaf, device=device) for name, leaf in leaves.items()})
 
 
 def _description(estimator: Estimator, obstacle: str | None, backend: str) -> dict[str, Any] | None:
@@ -135,7 +148,7 @@ class Stepper:
 
     @property
     def leaves(self) -> dict[str, np.ndarray]:
-        return {name: leaf.numpy(force=True) for name, leaf in named_leaves(self.state)}
+        return _arrays(self.state)
 
     @leaves.setter
     def leaves(self, leaves: dict[str, np.ndarray]) -> None:
@@ -143,8 +156,7 @@ class Stepper:
 
     def tree(self, leaves: dict[str, np.ndarray]) -> Any:
         """A state like its own, from leaves by dotted name."""
-        own = {name: torch.as_tensor(leaf, device=self._like.device) for name, leaf in leaves.items()}
-        return rebuild(self.state, own)
+        return _tree(self.state, leaves, self._like.device)
 
     @torch.no_grad()
     def predict(self, inputs: Inputs) -> float | np.ndarray:
@@ -177,11 +189,11 @@ def live(estimator: Estimator, state: Any, backend: str) -> Any:
         return None
     from usvlearn.kernels.live import Live
 
-    return Live(description, {name: leaf.numpy(force=True) for name, leaf in named_leaves(state)})
+    return Live(description, _arrays(state))
 
 
 def _plain(predicted: Tensor) -> float | np.ndarray:
-    return predicted.numpy(force=True) if predicted.ndim else predicted.item()
+    return _array(predicted) if predicted.ndim else predicted.item()
 
 
 def _leaves(tree: Any) -> Iterator[Tensor]:

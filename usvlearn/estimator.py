@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 import torch
 from torch import Tensor, nn
 
-from usvlearn.backend import Record, choose, run
+from usvlearn.backend import Record, choose, run, stack
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.signals import ABSURD, ABSURD_INPUTS, Inputs, Sample, named_leaves, tree_map, where
 
@@ -238,15 +238,6 @@ def _picking(record: Record | None, state: State) -> Callable[[State], Any] | No
         raise ConfigError(f"record: found {unknown[0]!r}, expected names of the state's leaves: {', '.join(leaves)}")
     names = tuple(record)
     return lambda state: {name: leaf for name, leaf in named_leaves(state) if name in names}
-
-
-def stack(trees: Sequence[Any]) -> Any:
-    """Trees of tensors as one, with a first axis that counts them.
-
-    >>> stack([{"theta": torch.zeros(2)}, {"theta": torch.ones(2)}])["theta"].shape
-    torch.Size([2, 2])
-    """
-    return tree_map(lambda *leaves: torch.stack(leaves), *trees)
 
 
 def _unbind(steps: Step) -> Iterator[Step]:

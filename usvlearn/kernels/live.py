@@ -38,9 +38,9 @@ class Live:
         self._description, self._lock = description, threading.Lock()  # the kernels share what they work in
         first = next(x for x in leaves.values() if x.dtype != bool)
         one = plan_for(description, (), first.dtype)
-        shared = [np.shape(leaves[name])[: np.ndim(leaves[name]) - len(leaf.shape)]
-                  for name, leaf in one.leaves.items() if name in leaves]  # fmt: skip
-        batch = shared[0] if shared else ()
+        axes = ((np.shape(leaves[name]), len(leaf.shape)) for name, leaf in one.leaves.items() if name in leaves)
+        shape, own = next(axes, ((), 0))
+        batch = shape[: len(shape) - own]
         self.plan = plan_for(description, batch, first.dtype) if batch else one
         self.states = self.plan.pack(leaves)
         self._spare = self.states.copy()  # in which a prediction is made

@@ -122,7 +122,7 @@ def adam(weights, moment1, moment2, grad, shrink, q, updates):
 
 @kernel
 def predict_rnn(block, n, q, x, work):
-    """`RNN.predict`'s speed, m/s; u, z and the scaled prediction stay in `work`."""
+    """`RNN.predict`'s speed, m/s; u and z stay in `work`."""
     u = work[:4]
     network_inputs(x, u)
     return network(block[: 7 * n], q[SCALE] * block[21 * n + SURGE], u, work[4 : 4 + n]) / q[SCALE]
