@@ -1,4 +1,4 @@
-"""10⁵ steps of idle, cruise and excitation leave every default estimator finite and sane."""
+"""Up to 10⁷ steps of idle, cruise and excitation leave every default estimator, rule and monitor finite and sane."""
 
 from pathlib import Path
 
@@ -7,9 +7,9 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from usvlearn import Ensemble, Inputs, Sample, rollout
+from usvlearn import Ensemble, ExponentialWeights, FixedWeights, Inputs, Sample, rollout
 from usvlearn.estimators.regressors import surge_regressor
-from usvlearn.signals import named_leaves
+from usvlearn.signals import named_leaves, tree_map
 
 ROOT = Path(__file__).parents[1]
 MASS = 28.0
@@ -44,17 +44,21 @@ def field_day(excited: int, idle: int, cruise: int) -> Sample:
     )
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
-@pytest.mark.parametrize("long", [pytest.param(46_000, marks=pytest.mark.slow), 700])
-def test_idle_cruise_and_excitation(long, dtype):
+def default_ensemble(dtype: torch.dtype, **more_rules) -> Ensemble:
     """The ensemble of `train.py`, as it is by default."""
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         cfg = compose("train", [f"vehicle.mass={MASS}"])
-    ensemble = Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output).to(dtype)
+    rules = instantiate(cfg.combiners, _convert_="all") | more_rules
+    return Ensemble(instantiate(cfg.estimators), rules, cfg.output).to(dtype)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
+@pytest.mark.parametrize("long", [pytest.param(46_000, marks=pytest.mark.slow), 700])
+def test_idle_cruise_and_excitation(long, dtype):
+    ensemble = default_ensemble(dtype)
     excited = 3000 if long > 10_000 else 400
     samples = field_day(excited, idle=long, cruise=long)
-    inputs = Inputs(*(x.to(dtype) for x in samples.inputs))
-    samples = Sample(inputs, samples.surge.to(dtype), samples.fresh, samples.measured)
+    samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)
     with torch.no_grad():
         end, _, published = rollout(ensemble, ensemble.init(), samples, record=lambda s: s.predictions)
     for name, leaf in named_leaves(end):
@@ -67,3 +71,51 @@ def test_idle_cruise_and_excitation(long, dtype):
             assert error[after : after + 50, names.index(name)].mean() < 0.1, (name, after)
     for name in ("dynamic_rls", "steady_rls", "memory_rls", "ensemble"):
         assert error[-200:, names.index(name)].mean() < 0.035, name  # the noise of target and start make 0.023
+
+
+def steered(steps: int, left: float, seed: int) -> Sample:
+    """A boat that is steered by its thrusters, of which the left one has this share of its thrust; 0.4 s a step."""
+    generator = torch.Generator().manual_seed(seed)
+    commands = torch.rand(2, steps // 12 + 1, generator=generator, dtype=torch.float64).repeat_interleave(12, 1)
+    yaw_noise, surge_noise = torch.randn(2, steps, generator=generator, dtype=torch.float64)
+    yaw_rate, surge, r, v = torch.empty(steps).double(), torch.empty(steps).double(), 0.0, 0.9
+    for k, (one, other) in enumerate(commands[:, :steps].T.tolist()):
+        push, pull = left * one * one, other * other
+        r = 0.5 * r + 0.3 * (push - pull)
+        v += 0.4 / MASS * (20 * (push + pull) - 6 * v - 3 * v * abs(v))
+        yaw_rate[k], surge[k] = r + 0.05 * yaw_noise[k], v + 0.02 * surge_noise[k]
+    heading, yes = 0.4 * yaw_rate.cumsum(0), torch.ones(steps, dtype=torch.bool)
+    return Sample(Inputs(*commands[:, :steps], heading, yaw_rate, torch.full_like(surge, 0.4)), surge, yes, yes)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "cruise"),
+    [
+        pytest.param(torch.float32, 1_000_000, id="float32"),
+        pytest.param(torch.float64, 200_000, id="float64"),
+        pytest.param(torch.float64, 10_000_000, id="float64-long", marks=pytest.mark.slow),
+    ],
+)
+def test_a_thruster_that_fails_after_a_long_steady_cruise_is_seen(dtype, cruise):
+    """At constant commands without noise the sums of the thrusters' monitor lose their rank, in float32 by rounding."""
+    ensemble = default_ensemble(dtype, exponential=ExponentialWeights(), fixed=FixedWeights({"aid": 0.5, "rnn": 0.5}))
+    chunk = 100_000
+    constant = [torch.full((chunk,), x, dtype=dtype) for x in (0.6, 0.6, 0.3, 0.0, 0.4, 0.9)]
+    yes = torch.ones(chunk, dtype=torch.bool)
+    steady, state = Sample(Inputs(*constant[:5]), constant[5], yes, yes), ensemble.init()
+
+    def sail(state, samples):
+        single = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)
+        with torch.no_grad():
+            state, predictions, _ = rollout(ensemble, state, single)
+        for name, leaf in named_leaves(state):
+            assert leaf.isfinite().all(), name
+        return state, predictions
+
+    for _ in range(cruise // chunk):
+        state, predictions = sail(state, steady)
+    assert (predictions - 0.9).abs().max() < 1e-3
+    state, _ = sail(state, steered(4500, left=1.0, seed=1))  # half an hour in which the thrusters are learned
+    assert state.monitors.thrusters.alarms == 0
+    state, _ = sail(state, steered(600, left=0.3, seed=2))
+    assert state.monitors.thrusters.raised.tolist() == [1.0, 0.0]

@@ -10,6 +10,8 @@ from tests.conftest import random_samples
 from usvlearn import RLS, Inputs, SurgeDynamics, rollout
 from usvlearn.estimators import monitors
 from usvlearn.evaluation.fault_figure import fault_figure
+from usvlearn.kernels import monitors as compiled
+from usvlearn.kernels import samples
 from usvlearn.signals import named_leaves, tree_map
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -179,21 +181,65 @@ def test_single_precision_tells_the_same():
     torch.testing.assert_close(single.before.double(), double.before, rtol=1e-5, atol=1e-6)
 
 
+def kernel_step(state, inputs):
+    """`observe_thrusters` of one boat by the compiled kernel."""
+    leaves = [leaf.numpy() for leaf in state]
+    row = np.concatenate([leaf.reshape(-1) for leaf in leaves])
+    sample = np.zeros(samples.ROW, row.dtype)
+    sample[[samples.LEFT, samples.RIGHT, samples.YAW_RATE, samples.DT]] = inputs.command_left, inputs.command_right, \
+        inputs.yaw_rate, inputs.dt  # fmt: skip
+    numbers = np.array([monitors.kernel()[name] for name in compiled.MONITOR_NUMBERS], row.dtype)
+    compiled.observe_thrusters(row, sample, numbers, np.empty(256, row.dtype))
+    parts = np.split(row, np.cumsum([leaf.size for leaf in leaves])[:-1])
+    return type(state)(*(torch.from_numpy(x.reshape(leaf.shape)) for x, leaf in zip(parts, leaves, strict=True)))
+
+
+@pytest.mark.parametrize("steps", [100, 2250, 90_000])
+def test_rounded_sums_of_a_steady_cruise_keep_the_model_finite(steps):
+    """Constant commands: the sums have rank one, and what rounding adds in `steps` steps makes them indefinite."""
+    single, rng = torch.tensor([0.6, 0.6, 0.0, 0.0, 0.4]), np.random.default_rng(0)
+    z = np.array([0, 1, 0, 0, 0.6, 0.6, 0.36, 0.36, 0.216, 0.216])
+    error = np.tril(rng.choice([-1, 1], (200, 10, 10)))
+    error = error + np.tril(error, -1).transpose(0, 2, 1)
+    exact = steps * np.outer(z, z)
+    moments = torch.from_numpy(exact * (1 + np.finfo(np.float32).eps * steps * error)).float()
+    assert (torch.linalg.eigvalsh(moments[:, 1:, 1:].double()).amin(-1) < -monitors.YAW_RIDGE).any() == (steps > 100)
+    state = monitors.init((200,), 1, single).thrusters._replace(moments=moments)
+    inputs = Inputs(*(x.expand(200) for x in single))
+    after = monitors.observe_thrusters(state, inputs)
+    assert all(leaf.isfinite().all() for leaf in after)
+    assert (after.evidence == 0).all()
+    for lane in range(0, 200, 20):
+        one = kernel_step(tree_map(lambda x, i=lane: x[i], state), Inputs(*single))
+        for name, x, y in zip(after._fields, one, tree_map(lambda x, i=lane: x[i], after), strict=True):
+            torch.testing.assert_close(x, y, rtol=1e-4, atol=1e-6, msg=name)
+
+
+def test_sums_that_cannot_be_solved_tell_nothing():
+    state = monitors.init((), 1, ONE).thrusters
+    state = state._replace(moments=state.moments - 5.0, evidence=torch.tensor([3.0, 1.0]).double())
+    inputs = Inputs(*torch.tensor([0.5, 0.9, 0.0, 0.3, 0.4]).double())
+    after = monitors.observe_thrusters(state, inputs)
+    assert torch.equal(after.evidence, state.evidence) and all(leaf.isfinite().all() for leaf in after)
+    for name, x, y in zip(after._fields, kernel_step(state, inputs), after, strict=True):
+        torch.testing.assert_close(x, y, rtol=1e-12, atol=1e-12, msg=name)
+
+
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
 def test_a_batch_equals_its_lanes_and_vmap(batch):
     steps, columns = 30, 4
-    samples, e = random_samples(steps, *batch, seed=3), 0.05 * normal(steps, *batch, columns, seed=4)
+    seen, e = random_samples(steps, *batch, seed=3), 0.05 * normal(steps, *batch, columns, seed=4)
     together = monitors.init(batch, columns, ONE)
     for k in range(steps):
-        together = monitors.observe(together, e[k], Inputs(*(x[k] for x in samples.inputs)))
+        together = monitors.observe(together, e[k], Inputs(*(x[k] for x in seen.inputs)))
     for lane in np.ndindex(batch):
         alone = monitors.init((), columns, ONE)
         for k in range(steps):
-            alone = monitors.observe(alone, e[(k, *lane)], Inputs(*(x[(k, *lane)] for x in samples.inputs)))
+            alone = monitors.observe(alone, e[(k, *lane)], Inputs(*(x[(k, *lane)] for x in seen.inputs)))
         for (name, x), (_, y) in zip(named_leaves(together), named_leaves(alone), strict=True):
             torch.testing.assert_close(x[lane], y, rtol=1e-9, atol=1e-12, msg=name)
     if batch:
-        last = Inputs(*(x[-1] for x in samples.inputs))
+        last = Inputs(*(x[-1] for x in seen.inputs))
         mapped = torch.vmap(monitors.observe)(together, e[-1], last)
         for (name, x), (_, y) in zip(
             *map(named_leaves, (mapped, monitors.observe(together, e[-1], last))), strict=True
@@ -205,11 +251,11 @@ def test_a_batch_equals_its_lanes_and_vmap(batch):
 
 
 def learned(**replaced):
-    samples = random_samples(400, seed=5)
-    samples = samples._replace(inputs=samples.inputs._replace(**{k: f(samples.inputs) for k, f in replaced.items()}))
+    seen = random_samples(400, seed=5)
+    seen = seen._replace(inputs=seen.inputs._replace(**{k: f(seen.inputs) for k, f in replaced.items()}))
     rls = RLS(SurgeDynamics(28.0), forgetting=0.9999, covariance=10.0)
     with torch.no_grad():
-        return rls, rollout(rls, rls.init(), samples)[0]
+        return rls, rollout(rls, rls.init(), seen)[0]
 
 
 def test_a_boat_that_only_goes_straight_knows_nothing_of_the_drag_of_turning():

@@ -14,10 +14,10 @@ independent samples in them; e is clipped at three robust standard deviations, s
     s² ← s² + b (min(e², (c s)²)/κ − s²),   c = 1.345,   κ = E min(z², c²) = 0.71016                      (2)
 
 **A thruster that fails.** The yaw rate answers a one-sided loss at once, and unlike the surge it does not feel a steady
-current. A regression with a long memory says what the commands do to it; ρ is a ridge, w the weight of a sample:
+current. A regression with a long memory says what the commands do to it; R is a ridge, w the weight of a sample:
 
     r_k = xᵀϑ + e,   x = [1, r_{k−1}, r_{k−2}, ξ_i, ξ_i|ξ_i|, ξ_i³ of both sides],                        (3)
-    ϑ = (Σ w x xᵀ + ρ I)⁻¹ Σ w x r,   ℓ = xᵀ (Σ w x xᵀ + ρ I)⁻¹ x                                          (4)
+    ϑ = (Σ w x xᵀ + R)⁻¹ Σ w x r,   ℓ = xᵀ (Σ w x xᵀ + R)⁻¹ x                                              (4)
 
 Where a thruster keeps the share 1 − d of its effect f_i, the part of xᵀϑ that side i makes, e has the mean −d f_i.
 Page's CUSUM (1954) of the log-likelihood ratio of a loss d against none, and what the samples since its last zero tell:
@@ -27,6 +27,14 @@ Page's CUSUM (1954) of the log-likelihood ratio of a loss d against none, and wh
 
 N ℓ s² is the error of ϑ, which stays the same over some N steps; η F an error of the model (3), where F is the effect
 of full command. A g_i above the threshold raises the alarm. While g is up little is learned, lest a fault be absorbed.
+
+The sums M = Σ w x xᵀ are rounded at each of the n = Σ w steps that they remember, by at most some n ε √(M_ii M_jj) in
+all (ε the machine's). In float32, at constant commands, that makes M indefinite. A ridge above that bound keeps M + R
+positive definite, since nine such errors add up to less than it; in float64 it is ρ alone:
+
+    R_jj = max(ρ, 16 n ε M_jj)                                                                            (7)
+
+Where the factorisation breaks down nevertheless, the model says nothing in that step: ϑ = 0, ℓ = 0.
 """
 
 from __future__ import annotations
@@ -45,7 +53,7 @@ FIRST_SCALE, LEAST_SCALE = 0.05, 1e-6  # m/s, s of the innovations before the fi
 
 # Chosen on simulated boats of four plants; the floor on a real one.
 YAW_MEMORY = 900.0  # s at full thrust
-YAW_RIDGE = 0.01  # ρ: ϑ is 0 within ten standard deviations of the noise
+YAW_RIDGE = 0.01  # ρ of (7): ϑ is 0 within ten standard deviations of the noise
 YAW_SCALE = 0.1  # rad/s, s of (5) before the first sample
 YAW_FLOOR = 0.05  # rad/s, least s of (5): wind and waves turn a boat by more than a good compass errs
 YAW_RATE = 0.01  # share by which s² moves in a step
@@ -62,6 +70,7 @@ DOUBT = 10.0  # the effectiveness is 1 ± 1/√DOUBT before the first sample
 CLEARED = 0.25  # share of the threshold under which g ends an alarm
 FEATURES = 9  # x of (3)
 THRUST = 3  # place of the first feature of the commands
+ROUNDING = 16  # of (7)
 
 
 class InnovationState(NamedTuple):
@@ -229,9 +238,12 @@ def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = T
     rate = inputs.yaw_rate[..., None]
     z = torch.cat([rate, torch.ones_like(rate), state.before, xi, bent, bent * size], -1)
     x, known = z[..., 1:], state.moments[..., 1:, :]
-    ridge = torch.eye(FEATURES, dtype=z.dtype, device=z.device)
-    root = torch.linalg.cholesky_ex(known[..., 1:].add(ridge, alpha=YAW_RIDGE))[0]
+    information = known[..., 1:]
+    share = ROUNDING * torch.finfo(z.dtype).eps * information[..., :1, 0]
+    ridge = (share * information.diagonal(dim1=-2, dim2=-1)).clamp(min=YAW_RIDGE)  # (7)
+    root, broken = torch.linalg.cholesky_ex(information + ridge.diag_embed())
     solved = torch.cholesky_solve(torch.cat([known[..., :1], x[..., None]], -1), root)  # (4)
+    solved = solved.masked_fill((broken > 0)[..., None, None], 0.0)
     predicted, leverage = (x[..., None] * solved).sum(-2).unbind(-1)
     thrust = solved[..., THRUST:, 0]
     at_full = thrust.unflatten(-1, (3, 2)).sum(-2)  # F of both sides

@@ -3,7 +3,7 @@
 import numpy as np
 
 from usvlearn.compiled import kernel
-from usvlearn.kernels.arrays import clamp
+from usvlearn.kernels.arrays import clamp, fill
 from usvlearn.kernels.samples import DT, LEFT, RIGHT, YAW_RATE
 
 MONITOR_NUMBERS = (
@@ -14,7 +14,7 @@ MONITOR_NUMBERS = (
 HUBER, HUBER_MEAN, HUBER_RATE, LEAST_SCALE, INNOVATION_MEMORY = range(5)
 YAW_MEMORY, YAW_RIDGE, YAW_FLOOR, YAW_SHARE, KNEE, YAW_SPREAD, LOSS, HORIZON = range(5, 13)
 MISFIT, CLIP, EFFECT, CALM, THRESHOLD, BACKWARDS, DOUBT, CLEARED = range(13, 21)
-FEATURES, THRUST = 9, 3
+FEATURES, THRUST, ROUNDING = 9, 3, 16
 Z = FEATURES + 1
 
 
@@ -51,13 +51,19 @@ def observe_innovations(s, innovation, k, q):
 
 @kernel
 def solve_model(moments, ridge, L, x, theta, solved):
-    """ϑ of (4) into `theta`, (Σ w x xᵀ + ρ I)⁻¹ x into `solved`, by Cholesky; the diagonal holds its inverse."""
-    n = FEATURES
+    """ϑ of (4) into `theta`, (Σ w x xᵀ + R)⁻¹ x into `solved`, by Cholesky; the diagonal holds its inverse."""
+    n, share = FEATURES, ROUNDING * np.finfo(moments.dtype).eps * moments[1, 1]
     for i in range(n):
         for j in range(i + 1):
-            total = moments[i + 1, j + 1] + (ridge if i == j else 0.0)
+            total = moments[i + 1, j + 1]
+            if i == j:
+                total += max(ridge, share * total)  # (7)
             for k in range(j):
                 total -= L[i, k] * L[j, k]
+            if i == j and not total > 0:
+                fill(theta, 0.0)
+                fill(solved, 0.0)
+                return
             L[i, j] = 1.0 / np.sqrt(total) if i == j else total * L[j, j]
     for i in range(n):
         one, other = moments[i + 1, 0], x[i]
