@@ -1,6 +1,8 @@
 """What the tests share: seeded samples, and the place of the real logs."""
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -31,3 +33,16 @@ def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) 
     yes = torch.ones(steps, *batch, dtype=torch.bool)
     inputs = Inputs(uniform(), uniform(), 6 * uniform(), uniform() - 0.5, torch.full((steps, *batch), 0.4, dtype=dtype))
     return Sample(inputs, 2 * uniform(), yes, yes)
+
+
+def python(code: str, **environment: str) -> subprocess.CompletedProcess:
+    """Run code in a Python of its own, which has to end well."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=Path(__file__).parents[1],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done

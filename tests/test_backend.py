@@ -1,20 +1,17 @@
-"""Who makes the steps, and what stands against the kernels; checkpoints by either; where machine code is kept."""
+"""Who makes the steps, and what stands against the kernels; checkpoints by either."""
 
 import copy
 import json
 import os
 import pickle
-import subprocess
-import sys
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from torch.autograd import forward_ad
 
-from tests.conftest import random_samples
+from tests.conftest import python, random_samples
 from tests.estimators import ESTIMATORS
 from tests.kernel_cases import difference, mission
 from usvlearn import (
@@ -37,8 +34,6 @@ from usvlearn import checkpoint as store
 from usvlearn.backend import choose
 from usvlearn.errors import ConfigError
 from usvlearn.signals import tree_map
-
-ROOT = Path(__file__).parents[1]
 
 
 class OwnAID(AID):
@@ -195,60 +190,6 @@ def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
     assert difference(*found) <= 1e-9 and difference(*(online.state for online in boats.values())) <= 1e-9
 
 
-PREPARE = """
-import numpy as np
-from usvlearn.kernels import samples
-from usvlearn.compiled import announced
-with announced(samples.__file__, "trial"):
-    ones = np.ones((2, 1))
-    rows = np.empty((1, 2, samples.ROW))
-    samples.prepare_all(*[ones] * 6, ones > 0, ones > 0, True, rows)
-print(rows[0, 0, -1])
-"""
-
-
-def python(code, **environment):
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=os.environ | environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    return done
-
-
-def test_machine_code_is_kept_and_announced_once(tmp_path):
-    first = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
-    (folder,) = (tmp_path / "usvlearn").glob("kernels-*")
-    assert first.stdout == "3.0\n" and f"kept in {folder}" in first.stderr
-    assert first.stderr.startswith("usvlearn: compiling the trial, once on this machine …")
-    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
-    assert kept
-    again = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
-    assert again.stdout == "3.0\n" and again.stderr == ""
-    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
-
-
-def test_a_home_that_cannot_be_written_to(tmp_path):
-    (tmp_path / "file").touch()
-    (tmp_path / "other").mkdir()
-    done = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path / "other"))
-    assert done.stdout == "3.0\n" and list((tmp_path / "other").glob("usvlearn-*/kernels-*/**/*.nb*"))
-
-
-def test_another_source_has_a_folder_of_its_own(tmp_path, monkeypatch):
-    from usvlearn import compiled
-
-    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    source = tmp_path / "part" / "a.py"
-    source.parent.mkdir()
-    found = []
-    for body in ("\n@kernel\ndef f(): return 1\n", "\n@kernel\ndef f(): return 2\n", "\n@kernel\ndef f(): return 1\n"):
-        source.write_text(body)
-        compiled.folder.cache_clear()
-        found.append(compiled.folder(source.parent))
-    compiled.folder.cache_clear()
-    assert found[0] == found[2] != found[1]
-
-
 PLAIN = """
 import torch
 from tests.estimators import ESTIMATORS
@@ -322,7 +263,7 @@ def test_results_and_samples_are_tensors_like_any():
 
 
 def copies(online: Online) -> list[Online]:
-    return [copy.deepcopy(online), pickle.loads(pickle.dumps(online))]
+    return [copy.copy(online), copy.deepcopy(online), pickle.loads(pickle.dumps(online))]
 
 
 def test_a_copy_of_a_boat_goes_its_own_way():
@@ -335,6 +276,35 @@ def test_a_copy_of_a_boat_goes_its_own_way():
         assert [other.step(sample._replace(surge=x)) for x in (1.1, 1.3)] == expected
         assert torch.equal(other.state.theta, whole.state.theta) and torch.equal(boat.state.theta, before.theta)
         whole.state = before
+
+
+FORKS = """
+import os, signal, sys, threading
+from usvlearn import AID, BOA, Ensemble, Inputs, Online, Persistence, Sample
+boat = Online(Ensemble({"aid": AID(28.0), "persistence": Persistence()}, {"boa": BOA()}))
+sample, done = Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True), False
+def learn():
+    while not done:
+        boat.step(sample)
+thread = threading.Thread(target=learn)
+thread.start()
+for _ in range(40):
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)  # ends a child that hangs
+        boat.step(sample), Online(AID(28.0)).step(sample)
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        done = True
+        sys.exit("a child did not get through")
+done = True
+thread.join()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_fork_while_a_thread_learns_leaves_the_child_free_to_learn():
+    python(FORKS)
 
 
 def test_a_boat_that_is_asked_while_it_learns():

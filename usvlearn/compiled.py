@@ -1,12 +1,14 @@
 """How functions are compiled by numba, and where the machine code is kept.
 
 Numba looks at one file when it asks whether what it kept is still good, not at those whose functions that file calls.
-So each state of all compiled sources of a package has a folder of its own.
+So each state of all compiled sources of a package has a folder of its own. Each file in it ends with its sha256: a
+power cut or a bad disk can damage a file, and machine code must not be run on trust.
 """
 
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import stat
 import sys
@@ -19,8 +21,10 @@ from pathlib import Path
 
 import numba
 from llvmlite.binding import get_host_cpu_name
+from numba.core.caching import IndexDataCacheFile
 
 HERE = Path(__file__).parent
+DIGEST = hashlib.sha256().digest_size
 
 
 @cache
@@ -73,9 +77,58 @@ def kernel(function: Callable | None = None, *, reorder: bool = False, memory: b
     fastmath = {"contract", "reassoc"} if reorder else {"contract"}
     options = {"nogil": True, "error_model": "numpy", "fastmath": not memory and fastmath, "_nrt": memory}
     try:
-        return numba.njit(cache=True, **options)(function)
+        compiled = numba.njit(cache=True, **options)(function)
     finally:
         numba.config.CACHE_DIR = before
+    if (kept := getattr(compiled, "_cache", None)) is not None:  # None where numba is told not to compile
+        kept._cache_file = CheckedFiles(kept._cache_file)
+    return compiled
+
+
+class CheckedFiles(IndexDataCacheFile):
+    """Numba's files of one function, each with its sha256 at the end: a damaged one is removed, and compiled anew.
+
+    Args:
+        plain: the files as numba has them.
+    """
+
+    def __init__(self, plain: IndexDataCacheFile):
+        vars(self).update(vars(plain))
+
+    def load(self, key: object) -> object:
+        """What is kept under a key, None where nothing is, or where it is damaged."""
+        index = Path(self._index_path)
+        if not index.exists():
+            return None
+        if whole(index):
+            if (name := self._load_index().get(key)) is None:
+                return None
+            if whole(Path(self._data_path(name))):
+                return self._load_data(name)
+        index.unlink(missing_ok=True)  # without it numba asks for no other file
+        _say_damaged(index.parent)
+        return None
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        with super()._open_for_write(filepath) as file:
+            content = io.BytesIO()
+            yield content
+            file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
+
+
+def whole(path: Path) -> bool:
+    """Whether a file ends with the sha256 of all before."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    return hashlib.sha256(content[:-DIGEST]).digest() == content[-DIGEST:]
+
+
+@cache
+def _say_damaged(folder: Path) -> None:
+    print(f"usvlearn: compiled code in {folder} is damaged; it is compiled anew, in a minute or so", file=sys.stderr)
 
 
 @contextmanager
