@@ -1,6 +1,8 @@
 """Alignment: what a prediction may see, what is rejected and counted, what a live boat shares with a replay."""
 
+import copy
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -332,3 +334,16 @@ def test_stamps_in_nanoseconds_are_none():
     for k in range(8):
         assert not aligner.push("surge", 1.7e18 + 1e8 * k, 1.0)
     assert aligner.rejected == {"surge": {"not_a_number": 8}}
+
+
+def test_a_copy_of_an_aligner_goes_its_own_way():
+    def feed(aligner, begin, end):
+        return [sample for k in range(begin, end) for name in REQUIRED for sample in aligner.push(name, 0.1 * k, k)]
+
+    aligner, whole = (Aligner({name: Source(name) for name in REQUIRED}, surge_max=99.0) for _ in range(2))
+    feed(aligner, 0, 6), feed(whole, 0, 6)
+    others = copy.copy(aligner), copy.deepcopy(aligner), pickle.loads(pickle.dumps(aligner))
+    expected = feed(whole, 6, 30)
+    for one in (*others, aligner):
+        assert feed(one, 6, 30) == expected and len(expected) > 5
+        assert one.rejected == whole.rejected

@@ -19,8 +19,11 @@ later one stands (`repeated`). A step without a recent message of a channel coun
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
+from functools import cache
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -71,9 +74,9 @@ class Aligner:
         patience: float = 0.1,
         outage: float = 5.0,
     ):
-        from usvlearn.compiled import announced  # numba takes a moment to import
-        from usvlearn.logs import compiled
+        from usvlearn.compiled import announced
 
+        compiled = _compiled()
         check_positive("dt", dt, "of s")
         check_choice("inputs", inputs, compiled.INPUTS)
         check_positive("outage", outage, "of s")
@@ -93,7 +96,7 @@ class Aligner:
             raise ConfigError("delay of surge: expected 0: give the inputs the delay with which they act on it")
         if channels["surge"].held:
             raise ConfigError("held of surge: expected false: an old speed is no measurement")
-        self._places, self._compiled = {name: CHANNELS.index(name) for name in channels}, compiled
+        self._places = {name: CHANNELS.index(name) for name in channels}
         logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope stands for a yaw rate
         self._settings = compiled.new_settings(
             dt=dt,
@@ -111,11 +114,14 @@ class Aligner:
         with announced(__file__, "alignment"):  # before the first message of a boat waits for it
             self.feed(none.astype(np.int64), none, none)
 
+    def __copy__(self) -> Aligner:  # messages fed to one would turn up in the other
+        return copy.deepcopy(self)
+
     @property
     def rejected(self) -> dict[str, dict[str, int]]:
         """Counts of what was rejected: channel -> cause -> count."""
         found = {
-            name: {cause: int(n) for cause, n in zip(self._compiled.CAUSES, row, strict=True) if n}
+            name: {cause: int(n) for cause, n in zip(_compiled().CAUSES, row, strict=True) if n}
             for name, row in zip(CHANNELS, self._memory["rejected"][0], strict=True)
         }
         return {name: causes for name, causes in found.items() if causes}
@@ -148,17 +154,25 @@ class Aligner:
             self._make_room(len(times))
         self._room -= len(times)
         recent = self._memory, self._times, self._values
-        return self._compiled.feed(self._settings, *recent, channels, times, values, flush)
+        return _compiled().feed(self._settings, *recent, channels, times, values, flush)
 
     def _make_room(self, messages: int) -> None:
         """Drop what is not needed any more; hold twice what then is, so that it is seldom done."""
-        self._compiled.forget(self._settings, self._memory, self._times, self._values)
+        _compiled().forget(self._settings, self._memory, self._times, self._values)
         used = int(self._memory["count"].max())
         if 2 * (used + messages) > self._times.shape[1]:
             new = np.empty((2, len(CHANNELS), 2 * (used + messages)))
             new[:, :, :used] = self._times[:, :used], self._values[:, :used]
             self._times, self._values = new
         self._room = self._times.shape[1] - used
+
+
+@cache
+def _compiled() -> ModuleType:
+    """What makes the steps; numba takes a moment to import."""
+    from usvlearn.logs import compiled
+
+    return compiled
 
 
 def _samples(rows: np.ndarray) -> list[tuple[float, Sample]]:
