@@ -13,7 +13,7 @@ from torch.autograd.forward_ad import unpack_dual
 
 from usvlearn.errors import ConfigError, check_choice
 from usvlearn.kernels import compilable
-from usvlearn.signals import Inputs, Sample, named_leaves, rebuild, tree_map
+from usvlearn.signals import Inputs, Sample, check_inputs, check_sample, named_leaves, one_number, rebuild, tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
@@ -142,7 +142,7 @@ class Stepper:
     """The steps of one state by torch, without gradients, on numbers as they come; as `kernels.live.Live`."""
 
     def __init__(self, estimator: Estimator, batch: Sequence[int]):
-        self.estimator = estimator
+        self.estimator, self.batch = estimator, tuple(batch)
         self.state = tree_map(Tensor.detach, estimator.init(batch))
         self._like = next(leaf for leaf in _leaves(self.state) if leaf.is_floating_point())
 
@@ -160,20 +160,22 @@ class Stepper:
 
     @torch.no_grad()
     def predict(self, inputs: Inputs) -> float | np.ndarray:
+        check_inputs(inputs, self.batch)
         return _plain(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[1])
 
     @torch.no_grad()
     def step(self, sample: Sample) -> float | np.ndarray:
+        check_sample(sample, self.batch)
         inputs, surge, fresh, measured = sample
         sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
         self.state, predicted = self.estimator(self.state, sample)
         return _plain(predicted)
 
     def _float(self, value: Any) -> Tensor:
-        return torch.as_tensor(value, dtype=self._like.dtype, device=self._like.device)
+        return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device)
 
     def _bool(self, value: Any) -> Tensor:
-        return torch.as_tensor(value, dtype=torch.bool, device=self._like.device)
+        return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device)
 
 
 def live(estimator: Estimator, state: Any, backend: str) -> Any:

@@ -26,7 +26,12 @@ class Estimator(nn.Module, abc.ABC):
 
     A new estimator defines `init`, `predict` and `update`, `start` if its state remembers a speed, and `monitor` if
     there is something to watch.
+
+    Attributes:
+        surge_limit: a measured speed at or beyond it, m/s, counts as missing.
     """
+
+    surge_limit: float = ABSURD
 
     @abc.abstractmethod
     def init(self, batch: Sequence[int] = ()) -> State:
@@ -72,7 +77,7 @@ class Estimator(nn.Module, abc.ABC):
 
         Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.
         """
-        return _advance(self, state, clean(sample), EVERY)
+        return _advance(self, state, clean(sample, self.surge_limit), EVERY)
 
 
 def check_estimator(name: str, value: Any) -> Estimator:
@@ -104,12 +109,12 @@ class Kinds(NamedTuple):
 EVERY = Kinds(True, True, True, True)
 
 
-def clean(sample: Sample) -> Step:
+def clean(sample: Sample, surge_limit: float = ABSURD) -> Step:
     """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients.
 
-    What is not finite, or beyond all measure, counts as missing.
+    What is not finite, or beyond all measure, counts as missing; so does a speed at `surge_limit`, m/s, and beyond.
     """
-    known, dt = sample.surge.abs() < ABSURD, sample.inputs.dt
+    known, dt = sample.surge.abs() < surge_limit, sample.inputs.dt
     steps = sample.fresh & (dt > 0)
     for x, limit in zip(sample.inputs, ABSURD_INPUTS, strict=True):
         steps = steps & (x.abs() < limit)
@@ -158,7 +163,7 @@ def rollout(
     pick = _picking(record, state)
     if (description := choose(estimator, state, samples, backend)) is not None:
         return run(description, state, samples, record, free=False)
-    return _run(estimator, state, clean(samples), pick, detach_every)
+    return _run(estimator, state, clean(samples, estimator.surge_limit), pick, detach_every)
 
 
 def simulate(
@@ -186,7 +191,7 @@ def simulate(
     pick = _picking(record, state)
     if (description := choose(estimator, state, samples, backend)) is not None:
         return run(description, state, samples, record, free=True)
-    steps = clean(samples)
+    steps = clean(samples, estimator.surge_limit)
     return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
 
 

@@ -5,6 +5,7 @@ Imports no torch: `Online.open` goes on from a checkpoint by the compiled kernel
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,6 +78,9 @@ class Online:
             ) from error
         return self
 
+    def __copy__(self) -> Online:  # two boats that learn into one state would spoil it
+        return copy.deepcopy(self)
+
     @property
     def state(self) -> Any:
         leaves = self._live.leaves
@@ -97,7 +101,12 @@ class Online:
         return self._live.predict(inputs)
 
     def step(self, sample: Sample) -> float | np.ndarray:
-        """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s."""
+        """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s.
+
+        Raises:
+            TypeError: a field is no number, or `fresh` or `measured` no bool; the state stays as it was.
+            ShapeError: a field is neither one number nor of the batch; likewise.
+        """
         return self._live.step(sample)
 
     def save(self, path: str | Path, **metadata: Any) -> Path:

@@ -7,9 +7,12 @@ Imports numpy alone: the same types carry NumPy arrays (logs, a boat without tor
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from numbers import Real
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from usvlearn.errors import ShapeError
 
 Array = Any  # numpy.ndarray or torch.Tensor
 
@@ -65,6 +68,66 @@ class Fleet(NamedTuple):
     def steps(self) -> int:
         """Steps of all runs together, of the longest boat in each."""
         return self.steps_before(len(self.runs))
+
+
+def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
+    """Raise unless all fields are numbers, or arrays or tensors of numbers that fit the batch.
+
+    Raises:
+        TypeError: a field is something else.
+        ShapeError: a field has another shape; one number fits every batch, whatever the number of its axes.
+
+    >>> check_inputs(Inputs(0.5, "0.5", 0.0, 0.0, 0.4))
+    Traceback (most recent call last):
+    TypeError: command_right: found '0.5', expected a number
+    """
+    for name, value in zip(Inputs._fields, inputs, strict=True):
+        _check_field(name, value, "biuf", "a number", batch)
+
+
+def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
+    """`check_inputs`, the same of the speed, and raise unless `fresh` and `measured` are bools, or arrays of bools.
+
+    >>> check_sample(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, fresh="false", measured=True))
+    Traceback (most recent call last):
+    TypeError: fresh: found 'false', expected True or False
+    """
+    check_inputs(sample.inputs, batch)
+    _check_field("surge", sample.surge, "biuf", "a number (NaN where there is none)", batch)
+    for name in ("fresh", "measured"):
+        _check_field(name, getattr(sample, name), "b", "True or False", batch)
+
+
+def one_number(value: Any) -> Any:
+    """The Python number or bool in an array or tensor of one; anything else as it is."""
+    return value.item() if hasattr(value, "item") and np.prod(np.shape(value)) == 1 else value
+
+
+def _check_field(name: str, value: Any, kinds: str, expected: str, batch: tuple[int, ...]) -> None:
+    if _kind(value) not in kinds:
+        raise TypeError(f"{name}: found {value!r:.80}, expected {expected}")
+    shape = np.shape(value)
+    if np.prod(shape) == 1:
+        return
+    fits = all(own in (1, wide) for own, wide in zip(reversed(shape), reversed(batch), strict=False))
+    if len(shape) > len(batch) or not fits:
+        raise ShapeError(f"{name}: found the shape {tuple(shape)}, expected one number or the batch {batch}")
+
+
+def _kind(value: Any) -> str:
+    """What a value holds, as NumPy's `dtype.kind`; "O" where it is neither a number nor an array or tensor of them."""
+    if isinstance(value, bool):
+        return "b"
+    if isinstance(value, Real):
+        return "f"
+    if isinstance(value, list | tuple):
+        kinds = {_kind(each) for each in value}
+        return "b" if kinds == {"b"} else "f" if kinds <= set("biuf") else "O"
+    dtype = getattr(value, "dtype", None)
+    if isinstance(dtype, np.dtype):
+        return dtype.kind
+    kind = str(dtype).removeprefix("torch.").rstrip("0123456789")
+    return {"bool": "b", "int": "i", "uint": "u", "float": "f", "bfloat": "f"}.get(kind, "O")
 
 
 def tree_map(f: Callable, *trees):

@@ -84,7 +84,7 @@ class Ensemble(Estimator):
         combiners: rules by name, `{"average": Average()}` by default.
         output: the combiner whose prediction is the ensemble's own; the last by default.
         coverage: share of the measurements that the intervals are to cover, 0 … 1.
-        surge_max: physical limit of a prediction, m/s.
+        surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
         watched: whether whiteness and the thrusters are watched (`monitors`).
 
     Attributes:
@@ -129,6 +129,7 @@ class Ensemble(Estimator):
             raise ConfigError(f"ensemble output: found {output!r}, expected one of {', '.join(combiners)}")
         self.watched, self.coverage = watched, coverage
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
+        self.surge_limit = min(self.surge_limit, self.surge_max)
         if not 0 < coverage < 1:
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
         self.members, self.combiners = nn.ModuleDict(members), nn.ModuleDict(combiners)

@@ -118,7 +118,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
     batch = (sets, len(runs))
     state = tree_map(lambda x: x[:, None].expand(*batch, *x.shape[1:]), state)
     weights, learning = state.combiners, _learning(ensemble)
-    scored = clean(samples).learns.to(dtype).sum(0).numpy()
+    scored = clean(samples, ensemble.surge_limit).learns.to(dtype).sum(0).numpy()
     whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
     if (description := choose(ensemble, state, whole, backend)) is not None:
         rules = [list(ensemble.combiners).index(name) for name in learning]
@@ -129,7 +129,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
     for begin in range(0, len(samples.surge), CHUNK):
         part = tree_map(lambda x, b=begin: x[b : b + CHUNK], whole)
         state, _, published = simulate(ensemble, state, part, lambda s: s.predictions, backend="torch")
-        step = clean(part)
+        step = clean(part, ensemble.surge_limit)
         if learning:
             weights, combined = _reweighed(ensemble, weights, published, step, learning)
             published = torch.cat([published, combined], -1)

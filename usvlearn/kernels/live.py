@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import threading
+import weakref
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,9 +14,11 @@ from numba import config
 from usvlearn.compiled import announced
 from usvlearn.kernels import step
 from usvlearn.kernels.plan import Description, plan_for
-from usvlearn.signals import Inputs, Sample
+from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
-LIVE, COMPILING = step.step_once, threading.Lock()
+LIVE, COMPILING = step.step_once, threading.RLock()
+ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # whose steps a fork waits for
+WAITING: list[Live] = []  # those whose locks a fork holds
 
 
 class Live:
@@ -35,7 +39,7 @@ class Live:
     """
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
-        self._description, self._lock = description, threading.Lock()  # the kernels share what they work in
+        self._description, self._lock = description, threading.RLock()  # the kernels share what they work in
         first = next(x for x in leaves.values() if x.dtype != bool)
         one = plan_for(description, (), first.dtype)
         axes = ((np.shape(leaves[name]), len(leaf.shape)) for name, leaf in one.leaves.items() if name in leaves)
@@ -46,6 +50,8 @@ class Live:
         self._spare = self.states.copy()  # in which a prediction is made
         self._work = np.empty(self.plan.work, first.dtype)
         self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
+        with COMPILING:
+            ALIVE.add(self)
         if config.DISABLE_JIT:  # plain Python, for a debugger
             return
         with COMPILING, announced(__file__, f"kernels of single steps, {first.dtype}"):
@@ -84,17 +90,41 @@ class Live:
 
     def _advance(self, lanes: list[tuple], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
         if self.plan.batch:
+            check_sample(Sample(inputs, surge, fresh, measured), self.plan.batch)
             return self._each(lanes, (*inputs, surge), (fresh, measured))
         left, right, heading, yaw_rate, dt = inputs
-        try:
-            return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
-        except TypeError:  # an array or a tensor of one number
-            return LIVE(*lanes[0], *map(float, (*inputs, surge)), bool(fresh), bool(measured))
+        if type(fresh) is bool is type(measured):  # compiled code takes any number, even NaN, for a bool
+            try:
+                return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
+            except (TypeError, ValueError, OverflowError):  # not plain numbers
+                pass
+        check_sample(Sample(inputs, surge, fresh, measured))
+        *numbers, fresh, measured = map(one_number, (*inputs, surge, fresh, measured))
+        return LIVE(*lanes[0], *map(float, numbers), fresh, measured)
 
     def _each(self, lanes: list[tuple], numbers: tuple, masks: tuple) -> np.ndarray:
-        wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in (*numbers, *masks)]
+        fields = map(one_number, (*numbers, *masks))
+        wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in fields]
         found = [
             LIVE(*lane, *map(float, own), bool(fresh), bool(measured))
             for lane, *own, fresh, measured in zip(lanes, *wide, strict=True)
         ]
         return np.array(found, self.plan.dtype).reshape(self.plan.batch)
+
+
+def _before_fork() -> None:
+    """Wait for all steps: a child must find no state in the middle of one, no lock taken by a thread that it lacks."""
+    COMPILING.acquire()
+    WAITING.extend(ALIVE)
+    for live in WAITING:
+        live._lock.acquire()
+
+
+def _after_fork() -> None:
+    while WAITING:
+        WAITING.pop()._lock.release()
+    COMPILING.release()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)

@@ -18,6 +18,7 @@ from usvlearn.kernels.rls import coast_least_squares, learn_least_squares, loose
 from usvlearn.kernels.rnn import SURGE as RNN_SURGE
 from usvlearn.kernels.rnn import UNBROKEN, coast_rnn, learn_rnn, predict_rnn
 from usvlearn.kernels.samples import DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, START, SURGE, prepare
+from usvlearn.signals import ABSURD
 
 KINDS = ("rls", "sift", "aid", "rnn", "persistence", "acceleration")
 RLS, SIFT, AID, RNN, PERSISTENCE, ACCELERATION = range(6)
@@ -259,10 +260,16 @@ def listen(predictions, limit, awake):
 
 
 @kernel
+def surge_limit(program, q):
+    """`Estimator.surge_limit`."""
+    return min(q[program[0, LIMIT]], ABSURD) if program[0, RULES] > 0 else ABSURD
+
+
+@kernel
 def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured):
     """`step` of one sample as it came."""
-    row = work[-ROW:]
-    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, HEADS] > 0, row)
+    row, limit = work[-ROW:], surge_limit(program, q)
+    prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, HEADS] > 0, limit, row)
     return step(program, s, q, row, row[MODE], work)
 
 

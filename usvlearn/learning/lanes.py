@@ -180,7 +180,7 @@ def fleet_mae(
             samples = tensors(run.samples, dtype)
             for begin in range(0, len(run.time), length):
                 part = tree_map(lambda x, a=begin: x[a : a + length], samples)
-                step = clean(part)
+                step = clean(part, estimator.surge_limit)
                 wide = tree_map(lambda x: x.reshape(len(x), *(1 for _ in settings), -1).expand(len(x), *batch), part)
                 state, predicted, _ = rollout(estimator, state, wide)
                 learns, surge = (x.reshape(len(x), *(1 for _ in settings), -1) for x in (step.learns, step.surge))
