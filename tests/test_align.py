@@ -224,6 +224,30 @@ def test_a_clock_that_is_set_back_starts_a_new_segment():
     assert (samples.inputs.dt == 0).sum() == 2 and (np.diff(stamps) < 0).sum() == 1
 
 
+def live(*messages) -> dict[str, dict[str, int]]:
+    """What is rejected of messages `(channel, stamp)`, after a second of every channel at 10 Hz."""
+    aligner = Aligner({name: Source(name) for name in REQUIRED})
+    for k in range(11):
+        for name in REQUIRED:
+            aligner.push(name, 100 + 0.1 * k, 0.5)
+    for name, stamp in messages:
+        aligner.push(name, stamp, 0.5)
+    return aligner.rejected
+
+
+def test_the_third_message_in_a_row_from_far_behind_sets_the_clock_back():
+    left, right, heading, _ = REQUIRED
+    behind = [(left, 3.0), (right, 3.0), (heading, 3.0)]
+    assert live(*behind[:2]) == live(*behind) == {left: {"backwards": 1}, right: {"backwards": 1}}
+
+
+def test_a_message_on_time_forgets_which_channels_were_behind():
+    """One channel that is late three times in a row is no clock that was set back, whoever was late before."""
+    left, right, _, surge = REQUIRED
+    behind = [(right, 3.0 + k / 10) for k in range(3)]
+    assert live((left, 3.0), (surge, 101.1), *behind) == {left: {"backwards": 1}, right: {"backwards": 3}}
+
+
 def test_an_outage_emits_nothing_and_starts_anew():
     first, second = log(4.0), log(4.0)
     both = in_order({

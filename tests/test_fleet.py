@@ -60,6 +60,13 @@ def test_short_runs_are_left_out_with_a_warning_or_refused():
         align_fleet([recording("a", "two", 0.5)])
 
 
+def test_three_measured_steps_make_a_run():
+    (run,) = align_fleet([recording("a", "one", 1.2)]).runs
+    assert run.samples.measured.sum() == 3
+    with pytest.raises(LogFormatError, match=r"at least 3 in a run, found a, run one: 2 "):
+        align_fleet([recording("a", "one", 0.8)])
+
+
 @pytest.mark.parametrize("boat", ["", "..", "a/b", "../../zz", "a\\b"])
 def test_a_boat_whose_name_cannot_be_a_folder_is_refused(boat):
     with pytest.raises(ConfigError, match=r"data\.boat"):

@@ -28,6 +28,11 @@ def test_scores_count_steps_that_were_measured_and_made():
     assert table["persistence"]["skill"] == 0 and table["persistence"]["mae"] == pytest.approx(4 / 3)
 
 
+def test_an_error_as_large_as_the_interval_is_inside():
+    table = scores(np.array([[1.5], [2.0]]), np.array([1.0, 2.5]), ["aid"], np.array([[0.5], [0.25]]))
+    assert (table["aid"]["coverage"], table["aid"]["halfwidth"]) == (0.5, 0.375)
+
+
 def test_diverged_predictions_are_counted_and_missing_persistence_is_told():
     predictions = np.array([[np.inf, 1.0], [np.nan, 2.0], [2.0, 4.0]])
     table = scores(predictions, np.array([1.0, 2.0, 4.0]), ["aid", "rls"])
