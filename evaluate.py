@@ -13,9 +13,9 @@ import hydra
 from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
-from rich.console import Console
 
 from usvlearn.errors import ConfigError, one_sentence  # what needs torch is imported where it is used: --help is quick
+from usvlearn.evaluation.terminal import console
 from usvlearn.learning.launchers import prepare_workers, set_threads
 from usvlearn.learning.leaderboard import leaderboard
 from usvlearn.learning.sweep import check_sweep
@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
     from usvlearn.simulate.truth import truth_of
 
     set_threads(1)
-    tools = Tools(instantiate, align_fleet, truth_of, Console(markup=False))
+    tools = Tools(instantiate, align_fleet, truth_of, console())
     with one_sentence(hydra.errors.InstantiationException):
         if cfg.study is not None:
             study(cfg, tools)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import InstantiationException
 from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
@@ -20,6 +21,7 @@ from rich.progress import Progress
 
 import usvlearn  # what needs torch is imported where it is used: --help must not wait for it
 from usvlearn.errors import check_positive, one_sentence
+from usvlearn.evaluation import terminal
 from usvlearn.evaluation.tables import closing, report
 from usvlearn.learning.launchers import check_launcher, set_threads
 from usvlearn.learning.sweep import run_job
@@ -30,7 +32,7 @@ def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None
     """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the MAE, m/s."""
     from usvlearn.learning import tuning
 
-    console = Console(markup=False, quiet=quiet)  # of its own: what a worker is sent must be picklable
+    console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     if not tuning.asked(cfg):
         return train(cfg, folder, console, resume or cfg.resume)
     return tuning.tune(OmegaConf.to_container(cfg, resolve=True), folder, instantiate, align_fleet, overrides, console)
@@ -38,6 +40,7 @@ def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
     """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
+    from usvlearn.evaluation.members import explained, remarks
     from usvlearn.evaluation.stability import stability
     from usvlearn.learning.replay import replay
     from usvlearn.learning.run_folder import RunFolder
@@ -59,9 +62,21 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
         found = run.finish(ensemble, time.perf_counter() - began)
         watch.finish(settings, found["boats"], run.published, found["alarms"])
-    console.print(report(found["boats"], fleet.rejected, found["alarms"]))
-    console.print(*stability(ensemble, run.state, fleet.boats), *closing(found, folder), sep="\n", soft_wrap=True)
+    console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble)))
+    told = [*explained(ensemble), *stability(ensemble, run.state, fleet.boats), *closing(found, folder)]
+    console.print(*told, sep="\n", soft_wrap=True)
     return found["objective"]
+
+
+def swept(folder: Path) -> list[str]:
+    """The keys to which the command of a sweep gives several values, as Hydra notes it in the sweep's folder."""
+    if not (folder / "multirun.yaml").exists():
+        return []
+    noted = OmegaConf.load(folder / "multirun.yaml").hydra
+    given = [f"{key}={values}" for key, values in (noted.sweeper.get("params") or {}).items()]
+    parsed = OverridesParser.create().parse_overrides([*given, *noted.overrides.task])
+    last = {each.get_key_element(): each for each in parsed}  # the command's own stand above the file's
+    return [key for key, each in last.items() if each.is_sweep_override()]
 
 
 @hydra.main(version_base="1.3", config_path="configs", config_name="train")
@@ -72,7 +87,8 @@ def main(cfg: DictConfig) -> float:
     with one_sentence(InstantiationException):
         if job.mode.name != "MULTIRUN":
             return ask()
-        return run_job(folder, OmegaConf.to_container(cfg), job.overrides.task, ask, InstantiationException)
+        keys = swept(Path(job.sweep.dir))
+        return run_job(folder, OmegaConf.to_container(cfg), job.overrides.task, ask, InstantiationException, keys)
 
 
 if __name__ == "__main__":

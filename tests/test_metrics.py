@@ -46,7 +46,8 @@ def test_tables_show_units_and_survive_gaps():
     rows = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
     none = scores(np.full((2, 2), np.inf), np.ones(2), ["aid", "persistence"])
     text = shown(score_table({"heron": rows, "broken": none})) + shown(fleet_table({"heron": rows, "broken": none}))
-    assert "2 diverged" in text
+    (diverged,) = {line.split()[-1] for line in text.splitlines() if line.startswith("aid") and line.endswith(" 2")}
+    assert diverged == "2" and "diverged" in text.splitlines()[2]
     assert "m/s" in text and "0.5000" in text and "0.625" in text and "–" in text
     assert rejection_table({"heron": {}}) is None
     assert "17" in shown(rejection_table({"heron": {"surge": {"stale": 17}}}))
@@ -56,6 +57,23 @@ def test_tables_show_units_and_survive_gaps():
     text = shown(sweep_table(jobs))
     assert "b.gain" in text and "9" not in text.splitlines()[2]  # what is the same in all jobs is not shown
     assert text.index("zero") < text.index("[one]") < text.index("gain=two: bad") < text.index("did not finish")
+
+
+def test_tables_are_in_the_order_of_the_errors_and_say_what_stands_in_them():
+    """The best first, those without an error last; each boat's by its own errors, the fleet's by the mean."""
+    boats = {
+        "anna": {name: {"mae": mae, "steps": 9} for name, mae in (("map", 0.9), ("rnn", 0.2), ("persistence", 0.3))},
+        "bert": {name: {"mae": mae, "steps": 9} for name, mae in (("map", 0.1), ("rnn", 0.4), ("persistence", None))},
+    }
+    remarks = {"map": "quasi-static map", "persistence": "baseline"}
+
+    def order(table) -> list[str]:
+        return [line.partition("  ")[0] for line in shown(table).splitlines()[4:] if "0." in line or "–" in line]
+
+    both = ["rnn", "persistence, baseline", "map, quasi-static map"]
+    assert order(score_table(boats, remarks)) == [*both, both[2], both[0], both[1]]
+    assert order(fleet_table(boats, remarks)) == [both[0], both[2], both[1]]
+    assert order(fleet_table(boats)) == ["rnn", "map", "persistence"]
 
 
 def test_figure_without_a_measurement():

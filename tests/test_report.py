@@ -23,11 +23,12 @@ from usvlearn import AID, RLS, RNN, Ensemble, Robust, SIFtRLS, SurgeDynamics
 from usvlearn.checkpoint import checkpoints, load
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.evaluation.judge import judge
+from usvlearn.evaluation.members import physical_members
 from usvlearn.evaluation.report import check_report_folder, write_report
 from usvlearn.evaluation.season_figures import box
 from usvlearn.evaluation.sections.cost import cost_section
 from usvlearn.evaluation.sections.online import online_section
-from usvlearn.evaluation.sections.parameters import course, physical_members
+from usvlearn.evaluation.sections.parameters import course
 from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.evaluation.sheet import Sheet
 from usvlearn.learning.reports import Tools, read

@@ -157,6 +157,10 @@ class Ensemble(Estimator):
             raise ConfigError(f"ensemble combiner {combiner}: found {', '.join(chosen)}, expected each member once")
         return columns
 
+    def columns_of(self, member: str) -> list[str]:
+        """The names of a member's predictions."""
+        return list(self._columns[member])
+
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
         batch = tuple(batch)
         members = {name: member.init(batch) for name, member in self.members.items()}

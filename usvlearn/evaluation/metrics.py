@@ -92,6 +92,17 @@ def alarms(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]]) -> dict[
     return found
 
 
+def by_error(errors: Mapping[str, float | None]) -> list[str]:
+    """Names by their error, the least first; those without one (None, NaN) come last, in their order.
+
+    >>> by_error({"a": None, "b": 0.3, "c": float("nan"), "d": 0.1})
+    ['d', 'b', 'a', 'c']
+    """
+    return sorted(
+        errors, key=lambda name: np.inf if errors[name] is None or errors[name] != errors[name] else errors[name]
+    )
+
+
 def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:
     """MAE of each estimator, m/s, mean over boats; NaN where a boat has none.
 

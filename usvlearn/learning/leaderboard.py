@@ -10,12 +10,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import mean_mae
-from usvlearn.evaluation.tables import differing, ranked, sweep_table, told
+from usvlearn.evaluation.ranking import differing, ranked, ranked_by, scored
+from usvlearn.evaluation.tables import sweep_table, told
+from usvlearn.evaluation.terminal import console
 from usvlearn.learning.sweep import Job, jobs
 from usvlearn.tensorboard import Board
 
@@ -30,8 +30,8 @@ def leaderboard(folder: Path, load: Callable[[Path], Any]) -> bool:
         folder: of a sweep, or any that runs were written to.
         load: see `usvlearn.learning.sweep.jobs`.
     """
-    found = jobs(folder, load)
-    Console(markup=False).print(sweep_table([(job.settings, job.results) for job in found]))
+    found = _scored(jobs(folder, load))
+    console().print(sweep_table([(job.settings, job.results) for job in found]))
     write_leaderboard(folder, found)
     return not any(map(_error, found))
 
@@ -43,7 +43,7 @@ def write_leaderboard(folder: Path, jobs: Sequence[Job]) -> None:
 
     Args:
         folder: of the sweep.
-        jobs: see `usvlearn.learning.sweep.jobs`.
+        jobs: see `usvlearn.learning.sweep.jobs`; their results as of `usvlearn.evaluation.ranking.scored`.
 
     Raises:
         ConfigError: the folder cannot be written to.
@@ -52,8 +52,8 @@ def write_leaderboard(folder: Path, jobs: Sequence[Job]) -> None:
     >>> with tempfile.TemporaryDirectory() as name:
     ...     write_leaderboard(Path(name), [Job(Path(name, "0"), {"align.dt": "0.4"}, {"error": "bad"})])
     ...     print(Path(name, "leaderboard.csv").read_text())
-    job,objective,seconds,error
-    0,,,bad
+    job,ranked_by,objective,seconds,error
+    0,,,,bad
     <BLANKLINE>
     """
     if any(job.folder == folder for job in jobs):
@@ -65,16 +65,27 @@ def write_leaderboard(folder: Path, jobs: Sequence[Job]) -> None:
         raise ConfigError(f"{folder}: cannot hold the leaderboard ({error}): make it writable") from error
 
 
+def _scored(jobs: Sequence[Job]) -> list[Job]:
+    """The jobs with the error that ranks them."""
+    settings, results = [job.settings for job in jobs], [job.results for job in jobs]
+    by = ranked_by(differing(settings), settings, results)
+    return [job._replace(results=scored(job.results, by)) for job in jobs]
+
+
 def _csv(folder: Path, jobs: Sequence[Job]) -> str:
-    """One row per job, the best first: what differs in its settings, MAE of each estimator (mean over boats, m/s)."""
+    """One row per job, the best first: what differs in its settings, by what it is ranked, MAE of each estimator.
+
+    An MAE is a mean over boats, m/s.
+    """
     keys = differing([job.settings for job in jobs])
     names = _estimators(jobs)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["job", *keys, "objective", *(f"mae/{name}" for name in names), "seconds", "error"])
+    writer.writerow(["job", *keys, "ranked_by", "objective", *(f"mae/{name}" for name in names), "seconds", "error"])
     for job in ranked(jobs):
         maes = [_finite(_maes(job).get(name)) for name in names]
-        numbers = [job.results.get("objective"), *maes, job.results.get("seconds")]
+        by = job.results.get("ranked_by"), job.results.get("objective")
+        numbers = [*by, *maes, job.results.get("seconds")]
         writer.writerow([_label(folder, job), *(job.settings.get(key) for key in keys), *numbers, _error(job)])
     return text.getvalue()
 
@@ -93,7 +104,7 @@ def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
         with Board(board / name) as writer:
             # TensorBoard takes the columns from any of the rows, so that all have the same
             writer.hparams(
-                settings | {"job": _error(job) or "finished"},
+                settings | {"ranked_by": job.results.get("ranked_by", ""), "job": _error(job) or "finished"},
                 {key: float("nan") if value is None else value for key, value in numbers.items()},
             )
 

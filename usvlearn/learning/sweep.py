@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, UsvlearnError, bad_input
-from usvlearn.evaluation.tables import differing, told
+from usvlearn.evaluation.ranking import differing, ranked_by, scored
+from usvlearn.evaluation.tables import told
 from usvlearn.learning.layout import RESULTS, RUNS, save_results
 
 JOB, TRACEBACK = "job.json", "traceback.txt"
@@ -71,6 +72,7 @@ def run_job(
     overrides: Sequence[str],
     work: Callable[[str | None], float],
     wrapper: type[BaseException] = UsvlearnError,
+    swept: Sequence[str] = (),
 ) -> float:
     """Do one job of a sweep: nothing if it is finished, the rest if it was begun, all if it failed before.
 
@@ -80,11 +82,12 @@ def run_job(
         folder: the job's own.
         settings: all of them; another value of any is another job.
         overrides: what the command set, for the person who meets the folder.
-        work: does it, resuming from a folder or as its settings say (None); returns the objective.
+        work: does it, resuming from a folder or as its settings say (None); returns its own objective.
         wrapper: of an error that was foreseen; see `usvlearn.errors.bad_input`.
+        swept: the keys to which the sweep gives several values.
 
     Returns:
-        The objective, NaN where the job failed.
+        The error that ranks the job in the leaderboard, NaN where it failed.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -101,15 +104,15 @@ def run_job(
         return float("nan")
     if "settings" in held and done:
         print(f"finished before: {folder}")
-        objective = results.get("objective")
-        return float("nan") if objective is None else objective
+        return _objective(results, overrides, swept)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for old in (RESULTS, TRACEBACK):
             (folder / old).unlink(missing_ok=True)
         note = {"settings": known, "overrides": list(overrides)}
         write_atomically(folder / JOB, json.dumps(note, indent=2).encode())
-        return work(str(folder) if begun else None)
+        made = work(str(folder) if begun else None)
+        return _objective({"objective": made, **_read(folder / RESULTS)}, overrides, swept)
     except Exception as error:
         cause, told = bad_input(error, wrapper), traceback.format_exc()
         with suppress(OSError):  # a folder that nobody can write to is known by what it lacks
@@ -119,6 +122,11 @@ def run_job(
             save_results(folder, {"error": cause})
         print(f"error: {cause}", file=sys.stderr)
         return float("nan")
+
+
+def _objective(results: Mapping[str, Any], overrides: Sequence[str], swept: Sequence[str]) -> float:
+    found = scored(results, ranked_by(swept, [_by_key(overrides)], [results])).get("objective")
+    return float("nan") if found is None else found
 
 
 def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:

@@ -17,11 +17,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from usvlearn.checkpoint import write_atomically
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.tables import tuning_table
+from usvlearn.evaluation.terminal import Blocks
 from usvlearn.learning.lanes import Evaluation
 from usvlearn.learning.layout import TUNING, save_results
 from usvlearn.tensorboard import Board
@@ -109,7 +108,7 @@ def label(setting: Mapping[str, Any]) -> str:
     return " ".join(f"{path.rpartition('.')[2]}={_short(value)}" for path, value in setting.items())
 
 
-def report(record: Mapping[str, Any]) -> Table:
+def report(record: Mapping[str, Any]) -> Blocks:
     """For the terminal: the best ten, the default, persistence."""
     rows = [(f"{k}", label(each["setting"]), each) for k, each in enumerate(ranked(record)[:SHOWN], 1)]
     rows.append(("default", label(record["default"]["setting"]), record["default"]))

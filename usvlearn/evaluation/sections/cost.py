@@ -16,8 +16,8 @@ from usvlearn.estimators.ensemble import Bank, Ensemble
 from usvlearn.estimators.rls import RLS
 from usvlearn.estimators.rnn import RNN
 from usvlearn.estimators.sift import SIFtRLS
+from usvlearn.evaluation.members import unwrapped
 from usvlearn.evaluation.section import Section
-from usvlearn.evaluation.sections.parameters import unwrapped
 from usvlearn.evaluation.sheet import Sheet
 from usvlearn.online import Online
 from usvlearn.signals import Inputs, Sample, named_leaves

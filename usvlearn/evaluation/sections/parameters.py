@@ -9,8 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.estimators.ensemble import Bank, Ensemble
-from usvlearn.estimators.regressors import UNITS, SurgeDynamics
+from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.estimators.regressors import UNITS
+from usvlearn.evaluation.members import physical_members, unwrapped
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import Course, parameters_figure
 from usvlearn.evaluation.section import Drawn, Section
@@ -22,25 +23,6 @@ SAID = (
 )
 SHOWN = ("aid", "steady_rls", "dynamic_rls")  # of many members, those that are for reading, the first two of them
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
-
-
-def physical_members(ensemble: Ensemble) -> list[str]:
-    """The members that identify the surge dynamics without further terms."""
-    found = []
-    for name, member in ensemble.members.items():
-        inner = unwrapped(member, None)[0]
-        model = getattr(inner, "model", None)
-        plain = isinstance(model, SurgeDynamics) and not (model.memory or model.ambient)
-        if plain and not isinstance(member, Bank):
-            found.append(name)
-    return found
-
-
-def unwrapped(estimator: Any, state: Any) -> tuple[Any, Any]:
-    """The estimator at the heart of wrappers, and its state."""
-    while hasattr(estimator, "estimator"):
-        estimator, state = estimator.estimator, getattr(state, "inner", state)
-    return estimator, state
 
 
 def functionals(names: Sequence[str], speed: float, command: float) -> dict[str, tuple[str, np.ndarray]]:

@@ -1,0 +1,68 @@
+"""What the members of an ensemble are, beneath their wrappers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from usvlearn.estimators.combiners import Average
+from usvlearn.estimators.ensemble import Bank, Ensemble
+from usvlearn.estimators.regressors import QuasiStatic, SurgeDynamics
+from usvlearn.evaluation.metrics import PERSISTENCE
+
+
+def unwrapped(estimator: Any, state: Any = None) -> tuple[Any, Any]:
+    """The estimator at the heart of wrappers, and its state."""
+    while hasattr(estimator, "estimator"):
+        estimator, state = estimator.estimator, getattr(state, "inner", state)
+    return estimator, state
+
+
+def physical_members(ensemble: Ensemble) -> list[str]:
+    """The members that identify the surge dynamics without further terms."""
+    found = []
+    for name, member in ensemble.members.items():
+        model = getattr(unwrapped(member)[0], "model", None)
+        plain = isinstance(model, SurgeDynamics) and not (model.memory or model.ambient)
+        if plain and not isinstance(member, Bank):
+            found.append(name)
+    return found
+
+
+def remarks(ensemble: Ensemble) -> dict[str, str]:
+    """What stands beside a name in a table of errors: the baseline, a quasi-static map, and an average that has one.
+
+    >>> from usvlearn import RLS, Persistence
+    >>> remarks(Ensemble({"map": RLS(), "persistence": Persistence()}))
+    {'persistence': 'baseline', 'map': 'quasi-static map', 'average': 'with map'}
+    """
+    found = {PERSISTENCE: "baseline"} if PERSISTENCE in ensemble.names else {}
+    for name in _maps(ensemble):
+        found |= dict.fromkeys(ensemble.columns_of(name), "quasi-static map")
+    return found | {rule: f"with {', '.join(maps)}" for rule, maps in _averages(ensemble).items()}
+
+
+def explained(ensemble: Ensemble) -> list[str]:
+    """A sentence on the quasi-static maps, where there are any."""
+    if not (maps := _maps(ensemble)):
+        return []
+    shared = f"; {', '.join(rules)}: with a share of that error" if (rules := _averages(ensemble)) else ""
+    return [
+        f"{', '.join(maps)}: a quasi-static map, which predicts the speed from the commands, the heading and the yaw "
+        f"rate alone, without memory of the speed{shared}."
+    ]
+
+
+def _maps(ensemble: Ensemble) -> list[str]:
+    """The members that are quasi-static maps."""
+    models = {name: getattr(unwrapped(member)[0], "model", None) for name, member in ensemble.members.items()}
+    return [name for name, model in models.items() if isinstance(model, QuasiStatic)]
+
+
+def _averages(ensemble: Ensemble) -> dict[str, list[str]]:
+    """The plain averages that take in quasi-static maps, and which."""
+    found = {}
+    for name, rule in ensemble.combiners.items():
+        if isinstance(rule, Average):
+            chosen = set(ensemble.members if rule.members is None else rule.members)
+            found[name] = [each for each in _maps(ensemble) if chosen & {each, *ensemble.columns_of(each)}]
+    return {name: maps for name, maps in found.items() if maps}

@@ -1,0 +1,142 @@
+"""What is printed, at any width: no number and no name is cut.
+
+A table that is too wide is parted into blocks, one below the other: each begins with the columns of names. Output to a
+file or a pipe has no width, unless COLUMNS sets one.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
+
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions
+from rich.text import Text
+
+UNLIMITED = 100_000  # columns of a file or a pipe
+GAP, RULE = "  ", "─"
+LEAST = 6  # columns of a text that is folded
+
+
+def console(quiet: bool = False) -> Console:
+    """The standard output, as wide as the terminal.
+
+    Args:
+        quiet: whether nothing is printed.
+    """
+    found = Console(markup=False, quiet=quiet)
+    if not found.is_terminal and "COLUMNS" not in os.environ:
+        found.width = UNLIMITED
+    return found
+
+
+class Blocks:
+    """A table that rich prints in as many blocks as the width asks for.
+
+    Args:
+        title: stands above it.
+        names: headings of the columns that begin every block, set to the left.
+        numbers: headings of the other columns, set to the right.
+        folded: those of `names` that may take several lines, broken between words where they have any.
+
+    >>> table = Blocks("MAE, m/s", ["estimator"], ["heron", "otter"])
+    >>> table.add("aid", "0.0312", "0.0298")
+    >>> Console(width=20).print(table)
+    MAE, m/s
+    <BLANKLINE>
+    estimator   heron
+    ─────────────────
+    aid        0.0312
+    <BLANKLINE>
+    estimator   otter
+    ─────────────────
+    aid        0.0298
+    <BLANKLINE>
+    """
+
+    def __init__(self, title: str, names: Sequence[str], numbers: Sequence[str] = (), folded: Collection[str] = ()):
+        self.title, self.head, self.names = title, (*names, *numbers), len(names)
+        self.folded = [k for k, name in enumerate(names) if name in folded]
+        self.rows: list[tuple[Text, ...]] = []  # of one cell: the heading of those that follow
+
+    def add(self, *cells: str | Text, style: str = "") -> None:
+        """A row; a style such as "bold" is that of all its cells."""
+        self.rows.append(tuple(Text(str(cell), style or getattr(cell, "style", "")) for cell in cells))
+
+    def group(self, heading: str) -> None:
+        """A heading for the rows that follow."""
+        self.rows.append((Text(heading, "underline"),))
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Text]:
+        yield Text(self.title, "italic")
+        widths, blocks = self._layout(options.max_width)
+        for block in blocks:
+            yield Text()
+            columns = [*range(self.names), *block]
+            head = [Text(self.head[k], "bold") for k in columns]
+            yield from self._lines(console, head, columns, widths)
+            yield Text(RULE * self._width(columns, widths))
+            for number, row in enumerate(self.rows):
+                if len(row) > 1:
+                    yield from self._lines(console, [row[k] for k in columns], columns, widths)
+                    continue
+                if number:
+                    yield Text()
+                yield row[0]
+        yield Text()
+
+    def _lines(self, console: Console, cells: list[Text], columns: list[int], widths: list[int]) -> Iterator[Text]:
+        """A row, which takes several lines where a cell is folded."""
+        parts = [cell.wrap(console, widths[k], overflow="fold") for cell, k in zip(cells, columns, strict=True)]
+        for number in range(max(map(len, parts))):
+            line = []
+            for k, part in zip(columns, parts, strict=True):
+                cell = part[number].copy() if number < len(part) else Text()
+                cell.rstrip()
+                cell.align("left" if k < self.names else "right", widths[k])
+                line.append(cell)
+            whole = Text(GAP).join(line)
+            whole.rstrip()
+            yield whole
+
+    def _width(self, columns: Sequence[int], widths: Sequence[int]) -> int:
+        return sum(widths[k] for k in columns) + len(GAP) * (len(columns) - 1)
+
+    def _layout(self, width: int) -> tuple[list[int], list[list[int]]]:
+        """How wide each column is, and the columns of numbers of each block."""
+        table = [[Text(name) for name in self.head], *(row for row in self.rows if len(row) > 1)]
+        widths = [max(row[k].cell_len for row in table) for k in range(len(self.head))]
+        names, numbers = list(range(self.names)), list(range(self.names, len(self.head)))
+        words = {
+            k: max(cell_len(word) for row in table for word in (row[k].plain or " ").split(" ")) for k in self.folded
+        }
+        if self._fold(widths, words, [*names, *numbers], width):
+            return widths, [numbers]
+        widest = max(numbers, key=widths.__getitem__, default=None)
+        self._fold(widths, dict.fromkeys(self.folded, LEAST), [*names, *([] if widest is None else [widest])], width)
+        room = max(0, width - self._width(names, widths))
+        count = len(self._shared(numbers, widths, room))
+        even = (self._shared(numbers, widths, narrower) for narrower in range(room + 1))
+        return widths, next(blocks for blocks in even if len(blocks) == count)
+
+    def _fold(self, widths: list[int], least: Mapping[int, int], columns: Sequence[int], width: int) -> bool:
+        """Narrow the texts, the widest first, until some columns fit, or none may be narrower; whether they fit."""
+        while self._width(columns, widths) > width:
+            wide = [k for k in self.folded if widths[k] > least[k]]
+            if not wide:
+                return False
+            widths[max(wide, key=lambda k: (widths[k], k))] -= 1
+        return True
+
+    def _shared(self, numbers: Sequence[int], widths: Sequence[int], room: int) -> list[list[int]]:
+        """The columns of numbers in blocks of so much room, each of one column at least, if there are any."""
+        blocks: list[list[int]] = [[]]
+        left = room
+        for k in numbers:
+            taken = len(GAP) + widths[k]
+            if blocks[-1] and taken > left:
+                blocks.append([])
+                left = room
+            blocks[-1].append(k)
+            left -= taken
+        return blocks
