@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -23,34 +24,75 @@ MARKS = {
     "not certified": ("✗", "red"),
     "unknown": ("?", "yellow"),
 }
+UNLIMITED = 100_000  # columns of a file or a pipe
+FOLDED = 24  # columns that a text of several words has at least
+GAP = 2
 
 
 def show(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool], notes: Sequence[str], dt: float | None):
     """One row per parameter set, and a summary."""
     console = _console()
-    console.print(_table(rows, dt))
+    _print(console, *_table(rows, dt))
     console.print(*summary(rows, condition, held), *notes, sep="\n", soft_wrap=True)
 
 
 def _console() -> Console:
-    """As wide as the terminal; wide where there is none, so that no line of a file is folded."""
-    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 200
+    """As wide as the terminal; without a limit where there is none, unless COLUMNS sets one."""
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else UNLIMITED
     return Console(markup=False, highlight=False, width=width)
 
 
-def _table(rows: Sequence[dict[str, Any]], dt: float | None) -> Table:
-    marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
-    table = Table(box=SIMPLE_HEAD, title="Margins, > 0 where a condition holds, and rates", padding=(0, 1, 0, 0))
-    table.title_justify = table.caption_justify = "left"
+def _print(
+    console: Console,
+    title: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str | Text]],
+    texts: Sequence[str] = (),
+) -> None:
+    """A table; where it is too wide, its columns go on in further ones below, each with the first column.
+
+    Args:
+        console: on which it is printed.
+        title: stands above it.
+        headings: of the columns; the first is that of the names.
+        rows: a cell for each heading.
+        texts: headings of the columns that may be folded between words, as the names are where they fill half a line.
+    """
+    cells = list(zip(headings, *([str(cell) for cell in row] for row in rows), strict=True))
+    widths = [max(map(cell_len, column)) for column in cells]
+    widths = [min(width, FOLDED) if name in texts else width for name, width in zip(headings, widths, strict=True)]
+    room = min(console.width // 2, console.width - GAP - max(widths[1:]))
+    widths[0] = min(widths[0], max(room, FOLDED // 2))
+    blocks: list[list[int]] = [[]]
+    for k in range(1, len(headings)):
+        if blocks[-1] and sum(widths[j] + GAP for j in (0, *blocks[-1], k)) > console.width:
+            blocks.append([])
+        blocks[-1].append(k)
+    console.print(Text(title, "italic"), soft_wrap=True)
+    for block in blocks:
+        table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+        for k in (0, *block):
+            text = k == 0 or headings[k] in texts
+            style = {"overflow": "fold", "min_width": widths[k]} if text else {"no_wrap": True}
+            table.add_column(headings[k], justify="left" if text else "right", **style)
+        for row in rows:
+            table.add_row(*(row[k] for k in (0, *block)))
+        console.print()
+        console.print(table)
+    console.print()
+
+
+def _table(
+    rows: Sequence[dict[str, Any]], dt: float | None
+) -> tuple[str, list[str], list[list[str | Text]], Sequence[str]]:
+    """The title, headings, rows and texts of `_print`."""
     solved, boxed = (any(key in row for row in rows) for key in ("lmi", "box"))
     paths, shared = _short([row["path"] for row in rows])
-    table.caption = f"below {shared}" + f"; {marks}" * (solved or boxed) if shared else marks * (solved or boxed)
-    table.add_column("parameter set", overflow="fold", min_width=14)
-    for name in ("n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"):
-        table.add_column(name, justify="right", no_wrap=True)
-    for heading in ["LMI lmi, tight"] * solved + ["on the box"] * boxed:
-        table.add_column(heading, no_wrap=True)
-    table.add_column("equilibria", overflow="fold", min_width=12)
+    marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
+    title = f"Below {shared}: margins, > 0 where a condition holds, and rates" + f"; {marks}" * (solved or boxed)
+    headings = ["parameter set", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
+    headings += ["LMI lmi, tight"] * solved + ["on the box"] * boxed + ["equilibria"]
+    found = []
     for row, path in zip(rows, paths, strict=True):
         margins = [
             Text(f"{row['margins'][name]:.3g}", "green" if row["certified"][name] else "red") for name in MARGINS
@@ -58,19 +100,20 @@ def _table(rows: Sequence[dict[str, Any]], dt: float | None) -> Table:
         cells = [_lmi(row["lmi"])] if solved else []
         cells += [_box(row["box"])] if boxed else []
         constant = time_constant(row["time_constant"], dt)
-        table.add_row(path, str(row["n"]), *margins, f"{row['rate']:.6g}", constant, *cells, _places(row["equilibria"]))
-    return table
+        cells = [path, str(row["n"]), *margins, f"{row['rate']:.6g}", constant, *cells, _places(row["equilibria"])]
+        found.append(cells)
+    return title, headings, found, ["equilibria"]
 
 
 def _short(paths: Sequence[str]) -> tuple[list[str], str]:
     """The paths without what all of them share, and the folder that they share."""
-    if len(paths) == 1:
-        return [paths[0]], ""
     paths = [os.path.abspath(path) for path in paths]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths])
-    ending = {os.path.splitext(path)[1] for path in paths}
+    ending = {os.path.splitext(path)[1] for path in paths} if len(paths) > 1 else {""}
     names = [os.path.relpath(path, shared) for path in paths]
-    return [name.removesuffix(*ending) if len(ending) == 1 else name for name in names], os.path.relpath(shared)
+    return [name.removesuffix(*ending) if len(ending) == 1 else name for name in names], min(
+        os.path.relpath(shared), shared, key=len
+    )
 
 
 def time_constant(steps: float | None, dt: float | None) -> str:
@@ -149,40 +192,30 @@ def progress(items: Sequence, told: str):
 def show_comparison(result: dict[str, Any]) -> None:
     """The tables of `certify.compare`."""
     console = _console()
+    headings = ("tier", "certified", "rate/exact", "largest K certified", "time constant", "solver disagrees")
     for name, family in result["families"].items():
-        table = Table(box=SIMPLE_HEAD, title_justify="left",
-                      title=f"{name}: {len(family['networks'])} networks of {result['neurons']} neurons")  # fmt: skip
-        headings = ("tier", "certified", "rate/exact", "largest K certified", "time constant", "solver disagrees")
-        for k, heading in enumerate(headings):
-            table.add_column(heading, justify="right" if k else "left")
+        rows = []
         for tier, row in family["tiers"].items():
             K, ratio = row["largest_K"], row["conservatism"]
             slowest = "–" if K is None or not 0 < K < 1 else f"{-result['dt'] / math.log(K):.3g} s"
-            table.add_row(
-                tier,
-                f"{100 * row['share']:.0f} %",
-                "–" if ratio is None else f"{ratio:.3g}",
-                "–" if K is None else f"{K:.4g}",
-                slowest,
-                "" if row["disagreements"] is None else str(row["disagreements"]),
-            )
-        console.print(table)
-    console.print(_timing_table(result["timings"]))
+            share, disagreements = f"{100 * row['share']:.0f} %", row["disagreements"]
+            told = ["–" if ratio is None else f"{ratio:.3g}", "–" if K is None else f"{K:.4g}", slowest]
+            rows.append([tier, share, *told, "" if disagreements is None else str(disagreements)])
+        _print(console, f"{name}: {len(family['networks'])} networks of {result['neurons']} neurons", headings, rows)
+    _print_timings(console, result["timings"])
     if result["paper"]:
-        console.print(_paper_table(result["paper"]))
+        _print_paper(console, result["paper"])
 
 
-def _timing_table(rows: Sequence[dict[str, Any]]) -> Table:
-    table = Table(box=SIMPLE_HEAD, title="Time of one network; ratio: LMI solved again / closed form",
-                  title_justify="left")  # fmt: skip
+def _print_timings(console: Console, rows: Sequence[dict[str, Any]]) -> None:
     keys = {"closed_tight": "closed form", "exact_rate": "exact rate", "proof": "p, Λ, LDLᵀ", "box": "box",
             "lmi_first": "LMI first", "lmi_again": "LMI again"}  # fmt: skip
-    for heading in ("n", *keys.values(), "ratio"):
-        table.add_column(heading, justify="right")
+    told = []
     for row in rows:
         ratio = "–" if row["lmi_again"] is None else f"{row['lmi_again'] / row['closed_tight']:.2g}"
-        table.add_row(str(row["n"]), *(_seconds(row[key]) for key in keys), ratio)
-    return table
+        told.append([str(row["n"]), *(_seconds(row[key]) for key in keys), ratio])
+    title = "Time of one network; ratio: LMI solved again / closed form"
+    _print(console, title, ("n", *keys.values(), "ratio"), told)
 
 
 def _seconds(x: float | None) -> str:
@@ -191,16 +224,15 @@ def _seconds(x: float | None) -> str:
     return next(f"{x * scale:.3g} {unit}" for scale, unit in ((1, "s"), (1e3, "ms"), (1e6, "µs")) if x * scale >= 1)
 
 
-def _paper_table(rows: Sequence[dict[str, Any]]) -> Table:
-    table = Table(box=SIMPLE_HEAD, title="The paper's tests, literally and mended", title_justify="left")
-    for heading in ("test", "accepted at 0.999 of its edge", "accepted just beyond", "identity", "wrong"):
-        table.add_column(heading, justify="right" if heading != "test" else "left")
+def _print_paper(console: Console, rows: Sequence[dict[str, Any]]) -> None:
+    headings = ("test", "accepted at 0.999 of its edge", "accepted just beyond", "identity", "wrong")
+    told = []
     for row in rows:
         if "wrong" in row:
-            table.add_row(row["test"], "", "", "", "{} of {}".format(*row["wrong"]))
+            told.append([row["test"], "", "", "", "{} of {}".format(*row["wrong"])])
         else:
             wrong = row["identity"] + max(0, row["beyond"][0] - row["contracting"])
             identity = "accepted" if row["identity"] else "refused"
-            table.add_row(row["test"], "{} of {}".format(*row["inside"]), "{} of {}".format(*row["beyond"]), identity,
-                          f"{wrong} not contracting")  # fmt: skip
-    return table
+            told.append([row["test"], "{} of {}".format(*row["inside"]), "{} of {}".format(*row["beyond"]), identity,
+                         f"{wrong} not contracting"])  # fmt: skip
+    _print(console, "The paper's tests, literally and mended", headings, told)

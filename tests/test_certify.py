@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from certify.__main__ import main
+from certify.table import show
 from certify.weights import ShallowWeights
 from usvlearn import AID, RNN, Ensemble
 from usvlearn.checkpoint import save
@@ -101,6 +103,27 @@ def test_the_table_and_its_summary(files, capsys):
     text = capsys.readouterr().out
     assert "2 of 3 certified contracting by tight, in rational arithmetic" in text
     assert "continuum 0…1" in text and "τ, s" in text and "anna" in text and "at rest" in text
+
+
+def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
+    """At any width, and without a limit where the output is no terminal."""
+    folder = files / "a_folder_of_a_season_with_a_long_name"
+    (files / "run").rename(folder)
+    for paths in ([folder], [folder / "checkpoints/anna/00000_0000010.safetensors"], [folder, files / "tooth.npz"]):
+        _, rows = told(capsys, *paths, "--box", "--lmi", "--seconds", "0.2")
+        for columns in (60, 80, 100, 160, None):
+            monkeypatch.setenv("COLUMNS", str(columns)) if columns else monkeypatch.delenv("COLUMNS")
+            show(rows, "tight", [True] * len(rows), [], 0.4)
+            text = capsys.readouterr().out
+            head, blocks = text[: text.index(f"\n\n{len(rows)} of")].split("\n\n", 1)
+            words = blocks.split()
+            assert head.startswith("Below ") and max(map(len, blocks.splitlines())) <= (columns or 10_000)
+            assert columns or len(re.findall("─+", blocks)) == 1
+            for row in rows:
+                assert {f"{x:.3g}" for x in row["margins"].values()} | {f"{row['rate']:.6g}"} <= set(words)
+                assert {f"{each['x']:.3g}" for each in row["equilibria"]} <= {word.strip(",;") for word in words}
+            assert {"simple", "gershgorin", "K", "τ,", "equilibria", "LMI", "box"} <= set(words)
+            assert ("00000_0000010.safetensors" if len(rows) == 1 else "0000010") in "".join(words)
 
 
 def test_lmi_and_box(files, capsys):

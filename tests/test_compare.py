@@ -79,6 +79,7 @@ def test_the_command(tmp_path, capsys):
     options = ["--networks", "3", "--neurons", "4", "--sizes", "4,6", "--seconds", "0.5"]
     assert main(["compare", str(tmp_path / "own.npz"), *options, "--plot", str(tmp_path / "c.png")]) == 0
     text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 160
     for part in ("random: 3 networks", "given: 1 networks", "LMI again", "M ⪰ 0, 2Λ", "simple", "box"):
         assert part in text
     assert (tmp_path / "c.png").stat().st_size > 10_000

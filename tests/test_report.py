@@ -28,7 +28,7 @@ from usvlearn.evaluation.report import check_report_folder, write_report
 from usvlearn.evaluation.season_figures import box
 from usvlearn.evaluation.sections.cost import cost_section
 from usvlearn.evaluation.sections.online import online_section
-from usvlearn.evaluation.sections.parameters import course
+from usvlearn.evaluation.sections.parameters import course, parameters_section
 from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.evaluation.sheet import Sheet
 from usvlearn.learning.reports import Tools, read
@@ -93,6 +93,27 @@ def test_online_errors_are_those_of_the_run(saved):
     for row in found:
         expected = boats_[row["boat"]][row["method"]]
         assert float(row["MAE, m/s"]) == expected["mae"] and int(row["steps"]) == expected["steps"]
+
+
+def test_methods_are_in_the_order_of_their_errors_and_the_map_is_said(saved):
+    for name, column in (("online", "MAE, m/s"), ("crossval", "mean, m/s")):
+        found = rows(saved / "report" / "tables" / f"{name}.csv")
+        for boat in ("heron1", "heron2"):
+            errors = [float(row[column]) for row in found if row["boat"] == boat]
+            assert errors == sorted(errors)
+        fleet = rows(saved / "report" / "tables" / f"{name}_fleet.csv")
+        means = [float(value) for row in fleet for key, value in row.items() if "mean over boats" in key]
+        assert means == sorted(means) and len(means) == len(fleet)
+        for table in (found, fleet):
+            remarks = {row["method"]: row["remark"] for row in table}
+            assert (remarks["rls"], remarks["average"], remarks["aid"]) == ("quasi-static map", "with rls", "")
+            assert remarks["persistence"] == "baseline"
+    order = [row["method"] for row in rows(saved / "report" / "tables" / "online_fleet.csv")]
+    labels = re.findall(r"<text[^>]*>(\w+)</text>", (saved / "report" / "figures" / "online.svg").read_text())
+    shown = [label for label in labels if label in order]
+    assert shown[: len(order)] == order  # the first panel's
+    (page,) = (saved / "report").glob("report.md")
+    assert "- rls: a quasi-static map, which predicts the speed from the commands" in page.read_text()
 
 
 def test_cross_validation_counts_every_other_run(saved):
@@ -306,6 +327,8 @@ def test_online_section_by_hand():
         ("boat0", "aid"): 0.1, ("boat0", "persistence"): 0.2, ("boat1", "aid"): 0.3, ("boat1", "persistence"): 0.2,
     })  # fmt: skip
     assert "The lowest of all: aid on 1 of 2 boats, persistence on 1 of 2 boats." in section.here
+    methods = [row[1] for row in section.sheets[1].rows]
+    assert methods == ["aid", "persistence", "persistence", "aid"]  # each boat's by its own errors
 
 
 def test_tuning_section_by_hand():
@@ -344,6 +367,38 @@ def test_intervals_of_sums_are_those_of_the_covariance():
         assert found[k] == pytest.approx(math.sqrt(noise * (w @ P @ w)), rel=1e-12)
     ensemble = Ensemble({"map": RLS(), "dynamic": Robust(rls), "memory": SIFtRLS(SurgeDynamics(memory=True))})
     assert physical_members(ensemble) == ["dynamic"]
+
+
+def held(sheet: Sheet) -> float:
+    """The share of the truths within ±, percent."""
+    inside = [
+        abs(value - true) <= wide for *_, value, wide, true in sheet.rows if wide is not None and true is not None
+    ]
+    return 100 * sum(inside) / len(inside)
+
+
+def test_no_band_of_parameters_stands_without_its_caveat(saved):
+    """On a recorded boat, which has no truth, and on a simulated one; on the page, in each figure and in the table."""
+    ensemble, seasons, truth = read([saved], tools())
+    mission = {season.boat: np.arange(len(season.runs)) for season in seasons}
+    for known in ({}, truth):
+        section = parameters_section(seasons, ensemble, known, mission)
+        (caveat,) = (sentence for sentence in section.here if "±" in sentence)
+        for text in (caveat, *(drawn.caption for drawn in section.figures)):
+            assert "noise of the samples" in text and "nothing of the bias of the model" in text
+        assert len(section.figures) == 2
+        for drawn in section.figures:  # also where it is a file of its own
+            labels = {text.get_text() for text in drawn.figure.legends[0].get_texts()}
+            assert labels == {"aid", "steady_rls", "steady_rls, 90 % of noise alone", *(["truth"] if known else [])}
+        (sheet,) = section.sheets
+        assert [head for head in sheet.columns if "±" in head] == ["±, of the noise alone (90 %)"]
+        if known:
+            assert f"here they hold {held(sheet):.0f} % of the truths" in caveat
+        else:
+            assert "no truth is known here" in caveat and all(row[-1] is None for row in sheet.rows)
+    alone = Ensemble({"aid": ensemble.members["aid"]})
+    section = parameters_section(seasons, alone, {}, {})
+    assert not any("±" in text or "band" in text for text in (*section.here, *(d.caption for d in section.figures)))
 
 
 @pytest.mark.parametrize("plant", ["heron", "otter", "vtec"])

@@ -10,6 +10,7 @@ import numpy as np
 from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate
+from usvlearn.evaluation.members import explained, remarks
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sections.cost import cost_section
@@ -60,7 +61,11 @@ def judge(
         season.boat: cross_validate(ensemble, season.state, [run.samples for run in season.runs], advance=advance)
         for season in seasons
     }
-    sections = [online_section(seasons, ensemble.names), cross_section(seasons, errors)]
+    beside = remarks(ensemble)
+    sections = [
+        online_section(seasons, ensemble.names, beside, explained(ensemble)),
+        cross_section(seasons, errors, beside),
+    ]
     if len(seasons) > 1:
         sections.append(_between(ensemble, seasons, errors, advance))
     # Runs of a simulated season are called after their mission: 001_convoy is its first.

@@ -239,7 +239,7 @@ def parameters_figure(
     truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
     title: str,
 ):
-    """A panel per parameter: what each method has identified over the hours, its 90 % interval, and the truth.
+    """A panel per parameter: what each method has identified over the hours, what noise leaves open, and the truth.
 
     Args:
         courses: by parameter and method.
@@ -265,9 +265,14 @@ def parameters_figure(
                 shown.append(value)
                 if deviation is not None:
                     low, high = value - 1.645 * deviation, value + 1.645 * deviation
-                    band = {"color": palette[name], "alpha": 0.22, "linewidth": 0, "label": f"{name}, 90 %"}
+                    band = {
+                        "color": palette[name],
+                        "alpha": 0.22,
+                        "linewidth": 0,
+                        "label": f"{name}, 90 % of noise alone",
+                    }
                     panel.fill_between(hours, low, high, **band)
-                    settled = slice(len(value) // 4, None)  # the first intervals are those of the prior
+                    settled = slice(len(value) // 4, None)  # the first bands are those of the prior
                     shown += [low[settled], high[settled]]
             if parameter in truth:
                 panel.plot(*truth[parameter], color=INK, linewidth=1.4, linestyle="--", label="truth")

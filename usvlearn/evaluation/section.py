@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from usvlearn.evaluation.metrics import by_error
 from usvlearn.evaluation.sheet import Sheet
 
 PAPER = ("aid", "rls", "rnn")  # the paper's methods, by the names that the default configuration gives them
@@ -29,21 +30,32 @@ class Section(NamedTuple):
     sheets: Sequence[Sheet] = ()
 
 
-def summary(name: str, boats: Mapping[str, Mapping[str, float]], what: str) -> Sheet:
+def summary(
+    name: str, boats: Mapping[str, Mapping[str, float]], what: str, remarks: Mapping[str, str] | None = None
+) -> Sheet:
     """The mean over boats of each method's error, and on how many boats it has the least; the best first.
 
     Args:
         name: of the table.
         boats: errors by boat and method.
         what: the error, with its unit.
+        remarks: on methods; see `usvlearn.evaluation.members.remarks`.
 
-    >>> summary("mae", {"a": {"aid": 0.1, "rls": 0.4}, "b": {"aid": 0.3, "rls": 0.2}}, "MAE, m/s").rows
-    [('aid', 0.2, 1), ('rls', 0.30000000000000004, 1)]
+    >>> summary("mae", {"a": {"rls": 0.4, "aid": 0.1}, "b": {"rls": 0.2, "aid": 0.3}}, "MAE, m/s", {"rls": "map"}).rows
+    [('aid', 0.2, 1, ''), ('rls', 0.30000000000000004, 1, 'map')]
     """
-    names, every = next(iter(boats.values())), list(boats.values())
-    best = [min(row, key=row.__getitem__) for row in every]
-    rows = [(method, sum(row[method] for row in every) / len(every), best.count(method)) for method in names]
-    return Sheet(name, ("method", f"{what}, mean over boats", "lowest on boats"), sorted(rows, key=lambda row: row[1]))
+    means, best = mean_errors(boats), [min(row, key=row.__getitem__) for row in boats.values()]
+    rows = [(method, means[method], best.count(method), (remarks or {}).get(method, "")) for method in by_error(means)]
+    return Sheet(name, ("method", f"{what}, mean over boats", "lowest on boats", "remark"), rows)
+
+
+def mean_errors(boats: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """The mean over boats of each method's error.
+
+    >>> mean_errors({"a": {"rls": 0.5}, "b": {"rls": 0.25}})
+    {'rls': 0.375}
+    """
+    return {name: sum(row[name] for row in boats.values()) / len(boats) for name in next(iter(boats.values()), ())}
 
 
 def on(count: int, boats: int) -> str:

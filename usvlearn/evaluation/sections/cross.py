@@ -7,9 +7,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from usvlearn.evaluation.crossval import FreeErrors
+from usvlearn.evaluation.metrics import by_error
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import Box, box, boxes_figure
-from usvlearn.evaluation.section import PAPER, Drawn, Section, on, summary, tally
+from usvlearn.evaluation.section import PAPER, Drawn, Section, mean_errors, on, summary, tally
 from usvlearn.evaluation.sheet import Sheet
 
 SAID = (
@@ -19,12 +20,15 @@ SAID = (
 )
 
 
-def cross_section(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]) -> Section:
+def cross_section(
+    seasons: Sequence[Season], errors: Mapping[str, FreeErrors], remarks: Mapping[str, str] | None = None
+) -> Section:
     """The distribution of the free-run MAE over (set, other run), per boat and method.
 
     Args:
         seasons: of all boats.
         errors: of the sets of each boat on all of its runs.
+        remarks: on methods; see `usvlearn.evaluation.members.remarks`.
     """
     boxes: dict[str, dict[str, Box | None]] = {}
     subtitles, rows = {}, []
@@ -35,35 +39,38 @@ def cross_section(seasons: Sequence[Season], errors: Mapping[str, FreeErrors]) -
             for k, name in enumerate(found.methods)
         }
         subtitles[season.boat] = f"{len(season.own)} sets × {len(season.runs)} runs"
-        for name, each in boxes[season.boat].items():
-            if each is not None:
+        for name in by_error({name: each and each.mean for name, each in boxes[season.boat].items()}):
+            if (each := boxes[season.boat][name]) is not None:
                 later = found.mae[..., found.methods.index(name)][season.later & (found.steps > 0)]
                 rows.append((season.boat, name, each.median, each.mean, each.lower, each.upper, each.low, each.high,
                              each.outliers, each.diverged, each.count,
-                             float(np.median(later)) if len(later) else None))  # fmt: skip
+                             float(np.median(later)) if len(later) else None,
+                             (remarks or {}).get(name, "")))  # fmt: skip
     if not rows:
         here = ["There is no other run to simulate: each boat has one, from which all of its sets came."]
         return Section("crossval", "Cross-validation", SAID, here)
     columns = ("boat", "method", "median MAE, m/s", "mean, m/s", "lower quartile, m/s", "upper quartile, m/s",
                "5 %, m/s", "95 %, m/s", "outliers", "diverged", "simulations",
-               "median over later runs, m/s")  # fmt: skip
+               "median over later runs, m/s", "remark")  # fmt: skip
     caption = (
         "Every saved set on every run of its boat but the one that it was saved in, from the inputs and the speed at "
         "which a stretch without a gap begins; what a set has learned from is among them, and the table has the median "
-        "over later runs alone, too. Box: quartiles of the MAE; line: 5 to "
+        "over later runs alone, too; the lowest mean over boats first. Box: quartiles of the MAE; line: 5 to "
         "95 %; diamond: mean; dots: beyond; div.: simulations that left the physical limit, which count with the error "
         "of the limit. NAME+ (hollow) weighs the free members by what was measured so far: it sees the speed. "
         "Outliers of the table lie 1.5 quartile distances above the box."
     )
     known = {boat: row for boat, row in boxes.items() if all(each is not None for each in row.values())}
     means = {boat: {name: each.mean for name, each in row.items()} for boat, row in known.items()}
+    order = by_error(mean_errors(means))  # of all panels
+    boxes = {boat: {name: row[name] for name in order} for boat, row in boxes.items()}
     return Section(
         "crossval",
         "Cross-validation: free runs of every saved set",
         SAID,
         _told(known),
         [Drawn("crossval", boxes_figure(boxes, subtitles, "MAE of a free run, m/s"), caption)],
-        [summary("crossval_fleet", means, "MAE of a free run, m/s"), Sheet("crossval", columns, rows)],
+        [summary("crossval_fleet", means, "MAE of a free run, m/s", remarks), Sheet("crossval", columns, rows)],
     )
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from usvlearn.evaluation.metrics import PERSISTENCE, scores
+from usvlearn.evaluation.metrics import PERSISTENCE, by_error, scores
 from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.season_figures import box, boxes_figure
-from usvlearn.evaluation.section import PAPER, Drawn, Section, on, summary, tally
+from usvlearn.evaluation.section import PAPER, Drawn, Section, mean_errors, on, summary, tally
 from usvlearn.evaluation.sheet import Sheet
 
 SAID = (
@@ -21,12 +21,18 @@ LEAST = 2e-3  # m/s, where the figure's axis begins: far below what a speed is m
 COLUMNS = ("mae", "median", "rmse", "skill", "coverage")
 
 
-def online_section(seasons: Sequence[Season], names: Sequence[str]) -> Section:
+def online_section(
+    seasons: Sequence[Season],
+    names: Sequence[str],
+    remarks: Mapping[str, str] | None = None,
+    explained: Sequence[str] = (),
+) -> Section:
     """Errors one step ahead, predicted before learning, over all runs that were replayed.
 
     Args:
         seasons: of all boats.
         names: of what was published, in its order.
+        remarks, explained: on these names; see `usvlearn.evaluation.members`.
     """
     boxes, subtitles, rows, maes = {}, {}, [], {}
     for season in seasons:
@@ -45,28 +51,32 @@ def online_section(seasons: Sequence[Season], names: Sequence[str]) -> Section:
         subtitles[season.boat] = f"{hours:.1f} h, {np.nanmean(surge):.2f} m/s"
         maes[season.boat] = {name: np.inf if row["mae"] is None else row["mae"] for name, row in table.items()}
         rest = hours, float(np.nanmean(surge))
-        for name, row in table.items():
-            rows.append((season.boat, name, *(row.get(c) for c in COLUMNS), row["steps"], row["diverged"], *rest))
+        for name in by_error({name: row["mae"] for name, row in table.items()}):
+            row, remark = table[name], (remarks or {}).get(name, "")
+            found = *(row.get(column) for column in COLUMNS), row["steps"], row["diverged"]
+            rows.append((season.boat, name, *found, *rest, remark))
     if not rows:
         here = ["The runs that were given were not replayed in these folders, so that there are no online predictions."]
         return Section("online", "Online prediction error", SAID, here)
     columns = ("boat", "method", "MAE, m/s", "median, m/s", "RMSE, m/s", "skill", "coverage of the 90 % interval",
-               "steps", "not finite", "run time, h", "mean speed, m/s")  # fmt: skip
+               "steps", "not finite", "run time, h", "mean speed, m/s", "remark")  # fmt: skip
+    order = by_error(mean_errors(maes))  # of all panels
+    boxes = {boat: {name: row[name] for name in order} for boat, row in boxes.items()}
     return Section(
         "online",
         "Online prediction error",
         SAID,
-        _told(maes),
+        [*_told(maes), *explained],
         [
             Drawn(
                 "online",
                 boxes_figure(boxes, subtitles, LABEL, points=False, reference=PERSISTENCE, least=LEAST),
-                "One step ahead, predicted before learning. Box: quartiles; line: 5 to 95 %; diamond: MAE; dotted: the "
-                "MAE of persistence. Beside each name the measured run time and the mean speed. What lies below "
-                f"{1000 * LEAST:g} mm/s is off the axis.",
+                "One step ahead, predicted before learning; the lowest mean over boats first. Box: quartiles; line: 5 "
+                "to 95 %; diamond: MAE; dotted: the MAE of persistence. Beside each name the measured run time and the "
+                f"mean speed. What lies below {1000 * LEAST:g} mm/s is off the axis.",
             )
         ],
-        [summary("online_fleet", maes, "MAE, m/s"), Sheet("online", columns, rows)],
+        [summary("online_fleet", maes, "MAE, m/s", remarks), Sheet("online", columns, rows)],
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from usvlearn.evaluation.metrics import mean_mae
+from usvlearn.evaluation.metrics import by_error, mean_mae
 from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sheet import Sheet
 
@@ -26,7 +26,7 @@ def tuning_section(
     """
     with_tuning, without = mean_mae(after), mean_mae(before)
     rows = []
-    for name in with_tuning:
+    for name in by_error(with_tuning):
         found = tuned.get(name)
         own = (None,) * 5
         if found:
