@@ -62,9 +62,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
         found = run.finish(ensemble, time.perf_counter() - began)
         watch.finish(settings, found["boats"], run.published, found["alarms"])
-    console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble)))
-    told = [*explained(ensemble), *stability(ensemble, run.state, fleet.boats), *closing(found, folder)]
-    console.print(*told, sep="\n", soft_wrap=True)
+    console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)))
+    console.print(*stability(ensemble, run.state, fleet.boats), *closing(found, folder), sep="\n", soft_wrap=True)
     return found["objective"]
 
 

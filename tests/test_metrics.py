@@ -56,6 +56,10 @@ def test_tables_show_units_and_survive_gaps():
             ({"c": "9", "a.b.gain": "zero"}, {"boats": {"heron": rows}, "objective": 0.1})]  # fmt: skip
     text = shown(sweep_table(jobs))
     assert "b.gain" in text and "9" not in text.splitlines()[2]  # what is the same in all jobs is not shown
+    assert all(
+        "–" in line
+        for line in shown(sweep_table([({}, {"boats": {"a": none}}), ({}, {"boats": {}})])).splitlines()[4:6]
+    )
     assert text.index("zero") < text.index("[one]") < text.index("gain=two: bad") < text.index("did not finish")
 
 

@@ -108,6 +108,7 @@ def test_methods_are_in_the_order_of_their_errors_and_the_map_is_said(saved):
             remarks = {row["method"]: row["remark"] for row in table}
             assert (remarks["rls"], remarks["average"], remarks["aid"]) == ("quasi-static map", "with rls", "")
             assert remarks["persistence"] == "baseline"
+            assert name == "online" or remarks["ensemble+"] == remarks["weighted+"] == "sees the speed"
     order = [row["method"] for row in rows(saved / "report" / "tables" / "online_fleet.csv")]
     labels = re.findall(r"<text[^>]*>(\w+)</text>", (saved / "report" / "figures" / "online.svg").read_text())
     shown = [label for label in labels if label in order]
@@ -335,9 +336,10 @@ def test_tuning_section_by_hand():
     tuned = {
         "aid": {"evaluations": 8, "default": {"mae": 0.2}, "best": {"mae": 0.1, "gain": 50.0, "setting": {"gain": 3.0}}}
     }
-    after, before = ({"heron": {"aid": {"mae": a}, "rls": {"mae": 0.3}}} for a in (0.15, 0.1))
+    after, before = ({"heron": {"rls": {"mae": 0.3}, "aid": {"mae": a}}} for a in (0.15, 0.1))
     section = tuning_section(tuned, after, before)
     row = section.sheets[0].rows[0]
+    assert [each[0] for each in section.sheets[0].rows] == ["aid", "rls"]
     assert row[:6] == ("aid", 8, "gain 3", 0.2, 0.1, 50.0) and row[8] == pytest.approx(-50.0)
     assert "aid: +50.0 % there, -50.0 % on the season that it was not tuned on." in section.here
 

@@ -87,8 +87,9 @@ def report(
     rejected: Mapping,
     alarms: Mapping[str, Sequence],
     remarks: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
 ) -> Group:
-    """All tables of a run, for the console, and a line for each alarm."""
+    """All tables of a run, for the console, notes to them, and a line for each alarm."""
     fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
     tables = [rejection_table(rejected), score_table(boats, remarks), fleet]
     told = [
@@ -96,7 +97,7 @@ def report(
         for boat, raised in alarms.items()
         for each in raised
     ]
-    return Group(*filter(None, tables), *told)
+    return Group(*filter(None, tables), *map(Text, notes), *told)
 
 
 def told(settings: Mapping[str, str], keys: Sequence[str]) -> str:
@@ -147,8 +148,8 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
     heads = [_short(key) for key in keys]
     table = Blocks(title, heads, [*shown, "best", "its MAE"], folded=heads)
     for (settings, _), maes in zip(done, means, strict=True):
-        best = by_error(maes)[0]
-        cells = [*(_number(maes.get(name)) for name in shown), best, _number(maes[best])]
+        best = next((name for name in by_error(maes) if maes[name] == maes[name]), "–")
+        cells = [*(_number(maes.get(name)) for name in shown), best, _number(maes.get(best))]
         table.add(*(settings.get(key, "") for key in keys), *cells)
     failed = [
         Text(f"failed: {told(settings, keys)}: {result.get('error', 'did not finish')}")

@@ -19,6 +19,8 @@ SAID = (
     "offline, step by step as if online, was better than all of them."
 )
 
+SEES = "sees the speed"  # of NAME+
+
 
 def cross_section(
     seasons: Sequence[Season], errors: Mapping[str, FreeErrors], remarks: Mapping[str, str] | None = None
@@ -31,7 +33,8 @@ def cross_section(
         remarks: on methods; see `usvlearn.evaluation.members.remarks`.
     """
     boxes: dict[str, dict[str, Box | None]] = {}
-    subtitles, rows = {}, []
+    subtitles, rows, remarks = {}, [], dict(remarks or {})
+    remarks |= {name: SEES for name in errors[seasons[0].boat].methods if name.endswith("+")}
     for season in seasons:
         found, others = errors[season.boat], season.others & (errors[season.boat].steps > 0)
         boxes[season.boat] = {
@@ -45,7 +48,7 @@ def cross_section(
                 rows.append((season.boat, name, each.median, each.mean, each.lower, each.upper, each.low, each.high,
                              each.outliers, each.diverged, each.count,
                              float(np.median(later)) if len(later) else None,
-                             (remarks or {}).get(name, "")))  # fmt: skip
+                             remarks.get(name, "")))  # fmt: skip
     if not rows:
         here = ["There is no other run to simulate: each boat has one, from which all of its sets came."]
         return Section("crossval", "Cross-validation", SAID, here)

@@ -29,6 +29,7 @@ NOISE = (
     "the band and the ± (1.645 standard deviations by least squares' own covariance) cover 90 % of what the noise of "
     "the samples does, and nothing of the bias of the model (current, lags, a dead band, noise in the speed)"
 )
+BAND = "Band: 90 % of what the noise of the samples does, and nothing of the bias of the model."
 SHOWN = ("aid", "steady_rls", "dynamic_rls")  # of many members, those that are for reading, the first two of them
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
 
@@ -116,15 +117,15 @@ def parameters_section(
         sides.append([
             [float(courses[side][name].value[-1]) for side in (left, right)] for name in shown
         ] + ([[float(known[side][1][-1]) for side in (left, right)]] if known else []))  # fmt: skip
-    caption = "What was identified over the season"
-    if any(wide is not None for *_, wide, _ in rows):
-        caption += f"; {NOISE}"
+    banded = any(wide is not None for *_, wide, _ in rows)
+    drawn = [each._replace(caption=BAND if banded else "") for each in drawn]
+    caption = "What was identified over the season" + (f"; {NOISE}" if banded else "")
     if truth:
         caption += (
             "; dashed: the truth of each mission, scaled by declared over true mass, since surge data tell the "
             "parameters over the mass alone"
         )
-    drawn = [each._replace(caption=f"{caption}.") for each in drawn]  # each is looked at alone, too
+    drawn[0] = drawn[0]._replace(caption=f"{caption}.")
     columns = ("boat", "quantity", "unit", "method", "at the end", "±, of the noise alone (90 %)", "truth")
     return Section(
         "parameters", "Parameters over the season", SAID, _told(shown, np.array(sides), rows),

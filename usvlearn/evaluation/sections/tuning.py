@@ -26,7 +26,7 @@ def tuning_section(
     """
     with_tuning, without = mean_mae(after), mean_mae(before)
     rows = []
-    for name in by_error(with_tuning):
+    for name in with_tuning:
         found = tuned.get(name)
         own = (None,) * 5
         if found:
@@ -57,7 +57,9 @@ def tuning_section(
         told.append(
             f"The lowest error of {', '.join(r[0] for r in three)}: {best[0]} by default, {best[1]} when tuned."
         )
-    return Section("tuning", "What tuning gained", SAID, told, (), [Sheet("tuning", columns, rows)])
+    known = {row[0]: row for row in rows}
+    sheet = Sheet("tuning", columns, [known[name] for name in by_error(with_tuning)])
+    return Section("tuning", "What tuning gained", SAID, told, (), [sheet])
 
 
 def _percent(gain: float | None) -> str:
