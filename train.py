@@ -71,9 +71,9 @@ def swept(folder: Path) -> list[str]:
     """The keys to which the command of a sweep gives several values, as Hydra notes it in the sweep's folder."""
     if not (folder / "multirun.yaml").exists():
         return []
-    noted = OmegaConf.load(folder / "multirun.yaml").hydra
-    given = [f"{key}={values}" for key, values in (noted.sweeper.get("params") or {}).items()]
-    parsed = OverridesParser.create().parse_overrides([*given, *noted.overrides.task])
+    noted = OmegaConf.to_container(OmegaConf.load(folder / "multirun.yaml"))["hydra"]
+    given = [f"{key}={values}" for key, values in (noted["sweeper"].get("params") or {}).items()]
+    parsed = OverridesParser.create().parse_overrides([*given, *noted["overrides"]["task"]])
     last = {each.get_key_element(): each for each in parsed}  # the command's own stand above the file's
     return [key for key, each in last.items() if each.is_sweep_override()]
 

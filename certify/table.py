@@ -111,9 +111,8 @@ def _short(paths: Sequence[str]) -> tuple[list[str], str]:
     shared = os.path.commonpath([os.path.dirname(path) for path in paths])
     ending = {os.path.splitext(path)[1] for path in paths} if len(paths) > 1 else {""}
     names = [os.path.relpath(path, shared) for path in paths]
-    return [name.removesuffix(*ending) if len(ending) == 1 else name for name in names], min(
-        os.path.relpath(shared), shared, key=len
-    )
+    names = [name.removesuffix(*ending) if len(ending) == 1 else name for name in names]
+    return names, min(os.path.relpath(shared), shared, key=len)
 
 
 def time_constant(steps: float | None, dt: float | None) -> str:

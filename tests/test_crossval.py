@@ -212,7 +212,9 @@ def test_judge_writes_every_section_of_a_simulated_fleet():
     sections, errors = judge(ensemble, seasons, {})
     assert [section.key for section in sections] == ["online", "crossval", "fleet", "parameters", "cost"]
     assert "no online predictions" in sections[0].here[0]
-    rows = {row[0]: row for row in sections[1].sheets[1].rows if row[1] == "rls"}
+    sheet = sections[1].sheets[1]
+    rows = {row[0]: dict(zip(sheet.columns, row, strict=True)) for row in sheet.rows if row[1] == "rls"}
     others = errors["boat1"].mae[..., 0][~np.eye(2, dtype=bool)]
-    assert rows["boat1"][2] == pytest.approx(np.median(others)) and rows["boat1"][-2] == 2
-    assert rows["boat1"][-1] == errors["boat1"].mae[0, 1, 0]  # the only run that is later than the only set before it
+    assert rows["boat1"]["median MAE, m/s"] == pytest.approx(np.median(others)) and rows["boat1"]["simulations"] == 2
+    later = rows["boat1"]["median over later runs, m/s"]
+    assert later == errors["boat1"].mae[0, 1, 0]  # the only run that is later than the only set before it
