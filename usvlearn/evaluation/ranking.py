@@ -34,10 +34,10 @@ def named(key: str) -> str | None:
     return found and found[1]
 
 
-def columns(member: str, names: Iterable[str]) -> list[str]:
+def own_columns(member: str, names: Iterable[str]) -> list[str]:
     """The rows of a table of errors that are a member's: those of a bank are called NAME_LABEL.
 
-    >>> columns("wind", ["aid", "wind_short", "wind_long"])
+    >>> own_columns("wind", ["aid", "wind_short", "wind_long"])
     ['wind_short', 'wind_long']
     """
     names = list(names)
@@ -59,7 +59,7 @@ def ranked_by(swept: Iterable[str], settings: Iterable[Mapping[str, str]], resul
     if len(names) != 1 or any("output" in each for each in settings):
         return None
     (name,) = names
-    return name if all(columns(name, _maes(each)) for each in results if "boats" in each) else None
+    return name if all(own_columns(name, _maes(each)) for each in results if "boats" in each) else None
 
 
 def scored(result: Mapping[str, Any], by: str | None) -> dict[str, Any]:
@@ -75,7 +75,7 @@ def scored(result: Mapping[str, Any], by: str | None) -> dict[str, Any]:
     if by is None:
         return {**result, "ranked_by": result.get("output", "")}
     maes = _maes(result)
-    known = [maes[column] for column in columns(by, maes) if not math.isnan(maes[column])]
+    known = [maes[column] for column in own_columns(by, maes) if not math.isnan(maes[column])]
     return {**result, "ranked_by": by, "objective": min(known, default=None)}
 
 

@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.text import Text
 
 from usvlearn.evaluation.metrics import by_error, mean_mae
-from usvlearn.evaluation.ranking import columns, differing, ranked
+from usvlearn.evaluation.ranking import differing, own_columns, ranked
 from usvlearn.evaluation.terminal import Blocks
 
 MOST_COLUMNS = 5  # of estimators, beside the settings of a sweep
@@ -140,7 +140,7 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
     means = [mean_mae(result["boats"]) for _, result in done]
     names = list(dict.fromkeys(name for maes in means for name in maes))
     by = list(dict.fromkeys(result.get("ranked_by", "") for _, result in done))
-    first = dict.fromkeys(column for each in by for column in columns(each, names))
+    first = dict.fromkeys(column for each in by for column in own_columns(each, names))
     first |= dict.fromkeys(name for _, result in done if (name := result.get("output")) in names)
     moved = [name for name in names if len({maes.get(name) for maes in means}) > 1 and name not in first]
     shown = [*first, *(moved if len(first) + len(moved) <= MOST_COLUMNS else [])] or names[-1:]
