@@ -7,7 +7,7 @@ At fixed u each z_i with s_i ≠ 0 changes sign at one x. So every slope of x �
 the least rate with |f(x₁, u) − f(x₂, u)| ≤ K_box |x₁ − x₂| on the box, and a cell that is only touched does not count.
 An input of zero width is fixed: cells are then open in x and the other inputs. x itself has a width.
 
-The searches are in `certify.box_search`; what they find is proved by `certify.box_proof`, in integers.
+The searches are in `certify.box_search` and `certify.box_cells`; `certify.box_proof` proves the result, in integers.
 """
 
 from __future__ import annotations
@@ -19,8 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify.box_proof import Box, proves, proves_range, slope_at, value_at
-from certify.box_search import BOXES, REPLAYED, Search, forms_of, search_range, search_slopes
+from certify.box_cells import search_slopes
+from certify.box_planes import Box, slope_at, value_at
+from certify.box_proof import proves, proves_range
+from certify.box_search import BOXES, REPLAYED, Search, forms_of, search_range
 from certify.errors import CertifyError
 from certify.weights import ShallowWeights, check
 

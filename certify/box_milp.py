@@ -13,8 +13,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from certify.box_proof import Box
-from certify.box_search import CLIMBERS, Forms, Search, climb, inner_point, slopes_at
+from certify.box_cells import inner_point
+from certify.box_planes import Box
+from certify.box_search import CLIMBERS, Forms, Search, climb, slopes_at
 
 
 def solve_milp(forms: Forms, box: Box, gap: float, end: float) -> tuple[float, np.ndarray | None, int]:

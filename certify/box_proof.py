@@ -1,8 +1,5 @@
 """Replay of a proof about a network on a box, in integers: nothing here trusts the search that found the proof.
 
-    f(x, u) = aᵀ relu(z),  z = w₁ x + W₂ u + b,  (x, u) in a box
-    slope   = Σ_{z_i > 0} a_i w_{1i}                       where no z_i with a_i w_{1i} ≠ 0 is zero        (1)
-
 A proof is a binary tree that divides the box, as text in preorder, its tokens parted by blanks:
 
     x, u1, u2, …   halve the box along that coordinate, at (lo + hi)/2 in binary64: the lower half's proof follows, then
@@ -12,184 +9,41 @@ A proof is a binary tree that divides the box, as text in preorder, its tokens p
     e4:3,7:-2      no point of the box's interior has these signs: μ = (3, −2) has the signs that z₄ and z₇ were given,
                    so Σ μ_i z_i > 0, but its maximum over the box is ≤ 0 (Farkas)
 
-Floats are integers over a power of two, so all of this is exact.
+A tree may come from anybody, so the effort is limited: a path has at most HALVINGS halvings and parts no neuron twice,
+a multiplier has at most DIGITS digits, and the bounds of at most WORK hyperplanes are computed. A tree beyond
+these limits proves nothing.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+import re
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from certify.box_planes import Box, Region, excluded, forms, integers, planes, region
 from certify.weights import ShallowWeights
 
+HALVINGS = 1000  # on a path; each adds a bit to the box's integers
+DIGITS = 1500  # of a multiplier
+WORK = 5_000_000  # bounds of hyperplanes in a replay, about 2 s
 CHORD = 64  # bits of a chord's slope, rounded up
-
-
-class Box(NamedTuple):
-    """Where x and the inputs lie. An input with lo = hi is fixed; x has a width, since a rate compares two states."""
-
-    lo: np.ndarray  # (1 + m,) x first, then u₁ … u_m
-    hi: np.ndarray  # (1 + m,)
-
-
-class Planes(NamedTuple):
-    """The hyperplanes on which the slope changes; neurons with the same one, seen from either side, are merged.
-
-    A fixed input is part of the constant, so that what coincides at that input is merged too.
-    """
-
-    neuron: list[int]  # (G,) the first neuron of each; its z > 0 is "above"
-    rows: list[list[int]]  # (G, 1 + m) integers with which z = (row·(x, u) + constant) / 2^z_bits
-    constants: list[int]  # (G,)
-    above: list[int]  # (G,) what the plane adds to the slope where z > 0, times 2^slope_bits
-    below: list[int]  # (G,) and where z < 0
-    z_bits: int
-    slope_bits: int
-
-
-def integers(values: Any) -> tuple[list[int], int]:
-    """k and e with which the floats are k / 2^e.
-
-    >>> integers([0.5, 3.0])
-    ([1, 6], 1)
-    """
-    ratios = [value.as_integer_ratio() for value in np.asarray(values, dtype=np.float64).ravel().tolist()]
-    bits = max((below.bit_length() for _, below in ratios), default=1) - 1
-    return [above << (bits + 1 - below.bit_length()) for above, below in ratios], bits
-
-
-def planes(weights: ShallowWeights, box: Box) -> Planes:
-    """The merged hyperplanes of the neurons that matter for the slope, those with a_i w_{1i} ≠ 0.
-
-    >>> twice = ShallowWeights(np.array([0.9, -0.9]), np.array([1.0, -1.0]), np.zeros((2, 0)), np.zeros(2))
-    >>> found = planes(twice, Box(np.zeros(1), np.ones(1)))
-    >>> len(found.rows), found.above == found.below
-    (1, True)
-    """
-    a, a_bits = integers(weights.a)
-    rows, constants, z_bits = _forms(weights, box)
-    w, w_bits = integers(weights.w1)
-    lo, hi = np.asarray(box.lo), np.asarray(box.hi)
-    fixed = [j for j in range(len(lo)) if lo[j] == hi[j]]
-    values = [Fraction(float(lo[j])) for j in fixed]
-    groups: dict[tuple[int, ...], int] = {}
-    merged = Planes([], [], [], [], [], z_bits, a_bits + w_bits)
-    for i, row in enumerate(rows):
-        s = a[i] * w[i]
-        if not s:
-            continue
-        constant = constants[i]
-        if fixed:
-            constant += int(sum(row[j] * value for j, value in zip(fixed, values, strict=True)))
-            row = [0 if j in fixed else k for j, k in enumerate(row)]
-        unit = math.gcd(constant, *row)
-        unit = unit if w[i] > 0 else -unit
-        key = (constant // unit, *(k // unit for k in row))
-        g = groups.setdefault(key, len(groups))
-        if g == len(merged.rows):
-            for column, value in zip(merged[:5], (i, row, constant, 0, 0), strict=True):
-                column.append(value)
-        (merged.above if w[i] * w[merged.neuron[g]] > 0 else merged.below)[g] += s
-    return merged
-
-
-def value_at(weights: ShallowWeights, point: Any) -> Fraction:
-    """f at a point (x, u), exactly; `(1 + m,)`.
-
-    >>> value_at(ShallowWeights(np.ones(1), np.ones(1), np.zeros((1, 0)), np.ones(1)), [0.5])
-    Fraction(3, 2)
-    """
-    a, a_bits = integers(weights.a)
-    z, bits = _preactivations(weights, point)
-    return Fraction(sum(ai * max(zi, 0) for ai, zi in zip(a, z, strict=True)), 1 << (a_bits + bits))
-
-
-def slope_at(weights: ShallowWeights, point: Any) -> Fraction | None:
-    """(1) at a point (x, u), exactly; None where it is not defined. A rate at most |slope| is thereby refuted.
-
-    >>> net = ShallowWeights(np.array([0.5]), np.ones(1), np.zeros((1, 0)), np.array([-0.5]))
-    >>> slope_at(net, [0.75]), slope_at(net, [0.5])
-    (Fraction(1, 2), None)
-    """
-    (a, a_bits), (w, w_bits) = integers(weights.a), integers(weights.w1)
-    total = 0
-    for ai, wi, zi in zip(a, w, _preactivations(weights, point)[0], strict=True):
-        if ai and wi and not zi:
-            return None
-        total += ai * wi if zi > 0 else 0
-    return Fraction(total, 1 << (a_bits + w_bits))
+MULTIPLIER = re.compile(rf"([0-9]{{1,9}}):(-?[0-9]{{1,{DIGITS}}})")
 
 
 def proves(weights: ShallowWeights, box: Box, tree: str, rate: float | Fraction) -> bool:
-    """Whether a tree proves |slope| < rate at every point of the box where (1) is defined.
+    """Whether a tree proves |slope| < rate at every point of the box where the slope is defined.
 
-    It is then a Lipschitz constant of x ↦ f(x, u) on the box's interval of x, for every u of the box.
+    The rate is then a Lipschitz constant of x ↦ f(x, u) on the box's interval of x, for every u of the box.
 
     >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
     >>> unit = Box(np.zeros(1), np.ones(1))
     >>> proves(half, unit, ".", 0.6), proves(half, unit, ".", 0.5), proves(half, unit, "x .", 0.6)
     (True, False, False)
     """
-    found = planes(weights, box)
-    limit = Fraction(rate) * 2**found.slope_bits
-    top, bottom = [list(map(f, found.above, found.below)) for f in (max, min)]
-    group = {neuron: g for g, neuron in enumerate(found.neuron)}
-
-    def refine(region, state):
-        free, high, low, parted = state
-        left = []
-        for g in free:
-            least, most = region.extremes(found.rows[g], found.constants[g])
-            if least < 0 < most:
-                left.append(g)
-                continue
-            value = found.above[g] if least >= 0 else found.below[g]
-            high, low = high - top[g] + value, low - bottom[g] + value
-        return left, high, low, parted
-
-    def part(state, neuron):
-        g = group[neuron]
-        free, high, low, parted = state
-        children = []
-        for sign, value in ((-1, found.below[g]), (1, found.above[g])):
-            if g in free:
-                rest = [k for k in free if k != g]
-                changed = rest, high - top[g] + value, low - bottom[g] + value
-            else:
-                changed = free, high, low
-            children.append((*changed, {**parted, neuron: sign}))
-        return children
-
-    def closes(region, state, token):
-        if token == ".":
-            return state[1] < limit and -state[2] < limit
-        multipliers = dict(tuple(map(int, pair.split(":"))) for pair in token[1:].split(","))
-        return all(mu * state[3][i] > 0 for i, mu in multipliers.items()) and excluded(
-            found, region, {group[i]: mu for i, mu in multipliers.items()}
-        )
-
-    start = (list(range(len(found.rows))), sum(top), sum(bottom), {})
-    return _replay(tree, box, start, refine, part, closes)
-
-
-def interval_rate(weights: ShallowWeights, box: Box) -> Fraction:
-    """The largest |slope| that interval arithmetic on the whole box does not exclude: `proves` holds just above it.
-
-    >>> half = ShallowWeights(np.array([0.5]), np.array([1.0]), np.zeros((1, 0)), np.zeros(1))
-    >>> interval_rate(half, Box(np.zeros(1), np.ones(1)))
-    Fraction(1, 2)
-    """
-    found, here = planes(weights, box), region(box)
-    high = low = 0
-    for row, constant, above, below in zip(found.rows, found.constants, found.above, found.below, strict=True):
-        least, most = here.extremes(row, constant)
-        values = [above] if least >= 0 else [below] if most <= 0 else [above, below]
-        high, low = high + max(values), low + min(values)
-    return Fraction(max(high, -low), 1 << found.slope_bits)
+    return _replay(tree, box, _Slopes(weights, box, Fraction(rate)))
 
 
 def proves_range(weights: ShallowWeights, box: Box, tree: str) -> bool:
@@ -205,16 +59,124 @@ def proves_range(weights: ShallowWeights, box: Box, tree: str) -> bool:
     >>> proves_range(identity._replace(b=np.ones(1)), Box(np.zeros(1), np.ones(1)), ".")
     False
     """
-    a, a_bits = integers(weights.a)
-    rows, constants, z_bits = _forms(weights, box)
-    one = 1 << CHORD
+    return _replay(tree, box, _Range(weights, box))
 
-    def closes(region, state, token):
+
+class _Refused(Exception):
+    """The tree proves nothing."""
+
+
+class _Statement(Protocol):
+    """What a tree proves: a state for each node, and whether a leaf closes."""
+
+    work: int  # bounds of hyperplanes that were computed
+
+    def start(self, here: Region): ...
+    def halve(self, state, j: int, here: Region, half: Region): ...
+    def part(self, state, name: str) -> tuple: ...
+    def closes(self, here: Region, state, token: str) -> bool: ...
+
+
+class _Slope(NamedTuple):
+    """What is known of the slope in a region, in units of 2^−slope_bits."""
+
+    free: list[tuple[int, int, int]]  # planes whose sign is open, with the bounds of z
+    high: int  # the greatest slope
+    low: int  # the least
+    signs: dict[int, int]  # of the planes that were parted
+
+
+class _Slopes:
+    """|slope| < rate."""
+
+    def __init__(self, weights: ShallowWeights, box: Box, rate: Fraction):
+        self.planes = planes(weights, box)
+        self.limit = math.ceil(rate * 2**self.planes.slope_bits)  # an integer is below both or below neither
+        self.names = {f"z{neuron}": g for g, neuron in enumerate(self.planes.neuron)}
+        self.columns = [list(column) for column in zip(*self.planes.rows, strict=True)]
+        self.work = 0
+
+    def start(self, here: Region) -> _Slope:
+        _, rows, constants, above, below, *_ = self.planes
+        bounds = [(g, *here.extremes(row, c)) for g, (row, c) in enumerate(zip(rows, constants, strict=True))]
+        return self._settled(bounds, sum(map(max, above, below)), sum(map(min, above, below)), {})
+
+    def halve(self, state: _Slope, j: int, here: Region, half: Region) -> _Slope:
+        column, raised, lowered = self.columns[j], half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
+        bounds = []
+        for g, least, most in state.free:
+            k = column[g]
+            if k > 0:
+                bounds.append((g, least + k * raised, most + k * lowered))
+            else:
+                bounds.append((g, least + k * lowered, most + k * raised))
+        return self._settled(bounds, *state[1:])
+
+    def part(self, state: _Slope, name: str) -> tuple[_Slope, _Slope]:
+        g = self.names[name]
+        if g in state.signs:
+            raise _Refused
+        self.work += len(state.free) + len(state.signs)
+        above, below = self.planes.above[g], self.planes.below[g]
+        free = [each for each in state.free if each[0] != g]
+        if len(free) == len(state.free):
+            return tuple(state._replace(signs={**state.signs, g: sign}) for sign in (-1, 1))
+        high, low = state.high - max(above, below), state.low - min(above, below)
+        return tuple(
+            _Slope(free, high + value, low + value, {**state.signs, g: sign})
+            for sign, value in ((-1, below), (1, above))
+        )
+
+    def closes(self, here: Region, state: _Slope, token: str) -> bool:
+        if token == ".":
+            return state.high < self.limit and -state.low < self.limit
+        pairs = [MULTIPLIER.fullmatch(pair) for pair in token[1:].split(",")]
+        if not all(pairs):
+            return False
+        multipliers = {self.names[f"z{pair[1]}"]: int(pair[2]) for pair in pairs}
+        self.work += len(pairs)
+        signed = all(mu * state.signs[g] > 0 for g, mu in multipliers.items())
+        return len(multipliers) == len(pairs) and signed and excluded(self.planes, here, multipliers)
+
+    def _settled(self, bounds: list[tuple[int, int, int]], high: int, low: int, signs: dict[int, int]) -> _Slope:
+        """With the planes whose sign the bounds decide counted so."""
+        self.work += len(bounds)
+        free, (above, below) = [], self.planes[3:5]
+        for each in bounds:
+            g, least, most = each
+            if least < 0 < most:
+                free.append(each)
+                continue
+            value = above[g] if least >= 0 else below[g]
+            high, low = high - max(above[g], below[g]) + value, low - min(above[g], below[g]) + value
+        return _Slope(free, high, low, signs)
+
+
+class _Range:
+    """f stays in the box's interval of x. Its nodes have no state."""
+
+    def __init__(self, weights: ShallowWeights, box: Box):
+        self.a, self.a_bits = integers(weights.a)
+        self.rows, self.constants, self.z_bits = forms(weights, box)
+        self.work = 0
+
+    def start(self, here: Region) -> None:
+        return None
+
+    def halve(self, state: None, j: int, here: Region, half: Region) -> None:
+        return None
+
+    def part(self, state: None, name: str) -> tuple:
+        raise _Refused
+
+    def closes(self, here: Region, state: None, token: str) -> bool:
         if token != ".":
             return False
-        upper, lower = [0] * (len(rows[0]) + 1), [0] * (len(rows[0]) + 1)  # linear functions, the constant last
-        for ai, row, constant in zip(a, rows, constants, strict=True):
-            least, most = region.extremes(row, constant)
+        one, width = 1 << CHORD, len(here.lo)
+        self.work += (1 + width) * len(self.rows)
+        upper, lower = [0] * (width + 1), [0] * (width + 1)  # linear functions, the constant last
+        for ai, row, constant in zip(self.a, self.rows, self.constants, strict=True):
+            least, most = here.extremes(row, constant)
             if not ai or most <= 0:
                 continue
             chord = one if least >= 0 else -(-most * one // (most - least))
@@ -223,133 +185,52 @@ def proves_range(weights: ShallowWeights, box: Box, tree: str) -> bool:
             for total, slope, shift in ((over, chord, min(least, 0)), (under, support, 0)):
                 for j, k in enumerate(row):
                     total[j] += ai * slope * k
-                total[-1] += ai * slope * ((constant << region.bits) - shift)
-        unit = a_bits + CHORD + z_bits  # of a form's value, above the region's own bits
-        most = sum(k * (region.hi[j] if k > 0 else region.lo[j]) for j, k in enumerate(upper[:-1])) + upper[-1]
-        least = sum(k * (region.lo[j] if k > 0 else region.hi[j]) for j, k in enumerate(lower[:-1])) + lower[-1]
-        return region.root_lo << unit <= least and most <= region.root_hi << unit
-
-    return _replay(tree, box, None, lambda region, state: state, None, closes)
+                total[-1] += ai * slope * ((constant << here.bits) - shift)
+        unit = self.a_bits + CHORD + self.z_bits  # of a form's value, above the region's own bits
+        most = sum(k * (here.hi[j] if k > 0 else here.lo[j]) for j, k in enumerate(upper[:-1])) + upper[-1]
+        least = sum(k * (here.lo[j] if k > 0 else here.hi[j]) for j, k in enumerate(lower[:-1])) + lower[-1]
+        return here.root_lo << unit <= least and most <= here.root_hi << unit
 
 
-class Region(NamedTuple):
-    """A box in integers, in units of 2^−bits, with the floats that it was made from."""
-
-    lo: list[int]
-    hi: list[int]
-    bits: int
-    float_lo: list[float]
-    float_hi: list[float]
-    root_lo: int  # the whole box's interval of x
-    root_hi: int
-
-    def extremes(self, row: Sequence[int], constant: int) -> tuple[int, int]:
-        """The least and greatest value of a form on the box, in units of the form's over 2^bits."""
-        least = most = constant << self.bits
-        for k, lo, hi in zip(row, self.lo, self.hi, strict=True):
-            if k > 0:
-                least, most = least + k * lo, most + k * hi
-            elif k:
-                least, most = least + k * hi, most + k * lo
-        return least, most
-
-    def halves(self, j: int) -> tuple[Region, Region] | None:
-        """The two halves along a coordinate; None where no float lies between."""
-        middle = (self.float_lo[j] + self.float_hi[j]) / 2
-        if not self.float_lo[j] < middle < self.float_hi[j]:
-            return None
-        above, below = middle.as_integer_ratio()
-        at = (above << self.bits) // below
-        return (
-            self._replace(hi=_with(self.hi, j, at), float_hi=_with(self.float_hi, j, middle)),
-            self._replace(lo=_with(self.lo, j, at), float_lo=_with(self.float_lo, j, middle)),
-        )
-
-
-def region(box: Box, depth: int = 0) -> Region:
-    """A box in integers fine enough for `depth` halvings: a float midpoint's unit is at least half its ends'."""
-    float_lo, float_hi = np.asarray(box.lo).tolist(), np.asarray(box.hi).tolist()
-    ends, bits = integers([*float_lo, *float_hi])
-    ends = [k << depth for k in ends]
-    lo, hi = ends[: len(float_lo)], ends[len(float_lo) :]
-    return Region(lo, hi, bits + depth, float_lo, float_hi, lo[0], hi[0])
-
-
-def excluded(found: Planes, region: Region, multipliers: dict[int, int]) -> bool:
-    """Whether Σ μ_g z_g ≤ 0 on a whole box, so that no point in it has all z_g of the sign of μ_g; plane: μ."""
-    if not multipliers or not all(multipliers.values()):
-        return False
-    row = [sum(mu * found.rows[g][j] for g, mu in multipliers.items()) for j in range(len(region.lo))]
-    constant = sum(mu * found.constants[g] for g, mu in multipliers.items())
-    return region.extremes(row, constant)[1] <= 0
-
-
-def _preactivations(weights: ShallowWeights, point: Any) -> tuple[list[int], int]:
-    """z_i · 2^bits at a point, (n,)."""
-    rows, constants, bits = _forms(weights, Box(np.asarray(point), np.asarray(point)))
-    y, y_bits = integers(point)
-    z = [sum(map(int.__mul__, row, y)) + (constant << y_bits) for row, constant in zip(rows, constants, strict=True)]
-    return z, bits + y_bits
-
-
-def _replay(tree: str, box: Box, start: Any, refine: Callable, part: Callable | None, closes: Callable) -> bool:
+def _replay(tree: str, box: Box, statement: _Statement) -> bool:
     """Whether the text is one whole tree and every leaf closes."""
     tokens = tree.split() if isinstance(tree, str) and tree.isascii() else []
-    depth = _depth(tokens)
-    if depth is None or not (np.isfinite(box.lo).all() and np.isfinite(box.hi).all()):
+    coordinates = {"x": 0, **{f"u{j}": j for j in range(1, len(box.lo))}}
+    halvings = _halvings(tokens, coordinates)
+    if halvings is None or halvings > HALVINGS or not (np.isfinite(box.lo).all() and np.isfinite(box.hi).all()):
         return False
-    pending = [(region(box, depth), start)]
+    whole = region(box, halvings)
+    pending = [(whole, statement.start(whole))]
     try:
         for token in tokens:
             here, state = pending.pop()
-            state = refine(here, state)
-            if token[0] in ".e":
-                if not closes(here, state, token):
-                    return False
-            elif token[0] == "z" and part is not None:
-                first, second = part(state, int(token[1:]))
-                pending += [(here, second), (here, first)]
-            else:
-                halves = here.halves(0 if token == "x" else _input(token, len(here.lo)))
+            if token in coordinates:
+                j = coordinates[token]
+                halves = here.halves(j)
                 if halves is None:
                     return False
-                pending += [(halves[1], state), (halves[0], state)]
-    except (ValueError, KeyError):  # a token of another kind, or about what is not there
+                pending += [(half, statement.halve(state, j, here, half)) for half in reversed(halves)]
+            elif token[0] == "z":
+                pending += [(here, side) for side in reversed(statement.part(state, token))]
+            elif token[0] not in ".e" or not statement.closes(here, state, token):
+                return False
+            if statement.work > WORK:
+                return False
+    except (_Refused, KeyError):  # a neuron that is not there, or was parted before, or was not parted
         return False
-    return not pending
+    return True
 
 
-def _input(token: str, width: int) -> int:
-    j = int(token[1:]) if token[0] == "u" else 0
-    if not 1 <= j < width:
-        raise ValueError(token)
-    return j
-
-
-def _depth(tokens: Iterable[str]) -> int | None:
-    """The most splits on a path; None where the tokens are no tree."""
-    pending, deepest = [0], 0
+def _halvings(tokens: list[str], coordinates: dict[str, int]) -> int | None:
+    """The most halvings on a path; None where the tokens are no tree."""
+    pending, most = [0], 0
     for token in tokens:
         if not pending:
             return None
-        depth = pending.pop()
-        deepest = max(deepest, depth)
+        count = pending.pop()
+        if token in coordinates:
+            count += 1
+            most = max(most, count)
         if token[0] not in ".e":
-            pending += [depth + 1, depth + 1]
-    return None if pending else deepest
-
-
-def _forms(weights: ShallowWeights, box: Box) -> tuple[list[list[int]], list[int], int]:
-    """z as integer forms, in units fine enough that a form at a corner of the box is an integer."""
-    n, m = np.asarray(weights.W2).shape
-    flat, bits = integers(np.concatenate([weights.w1, np.ravel(weights.W2), weights.b]))
-    extra = integers([*np.asarray(box.lo), *np.asarray(box.hi)])[1]
-    flat = [k << extra for k in flat]
-    rows = [[flat[i], *flat[n + i * m : n + (i + 1) * m]] for i in range(n)]
-    return rows, flat[n + n * m :], bits + extra
-
-
-def _with(values: list, j: int, value: Any) -> list:
-    changed = values.copy()
-    changed[j] = value
-    return changed
+            pending += [count, count]
+    return None if pending else most

@@ -1,31 +1,25 @@
-"""The searches behind `certify.box`: branch and bound over boxes and over cells, in floats.
+"""The searches behind `certify.box`: branch and bound over boxes, in floats.
 
 Boxes: bound the slope by interval arithmetic (neurons surely on, surely off, free) and halve the boxes whose bound is
 too high (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009); slopes that are reached bound it from
-below. Cells: part a box by the sign of one z at a time, with a linear program for each; this ends also where many
-hyperplanes meet in a point, and wins where the inputs are many. What they find is proved by `certify.box_proof`.
+below. Boxes that stay open are parted into cells (`certify.box_cells`). `certify.box_proof` proves what is found.
 """
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import math
 import time
 from collections.abc import Callable
-from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 
-from certify.box_proof import Box, Planes, excluded, planes, region
+from certify.box_planes import Box, Planes, planes, region
 from certify.weights import ShallowWeights
 
 BATCH = 256  # boxes halved at once
-BOXES = 200_000  # boxes tried before cells, where inputs are few
-FEW_BOXES = 500  # and where they are many
-CELLED = 30  # hyperplanes up to which the cells of a whole box are tried
-MANY = 7  # free coordinates from which on cells are better than boxes
+BOXES = 200_000  # boxes tried
+LEFT = 64  # boxes that cannot be halved, beyond which the search ends
 REPLAYED = 30_000  # boxes whose proof is replayed in about a second
 CLIMBERS = 32  # points from which the search for a high slope begins
 EPS, TINY = float(np.finfo(np.float64).eps), float(np.finfo(np.float64).tiny)
@@ -110,16 +104,18 @@ class Search:
         return " ".join(tokens)
 
     def boxes(
-        self, bound: Callable, halve: Callable, climb: Callable | None, box: Box, width: int, most: int
+        self, bound: Callable, halve: Callable, climb: Callable | None, box: Box, width: int, most: int, small: float
     ) -> list[np.ndarray]:
         """Halves boxes until all are closed, or `most` were seen; returns what is open: bounds, lo, hi, signs, ids.
+
+        A box whose next halving is along a side of at most the share `small` of the whole one is not halved.
 
         bound(lo, hi, signs) gives signs, bounds, points and the values there; halve(lo, hi, signs) coordinates;
         climb(points) values and better points.
         """
         names = np.array(["x", *(f"u{j}" for j in range(1, len(box.lo)))], dtype=object)
 
-        climbed = 1
+        climbed, least, aside = 1, small * (box.hi - box.lo), []
 
         def see(lo, hi, signs, ids):
             nonlocal climbed
@@ -136,8 +132,8 @@ class Search:
             self.closed = max(self.closed, queue[0][~keep].max(initial=-math.inf))
             queue = [x[keep] for x in queue]
             size = len(queue[0])
-            if not size or self.count > most or self.over():
-                return queue
+            if not size or self.count > most or sum(len(x[0]) for x in aside) > LEFT or self.over():
+                return [np.concatenate(column) for column in zip(queue, *aside, strict=True)]
             now, rest, take = queue, None, max(BATCH, size // 4)
             if size > take:
                 order = np.argpartition(-queue[0], take)
@@ -145,8 +141,15 @@ class Search:
             _, lo, hi, signs, ids = now
             k, j = np.arange(len(lo)), halve(lo, hi, signs)
             middle = (lo[k, j] + hi[k, j]) / 2
-            if not ((lo[k, j] < middle) & (middle < hi[k, j])).all():  # as small as floats go
-                return queue
+            halved = (hi[k, j] - lo[k, j] > least[j]) & (lo[k, j] < middle) & (middle < hi[k, j])
+            if not halved.all():
+                aside.append([x[~halved] for x in now])
+                now = [x[halved] for x in now]
+                if not len(now[0]):
+                    queue = now if rest is None else rest
+                    continue
+                _, lo, hi, signs, ids = now
+                k, j, middle = k[: len(lo)], j[halved], middle[halved]
             children = self.count + 2 * k
             self.halvings.append((ids, names[j], children))
             self.count += 2 * len(k)
@@ -158,25 +161,7 @@ class Search:
                 queue = [np.concatenate(pair) for pair in zip(queue, rest, strict=True)]
 
 
-def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
-    """Searches max |slope|: at most so many boxes, then cells of those that are open, or of the whole box."""
-    G, rng = len(forms.c), np.random.default_rng(0)
-    bound, halve = _slope_bounds(forms)
-    search.reached(*climb(forms, box, rng.uniform(box.lo, box.hi, (CLIMBERS, len(box.lo)))))
-    many = int((box.lo < box.hi).sum()) >= MANY
-    most = min(most, FEW_BOXES if many else min(BOXES, 16 << min(G, 20)) if G <= CELLED else most)
-    queue = search.boxes(bound, halve, lambda y: climb(forms, box, y), box, G, most)
-    search.open = queue[0].max(initial=-math.inf)
-    if len(queue[0]) and not search.over():
-        if len(queue[0]) > 64:
-            search.limit, search.closed = search.upper(), -math.inf
-            search.count, search.halvings = 1, []
-            signs = np.zeros((1, G), np.int8)
-            queue = [np.full(1, search.limit), box.lo[None], box.hi[None], signs, np.zeros(1, np.int64)]
-        _cells(search, forms, queue, rng)
-
-
-def _slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
+def slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
     """bound() and halve() of `Search.boxes` for |slope|."""
     H, c, side, gain, start, error, slack, found = forms
     sizes, top = np.abs(H), start + gain.sum()
@@ -261,98 +246,4 @@ def search_range(search: Search, weights: ShallowWeights, box: Box, sides: tuple
         gap = np.abs(a) * np.maximum(reach * reach - z * z, 0.0) / (reach * reach + TINY)
         return np.where(hi > lo, (gap @ sizes) * (hi - lo), -1.0).argmax(1)
 
-    search.open = search.boxes(bound, halve, None, box, 0, BOXES)[0].max(initial=-math.inf)
-
-
-def _cells(search: Search, forms: Forms, queue: list[np.ndarray], rng: np.random.Generator) -> None:
-    """Parts boxes by the signs of z, the highest bound first, until all are closed.
-
-    A cell keeps a point with its signs. The neuron to part by is one that stands on the wrong side there for the
-    bound; then the other cell has the point already, and one linear program answers for this cell.
-    """
-    H, c, side, gain, start, error, slack, found = forms
-    tie, stuck = itertools.count(), -math.inf
-    heap: list[tuple] = []
-
-    def push(node, signs, parted, ends, y):
-        search.reached(slopes_at(forms, (H @ y + c)[None]), y[None])
-        high, low = start + (signs >= 0) @ gain, start + (signs > 0) @ gain
-        heapq.heappush(heap, (-max(high, -low) - slack, next(tie), node, signs, parted, ends, y, high >= -low))
-
-    for _, lo, hi, signs, node in zip(*queue, strict=True):
-        push(int(node), signs, (), (lo, hi), (lo + hi) / 2 + (hi - lo) * rng.uniform(-0.25, 0.25, len(lo)))
-    while heap and not search.over():
-        bound, _, node, signs, parted, (lo, hi), y, up = heapq.heappop(heap)
-        if -bound <= search.threshold(search.best):
-            search.closed = max(search.closed, -bound)
-            heap.clear()  # the others' bounds are no higher
-            break
-        z = H @ y + c
-        wrong = np.where((signs == 0) & ((z if up else -z) <= error), gain, 0.0)
-        g = int(wrong.argmax()) if len(wrong) else 0
-        if not wrong.any():  # the bound is the slope at y, up to rounding
-            stuck = max(stuck, -bound)
-            continue
-        child = search.count
-        search.count += 2
-        search.splits[node] = f"z{found.neuron[g]}", child
-        for k, sign in enumerate((-side[g], side[g])):
-            inner, mu = y, None
-            cell = (*parted, (g, int(sign)))
-            if not sign * z[g] > error[g]:
-                inner, mu = inner_point(forms, lo, hi, cell, rng)
-            if mu:
-                search.leaves[child + k] = "e" + ",".join(f"{found.neuron[i]}:{x}" for i, x in mu.items())
-            elif inner is None:
-                stuck = max(stuck, -bound)
-            else:
-                changed = signs.copy()
-                changed[g] = sign
-                push(child + k, changed, cell, (lo, hi), inner)
-    search.open = max(stuck, -heap[0][0] if heap else -math.inf)
-
-
-def inner_point(
-    forms: Forms, lo: np.ndarray, hi: np.ndarray, parted: tuple[tuple[int, int], ...], rng: np.random.Generator
-) -> tuple[np.ndarray | None, dict[int, int] | None]:
-    """A point of a box with given signs of z, or multipliers that prove that there is none, or neither.
-
-    The point is the deepest: max t, σ_g z_g ≥ t ρ_g, ρ_g the greatest change of z_g in the box; t ≤ 0 leaves none.
-    """
-    from scipy.optimize import linprog
-
-    H, c, side, _, _, error, _, found = forms
-    g = np.array([k for k, _ in parted])
-    sigma = np.array([sign for _, sign in parted])
-    centre, radius = (lo + hi) / 2, (hi - lo) / 2
-    rho = np.abs(H[g]) @ radius
-    A = -(sigma / rho)[:, None] * (H[g] * radius)
-    solved = linprog(
-        np.r_[np.zeros(len(lo)), -1.0],
-        A_ub=np.c_[A, np.ones(len(g))],
-        b_ub=sigma * (H[g] @ centre + c[g]) / rho,
-        bounds=[(-1, 1)] * len(lo) + [(None, 1)],
-        method="highs-ds",
-    )
-    if solved.x is None:
-        return None, None
-    depth = float(solved.x[-1])
-    if depth > 1e-12:  # off the facets, where z of another neuron may be zero
-        v = np.clip(solved.x[:-1], -1, 1)
-        step = min(depth, 1.0) / 4
-        y = centre + radius * ((1 - step) * v + step * rng.uniform(-1, 1, len(lo)))
-        if (sigma * (H[g] @ y + c[g]) > error[g]).all():
-            return y, None
-    scale = np.maximum(-solved.ineqlin.marginals, 0.0) / rho
-    if not scale.max() > 0:
-        return None, None
-    here = region(Box(lo, hi))
-    for finest in (16, 4096, 10**8, 2**50):  # small integers first, as hyperplanes through a common point often have
-        shares = [Fraction(float(x)).limit_denominator(finest) for x in scale / scale.max()]
-        unit = math.lcm(*(x.denominator for x in shares)) if finest < 2**50 else 2**50
-        signed = zip(g.tolist(), (sigma * side[g]).tolist(), shares, strict=True)
-        mu = {k: sign * round(x * unit) for k, sign, x in signed}
-        mu = {k: x for k, x in mu.items() if x}
-        if excluded(found, here, mu):
-            return None, mu
-    return None, None
+    search.open = search.boxes(bound, halve, None, box, 0, BOXES, 0.0)[0].max(initial=-math.inf)

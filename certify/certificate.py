@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify import box_proof, exact
-from certify.box_proof import Box
+from certify import box_planes, box_proof, exact
+from certify.box_planes import Box
 from certify.errors import CertifyError
 from certify.weights import ShallowWeights, check, digest
 
@@ -94,7 +94,7 @@ def make(
             raise CertifyError(f"{condition}: found no box, expected one: it is what the certificate is about")
         if condition == "interval":
             tree = "."
-            rate = provable_rate(box_proof.interval_rate(weights, box)) if rate is None else rate
+            rate = provable_rate(box_planes.interval_rate(weights, box)) if rate is None else rate
             if rate is None:
                 return None
         kappa = 1 if rate is None else rate

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from certify import exact
-from certify.box_proof import Box, proves
+from certify.box_planes import Box
+from certify.box_proof import proves
 from certify.equilibria import equilibria, surge_inputs, sweep
 from certify.errors import CertifyError
 from certify.weights import Network, ShallowWeights

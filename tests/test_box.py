@@ -12,7 +12,8 @@ from scipy.optimize import linprog
 
 from certify import box_milp
 from certify.box import Box, box, certify, invariance, operating_box, output_range, rate
-from certify.box_proof import planes, proves, proves_range, slope_at, value_at
+from certify.box_planes import planes, slope_at, value_at
+from certify.box_proof import proves, proves_range
 from certify.errors import CertifyError
 from certify.weights import ShallowWeights
 
@@ -351,3 +352,30 @@ def test_the_solver_prints_nothing(capfd):
 def test_checking_a_proof_imports_no_solver():
     code = "import certify.box, sys; print([x for x in ('scipy', 'torch', 'cvxpy', 'usvlearn') if x in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_hyperplanes_through_one_point_are_decided():
+    weights = ShallowWeights(
+        np.array([0.75, 0.75, 0.75, -0.75]),
+        np.array([-3.0, -3.0, -2.0, -2.0]),
+        np.array([[1.0], [-3.0], [2.0], [-1.0]]),
+        np.array([1.5, 1.5, 1.0, 1.0]),
+    )
+    found = rate(weights, operating_box(1))
+    assert found.closed and found.lower == 4.5
+    for asked in (4.545, 4.5 * (1 + 1e-9)):
+        verdict = certify(weights, operating_box(1), asked)
+        assert verdict.verdict == "certified" and proves(weights, operating_box(1), verdict.tree, asked)
+        assert not proves(weights, operating_box(1), verdict.tree, 4.5)
+
+
+@pytest.mark.parametrize(("n", "m"), [(12, 1), (12, 2), (20, 4), (50, 2)])
+def test_a_network_without_biases_is_decided(n, m):
+    """All hyperplanes meet in the origin, with rows of 53 bits whose multipliers have to cancel exactly."""
+    rng = np.random.default_rng(0)
+    a, w1 = rng.normal(size=(2, n))
+    weights = ShallowWeights(a, w1, rng.normal(size=(n, m)), np.zeros(n))
+    found = rate(weights, operating_box(m), seconds=60)
+    assert found.closed
+    verdict = certify(weights, operating_box(m), found.lower * (1 + 1e-9), seconds=60)
+    assert verdict.verdict == "certified" and proves(weights, operating_box(m), verdict.tree, verdict.rate)

@@ -9,7 +9,7 @@ import torch
 from torch.func import grad
 
 from certify import exact
-from certify.box_proof import Box, interval_rate
+from certify.box_planes import Box, interval_rate
 from certify.weights import ShallowWeights
 from tests.conftest import random_samples
 from usvlearn import AID, RNN, Inputs, Sample, rollout

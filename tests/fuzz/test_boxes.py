@@ -1,0 +1,59 @@
+"""Boxes of small degenerate networks: every rate is decided as by exact enumeration of cells, and nothing crashes."""
+
+import numpy as np
+import pytest
+
+from certify.box import certify, operating_box, rate
+from certify.box_proof import proves
+from certify.weights import ShallowWeights
+from tests.fuzz.exact_cells import exact_rate
+
+FAMILIES = ("integers", "halves", "duplicates", "bias-free", "common point", "float32", "zero weights", "dead neurons")
+SECONDS = 60.0  # the search ends long before, also on a busy machine
+
+
+def draw(rng: np.random.Generator, family: str) -> ShallowWeights:
+    """Small integers or parts of them: hyperplanes coincide, meet in points and lines, and touch the box."""
+    n, m = int(rng.integers(1, 13)), int(rng.integers(0, 4))
+    rows, a = rng.integers(-3, 4, (n, m + 2)).astype(float), rng.integers(-3, 4, n) / 4
+    if family == "halves":
+        rows /= 2
+    elif family == "duplicates":
+        for i in range(1, n):
+            if rng.random() < 0.5:
+                rows[i] = rows[rng.integers(i)] * rng.choice([1.0, 2.0, -1.0, -0.5, 3.0])
+    elif family == "bias-free":
+        rows[:, -1] = 0.0
+        if rng.random() < 0.5:
+            rows[:, :-1] = rng.normal(size=(n, m + 1))
+    elif family == "common point":
+        point = np.r_[rng.choice([0.0, 0.25, 0.5, 1.0]), rng.choice([-1.0, 0.0, 0.5, 0.75], m)]
+        rows[:, -1] = -rows[:, :-1] @ point
+    elif family == "float32":
+        rows, a = ((x / rng.choice([3, 7, 10])).astype(np.float32).astype(float) for x in (rows, a))
+    elif family == "zero weights":
+        rows[rng.random(rows.shape) < 0.5] = 0.0
+        a[rng.random(n) < 0.3] = 0.0
+    elif family == "dead neurons":
+        rows[rng.random(n) < 0.4, -1] = -9.0
+    return ShallowWeights(a, rows[:, 0], rows[:, 1:-1], rows[:, -1])
+
+
+@pytest.mark.fuzz(cases=120, slow=10_000)
+def test_every_rate_is_decided_as_by_exact_cells(rng, cases):
+    certified = 0
+    for k in range(cases):
+        weights = draw(rng, FAMILIES[k % len(FAMILIES)])
+        box = operating_box(weights.W2.shape[1])
+        truth = exact_rate(weights, box)
+        found = rate(weights, box, seconds=SECONDS)
+        assert found.closed and found.lower <= truth * (1 + 2**-52) and truth <= found.upper, (k, weights)
+        if not truth:
+            continue
+        above = float(truth) * (1 + 1e-9)
+        verdict = certify(weights, box, above, SECONDS)
+        assert verdict.verdict == "certified" and proves(weights, box, verdict.tree, above), (k, weights)
+        assert not proves(weights, box, verdict.tree, truth), (k, weights)
+        assert certify(weights, box, np.nextafter(float(truth), 0), SECONDS).verdict == "refuted", (k, weights)
+        certified += 1
+    assert certified > cases / 2
