@@ -16,10 +16,11 @@ import numpy as np
 
 from certify import certificate
 from certify.certificate import CONDITIONS
-from certify.errors import CertifyError
+from certify.errors import CertifyError, quoted
 from certify.weights import SUFFIXES, Network, digest, find, load
 
 CERTIFIED, NOT_ALL, BAD_INPUT = 0, 1, 2  # exit codes
+LONGEST_PATH = 4096  # characters of a path that a certificate names
 EPILOG = """
 exit code: 0 all certified by --condition, 1 not all, 2 bad input
 
@@ -41,8 +42,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return compare(arguments[1:], _say)
         return _run(_parse(arguments))
     except (CertifyError, OSError) as error:
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        return BAD_INPUT
+        return _error(error)
+
+
+def _error(error: Exception) -> int:
+    """Print one line on standard error; the code of bad input."""
+    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+    return BAD_INPUT
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
@@ -99,14 +105,23 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    networks = [network for path in find(options.paths) for network in load(path)]
+    code, networks = CERTIFIED, []
+    for path in find(options.paths):
+        try:
+            networks += load(path)
+        except CertifyError as error:  # the others are judged all the same
+            code = _error(error)
+    if options.paths and not networks:
+        return code
     if options.headings and any(network.inputs != 4 for network in networks):
         raise CertifyError("--headings: found a network without the four inputs of heading and commands")
     if options.plot is not None and (not options.plot or options.plot.endswith(os.sep) or Path(options.plot).is_dir()):
         raise CertifyError(f"--plot: found {options.plot!r}, expected a file such as map.png")
     if options.verify:
-        return _verify(options.verify, networks, options.json)
-    rows = _judge(options, networks)
+        return max(code, _verify(options.verify, networks, options.json))
+    networks, rows, code = _judge(options, networks, code)
+    if not rows:
+        return code
     held = [_holds(row, options.condition) for row in rows]
     notes = []
     if options.certificate is not None:
@@ -121,7 +136,7 @@ def _run(options: argparse.Namespace) -> int:
         from certify.table import show
 
         _say(show, rows, options.condition, held, notes, options.dt)
-    return CERTIFIED if all(held) else NOT_ALL
+    return max(code, CERTIFIED if all(held) else NOT_ALL)
 
 
 def _say(write: Callable, *arguments: Any) -> None:
@@ -133,7 +148,8 @@ def _say(write: Callable, *arguments: Any) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dict[str, Any]]:
+def _judge(options: argparse.Namespace, networks: Sequence[Network], code: int) -> tuple[list, list, int]:
+    """The networks that could be judged, what was found of each, and the exit code so far."""
     from certify.judge import judge, solver
 
     solve = solver(options.solver) if options.lmi else None
@@ -154,7 +170,14 @@ def _judge(options: argparse.Namespace, networks: Sequence[Network]) -> list[dic
         from certify.table import progress
 
         networks = progress(networks, "certifying")
-    return [judge(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve) for each in networks]
+    judged, rows = [], []
+    for each in networks:
+        try:
+            rows.append(judge(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
+            judged.append(each)
+        except CertifyError as error:  # the others are judged all the same
+            code = _error(CertifyError(f"{each.path}: {error}"))
+    return judged, rows, code
 
 
 def _input(text: str | None, m: int, path: str) -> np.ndarray:
@@ -226,14 +249,13 @@ def _plot(options, networks: Sequence[Network]) -> list[str]:
 
 def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) -> int:
     known = {digest(network.weights): network for network in networks}
-    results, unread = [], 0
+    code, results = CERTIFIED, []
     for path in paths:
         try:
             content = certificate.read(path)
             network = known.get(str(content.get("weights"))) if networks else _named(path, content)
         except CertifyError as error:  # the others are checked all the same
-            print(f"error: {error}", file=sys.stderr)
-            unread += 1
+            code = _error(error)
             continue
         if network is None:
             found = certificate.Verification(False, "it is about other weights than those that were given")
@@ -243,25 +265,30 @@ def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) ->
     lines = [f"{each['certificate']}: {'valid' if each['valid'] else 'REFUSED'}: {each['reason']}" for each in results]
     if results:
         _say(print, json.dumps(results, indent=1) if as_json else "\n".join(lines))
-    if unread:
-        return BAD_INPUT
-    return CERTIFIED if all(result["valid"] for result in results) else NOT_ALL
+    return max(code, CERTIFIED if all(result["valid"] for result in results) else NOT_ALL)
 
 
 def _named(path: str, content: dict[str, Any]) -> Network | None:
     """The parameter set that a certificate names: below the working folder, or beside the certificate."""
     named, seen = str(content.get("path", "")), False
-    file = re.sub(r"(\[[\d,]*\])?$", "", named)
+    file = re.sub(r"(\[[\d,]*\])?$", "", named[:LONGEST_PATH])
     for place in (Path(file), Path(path).parent / file, Path(path).parent / Path(file).name):
         for candidate in (place, Path(str(place).rpartition(":")[0])):
-            if candidate.suffix in SUFFIXES and candidate.is_file():
+            if candidate.suffix in SUFFIXES and _is_file(candidate):
                 seen = True
                 networks = {digest(network.weights): network for network in load(candidate)}
                 if (network := networks.get(str(content.get("weights")))) is not None:
                     return network
     if seen:
         return None
-    raise CertifyError(f"{path}: its weights, {named[:200]!r}, are not there: give their path before --verify")
+    raise CertifyError(f"{path}: its weights, {quoted(named)}, are not there: give their path before --verify")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        return False
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from certify.box_planes import Box, slope_at, value_at
 from certify.box_proof import proves, proves_range
 from certify.box_search import BOXES, REPLAYED, Search, forms_of, search_range
 from certify.errors import CertifyError
+from certify.rounding import float_below
 from certify.weights import ShallowWeights, check
 
 LARGEST = 1e60  # a weight or an end of the box; products of a few are floats
@@ -37,7 +38,7 @@ class Witness(NamedTuple):
     x: float
     u: np.ndarray  # (m,)
     active: np.ndarray  # (n,) bool, z_i > 0
-    slope: float  # dx⁺/dx, rounded once
+    slope: float  # dx⁺/dx, rounded towards 0, so that its size is reached
 
 
 class BoxRate(NamedTuple):
@@ -242,7 +243,7 @@ def _witness(weights: ShallowWeights, point: np.ndarray | None) -> Witness | Non
     if slope is None:
         return None
     active = weights.w1 * point[0] + weights.W2 @ point[1:] + weights.b > 0
-    return Witness(float(point[0]), point[1:], active, float(slope))
+    return Witness(float(point[0]), point[1:], active, math.copysign(float_below(abs(slope)), slope))
 
 
 def _checked(weights: ShallowWeights, box: Box) -> ShallowWeights:

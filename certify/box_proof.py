@@ -28,7 +28,7 @@ from certify.weights import ShallowWeights
 
 HALVINGS = 1000  # on a path; each adds a bit to the box's integers
 DIGITS = 1500  # of a multiplier
-WORK = 5_000_000  # bounds of hyperplanes in a replay, about 2 s
+WORK = 4_000_000  # bounds of hyperplanes in a replay, about 2 s
 CHORD = 64  # bits of a chord's slope, rounded up
 MULTIPLIER = re.compile(rf"([0-9]{{1,9}}):(-?[0-9]{{1,{DIGITS}}})")
 

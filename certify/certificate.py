@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import re
+from collections import Counter
 from collections.abc import Mapping
 from decimal import Decimal
 from fractions import Fraction
@@ -25,13 +26,30 @@ import numpy as np
 
 from certify import box_planes, box_proof, exact
 from certify.box_planes import Box
-from certify.errors import CertifyError
+from certify.errors import CertifyError, quoted, shortened
+from certify.rounding import above, float_below
 from certify.weights import ShallowWeights, check, digest
 
-FORMAT = "usvlearn certificate 1"
+FORMAT = "usvlearn certificate 2"
 CLOSED_FORMS = tuple(exact.CORNER)
 CONDITIONS = (*CLOSED_FORMS, "interval", "box")  # from the narrowest to the widest
 DIGITS = 6  # of the rate that is proved, rounded up
+LONGEST = 100_000  # characters of p and Λ together, which take about 2 s
+LARGEST = 10_000_000  # bytes of a file
+FRACTION = re.compile(rf"-?[0-9]{{1,{box_proof.DIGITS}}}(/[0-9]{{1,{box_proof.DIGITS}}})?")
+KEYS = {
+    "format",
+    "claim",
+    "weights",
+    "neurons",
+    "inputs",
+    "condition",
+    "rate",
+    "margin",
+    "contraction_rate",
+    "verified",
+}
+KEYS |= {"proof", "path", "versions", "sha256"}
 
 
 class Verification(NamedTuple):
@@ -112,48 +130,63 @@ def make(
 
 
 def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verification:
-    """Check a certificate of the given weights: its checksum, that it is about them, every claim, and the proof.
+    """Check a certificate of the given weights: its keys, its checksum, that it is about them, every claim, the proof.
+
+    A certificate may come from anybody: whatever it holds, the answer comes in a time that its length bounds.
 
     >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
     >>> verify(made, ShallowWeights([0.75], [1.0], [[0.0]], [0.0])).reason
     'it is about other weights: their sha256 differs'
     """
     try:
-        return _verify(dict(certificate), check(weights))
+        reason = _refusal(dict(certificate), check(weights))
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
-        return Verification(False, f"it is no certificate that can be read: {type(error).__name__} {error}")
+        reason = f"it is no certificate that can be read: {type(error).__name__} {shortened(error)}"
+    return Verification(False, reason) if reason else Verification(True, certificate["claim"])
 
 
-def _verify(content: dict[str, Any], weights: ShallowWeights) -> Verification:
-    if content["format"] != FORMAT:
-        return Verification(False, f"it has the format {content['format']!r}, expected {FORMAT!r}")
+def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
+    """Why a certificate is refused; None where it is valid."""
+    if content.get("format") != FORMAT:
+        return f"it has the format {quoted(content.get('format'))}, expected {FORMAT!r}: make it anew"
+    condition, proof = content.get("condition"), content.get("proof")
+    if condition not in CONDITIONS:
+        return f"it names the condition {quoted(condition)}, expected one of {', '.join(CONDITIONS)}"
+    closed = condition in CLOSED_FORMS
+    expected = {"metric", "multipliers"} if closed else {"box", "tree", "invariance_tree"}
+    for word, keys in (
+        ("has unknown", (content.keys() - KEYS) | (proof.keys() - expected)),
+        ("lacks the", (KEYS - content.keys()) | (expected - proof.keys())),
+    ):
+        if keys:
+            return f"it {word} keys {quoted(sorted(map(str, keys)))}"
     if content["sha256"] != _checksum(content):
-        return Verification(False, "it was changed after it was made: its checksum differs")
+        return "it was changed after it was made: its checksum differs"
     if content["weights"] != digest(weights):
-        return Verification(False, "it is about other weights: their sha256 differs")
-    if content["condition"] not in CONDITIONS:
-        return Verification(False, "it names a condition that is not known")
-    condition, kappa, proof = content["condition"], _fraction(content["rate"]), content["proof"]
-    claims = _claims(weights, condition, kappa, proof)
+        return "it is about other weights: their sha256 differs"
+    kappa = _fraction(content["rate"])
     if not 0 < kappa <= 1:
-        return Verification(False, f"its rate is {kappa}, expected one above 0 and at most 1")
-    if wrong := [key for key, value in claims.items() if content.get(key) != value]:
-        return Verification(False, f"what it says of {', '.join(wrong)} does not follow from the weights")
-    if condition in CLOSED_FORMS:
-        if not isinstance(proof["multipliers"], list):
-            return Verification(False, "its Λ is no list")
-        multipliers = exact.Multipliers(_fraction(proof["metric"]), [_fraction(x) for x in proof["multipliers"]])
-        if not exact.proves(condition, weights.a, weights.w1, multipliers, kappa):
-            return Verification(False, "its p and Λ do not make M positive definite")
-    else:
-        box = _box(proof["box"])
-        if len(box.lo) != 1 + weights.W2.shape[-1] or (condition == "interval" and proof["tree"] != "."):
-            return Verification(False, "its box or its tree is of another kind than its condition")
-        if not box_proof.proves(weights, box, proof["tree"], kappa):
-            return Verification(False, "its tree does not bound the slope on the box")
-        if proof["invariance_tree"] is not None and not box_proof.proves_range(weights, box, proof["invariance_tree"]):
-            return Verification(False, "its tree does not keep x inside the box")
-    return Verification(True, content["claim"])
+        return f"its rate is {shortened(kappa)}, expected one above 0 and at most 1"
+    told = {**_claims(weights, condition, kappa, proof), "path": str(content["path"])}
+    told["versions"] = {str(key): str(value) for key, value in content["versions"].items()}
+    if wrong := [key for key, value in told.items() if type(content[key]) is not type(value) or content[key] != value]:
+        return f"what it says of {', '.join(wrong)} does not follow from the weights"
+    if closed:
+        texts = [proof["metric"], *proof["multipliers"]]
+        if not isinstance(proof["multipliers"], list) or sum(map(len, texts)) > LONGEST:
+            return f"its Λ is no list, or longer than {LONGEST} characters"
+        metric, *multipliers = map(_fraction, texts)
+        if not exact.proves(condition, weights.a, weights.w1, exact.Multipliers(metric, multipliers), kappa):
+            return "its p and Λ do not make M positive definite"
+        return None
+    box, tree, invariance_tree = _box(proof["box"]), proof["tree"], proof["invariance_tree"]
+    if len(box.lo) != 1 + weights.W2.shape[-1] or (condition == "interval" and tree != "."):
+        return "its box or its tree is of another kind than its condition"
+    if not box_proof.proves(weights, box, tree, kappa):
+        return "its tree does not bound the slope on the box, or is too long to replay"
+    if invariance_tree is not None and not box_proof.proves_range(weights, box, invariance_tree):
+        return "its tree does not keep x inside the box, or is too long to replay"
+    return None
 
 
 def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Mapping[str, Any]) -> dict[str, Any]:
@@ -166,20 +199,20 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
     else:
         invariant = proof["invariance_tree"] is not None
         lo, hi = _box(proof["box"])
-        told = ", ".join(f"[{least:.17g}, {most:.17g}]" for least, most in zip(lo, hi, strict=True))
+        told = ", ".join(f"[{Decimal(least)}, {Decimal(most)}]" for least, most in zip(lo, hi, strict=True))  # exact
         kept = "which f maps into itself" if invariant else "for as long as x stays in it"
         where = f"for (x, u) in {told}, {kept}"
         how = "interval bounds on every box of the tree, in rational arithmetic"
     n, m = weights.W2.shape
     return {
         "format": FORMAT,
-        "claim": f"|f(x₁, u) − f(x₂, u)| {'<' if bound == 1 else '≤'} {_decimal(bound)} |x₁ − x₂| {where}",
+        "claim": f"|f(x₁, u) − f(x₂, u)| {'<' if bound == 1 else '≤'} {above(bound, DIGITS + 1)} |x₁ − x₂| {where}",
         "weights": digest(weights),
         "neurons": n,
         "inputs": m,
         "condition": condition,
         "rate": str(kappa),
-        "margin": float(margin),
+        "margin": float_below(margin),
         "contraction_rate": str(bound),
         "verified": how,
     }
@@ -187,17 +220,9 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
 
 def _fraction(text: Any) -> Fraction:
     """p/q in plain digits: "1e999999999" is short to write and long to work out."""
-    if not (isinstance(text, str) and re.fullmatch(r"-?[0-9]{1,4000}(/[0-9]{1,4000})?", text)):
-        raise ValueError(f"found {str(text)[:40]!r}, expected a fraction p/q")
+    if not (isinstance(text, str) and FRACTION.fullmatch(text)):
+        raise ValueError(f"found {quoted(text)}, expected a fraction p/q")
     return Fraction(text)
-
-
-def _decimal(x: Fraction) -> str:
-    """Rounded up, so that what is read is true; with the digits that tell it from 1."""
-    digits = DIGITS + 1
-    while (above := -(-x * 10**digits // 1)) >= 10**digits and x < 1:
-        digits += 1
-    return f"{Decimal(above).scaleb(-digits).normalize():f}"
 
 
 def _pairs(box: Box) -> list[list[str]]:
@@ -249,19 +274,35 @@ def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
 
 
 def read(path: str | Path) -> dict[str, Any]:
-    """Read a certificate, unchecked.
+    """Read a certificate, unchecked but for keys that stand twice.
 
     Raises:
-        CertifyError: no such file, or not a JSON object.
+        CertifyError: no such file, too large, or not a JSON object.
     """
     try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
+        with open(path, "rb") as file:
+            data = file.read(LARGEST + 1)
+        if len(data) > LARGEST:
+            raise ValueError(f"it has more than {LARGEST} bytes")
+        content = json.loads(data.decode("utf-8"), object_pairs_hook=_once, parse_constant=_no_number)
     except OSError as error:
         raise CertifyError(f"{path}: cannot be read ({error.strerror}): give the path of a certificate") from error
     except (ValueError, RecursionError) as error:
         raise CertifyError(
-            f"{path}: is no certificate ({error}): expected the JSON that --certificate writes"
+            f"{path}: is no certificate ({shortened(error)}): expected the JSON that --certificate writes"
         ) from error
     if not isinstance(content, dict):
         raise CertifyError(f"{path}: found a JSON {type(content).__name__}, expected a certificate")
     return content
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
+        raise ValueError(f"the key {quoted(twice)} stands in it twice")
+    return content
+
+
+def _no_number(name: str) -> Any:
+    raise ValueError(f"found {name}, expected a number")

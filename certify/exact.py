@@ -28,12 +28,12 @@ class Multipliers(NamedTuple):
 
 
 def fractions(x) -> list[Fraction]:
-    """The exact values of floats, `(n,)`.
+    """The exact values of numbers, `(n,)`: floats of any size, and integers.
 
-    >>> fractions([0.5, 0.1])[0]
-    Fraction(1, 2)
+    >>> fractions([0.5, 0.1])[0], fractions([2**53 + 1])[0]
+    (Fraction(1, 2), Fraction(9007199254740993, 1))
     """
-    return [Fraction(float(value)) for value in np.asarray(x).ravel()]
+    return [Fraction(*value.as_integer_ratio()) for value in np.asarray(x).ravel().tolist()]
 
 
 def extreme_slopes(a, w1) -> tuple[Fraction, Fraction]:

@@ -14,6 +14,7 @@ from certify.box_planes import Box
 from certify.box_proof import proves
 from certify.equilibria import equilibria, surge_inputs, sweep
 from certify.errors import CertifyError
+from certify.rounding import float_above, float_below
 from certify.weights import Network, ShallowWeights
 
 HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
@@ -28,6 +29,8 @@ def judge(
     solve: Callable[[ShallowWeights], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
     """Every condition, decided exactly; equilibria; what the solver and the search on the box found.
+
+    Margins are rounded down and rates up, so that what is read is true; places and slopes are rounded to nearest.
 
     Args:
         network: one parameter set.
@@ -49,8 +52,8 @@ def judge(
         "path": network.path,
         "n": n,
         "m": m,
-        "margins": {name: float(condition.margin) for name, condition in conditions.items()},
-        "rate": float(K),
+        "margins": {name: float_below(condition.margin) for name, condition in conditions.items()},
+        "rate": float_above(K),
         "time_constant": _time_constant(K),  # in steps
         "certified": {name: condition.margin > 0 for name, condition in conditions.items()},
         "best_gauge": {name: rate < 1 for name, rate in exact.best_gauge(weights.a, weights.w1).items()},

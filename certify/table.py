@@ -16,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from certify.exact import CORNER
+from certify.rounding import above, below
 
 MARGINS = tuple(CORNER)
 MARKS = {
@@ -95,12 +96,12 @@ def _table(
     found = []
     for row, path in zip(rows, paths, strict=True):
         margins = [
-            Text(f"{row['margins'][name]:.3g}", "green" if row["certified"][name] else "red") for name in MARGINS
+            Text(below(row["margins"][name], 3), "green" if row["certified"][name] else "red") for name in MARGINS
         ]
         cells = [_lmi(row["lmi"])] if solved else []
         cells += [_box(row["box"])] if boxed else []
         constant = time_constant(row["time_constant"], dt)
-        cells = [path, str(row["n"]), *margins, f"{row['rate']:.6g}", constant, *cells, _places(row["equilibria"])]
+        cells = [path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _places(row["equilibria"])]
         found.append(cells)
     return title, headings, found, ["equilibria"]
 
@@ -116,8 +117,8 @@ def _short(paths: Sequence[str]) -> tuple[list[str], str]:
 
 
 def time_constant(steps: float | None, dt: float | None) -> str:
-    """τ = −1/ln K in steps, or in s."""
-    return "–" if steps is None else f"{steps * (dt or 1):.3g}"
+    """τ = −1/ln K in steps, or in s, rounded up."""
+    return "–" if steps is None else above(steps * (dt or 1), 3)
 
 
 def _places(equilibria: Sequence[dict[str, Any]]) -> str:
@@ -143,7 +144,7 @@ def _lmi(found: dict[str, Any]) -> Text:
 
 def _box(found: dict[str, Any]) -> Text:
     low, high = found["bracket"]
-    rate = f"{high:.4g}" if found["closed"] else f"{low:.4g}…{high:.4g}"
+    rate = above(high, 4) if found["closed"] else f"{below(low, 4)}…{above(high, 4)}"
     kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
     return Text().append(_mark(found["verdict"])).append(f" {rate}, {kept}")
 
@@ -177,7 +178,8 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
         if refuted := next((row for row in rows if row["box"]["verdict"] == "refuted"), None):
             point = refuted["box"]["witness"]
             u = ", ".join(f"{x:.4g}" for x in point["u"])
-            told.append(f"witness: {refuted['path']}: slope {point['slope']:.6g} at x = {point['x']:.4g}, u = ({u})")
+            slope = ("−" if point["slope"] < 0 else "") + below(abs(point["slope"]))
+            told.append(f"witness: {refuted['path']}: slope {slope} at x = {point['x']:.4g}, u = ({u})")
     return told
 
 

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify.errors import CertifyError
+from certify.errors import CertifyError, shortened
 
 SUFFIXES = (".safetensors", ".npz", ".pt", ".pth")
 LARGEST = 1e150  # of a weight in a file; sums of products of two are still floats
@@ -51,17 +51,28 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
     """The weights as float64 arrays, `(*batch, …)`.
 
     Raises:
-        CertifyError: shapes that do not fit, no neuron, a weight that is NaN, infinite or no number.
+        CertifyError: shapes that do not fit, no neuron, a weight that is NaN, infinite or no number, or that is
+            changed by the conversion: an integer beyond 2⁵³, a long double.
 
     >>> check(ShallowWeights([0.5], [1.0], [[0.0, 1.0]], [0.0])).W2.shape
     (1, 2)
     """
     try:
-        if kinds := {np.asarray(x).dtype.kind for x in weights} - set("fiub"):
+        given = [np.asarray(x) for x in weights]
+        if kinds := {x.dtype.kind for x in given} - set("fiub"):
             raise TypeError(f"kind {', '.join(sorted(kinds))}")
-        arrays = ShallowWeights(*(np.asarray(x, dtype=np.float64) for x in weights))
+        with np.errstate(over="ignore", invalid="ignore"):
+            arrays = ShallowWeights(*(x.astype(np.float64) for x in given))
+            lost = [key for key, x, y in zip(NAMES, given, arrays, strict=True) if not _same(x, y)]
     except (TypeError, ValueError) as error:
-        raise CertifyError(f"{name}: found weights that are no numbers ({error}), expected float arrays") from error
+        raise CertifyError(
+            f"{name}: found weights that are no numbers ({shortened(error)}), expected float arrays"
+        ) from error
+    if lost:
+        raise CertifyError(
+            f"{name}: found values in {', '.join(lost)} that float64 cannot hold exactly, expected ones that it can: "
+            "convert them to float64 before, since a proof is about the exact weights"
+        )
     shapes = {key: array.shape for key, array in zip(NAMES, arrays, strict=True)}
     shape = arrays.a.shape
     if not shape or arrays.w1.shape != shape or arrays.b.shape != shape or arrays.W2.shape[:-1] != shape:
@@ -73,6 +84,13 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
         if count := int((~np.isfinite(array)).sum()):
             raise CertifyError(f"{name}: found {count} NaN or infinite values in {key}, expected finite weights")
     return arrays
+
+
+def _same(given: np.ndarray, converted: np.ndarray) -> bool:
+    """Whether a conversion to float64 has changed no finite value: float16, float32 and small integers survive it."""
+    if given.dtype.kind == "f":
+        return bool(((given == converted) | ~np.isfinite(given)).all())
+    return all(int(x) == int(y) for x, y in zip(given.ravel().tolist(), converted.ravel().tolist(), strict=True))
 
 
 def digest(weights: ShallowWeights) -> str:
@@ -101,9 +119,8 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
     found = [(prefix.rstrip("."), ShallowWeights(*(tensors[prefix + name] for name in NAMES))) for prefix in prefixes]
     found = found or [("", weights) for weights in _two_layers(tensors, path)]
     if not found:
-        names = ", ".join(list(tensors)[:6]) or "nothing"
         raise CertifyError(
-            f"{path}: holds no shallow network (it holds: {names}{', …' if len(tensors) > 6 else ''}): expected "
+            f"{path}: holds no shallow network (it holds: {shortened(', '.join(tensors)) or 'nothing'}): expected "
             "tensors named a, w1, W2 and b, or two linear layers"
         )
     networks = []
@@ -159,7 +176,7 @@ def load(path: str | Path) -> list[Network]:
     except OSError as error:
         raise CertifyError(f"{path}: cannot be read ({error.strerror or error}): give the path of a file") from error
     except Exception as error:  # whatever a reader makes of a damaged file
-        cause = str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__
+        cause = shortened(error) or type(error).__name__
         raise CertifyError(f"{path}: cannot be read as {path.suffix} of float32 or float64 ({cause})") from error
     return from_tensors(tensors, str(path))
 
@@ -190,11 +207,12 @@ def _read_torch(path: Path) -> dict[str, np.ndarray]:
         raise CertifyError(f"{path}: found {type(tensors).__name__}, expected tensors by name: save model.state_dict()")
     if kinds := {str(x.dtype) for x in tensors.values() if x.is_complex()}:
         raise CertifyError(f"{path}: found {', '.join(kinds)}, expected real weights")
-    return {str(name): x.detach().double().numpy() for name, x in tensors.items()}
+    floats = {name: x.double() if x.is_floating_point() else x for name, x in tensors.items()}  # numpy has no bfloat16
+    return {str(name): x.detach().numpy() for name, x in floats.items()}
 
 
 def find(paths: Iterable[str | Path]) -> list[Path]:
-    """The files of parameter sets that files, folders (a run's: its checkpoints) and patterns name, each once.
+    """The files of parameter sets that files, folders (of a run: its checkpoints) and patterns name, each once.
 
     Raises:
         CertifyError: one of them names nothing.
@@ -216,7 +234,12 @@ def find(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def _below(folder: Path) -> list[Path]:
-    """The parameter sets below a folder; a run keeps predictions beside its checkpoints, which are none."""
+    """The parameter sets below a folder. A run's folder also holds predictions and reports: its checkpoints alone."""
     files = sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES and path.is_file())
-    runs = {path.parents[1] for path in folder.rglob("checkpoints/*")}
-    return [path for path in files if not any(path.is_relative_to(run / "predictions") for run in runs)]
+    runs = {path.parent for path in [folder / "checkpoints", *folder.rglob("checkpoints")] if path.is_dir()}
+
+    def kept(path: Path) -> bool:
+        run = next((parent for parent in path.parents if parent in runs), None)
+        return run is None or path.is_relative_to(run / "checkpoints")
+
+    return [path for path in files if kept(path)]

@@ -4,6 +4,7 @@ import ctypes
 import os
 import subprocess
 import sys
+import time
 from fractions import Fraction
 
 import numpy as np
@@ -15,6 +16,7 @@ from certify.box import Box, box, certify, invariance, operating_box, output_ran
 from certify.box_planes import planes, slope_at, value_at
 from certify.box_proof import proves, proves_range
 from certify.errors import CertifyError
+from certify.rounding import float_below
 from certify.weights import ShallowWeights
 
 
@@ -77,7 +79,7 @@ def agrees(weights: ShallowWeights) -> bool:
         if found.lower:
             y = np.r_[found.witness.x, found.witness.u]
             assert (over.lo <= y).all() and (y <= over.hi).all()
-            assert abs(float(slope_at(weights, y))) == found.lower == abs(found.witness.slope)
+            assert float_below(abs(slope_at(weights, y))) == found.lower == abs(found.witness.slope)
             assert (weights.a * weights.w1) @ found.witness.active == pytest.approx(found.witness.slope, abs=1e-14)
     if truth:  # the decision, on both sides of the rate
         above = certify(weights, over, rate=truth * (1 + 1e-6))
@@ -190,6 +192,51 @@ def test_no_tree_proves_what_is_false():
             assert not proves(weights, over, tree, 0.7999)
             accepted += proves(weights, over, tree, 0.81)
     assert accepted
+
+
+def test_hostile_trees_are_answered_soon():
+    """A megabyte of text: chains, full trees, long numbers, and neurons that stay open in every box."""
+    n, over = 200, operating_box(4)
+    rng = np.random.default_rng(0)
+    wide = ShallowWeights(*rng.normal(size=(2, n)) / 30, rng.normal(size=(n, 4)), rng.normal(size=n) / 10)
+    steep = np.linspace(0.499, 0.501, n)  # z_i = x − steep_i: no halving of an input decides it
+    still = ShallowWeights(np.full(n, 0.5 / n), np.ones(n), np.zeros((n, 4)), -steep)
+
+    def full(depth: int) -> str:
+        tree = "."
+        for k in range(depth):
+            tree = f"u{k % 4 + 1} {tree} {tree}"
+        return tree
+
+    trees = {
+        "one neuron again and again": "z0 . " * 200_000 + ".",
+        "one neuron, nested": "z0 " * 250_000 + ". " * 250_001,
+        "halvings, nested": "x " * 250_000 + ". " * 250_001,
+        "halvings, a chain": "x . " * 250_000 + ".",
+        "halvings, as deep as allowed": "u1 " * 1000 + ". " * 1001,
+        "a full tree": full(17),
+        "a long multiplier": "z0 e0:-" + "9" * 10**6 + " .",
+        "many multipliers": "z0 e" + ",".join(["0:-1"] * 200_000) + " .",
+        "a long name": "z" + "9" * 10**6 + " . .",
+        "no tree": ". " * 500_000,
+        "blanks": " " * 10**6,
+    }
+    for name, tree in trees.items():
+        for check in (lambda w, t: proves(w, over, t, 0.9), lambda w, t: proves_range(w, over, t)):
+            started = time.process_time()
+            check(still if "u1" in tree else wide, tree)
+            assert time.process_time() - started < 4, name  # 2 s and less on an idle machine
+    for tree in (
+        "z0 z0 . . .",
+        "z0 . z0 . .",
+        "z0 . u1 . z0 . .",
+        "z00 . .",
+        "z+1 . .",
+        "u01 . .",
+        "u1 " * 1001 + ". " * 1002,
+    ):
+        assert not proves(still, over, tree, 0.9)
+    assert proves(still, over, "z0 . z1 . .", 0.9) and proves(still, over, "u1 " * 1000 + ". " * 1001, 0.9)
 
 
 def test_neurons_on_one_hyperplane_count_once():

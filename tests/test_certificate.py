@@ -5,6 +5,8 @@ import json
 import re
 import subprocess
 import sys
+import time
+from decimal import Decimal
 from fractions import Fraction
 from pathlib import Path
 
@@ -114,9 +116,16 @@ TAMPERED = {
     ),
     "an unknown condition": lambda c: c.__setitem__("condition", "magic"),
     "the weights": lambda c: c.__setitem__("weights", "0" * 64),
-    "the format": lambda c: c.__setitem__("format", "usvlearn certificate 2"),
+    "the format": lambda c: c.__setitem__("format", "usvlearn certificate 1"),
     "no proof": lambda c: c.pop("proof"),
     "the neurons": lambda c: c.__setitem__("neurons", 4),
+    "the neurons as a float": lambda c: c.__setitem__("neurons", float(c["neurons"])),
+    "the inputs as a bool": lambda c: c.__setitem__("inputs", c["inputs"] == 2),
+    "an unknown key": lambda c: c.__setitem__("note", "proved by hand"),
+    "an unknown key of the proof": lambda c: c["proof"].__setitem__("note", ""),
+    "no path": lambda c: c.pop("path"),
+    "a path that is no text": lambda c: c.__setitem__("path", ["net.npz"]),
+    "versions of another kind": lambda c: c.__setitem__("versions", {"numpy": 2}),
 }
 
 
@@ -154,7 +163,7 @@ def test_other_weights_are_refused():
 
 
 def claim_of(proof: dict) -> str:
-    ends = ", ".join(f"[{float(Fraction(lo)):.17g}, {float(Fraction(hi)):.17g}]" for lo, hi in proof["box"])
+    ends = ", ".join(f"[{Decimal(float(Fraction(lo)))}, {Decimal(float(Fraction(hi)))}]" for lo, hi in proof["box"])
     kept = "for as long as x stays in it" if proof["invariance_tree"] is None else "which f maps into itself"
     return f"for (x, u) in {ends}, {kept}"
 
@@ -180,15 +189,74 @@ def test_a_tampered_tree_is_refused(change):
     assert not certificate.verify(resigned(made), weights).valid
 
 
+def test_what_is_claimed_is_never_below_what_is_proved():
+    """Every decimal of a claim lies on the side on which the claim is true, whatever the number of digits."""
+    one = ShallowWeights([1.0], [1.0], [[0.0]], [0.0])
+    for short in (Fraction(1, 3), Fraction(1, 10**28), Fraction(1, 10**29 + 7), Fraction(1, 2**300)):
+        slope = 1 - short
+        weights = one._replace(a=[0.25])
+        made = certificate.make(weights, "tight", slope)
+        claimed = Fraction(re.search(r"≤ ([0-9.]+) ", made["claim"])[1])
+        assert slope <= claimed < 1
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        weights = one._replace(a=rng.uniform(0, 0.9, 1), w1=rng.uniform(0, 1, 1))
+        made = certificate.make(weights)
+        margin = exact.conditions(weights.a, weights.w1)["tight"].margin
+        assert made["margin"] <= margin and np.nextafter(made["margin"], 1) > margin
+    box = box_of([(0.1, 0.7), (-1 / 3, 1e-9), (0, 1)], 2)
+    claim = certificate.make(network(K=0.5), "interval", 1, box)["claim"]
+    told = [Fraction(x) for x in re.findall(r"[-+0-9.Ee]+(?=[,\]])", claim)]
+    assert told == [Fraction(float(end)) for pair in zip(box.lo, box.hi, strict=True) for end in pair]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda c: c.__setitem__("format", "x" * 10**6),
+        lambda c: c.__setitem__("condition", ["x"] * 10**5),
+        lambda c: c.__setitem__("x" * 10**6, 1),
+        lambda c: c.__setitem__("rate", "9" * 1400),
+        lambda c: c.__setitem__("rate", "x" * 10**6),
+        lambda c: c["proof"].__setitem__("metric", "1" * 10**6),
+        lambda c: c["proof"].__setitem__("multipliers", [f"{3**2000}/{7**1000 + k}" for k in range(5)]),
+        lambda c: c["proof"].__setitem__("multipliers", ["1"] * 300_000),
+        lambda c: c["proof"].__setitem__("multipliers", [["1"] * 1000] * 100),
+    ],
+)
+def test_a_refusal_is_short_and_soon(change):
+    weights = network()
+    made = certificate.make(weights)
+    change(made)
+    started = time.perf_counter()
+    found = certificate.verify(resigned(made), weights)
+    assert not found.valid and len(found.reason) < 250 and time.perf_counter() - started < 2
+
+
 def test_files_are_whole_and_bad_ones_are_named(tmp_path):
     made = certificate.make(network())
     path = certificate.write(tmp_path / "proofs/net.json", made)
     assert certificate.read(path) == made and list(path.parent.iterdir()) == [path]
     (tmp_path / "list.json").write_text("[]")
     (tmp_path / "text.json").write_text("hello")
-    for name in ("list.json", "text.json", "none.json"):
-        with pytest.raises(CertifyError, match=name.replace(".", r"\.")):
+    text = path.read_text()
+    (tmp_path / "twice.json").write_text(text.replace("{", '{"neurons": 7,', 1))
+    (tmp_path / "nan.json").write_text(re.sub(r'"margin": [^,]*', '"margin": NaN', text))
+    (tmp_path / "deep.json").write_text("[" * 200_000)
+    (tmp_path / "objects.json").write_text('{"a":' * 100_000)
+    (tmp_path / "digits.json").write_text(re.sub(r'"neurons": ', '"neurons": ' + "9" * 500_000, text))
+    (tmp_path / "long.json").write_text(" " * (certificate.LARGEST + 1))
+    (tmp_path / "keys.json").write_text("{" + ",".join(f'"{k}":1' for k in [*range(100_000), 5]) + "}")
+    (tmp_path / "bytes.json").write_bytes(b"\xff\xfe")
+    names = ("list", "text", "none", "twice", "nan", "deep", "objects", "digits", "long", "keys", "bytes")
+    for name in (f"{name}.json" for name in names):
+        started = time.perf_counter()
+        with pytest.raises(CertifyError, match=name.replace(".", r"\.")) as error:
             certificate.read(tmp_path / name)
+        assert len(str(error.value)) < 250 + len(str(tmp_path)) and time.perf_counter() - started < 2
+    huge = re.sub(r'"margin": [^,]*', '"margin": 1e999999', text)
+    (tmp_path / "huge.json").write_text(huge)
+    assert not certificate.verify(resigned(certificate.read(tmp_path / "huge.json")), network()).valid
 
 
 def test_verification_needs_no_solver_and_no_torch(tmp_path):

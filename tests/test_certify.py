@@ -88,7 +88,7 @@ def test_rates_of_any_size_have_a_time_constant(files, capsys):
     np.savez(files / "edge.npz", **{**rest, "a": [1 - 2.0**-53, 2.0**-60]})
     code, rows = told(capsys, files / "tiny.npz", files / "edge.npz")
     assert code == 0 and rows[0]["time_constant"] >= 0
-    assert rows[1]["rate"] == 1 - 2.0**-53 and rows[1]["time_constant"] == pytest.approx(2**53, rel=0.01)
+    assert rows[1]["rate"] == 1 and rows[1]["time_constant"] == pytest.approx(2**53, rel=0.01)
 
 
 def test_a_runs_folder_and_a_pattern(files, capsys):
@@ -253,6 +253,39 @@ def test_what_can_be_verified_is_though_another_cannot(files, capsys, monkeypatc
     assert main(["--verify", "nowhere.json", "proofs/good.tight.json"]) == 2
     captured = capsys.readouterr()
     assert "nowhere.json" in captured.err and "proofs/good.tight.json: valid" in captured.out
+
+
+def test_one_bad_file_does_not_hide_the_other_verdicts(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    (files / "text.npz").write_text("hello")
+    huge = {**np.load("good.npz"), "b": [1e100]}  # too large for the search on a box
+    np.savez("huge.npz", **huge)
+    assert main([".", "--json", "--box"]) == 2
+    captured = capsys.readouterr()
+    assert "text.npz: cannot be read" in captured.err and "huge.npz: weights: found a value of size" in captured.err
+    assert len(json.loads(captured.out)) == 6 and captured.err.count("error: ") == 2
+    assert main(["good.npz", "text.npz"]) == 2 and "1 of 1 certified" in capsys.readouterr().out
+    assert main(["huge.npz", "--box"]) == 2 and capsys.readouterr().out == ""
+
+
+def test_a_run_with_a_report_is_judged_by_its_checkpoints(files, capsys):
+    (files / "run/report").mkdir()
+    np.savez(files / "run/report/crossval.npz", errors=np.zeros(3))
+    assert told(capsys, files / "run")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "path", ["x" * 100_000 + ".npz", "a/" * 3000 + "a.npz", "nul\0.npz", ["good.npz"], "\ud800.npz"]
+)
+def test_a_path_that_no_file_can_have_stops_nobody(files, capsys, monkeypatch, path):
+    monkeypatch.chdir(files)
+    assert main(["good.npz", "--certificate", "proofs"]) == 0
+    good = Path("proofs/good.tight.json")
+    Path("bad.json").write_text(json.dumps({**json.loads(good.read_text()), "path": path}))
+    capsys.readouterr()
+    assert main(["--verify", "bad.json", str(good)]) == 2
+    captured = capsys.readouterr()
+    assert f"{good}: valid" in captured.out and "bad.json: its weights" in captured.err and len(captured.err) < 250
 
 
 def test_any_locale_will_do(files):

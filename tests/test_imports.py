@@ -42,7 +42,7 @@ OURS = {
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
     "torch": {"certify.conditions", "certify.projections", "certify.compare", "certify.families", "certify.weights"},
-    "scipy": {"certify.box_search", "certify.box_milp"},
+    "scipy": {"certify.box_cells", "certify.box_milp"},
     "cvxpy": {"certify.lmi"},
     "matplotlib": {"certify.figures"},
     "rich": {"certify.table"},

@@ -110,6 +110,41 @@ def test_weights_that_cannot_be_judged(change, message):
         from_tensors(weights()._replace(w1=[1e300, 0, 0])._asdict())
 
 
+THIRD = np.ones(3, np.longdouble) / 3
+
+
+@pytest.mark.parametrize(
+    ("a", "fits"),
+    [
+        (np.array([2**53 + 1, 0, 0]), False),
+        (np.array([2**53, -3, 0]), True),
+        (np.array([2**64 - 1, 0, 0], np.uint64), False),
+        (np.array([2**63, 0, 0], np.uint64), True),
+        (np.array([True, False, True]), True),
+        (np.array([0.1, 0.2, 0.3], np.float16), True),
+        (torch.tensor([0.1, 0.2, 0.3]), True),
+        (THIRD, bool((THIRD == THIRD.astype(float)).all())),  # where a long double is a double, it fits
+        (THIRD.astype(float).astype(np.longdouble), True),
+    ],
+)
+def test_weights_are_taken_as_they_are_or_refused(a, fits):
+    given = weights()._replace(a=a)
+    if fits:
+        assert (check(given).a == np.asarray(a)).all()
+    else:
+        with pytest.raises(CertifyError, match=r"^net: found values in a that float64 cannot hold exactly"):
+            check(given, "net")
+
+
+def test_tensors_of_torch_are_taken_as_they_are_or_refused(tmp_path):
+    arrays = {name: torch.tensor(x) for name, x in weights()._asdict().items()}
+    torch.save({name: x.bfloat16() for name, x in arrays.items()}, tmp_path / "half.pt")
+    assert same(load(tmp_path / "half.pt")[0].weights, [x.bfloat16().double().numpy() for x in arrays.values()])
+    torch.save({**arrays, "a": torch.tensor([2**53 + 1, 0, 0])}, tmp_path / "long.pt")
+    with pytest.raises(CertifyError, match="cannot hold exactly"):
+        load(tmp_path / "long.pt")
+
+
 def test_files_that_are_none(tmp_path):
     (tmp_path / "empty.safetensors").write_bytes(b"")
     (tmp_path / "text.npz").write_text("a,b\n1,2\n")
@@ -131,11 +166,16 @@ def test_find_takes_files_folders_and_patterns_once(tmp_path):
     (tmp_path / "run/predictions").mkdir()
     np.savez(tmp_path / "run/predictions/1.npz", predictions=np.zeros(3))
     (tmp_path / "nothing").mkdir()
+    (tmp_path / "run/report").mkdir()
+    np.savez(tmp_path / "run/report/crossval.npz", errors=np.zeros(3))
     np.savez(tmp_path / "run/more.npz", **weights()._asdict())
-    sets = find([tmp_path / "run"])  # nothing is left out but predictions
-    assert [path.parent.name for path in sets] == ["anna", "bert", "run"]
+    np.savez(tmp_path / "loose.npz", **weights()._asdict())
+    sets = find([tmp_path / "run"])  # of a run its checkpoints alone
+    assert [path.parent.name for path in sets] == ["anna", "bert"]
+    assert find([tmp_path / "run/checkpoints"]) == sets
+    assert find([tmp_path]) == [tmp_path / "loose.npz", *sets]  # beside a run whatever is there
     assert find([str(tmp_path / "run/checkpoints/*/*"), sets[0].absolute(), *sets]) == sets
-    for wrong in (tmp_path / "nowhere", tmp_path / "*.npz", tmp_path / "nothing", tmp_path / "noth*"):
+    for wrong in (tmp_path / "nowhere", tmp_path / "*.pt", tmp_path / "nothing", tmp_path / "noth*"):
         with pytest.raises(CertifyError):
             find([wrong])
 

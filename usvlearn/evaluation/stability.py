@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from certify import exact
+from certify.rounding import above, below
 from certify.weights import ShallowWeights
 from usvlearn.estimators.ensemble import Ensemble, EnsembleState
 from usvlearn.estimators.rnn import RNN, lane_weights
@@ -42,10 +43,10 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
 def _verdict(weights: ShallowWeights, numbers: dict[str, float]) -> str:
     if not math.isfinite(numbers["contraction_rate"]):
         return "its weights are not finite"
-    K, constant = numbers["contraction_rate"], numbers["time_constant"]
-    held = [name for name, condition in exact.conditions(weights.a, weights.w1).items() if condition.margin > 0]
+    conditions, constant = exact.conditions(weights.a, weights.w1), numbers["time_constant"]
+    K, held = conditions["tight"].rate, [name for name, condition in conditions.items() if condition.margin > 0]
     if not held:
-        return f"not certified contracting, K = {K:.4g} (≥ 1) a step; python -m certify --box may know more"
+        return f"not certified contracting, K = {below(K, 4)} (≥ 1) a step; python -m certify --box may know more"
     rest = f"; at rest {numbers['equilibrium']:.3f} m/s" if math.isfinite(numbers["equilibrium"]) else ""
     slow = f" ({constant:.3g} s)" if constant > 0 else ""
-    return f"certified contracting by {', '.join(held)}, K = {K:.4g} a step{slow}{rest}"
+    return f"certified contracting by {', '.join(held)}, K = {above(K, 4)} a step{slow}{rest}"

@@ -10,6 +10,7 @@ import numpy as np
 from certify import exact
 from certify.equilibria import surge_inputs, sweep
 from certify.figures import equilibria_figure
+from certify.rounding import above, below, float_above, float_below
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.estimators.rnn import RNN, lane_weights
 from usvlearn.evaluation.season import Season
@@ -43,10 +44,11 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
     for boat, some in networks.items():
         found = [exact.conditions(weights.a, weights.w1) for weights in some]
         for condition in found[0]:
-            margins.setdefault(condition, {})[boat] = np.array([float(each[condition].margin) for each in found])
+            margins.setdefault(condition, {})[boat] = np.array([float_below(each[condition].margin) for each in found])
     held = {condition: sum(int((m > 0).sum()) for m in boats.values()) for condition, boats in margins.items()}
     rates = {
-        boat: np.array([float(max(exact.extreme_slopes(w.a, w.w1))) for w in some]) for boat, some in networks.items()
+        boat: np.array([float_above(max(exact.extreme_slopes(w.a, w.w1))) for w in some])
+        for boat, some in networks.items()
     }
     headings = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
     inputs = surge_inputs(headings)
@@ -56,7 +58,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         single, rest = single and all(len(some) == 1 for some in found), [each for some in found for each in some]
         places = [2 * surge_max * each.x for each in rest]
         kinds = ", ".join(f"{kind} {n}" for kind, n in Counter(each.kind for each in rest).items())
-        rows.append((season.boat, float(rates[season.boat][-1]), len(rest) / HEADINGS, min(places, default=None),
+        rows.append((season.boat, above(rates[season.boat][-1], 4), len(rest) / HEADINGS, min(places, default=None),
                      max(places, default=None), kinds or "none"))  # fmt: skip
     steps = sum(len(boats) for boats in rates.values())
     told = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
@@ -90,7 +92,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         "classes",
     )
     conditions = [
-        (boat, condition, int((m > 0).sum()), len(m), float(m.min()), float(m.max()))
+        (boat, condition, int((m > 0).sum()), len(m), below(m.min(), 4), below(m.max(), 4))
         for condition, boats in margins.items()
         for boat, m in boats.items()
     ]

@@ -1,0 +1,63 @@
+"""Numbers that bound something, rounded towards the side on which they stay true."""
+
+from __future__ import annotations
+
+import math
+from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
+from fractions import Fraction
+
+PLAIN = range(-5, 16)  # decimal exponents that are written without E
+
+
+def float_above(x: Fraction) -> float:
+    """The least float that is not below a number.
+
+    >>> float_above(Fraction(1, 10)) - 0.1, float_above(Fraction(1, 3)) > Fraction(1, 3)
+    (0.0, True)
+    """
+    try:
+        near = float(x)
+    except OverflowError:
+        near = math.inf if x > 0 else -math.inf
+    return near if near >= x else math.nextafter(near, math.inf)
+
+
+def float_below(x: Fraction) -> float:
+    """The greatest float that is not above a number.
+
+    >>> float_below(Fraction(1, 10)) < Fraction(1, 10) < float_above(Fraction(1, 10))
+    True
+    """
+    return -float_above(-x)
+
+
+def above(x: Fraction | float, digits: int = 6) -> str:
+    """A decimal that is not below a number; with more digits where a number below 1 would read 1.
+
+    >>> above(Fraction(1, 3)), above(0.5), above(1 - Fraction(1, 10**9))
+    ('0.333334', '0.5', '0.999999999')
+    """
+    return _decimal(Fraction(x), digits, ROUND_CEILING)
+
+
+def below(x: Fraction | float, digits: int = 6) -> str:
+    """A decimal that is not above a number; with more digits where a number above −1 would read −1.
+
+    >>> below(Fraction(2, 3)), below(-0.25), below(1 + Fraction(1, 10**9))
+    ('0.666666', '-0.25', '1')
+    """
+    return _decimal(Fraction(x), digits, ROUND_FLOOR)
+
+
+def _decimal(x: Fraction, digits: int, rounding: str) -> str:
+    """In a context of its own: Decimal's operators round to 28 digits, half-even."""
+    while True:
+        context = Context(prec=digits, rounding=rounding)
+        value = context.divide(Decimal(x.numerator), Decimal(x.denominator))  # rounds once, from the exact integers
+        if abs(x) >= 1 or value.copy_abs() != 1:
+            break
+        digits += 1
+    value = value.normalize(context)
+    if not value:
+        return "0"
+    return f"{value:f}" if value.adjusted() in PLAIN else f"{value:E}"
