@@ -18,7 +18,7 @@ and the smaller of |a_i|, |w_{1i}|,
 the global minimum although the set is not convex, since the Lagrangian is convex for these θ. Every rate is
 1-homogeneous in a: a ← a min(1, κ/rate), applied last, takes away what rounding leaves, and, alone, inside a forward
 pass, parametrises exactly the networks that hold the condition. If every one of a sequence of networks holds one at κ,
-|x_k − x'_k| ≤ κᵏ |x₀ − x'₀| for equal inputs, however the weights change in between.
+|x_k − x'_k| ≤ κᵏ |x₀ − x'₀| for equal inputs and the same sequence, however the weights change in between.
 
 All functions are batched and differentiable almost everywhere.
 """

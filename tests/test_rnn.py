@@ -314,6 +314,32 @@ def test_two_networks_that_learn_alike_forget_how_they_started():
         state, before = coasted, after
 
 
+@pytest.mark.parametrize("rate", [1e-3, 1e-2, 0.1])
+def test_two_starts_that_learn_differently_stay_within_the_bound(rate):
+    """|Δ_k| ≤ κᵏ |Δ_0| + L_θ sup ‖Δθ‖/(1 − κ); κᵏ |Δ_0| alone holds for equal weights only."""
+    kappa, steps = 0.9, 100
+    rnn, samples = RNN(feedback="estimate", rate=rate, contraction_rate=kappa), random_samples(steps, 1)
+    inputs = type(samples.inputs)(*(x.expand(-1, 2) for x in samples.inputs))
+    state = rnn.init((2,))._replace(surge=torch.tensor([-0.5, 1.5], dtype=torch.float64))
+    first = apart = rnn.scale * 2.0
+    largest = farthest = 0.0  # L_θ, sup ‖Δθ‖
+    beyond = 0
+    for k in range(steps):
+        now = type(inputs)(*(x[k] for x in inputs))
+        with torch.no_grad():
+            u, weights = network_inputs(now)[1], state.weights
+            x = (rnn.scale * state.surge)[1]
+            z = network(weights, x, u)[1].abs().amax(0)  # at x' under either weights, and so under those between
+            a = weights.a.abs().amax(0)
+            largest = max(largest, float((z @ z + (1 + x * x + u @ u) * (a @ a)).sqrt()))
+            farthest = max(farthest, float(sum((w[0] - w[1]).square().sum() for w in weights).sqrt()))
+            state = rnn.update(state, now, samples.surge[k].expand(2))
+        apart = rnn.scale * float((state.surge[1] - state.surge[0]).abs())
+        assert apart <= kappa ** (k + 1) * first + largest * farthest / (1 - kappa) + 1e-12
+        beyond += apart > kappa ** (k + 1) * first + 1e-12
+    assert beyond > steps / 4 and farthest > 0
+
+
 def test_monitor_tells_margins_rate_time_constant_and_rest():
     rnn, samples = RNN(surge_max=2.0), random_samples(50, 3)
     state, _, _ = rollout(rnn, rnn.init((3,)), samples)

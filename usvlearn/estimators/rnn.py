@@ -8,8 +8,13 @@ With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ
 
 The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing. Projection does:
 after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
-`certify.conditions` at the rate κ, so that two trajectories under equal inputs approach each other by κ at every step,
-while the network learns.
+`certify.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then approach
+each other by the factor κ at every step. With `feedback: estimate` the weights follow the state, and two starts learn
+different weights. For differences Δ_k of x and Δθ_k of the weights (`certify/README.md`)
+
+    |Δ_k| ≤ κᵏ |Δ_0| + L_θ sup_{j<k} ‖Δθ_j‖/(1 − κ),   L_θ² = Σ relu(z_i)² + (1 + x² + |u|²) Σ a_i²,
+
+with L_θ² at its largest, for all states, inputs and weights that occur and the weights between.
 
 The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂ = f(f(x₋, u₋), u), and the gradient runs
 through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
