@@ -6,7 +6,7 @@ import math
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from fractions import Fraction
 
-PLAIN = range(-5, 16)  # decimal exponents that are written without E
+PLAIN = range(-6, 16)  # decimal exponents that are written without E
 
 
 def float_above(x: Fraction) -> float:
