@@ -122,7 +122,7 @@ def make(
     content = {
         **_claims(weights, condition, Fraction(kappa), parts),
         "proof": parts,
-        "path": path,
+        "path": path.encode("utf-8", "backslashreplace").decode(),  # a file's name may be no text
         "versions": _versions(),
     }
     content["sha256"] = _checksum(content)

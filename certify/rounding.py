@@ -6,7 +6,7 @@ import math
 from decimal import ROUND_CEILING, ROUND_FLOOR, Context, Decimal
 from fractions import Fraction
 
-PLAIN = range(-6, 16)  # decimal exponents that are written without E
+PLAIN = range(-6, 16)  # decimal exponents that are written without e
 
 
 def float_above(x: Fraction) -> float:
@@ -41,7 +41,7 @@ def above(x: Fraction | float, digits: int = 6) -> str:
 
 
 def below(x: Fraction | float, digits: int = 6) -> str:
-    """A decimal that is not above a number; with more digits where a number above −1 would read −1.
+    """A decimal that is not above a number.
 
     >>> below(Fraction(2, 3)), below(-0.25), below(1 + Fraction(1, 10**9))
     ('0.666666', '-0.25', '1')
@@ -54,10 +54,10 @@ def _decimal(x: Fraction, digits: int, rounding: str) -> str:
     while True:
         context = Context(prec=digits, rounding=rounding)
         value = context.divide(Decimal(x.numerator), Decimal(x.denominator))  # rounds once, from the exact integers
-        if abs(x) >= 1 or value.copy_abs() != 1:
+        if x >= 1 or value != 1:
             break
         digits += 1
     value = value.normalize(context)
     if not value:
         return "0"
-    return f"{value:f}" if value.adjusted() in PLAIN else f"{value:E}"
+    return f"{value:f}" if value.adjusted() in PLAIN else f"{value:e}"

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -286,6 +287,23 @@ def test_a_path_that_no_file_can_have_stops_nobody(files, capsys, monkeypatch, p
     assert main(["--verify", "bad.json", str(good)]) == 2
     captured = capsys.readouterr()
     assert f"{good}: valid" in captured.out and "bad.json: its weights" in captured.err and len(captured.err) < 250
+
+
+def test_what_is_printed_is_never_below_the_rate_or_above_a_margin(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    np.savez("edge.npz", **{**np.load("identity.npz"), "a": [1 - 4e-8]})
+    assert main(["edge.npz", "--box", "--certificate", "proofs"]) == 0
+    assert capsys.readouterr().out.count("0.99999997") == 2  # the rate, and that on the box
+    assert "≤ 0.99999997 " in Path("proofs/edge.tight.json").read_text(encoding="utf-8")
+    assert told(capsys, "edge.npz")[1][0]["margins"]["tight"] <= 1 - Fraction(1 - 4e-8)
+
+
+def test_a_file_whose_name_is_no_text_is_certified(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    np.savez(os.fsdecode(b"bad\xff.npz"), **np.load("good.npz"))
+    assert told(capsys, os.fsdecode(b"bad\xff.npz"), "--certificate", "proofs")[0] == 0
+    (made,) = Path("proofs").iterdir()
+    assert main(["good.npz", "--verify", str(made)]) == 0 and ": valid" in capsys.readouterr().out
 
 
 def test_any_locale_will_do(files):

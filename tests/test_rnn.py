@@ -12,10 +12,11 @@ from certify import exact
 from certify.box_planes import Box, interval_rate
 from certify.weights import ShallowWeights
 from tests.conftest import random_samples
-from usvlearn import AID, RNN, Inputs, Sample, rollout
+from usvlearn import AID, RNN, Ensemble, Inputs, Sample, rollout
 from usvlearn.checkpoint import save
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.rnn import RNNState, clipped, gradient, lane_weights, network, network_inputs
+from usvlearn.evaluation.stability import stability
 from usvlearn.signals import tree_map
 
 
@@ -353,6 +354,18 @@ def test_monitor_tells_margins_rate_time_constant_and_rest():
     assert (told["equilibria"] == 1).all()  # a contraction has one
     broken = state._replace(weights=tree_map(lambda w: w * torch.nan, state.weights))
     assert rnn.monitor(broken)["equilibrium"].isnan().all()
+
+
+def test_a_rate_just_below_one_is_not_told_as_one():
+    ensemble = Ensemble({"rnn": RNN(contraction_rate=0.999999)})
+    (line,) = stability(ensemble, ensemble.init((1,)), ["heron"])
+    assert "certified contracting by tight, K = 0.999999 a step" in line
+    ensemble = Ensemble({"rnn": RNN(stability="none", contraction_rate=0.5)})
+    state = ensemble.init((1,))
+    learned = state.members["rnn"]
+    grown = learned._replace(weights=learned.weights._replace(a=learned.weights.a * 2.00002))
+    (line,) = stability(ensemble, state._replace(members={"rnn": grown}), ["heron"])
+    assert "not certified contracting, K = 1 (≥ 1)" in line
 
 
 @pytest.mark.parametrize(

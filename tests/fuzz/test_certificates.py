@@ -144,7 +144,7 @@ def completed(forged: dict, weights: ShallowWeights) -> dict:
 
 def is_true(forged: dict, weights: ShallowWeights) -> bool:
     """What an accepted certificate says, by enumeration."""
-    bound = Fraction(re.search(r"[<≤] ([-+0-9.E]+) \|x₁", forged["claim"])[1])
+    bound = Fraction(re.search(r"[<≤] ([-+0-9.e]+) \|x₁", forged["claim"])[1])
     if forged["condition"] in ("interval", "box"):
         lo, hi = np.array([[float(Fraction(x)) for x in pair] for pair in forged["proof"]["box"]]).T
         free = lo < hi
