@@ -140,8 +140,9 @@ class Search:
                 now, rest = ([x[part] for x in queue] for part in (order[:take], order[take:]))
             _, lo, hi, signs, ids = now
             k, j = np.arange(len(lo)), halve(lo, hi, signs)
-            middle = (lo[k, j] + hi[k, j]) / 2
-            halved = (hi[k, j] - lo[k, j] > least[j]) & (lo[k, j] < middle) & (middle < hi[k, j])
+            below, above = lo[k, j], hi[k, j]
+            middle = (below + above) / 2
+            halved = (above - below > least[j]) & (below < middle) & (middle < above)
             if not halved.all():
                 aside.append([x[~halved] for x in now])
                 now = [x[halved] for x in now]

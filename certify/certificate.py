@@ -37,19 +37,8 @@ DIGITS = 6  # of the rate that is proved, rounded up
 LONGEST = 100_000  # characters of p and Λ together, which take about 2 s
 LARGEST = 10_000_000  # bytes of a file
 FRACTION = re.compile(rf"-?[0-9]{{1,{box_proof.DIGITS}}}(/[0-9]{{1,{box_proof.DIGITS}}})?")
-KEYS = {
-    "format",
-    "claim",
-    "weights",
-    "neurons",
-    "inputs",
-    "condition",
-    "rate",
-    "margin",
-    "contraction_rate",
-    "verified",
-}
-KEYS |= {"proof", "path", "versions", "sha256"}
+KEYS = set("format claim weights neurons inputs condition rate margin contraction_rate verified".split())
+KEYS |= set("proof path versions sha256".split())
 
 
 class Verification(NamedTuple):
