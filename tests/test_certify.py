@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from certify.__main__ import main
+from certify.rounding import above, below
 from certify.table import show
 from certify.weights import ShallowWeights
 from usvlearn import AID, RNN, Ensemble
@@ -121,7 +122,7 @@ def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
             assert head.startswith("Below ") and max(map(len, blocks.splitlines())) <= (columns or 10_000)
             assert columns or len(re.findall("─+", blocks)) == 1
             for row in rows:
-                assert {f"{x:.3g}" for x in row["margins"].values()} | {f"{row['rate']:.6g}"} <= set(words)
+                assert {below(x, 3) for x in row["margins"].values()} | {above(row["rate"])} <= set(words)
                 assert {f"{each['x']:.3g}" for each in row["equilibria"]} <= {word.strip(",;") for word in words}
             assert {"simple", "gershgorin", "K", "τ,", "equilibria", "LMI", "box"} <= set(words)
             assert ("00000_0000010.safetensors" if len(rows) == 1 else "0000010") in "".join(words)
