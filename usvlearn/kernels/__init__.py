@@ -4,11 +4,13 @@ One program serves every estimator: a table of numbers says what it is made of (
 so that nothing is compiled anew for another ensemble. A state is one row of numbers per lane, of which its leaves are
 views. The files, in the order in which they build on each other:
 
-    arrays samples                   sums and copies; samples as the kernels read them
+    arrays samples ranges            sums and copies; samples as the kernels read them; which numbers are legal
     regressors rls aid rnn stable    one file per family of estimators; `stable` projects the network's weights
     combiners monitors               what an ensemble does with its members' predictions
     step          one estimator, one ensemble, one step; runs over (time, lanes)
+    leaves        which leaves the state of a described estimator has
     plan          from an estimator's `kernel()` to the table, the parameters and the places of the leaves
+    describe      whether what a file says of an estimator and its state is legal
     run           what the rest of the library calls
 """
 

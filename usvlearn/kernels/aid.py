@@ -4,18 +4,31 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, dot
-from usvlearn.kernels.regressors import regressor
+from usvlearn.kernels.ranges import FINITE, MODEST, NOT_NEGATIVE, POSITIVE, Family, Field, Range, Vector
+from usvlearn.kernels.regressors import FEEDBACK, regressor
 from usvlearn.kernels.samples import DT, HOLD, LEARN, MODE, START, SURGE
 
-AID_NUMBERS = ("scale", "surge_max", "gain", "leak", "dead_zone", "floor", "sigma", "bound")
+AID_NUMBERS = {
+    "scale": MODEST, "surge_max": POSITIVE, "gain": POSITIVE, "leak": POSITIVE, "dead_zone": NOT_NEGATIVE,
+    "floor": NOT_NEGATIVE, "sigma": NOT_NEGATIVE, "bound": POSITIVE,
+}  # fmt: skip
 SCALE, SURGE_MAX, GAIN, LEAK, DEAD_ZONE, FLOOR, SIGMA, BOUND = range(8)
-AID_VECTORS = ("spread", "inverse_spread", "theta0", "lower", "upper")  # of p numbers, in this order behind the others
+AID_VECTORS = {
+    "spread": NOT_NEGATIVE, "inverse_spread": NOT_NEGATIVE, "theta0": FINITE, "lower": Range(-np.inf, 0.0),
+    "upper": Range(0.0, np.inf),
+}  # fmt: skip
 VECTORS = 8
 
 
 def aid_fields(p):
     """The leaves of `AIDState`."""
-    return {"theta": (p,), "surge": ()}
+    return {"theta": Field((p,)), "surge": Field(())}
+
+
+AID_FAMILY = Family(
+    aid_fields, AID_NUMBERS, {name: Vector(lambda p: p, legal) for name, legal in AID_VECTORS.items()},
+    {"feedback": FEEDBACK}, size=None,
+)  # fmt: skip
 
 
 @kernel

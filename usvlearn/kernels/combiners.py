@@ -7,33 +7,48 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, dot, fill
+from usvlearn.kernels.ranges import (
+    AT_MOST_TEN,
+    FACTOR,
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_OR_INFINITE,
+    TRIANGLE,
+    UNIT,
+    WEIGHT,
+    Family,
+    Field,
+    Vector,
+)
 from usvlearn.kernels.rls import forget, rotated
 
-RULES = ("average", "fixed", "recursive", "exponential", "boa")
 AVERAGE, FIXED, RECURSIVE, EXPONENTIAL, BOA = range(5)
 # Places in a rule's row of the table; its members' columns follow.
 RULE, COUNT, STATE, NUMBERS, SQUARE, COLUMNS = range(6)
-RULE_NUMBERS = {
-    "average": ("tiny",),
-    "fixed": ("tiny",),
-    "recursive": ("tiny", "forgetting", "trace_max", "surge_max"),
-    "exponential": ("tiny", "memory", "rate"),
-    "boa": ("tiny", "memory", "scale", "share"),
-}
 TINY, FORGETTING, TRACE_MAX, SURGE_MAX = range(4)
 MEMORY, RATE, SCALE, SHARE = 1, 2, 2, 3
 VECTOR = 4  # weights of `fixed`, priors of the last two; behind those of `boa`, c of (3)
-
-
-def rule_fields(kind, m):
-    """The leaves of a rule's state."""
-    return {
-        "average": {},
-        "fixed": {},
-        "recursive": {"weights": (m,), "factor": (m, m)},
-        "exponential": {"weights": (m,), "losses": (m,)},
-        "boa": {"weights": (m,), "losses": (m,), "squares": (m,), "ranges": (m,)},
-    }[kind]
+_LOSS = {"loss": ("absolute", "square")}
+_WHOLE = {"tiny": POSITIVE}
+RULES = {  # in the order of the constants above; the size is the count of members
+    "average": Family(lambda m: {}, _WHOLE),
+    "fixed": Family(lambda m: {}, _WHOLE, {"weights": Vector(lambda m: m, FINITE)}),
+    "recursive": Family(
+        lambda m: {"weights": Field((m,)), "factor": Field((m, m), TRIANGLE)},
+        {**_WHOLE, "forgetting": FACTOR, "trace_max": POSITIVE, "surge_max": POSITIVE},
+    ),
+    "exponential": Family(
+        lambda m: {"weights": Field((m,), WEIGHT), "losses": Field((m,), NOT_NEGATIVE)},
+        {**_WHOLE, "memory": POSITIVE_OR_INFINITE, "rate": POSITIVE}, {"prior": Vector(lambda m: m, FACTOR)}, _LOSS,
+    ),
+    "boa": Family(
+        lambda m: {"weights": Field((m,), WEIGHT), "losses": Field((m,)), "squares": Field((m,), NOT_NEGATIVE),
+                   "ranges": Field((m,), POSITIVE)},
+        {**_WHOLE, "memory": POSITIVE_OR_INFINITE, "scale": POSITIVE, "share": UNIT},
+        {"prior": Vector(lambda m: m, FACTOR), "costs": Vector(lambda m: m, POSITIVE)}, _LOSS,
+    ),
+}  # fmt: skip
 
 
 @kernel
@@ -148,7 +163,7 @@ def learn_boa(s, q, x, m, square, surge, kept, work):
         weights[k] += q[SHARE] * (prior[k] - weights[k])
 
 
-CONFORMAL_NUMBERS = ("coverage", "rate", "boost", "least")
+CONFORMAL_NUMBERS = {"coverage": UNIT, "rate": AT_MOST_TEN, "boost": AT_MOST_TEN, "least": POSITIVE}
 COVERAGE, STEP, BOOST, LEAST = range(4)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from usvlearn.compiled import announced, kernel
 from usvlearn.kernels.combiners import combine, learn_rule, waken
-from usvlearn.kernels.plan import Description, plan_for
+from usvlearn.kernels.leaves import Description
+from usvlearn.kernels.plan import plan_for
 from usvlearn.kernels.run import in_parallel, prepared
 from usvlearn.kernels.samples import DT, LEARN, MODE, PREDICT, START, SURGE
 from usvlearn.kernels.step import (

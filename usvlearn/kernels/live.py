@@ -13,7 +13,8 @@ from numba import config
 
 from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.plan import Description, plan_for
+from usvlearn.kernels.leaves import Description, batch_of, leaves_of
+from usvlearn.kernels.plan import plan_for
 from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
 LIVE, COMPILING = step.step_once, threading.RLock()
@@ -41,11 +42,7 @@ class Live:
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
         self._description, self._lock = description, threading.RLock()  # the kernels share what they work in
         first = next(x for x in leaves.values() if x.dtype != bool)
-        one = plan_for(description, (), first.dtype)
-        axes = ((np.shape(leaves[name]), len(leaf.shape)) for name, leaf in one.leaves.items() if name in leaves)
-        shape, own = next(axes, ((), 0))
-        batch = shape[: len(shape) - own]
-        self.plan = plan_for(description, batch, first.dtype) if batch else one
+        self.plan = plan_for(description, batch_of(leaves_of(description), leaves), first.dtype)
         self.states = self.plan.pack(leaves)
         self._spare = self.states.copy()  # in which a prediction is made
         self._work = np.empty(self.plan.work, first.dtype)

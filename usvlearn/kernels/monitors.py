@@ -4,13 +4,17 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, fill
+from usvlearn.kernels.ranges import FINITE, MOST, NOT_NEGATIVE, POSITIVE, UNIT, Field, Range
 from usvlearn.kernels.samples import DT, LEFT, RIGHT, YAW_RATE
 
-MONITOR_NUMBERS = (
-    "huber", "huber_mean", "huber_rate", "least_scale", "innovation_memory",
-    "yaw_memory", "yaw_ridge", "yaw_floor", "yaw_rate", "knee", "yaw_spread", "loss", "horizon", "misfit", "clip",
-    "effect", "calm", "threshold", "backwards", "doubt", "cleared",
-)  # fmt: skip
+MONITOR_NUMBERS = {
+    "huber": POSITIVE, "huber_mean": POSITIVE, "huber_rate": UNIT, "least_scale": POSITIVE,
+    "innovation_memory": Range(1.0, MOST),
+    "yaw_memory": POSITIVE, "yaw_ridge": POSITIVE, "yaw_floor": POSITIVE, "yaw_rate": UNIT, "knee": POSITIVE,
+    "yaw_spread": NOT_NEGATIVE, "loss": NOT_NEGATIVE, "horizon": NOT_NEGATIVE, "misfit": NOT_NEGATIVE,
+    "clip": POSITIVE, "effect": POSITIVE, "calm": POSITIVE, "threshold": POSITIVE, "backwards": FINITE,
+    "doubt": POSITIVE, "cleared": UNIT,
+}  # fmt: skip
 HUBER, HUBER_MEAN, HUBER_RATE, LEAST_SCALE, INNOVATION_MEMORY = range(5)
 YAW_MEMORY, YAW_RIDGE, YAW_FLOOR, YAW_SHARE, KNEE, YAW_SPREAD, LOSS, HORIZON = range(5, 13)
 MISFIT, CLIP, EFFECT, CALM, THRESHOLD, BACKWARDS, DOUBT, CLEARED = range(13, 21)
@@ -20,12 +24,14 @@ Z = FEATURES + 1
 
 def monitor_fields(k):
     """The leaves of `MonitorState` for k columns."""
-    innovations = {"innovations.moments": (k, 4), "innovations.scale": (k,), "innovations.last": (k,)}
+    innovations = {"moments": Field((k, 4)), "scale": Field((k,), POSITIVE), "last": Field((k,))}
     thrusters = {
-        "moments": (Z, Z), "variance": (), "before": (2,), "evidence": (2,), "sums": (2, 2), "raised": (2,),
-        "alarms": (), "since": (),
+        "moments": Field((Z, Z)), "variance": Field((), POSITIVE), "before": Field((2,)),
+        "evidence": Field((2,), NOT_NEGATIVE), "sums": Field((2, 2)), "raised": Field((2,), UNIT),
+        "alarms": Field((), NOT_NEGATIVE), "since": Field((), NOT_NEGATIVE),
     }  # fmt: skip
-    return {**innovations, **{f"thrusters.{name}": shape for name, shape in thrusters.items()}}
+    parts = {"innovations": innovations, "thrusters": thrusters}
+    return {f"{part}.{name}": each for part, fields in parts.items() for name, each in fields.items()}
 
 
 @kernel

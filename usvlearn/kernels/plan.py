@@ -7,24 +7,18 @@ An estimator describes itself (`Estimator.kernel`) in plain values, which also f
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.errors import ShapeError
-from usvlearn.kernels import aid, combiners, monitors, regressors, rls, rnn, samples, stable, step
+from usvlearn.kernels import combiners, monitors, regressors, samples, stable, step
+from usvlearn.kernels.leaves import Description, ensemble_fields, unwrapped
+from usvlearn.kernels.ranges import Field
 
-Description = Mapping[str, Any]
 Setting = tuple[int, int] | None  # of a bank, and how many it has
-ORDER = {  # of the numbers of an estimator
-    "rls": rls.RLS_NUMBERS, "sift": rls.RLS_NUMBERS, "aid": aid.AID_NUMBERS, "rnn": rnn.RNN_NUMBERS,
-    "persistence": (), "acceleration": step.ACCELERATION_PARAMETERS,
-}  # fmt: skip
-VECTORS = {"aid": aid.AID_VECTORS, "rnn": ("bounds", "rate_ratio")}
-TERMS = {"dynamics": regressors.DYNAMICS, "memory": regressors.MEMORY, "ambient": regressors.AMBIENT}
-FLAGS = ("known", "unbroken")  # leaves that are bool
 
 
 class Leaf(NamedTuple):
@@ -33,17 +27,7 @@ class Leaf(NamedTuple):
     place: int
     shape: tuple[int, ...]
     strides: tuple[int, ...]  # in numbers
-
-
-def fields(kind: str, size: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of the leaves of an estimator's state, in the order in which the kernels have them."""
-    if kind in ("rls", "sift"):
-        return rls.rls_fields(size)
-    if kind == "aid":
-        return aid.aid_fields(size)
-    if kind == "rnn":
-        return rnn.rnn_fields(size)
-    return dict.fromkeys(step.PERSISTENCE_FIELDS if kind == "persistence" else step.ACCELERATION_FIELDS, ())
+    flag: bool  # whether it is bool
 
 
 def plan_for(description: Description, batch: Sequence[int], dtype: np.dtype) -> Plan:
@@ -116,10 +100,11 @@ class Plan:
         """States, `(lanes, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
         if other := sorted(self.leaves.keys() ^ leaves.keys()):
             raise ShapeError(f"leaves: {', '.join(other[:4])} are not in both the state and what its estimator says")
+        for name, (shape, _, _) in self._layout.items():
+            if leaves[name].shape != shape:
+                raise ShapeError(f"{name}: found the shape {leaves[name].shape}, expected {shape}")
         states = np.empty((self.lanes, self.size), self.dtype)
         for name, view in self._views(states).items():
-            if leaves[name].shape != view.shape:
-                raise ShapeError(f"{name}: found the shape {leaves[name].shape}, expected {view.shape}")
             view[...] = leaves[name]
         return states
 
@@ -129,7 +114,7 @@ class Plan:
 
     def typed(self, name: str, array: np.ndarray) -> np.ndarray:
         """What the kernels have of a leaf, as bool where the leaf is."""
-        return array.astype(bool) if name.rpartition(".")[2] in FLAGS else array
+        return array.astype(bool) if self.leaves[name].flag else array
 
     def places(self, name: str) -> np.ndarray:
         """Where the numbers of a leaf stand in a lane's row, in its shape."""
@@ -145,16 +130,16 @@ class Plan:
             for name, (shape, offset, strides) in self._layout.items()
         }
 
-    def _place(self, fields: Mapping[str, tuple[int, ...]], prefix: str) -> int:
+    def _place(self, fields: Mapping[str, Field], prefix: str) -> int:
         """Add leaves; returns where the first lies."""
         first = self.size
-        for name, shape in fields.items():
+        for name, (shape, _, flag) in fields.items():
             strides = tuple(int(np.prod(shape[k + 1 :], dtype=int)) for k in range(len(shape)))
-            self.leaves[prefix + name] = Leaf(self.size, shape, strides)
+            self.leaves[prefix + name] = Leaf(self.size, shape, strides, flag)
             self.size += int(np.prod(shape, dtype=int))
         return first
 
-    def _numbers(self, values: Mapping[str, Any], order: Sequence[str], name: str, setting: Setting = None) -> int:
+    def _numbers(self, values: Mapping[str, Any], order: Iterable[str], name: str, setting: Setting = None) -> int:
         """Add numbers; returns where the first stands."""
         first = len(self._columns)
         for key in order:
@@ -177,51 +162,44 @@ class Plan:
         if description["kind"] != "bank":
             self._estimator(description, prefix, None)
             return
-        count, begin = description["count"], self.size
+        count, begin, others, self.leaves = description["count"], self.size, self.leaves, {}
         for k in range(count):
             self._estimator(description["inner"], prefix, (k, count))
         block = (self.size - begin) // count
-        for name, leaf in self.leaves.items():
-            if name.startswith(prefix):
-                own = Leaf(leaf.place - (count - 1) * block, (count, *leaf.shape), (block, *leaf.strides))
-                self.leaves[name] = own
+        for name, (place, shape, strides, flag) in self.leaves.items():  # of the last setting
+            others[name] = Leaf(place - (count - 1) * block, (count, *shape), (block, *strides), flag)
+        self.leaves = others
 
     def _estimator(self, description: Description, prefix: str, setting: Setting) -> None:
         row = [-1] * 16
-        wrappers: dict[str, tuple[Description, str]] = {}
-        order = []
-        while description["kind"] in ("robust", "memory"):
-            order.append(description["kind"])
-            wrappers[description["kind"]] = description, prefix
-            description, prefix = description["inner"], f"{prefix}inner."
+        description, prefix, wrappers = unwrapped(description, prefix)
         kind, size, iterations = description["kind"], description["size"], description.get("iterations", 0)
-        name = prefix.rstrip(".") or kind
-        row[step.KIND], row[step.SIZE] = step.KINDS.index(kind), size
-        row[step.TERMS] = sum(TERMS[term] for term in description.get("terms", ()))
+        name, family = prefix.rstrip(".") or kind, step.FAMILIES[kind]
+        row[step.KIND], row[step.SIZE] = list(step.FAMILIES).index(kind), size
+        row[step.TERMS] = sum(regressors.TERMS[term] for term in description.get("terms", ()))
         terms = row[step.TERMS]
         if kind == "rnn" or (size and (terms == regressors.QUASI_STATIC or terms & regressors.AMBIENT)):
             self._heads = 1  # it asks for the heading
         row[step.ESTIMATE] = int(description.get("feedback") == "estimate")
-        row[step.STATE] = self._place(fields(kind, size), prefix)
-        row[step.NUMBERS] = self._numbers(description["numbers"], ORDER[kind], name, setting)
-        for key in VECTORS.get(kind, ()):
-            vector = description["vectors"][key]
-            self._vector(vector, np.shape(vector)[-1], f"{name}: {key}", setting)
+        row[step.STATE] = self._place(family.fields(size), prefix)
+        row[step.NUMBERS] = self._numbers(description["numbers"], family.numbers, name, setting)
+        for key, vector in family.vectors.items():
+            self._vector(description["vectors"][key], vector.length(size), f"{name}: {key}", setting)
         if kind == "rnn":
             row[step.CONDITION] = stable.CONDITIONS.index(description["condition"])
             row[step.BEST], row[step.UNROLL] = int(description["best"]), int(description["unroll"] == 2)
         row[step.ITERATIONS] = iterations
         if iterations:
             row[step.SIGNS] = self._vector(description["signs"], size, f"{name}: signs", setting)
-        if "memory" in wrappers:
-            wrapper, own = wrappers["memory"]
-            row[step.MEMORY_STATE] = self._place(dict.fromkeys(step.MEMORY_FIELDS, ()), own)
-            row[step.MEMORY_NUMBERS] = self._numbers(wrapper["numbers"], step.MEMORY_PARAMETERS, own, setting)
+        for kind, state, numbers in (
+            ("memory", step.MEMORY_STATE, step.MEMORY_NUMBERS), ("robust", step.ROBUST_STATE, step.ROBUST_NUMBERS),
+        ):  # fmt: skip
+            if kind in wrappers:
+                (wrapper, own), family = wrappers[kind], step.WRAPPERS[kind]
+                row[state] = self._place(family.fields(0), own)
+                row[numbers] = self._numbers(wrapper["numbers"], family.numbers, own, setting)
         if "robust" in wrappers:
-            wrapper, own = wrappers["robust"]
-            row[step.ROBUST_STATE] = self._place(dict.fromkeys(step.ROBUST_FIELDS, ()), own)
-            row[step.ROBUST_NUMBERS] = self._numbers(wrapper["numbers"], step.ROBUST_PARAMETERS, own, setting)
-            row[step.OUTER] = int(order[0] == "robust")
+            row[step.OUTER] = int(next(iter(wrappers)) == "robust")
         self._rows.append(row)
         needed = 4 + 16 * size if kind == "rnn" else 12 * size + 2 * size * size
         self._largest = max(self._largest, regressors.INPUTS + needed)
@@ -233,25 +211,27 @@ class Plan:
         estimators, rules = len(self._rows), description["rules"]
         names = estimators + len(rules)
         for name, rule in rules.items():
-            kind, columns = rule["kind"], rule["columns"]
-            row = [combiners.RULES.index(kind), len(columns), self._place(combiners.rule_fields(kind, len(columns)),
-                   f"combiners.{name}."), len(self._columns), int(rule.get("loss") == "square"), *columns]  # fmt: skip
-            order = combiners.RULE_NUMBERS[kind]
-            self._numbers(rule["numbers"], order, name)
-            self._vector(0.0, combiners.VECTOR - len(order), name)
-            if "vector" in rule:
-                self._vector(rule["vector"], len(rule["vector"]), name)
-            self._rows.append(row)
+            columns, family = rule["columns"], combiners.RULES[rule["kind"]]
+            row = [list(combiners.RULES).index(rule["kind"]), len(columns)]
+            row += [self._place(family.fields(len(columns)), f"combiners.{name}."), len(self._columns)]
+            self._rows.append([*row, int(rule.get("loss") == "square"), *columns])
+            self._numbers(rule["numbers"], family.numbers, name)
+            self._vector(0.0, combiners.VECTOR - len(family.numbers), name)
+            if family.vectors:
+                self._vector(rule["vector"], sum(each.length(len(columns)) for each in family.vectors.values()), name)
+        watched = description["monitors"] is not None
+        self._place(ensemble_fields(names, watched), "")
         whole = {step.ESTIMATORS: estimators, step.RULES: len(rules), step.NAMES: names, step.MONITORS: -1}
         whole[step.OUTPUT] = estimators + list(rules).index(description["output"])
-        whole[step.CONFORMAL] = self._place({"conformal.halfwidth": (names,), "conformal.count": (names,)}, "")
-        whole[step.PREDICTIONS] = self._place({"predictions": (names,)}, "")
-        whole[step.HALFWIDTHS] = self._place({"halfwidths": (names,)}, "")
-        whole[step.LIMIT] = self._numbers(description["numbers"], ("surge_max",), "ensemble")
+        whole[step.CONFORMAL] = self.leaves["conformal.halfwidth"].place
+        whole[step.PREDICTIONS] = self.leaves["predictions"].place
+        whole[step.HALFWIDTHS] = self.leaves["halfwidths"].place
+        whole[step.LIMIT] = self._numbers(description["numbers"], step.ENSEMBLE_PARAMETERS, "ensemble")
         numbers = description["conformal"]
         whole[step.CONFORMAL_NUMBERS] = self._numbers(numbers, combiners.CONFORMAL_NUMBERS, "conformal")
-        if (numbers := description["monitors"]) is not None:
-            whole[step.MONITORS] = self._place(monitors.monitor_fields(names), "monitors.")
+        if watched:
+            whole[step.MONITORS] = self.leaves["monitors.innovations.moments"].place
+            numbers = description["monitors"]
             whole[step.MONITOR_NUMBERS] = self._numbers(numbers, monitors.MONITOR_NUMBERS, "monitors")
         widest = max(len(rule["columns"]) for rule in rules.values())
         self._largest = max(self._largest, 2 * estimators + 4 * widest, names + 4 * monitors.Z + monitors.Z**2)

@@ -3,12 +3,22 @@
 from usvlearn.compiled import kernel
 from usvlearn.kernels.samples import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 
-SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(
-    6, 9
-)  # places of what `WithMemory` adds to the inputs of a prepared sample
+SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(6, 9)  # places of what `WithMemory` adds to the inputs of a sample
 INPUTS = 9
 
 QUASI_STATIC, DYNAMICS, MEMORY, AMBIENT = 0, 1, 2, 4  # the terms of a model; the last three are added up
+TERMS = {"dynamics": DYNAMICS, "memory": MEMORY, "ambient": AMBIENT}
+LEGAL_TERMS = ([], ["dynamics"], ["dynamics", "memory"], ["dynamics", "ambient"], ["dynamics", "memory", "ambient"])
+FEEDBACK = ("measured", "estimate")
+
+
+def parameters(terms):
+    """How many parameters a model with these terms has.
+
+    >>> parameters(["dynamics", "memory", "ambient"])
+    15
+    """
+    return 9 + 3 * ("memory" in terms) + 3 * ("ambient" in terms)
 
 
 @kernel

@@ -8,17 +8,38 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, copy, dot, fill
+from usvlearn.kernels.ranges import (
+    FACTOR,
+    MODEST,
+    NOT_NEGATIVE,
+    POSITIVE,
+    TRIANGLE,
+    UNIT,
+    Family,
+    Field,
+    Range,
+)
+from usvlearn.kernels.regressors import FEEDBACK
 
-RLS_NUMBERS = (
-    "scale", "surge_max", "prior", "loosest", "noise_share", "noise_least", "forgetting", "trace_max", "memory",
-    "longest", "floor",
-)  # fmt: skip
+RLS_NUMBERS = {
+    "scale": MODEST, "surge_max": POSITIVE, "prior": POSITIVE, "loosest": NOT_NEGATIVE, "noise_share": UNIT,
+    "noise_least": POSITIVE, "forgetting": FACTOR, "trace_max": NOT_NEGATIVE, "memory": POSITIVE,
+    "longest": Range(0.0, 80.0),  # the exponent of 1/λ
+    "floor": NOT_NEGATIVE,
+}  # fmt: skip
 SCALE, SURGE_MAX, PRIOR, LOOSEST, NOISE_SHARE, NOISE_LEAST, FORGETTING, TRACE_MAX, TAU, LONGEST, FLOOR = range(11)
 
 
 def rls_fields(p):
     """The leaves of `RLSState`."""
-    return {"theta": (p,), "factor": (p, p), "surge": (), "noise": (), "deviation": ()}
+    return {
+        "theta": Field((p,)), "factor": Field((p, p), TRIANGLE), "surge": Field(()), "noise": Field((), POSITIVE),
+        "deviation": Field((), NOT_NEGATIVE),
+    }  # fmt: skip
+
+
+LEAST_SQUARES = Family(rls_fields, RLS_NUMBERS, choices={"feedback": FEEDBACK}, size=None, projects=True)
+ITERATIONS = Range(0, 1000)  # of the projection onto signs
 
 
 @kernel

@@ -7,13 +7,29 @@ import numpy as np
 
 from usvlearn.compiled import kernel
 from usvlearn.kernels.arrays import clamp, copy
+from usvlearn.kernels.ranges import (
+    BELOW_ONE,
+    FACTOR,
+    FINITE,
+    MODEST,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_OR_INFINITE,
+    UNIT,
+    Family,
+    Field,
+    Range,
+    Vector,
+)
+from usvlearn.kernels.regressors import FEEDBACK
 from usvlearn.kernels.samples import COS, DT, LEFT, RIGHT, SIN
-from usvlearn.kernels.stable import NONE, project
+from usvlearn.kernels.stable import CONDITIONS, NONE, project
 
-RNN_NUMBERS = (
-    "scale", "surge_max", "rate", "decay", "momentum", "clip", "contraction_rate", "penalty", "share2",
-    "log_beta2", "epsilon", "tiny",
-)  # fmt: skip
+RNN_NUMBERS = {
+    "scale": MODEST, "surge_max": POSITIVE, "rate": POSITIVE, "decay": POSITIVE_OR_INFINITE, "momentum": BELOW_ONE,
+    "clip": POSITIVE_OR_INFINITE, "contraction_rate": FACTOR, "penalty": NOT_NEGATIVE, "share2": UNIT,
+    "log_beta2": Range(-100.0, -1e-6), "epsilon": POSITIVE, "tiny": UNIT,
+}  # fmt: skip
 SCALE, SURGE_MAX, RATE, DECAY, MOMENTUM, CLIP, KAPPA, PENALTY, SHARE2, LOG_BETA2, EPSILON, TINY = range(12)
 BOUNDS = 12  # least and greatest x, u of the box, ten numbers
 RATIOS = 22  # relative rates, 7n numbers
@@ -21,9 +37,21 @@ RATIOS = 22  # relative rates, 7n numbers
 
 def rnn_fields(n):
     """The leaves of `RNNState`."""
-    weights = {"weights.a": (n,), "weights.w1": (n,), "weights.W2": (n, 4), "weights.b": (n,)}
-    speeds = {"updates": (), "surge": (), "surge_before": (), "inputs_before": (4,), "dt": (), "unbroken": ()}
-    return {**weights, "moment1": (7 * n,), "moment2": (7 * n,), **speeds}
+    weights = {"weights.a": (n,), "weights.w1": (n,), "weights.W2": (n, 4), "weights.b": (n,), "moment1": (7 * n,)}
+    speeds = {"surge": (), "surge_before": (), "inputs_before": (4,), "dt": ()}
+    return {
+        **{name: Field(shape) for name, shape in weights.items()},
+        "moment2": Field((7 * n,), NOT_NEGATIVE), "updates": Field((), NOT_NEGATIVE),
+        **{name: Field(shape) for name, shape in speeds.items()},
+        "unbroken": Field((), UNIT, flag=True),
+    }  # fmt: skip
+
+
+RNN_FAMILY = Family(
+    rnn_fields, RNN_NUMBERS,
+    {"bounds": Vector(lambda _: 10, FINITE), "rate_ratio": Vector(lambda n: 7 * n, NOT_NEGATIVE)},
+    {"feedback": FEEDBACK, "unroll": (1, 2), "condition": CONDITIONS, "best": (False, True)}, Range(1, 100_000),
+)  # fmt: skip
 
 
 # Places behind the weights and the moments, from 21 n on.

@@ -10,7 +10,8 @@ import numpy as np
 
 from usvlearn.compiled import announced
 from usvlearn.kernels import step
-from usvlearn.kernels.plan import Description, Plan, plan_for
+from usvlearn.kernels.leaves import Description
+from usvlearn.kernels.plan import Plan, plan_for
 from usvlearn.kernels.samples import ROW, prepare_all
 from usvlearn.signals import Sample, named_leaves, tree_map
 

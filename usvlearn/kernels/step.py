@@ -7,20 +7,26 @@ estimator, then one for each rule. `q` holds the numbers that were tuned or are 
 import numpy as np
 
 from usvlearn.compiled import kernel
-from usvlearn.kernels.aid import adaptation, learn_aid, run_aid
+from usvlearn.kernels.aid import AID_FAMILY, adaptation, learn_aid, run_aid
 from usvlearn.kernels.arrays import clamp, copy, dot, finite
 from usvlearn.kernels.combiners import NUMBERS as RULE_NUMBERS
 from usvlearn.kernels.combiners import STATE as RULE_STATE
 from usvlearn.kernels.combiners import combine, conformal, learn_rule, waken
 from usvlearn.kernels.monitors import observe_innovations, observe_thrusters
+from usvlearn.kernels.ranges import MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Field, Range
 from usvlearn.kernels.regressors import INPUTS, LEFT_BEFORE, MEMORY, RIGHT_BEFORE, SURGE_DOT, regressor
-from usvlearn.kernels.rls import coast_least_squares, learn_least_squares, loosen_least_squares, project_signs
+from usvlearn.kernels.rls import (
+    LEAST_SQUARES,
+    coast_least_squares,
+    learn_least_squares,
+    loosen_least_squares,
+    project_signs,
+)
+from usvlearn.kernels.rnn import RNN_FAMILY, UNBROKEN, coast_rnn, learn_rnn, predict_rnn
 from usvlearn.kernels.rnn import SURGE as RNN_SURGE
-from usvlearn.kernels.rnn import UNBROKEN, coast_rnn, learn_rnn, predict_rnn
 from usvlearn.kernels.samples import DT, HOLD, LEARN, LEFT, MODE, PREDICT, RIGHT, ROW, START, SURGE, prepare
 from usvlearn.signals import ABSURD
 
-KINDS = ("rls", "sift", "aid", "rnn", "persistence", "acceleration")
 RLS, SIFT, AID, RNN, PERSISTENCE, ACCELERATION = range(6)
 
 # Places in the first row of the table, and in the row of an estimator.
@@ -33,16 +39,34 @@ RLS, SIFT, AID, RNN, PERSISTENCE, ACCELERATION = range(6)
     SIGNS, ITERATIONS, CONDITION, BEST, UNROLL,
 ) = range(16)  # fmt: skip
 
-MEMORY_FIELDS = ("surge_dot", "surge", "since", "estimate", "command_left", "command_right", "known")
+MEMORY_FIELDS = {
+    "surge_dot": Field(()), "surge": Field(()), "since": Field((), NOT_NEGATIVE), "estimate": Field(()),
+    "command_left": Field(()), "command_right": Field(()), "known": Field((), UNIT, flag=True),
+}  # fmt: skip
 ACCELERATION_OF, MEASURED, SINCE, DEPARTS, LAST_LEFT, LAST_RIGHT, KNOWN = range(7)
-MEMORY_PARAMETERS = ("surge_dot_max",)
-ROBUST_FIELDS = ("variance", "run", "clipped", "rejected", "escaped")
+ROBUST_FIELDS = {"variance": Field((), POSITIVE)} | dict.fromkeys(
+    ("run", "clipped", "rejected", "escaped"), Field((), NOT_NEGATIVE)
+)
 VARIANCE, BEYOND, CLIPPED, REJECTED, ESCAPED = range(5)
-ROBUST_PARAMETERS = ("threshold", "patience", "inflation", "share", "variance_min", "moment")
+ROBUST_PARAMETERS = {
+    "threshold": POSITIVE, "patience": POSITIVE, "inflation": Range(1 - 1e-6, MOST), "share": UNIT,
+    "variance_min": POSITIVE, "moment": POSITIVE,
+}  # fmt: skip
 THRESHOLD, PATIENCE, INFLATION, SHARE, VARIANCE_MIN, MOMENT = range(6)
-PERSISTENCE_FIELDS = ("surge",)
-ACCELERATION_FIELDS = ("surge", "surge_dot", "measured", "since")
-ACCELERATION_PARAMETERS = ("surge_dot_max", "surge_max")
+ACCELERATION_FIELDS = dict.fromkeys(("surge", "surge_dot", "measured"), Field(())) | {"since": Field((), NOT_NEGATIVE)}
+FAMILIES = {  # in the order of the constants above
+    "rls": LEAST_SQUARES,
+    "sift": LEAST_SQUARES,
+    "aid": AID_FAMILY,
+    "rnn": RNN_FAMILY,
+    "persistence": Family(lambda _: {"surge": Field(())}),
+    "acceleration": Family(lambda _: ACCELERATION_FIELDS, {"surge_dot_max": POSITIVE, "surge_max": POSITIVE}),
+}
+ENSEMBLE_PARAMETERS = {"surge_max": POSITIVE}
+WRAPPERS = {
+    "memory": Family(lambda _: MEMORY_FIELDS, {"surge_dot_max": POSITIVE}),
+    "robust": Family(lambda _: ROBUST_FIELDS, ROBUST_PARAMETERS),
+}
 
 NAN = np.nan
 
