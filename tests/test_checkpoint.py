@@ -9,6 +9,7 @@ import time
 import numpy as np
 import pytest
 import torch
+from safetensors.numpy import save as save_tensors
 
 from usvlearn import AID, RLS, RNN, Ensemble, Online
 from usvlearn import checkpoint as store
@@ -120,3 +121,41 @@ def test_kill_at_any_moment_leaves_a_whole_file(tmp_path):
             writer.wait()
         leaves, facts = store.load(path)
         assert (leaves["theta"] == facts["k"]).all()
+
+
+FOREIGN = {
+    "list": "[]", "number": "1", "null": "null", "text": '"a"', "deep": '{"schema": 2, "a": ' + "[" * 100_000,
+    "closed": '{"schema": 2, "a": ' + "[" * 100_000 + "]" * 100_000 + "}", "digits": '{"schema": ' + "9" * 5000 + "}",
+    "schemas": '{"schema": [2]}', "cut": '{"schema": 2', "half": '{"schema": 2, "a": "\\ud800"}',
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FOREIGN)
+def test_foreign_metadata_are_passed_over(tmp_path, case):
+    store.save(tmp_path / "1.safetensors", {"theta": np.ones(1)}, estimator="AID")
+    bad = tmp_path / "2.safetensors"
+    bad.write_bytes(save_tensors({"theta": np.ones(1)}, {store.KEY: FOREIGN[case]}))
+    with pytest.raises(CheckpointError, match=r"2.safetensors: (is not a usvlearn|has the schema|is damaged)"):
+        store.load(bad)
+    with pytest.warns(UserWarning, match="trying the one before"):
+        assert store.restore_newest(tmp_path, {"theta": np.zeros(1)})[1]["estimator"] == "AID"
+    with pytest.warns(UserWarning, match="trying the one before"):
+        assert store.newest(tmp_path, store.load)[1]["estimator"] == "AID"
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.complex64, bool, np.uint8])
+def test_other_numbers_are_refused(tmp_path, dtype):
+    """Of another precision they may be, not of another sort."""
+    path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(2, dtype)})
+    for template in ({"theta": np.ones(2)}, {"theta": torch.ones(2)}):
+        with pytest.raises(CheckpointError, match=f"theta is {np.dtype(dtype)}, expected .*float"):
+            store.restore(path, template)
+    single = store.save(tmp_path / "a.safetensors", {"theta": np.ones(2, np.float32)})
+    assert store.restore(single, {"theta": np.ones(2)})[0]["theta"].dtype == np.float64
+
+
+def test_a_foreign_estimator_is_told_in_one_sentence(tmp_path):
+    path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(2)}, estimator=["x" * 100] * 1000)
+    with pytest.raises(CheckpointError, match="expected 'AID': give a checkpoint of AID") as caught:
+        store.restore(path, {"theta": np.ones(2)}, "AID")
+    assert len(str(caught.value)) < 500

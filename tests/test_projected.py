@@ -141,7 +141,8 @@ def test_may_stand_inside_memory():
     [
         ({"signs": [1, 1]}, "each of the 9 parameters"),
         ({"signs": [2] * 9}, "-1, 0 or 1"),
-        ({"iterations": 0}, "1 or more"),
+        ({"iterations": 0}, "1 … 1000"),
+        ({"iterations": 1001}, "1 … 1000"),
         ({"estimator": AID(28.0)}, "AID"),
         ({"estimator": WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True)))}, "WithMemory"),
     ],

@@ -12,6 +12,7 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.learning import run_folder
 from usvlearn.learning.replay import replay
 from usvlearn.learning.run_folder import RunFolder
+from usvlearn.learning.saved import configuration
 from usvlearn.logs.fleet import align_fleet
 from usvlearn.signals import named_leaves
 
@@ -157,3 +158,19 @@ def test_a_new_season_starts_from_the_newest_parameters(tmp_path, fleet):
         newest = checkpoint.load(checkpoint.checkpoints(run.path / "checkpoints" / boat)[-1])[0]
         for name, leaf in named_leaves(start.state):
             assert torch.equal(leaf[lane], torch.from_numpy(newest[name])), (boat, name)
+
+
+def test_a_set_that_tells_nothing_of_its_boat_is_a_start(tmp_path, fleet):
+    """As `Online` saves it."""
+    path = checkpoint.save(tmp_path / "a.safetensors", model().init(), estimator="Ensemble")
+    folder = RunFolder(tmp_path / "next", fleet, SETTINGS)
+    assert folder.begin(model().init((2,)), str(path)).note == f"starting from a set, {path}"
+
+
+@pytest.mark.parametrize("foreign", [{"configuration": []}, {}], ids=str)
+def test_a_set_without_a_configuration_is_passed_over(tmp_path, fleet, foreign):
+    run = session(tmp_path / "run", fleet)
+    newest = max((run.path / "checkpoints" / "a").iterdir())
+    leaves, facts = checkpoint.load(newest)
+    checkpoint.save(newest, leaves, **{key: value for key, value in facts.items() if key != "configuration"} | foreign)
+    assert configuration(run.path) == SETTINGS["configuration"]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import reprlib
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -69,16 +70,20 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         leaves = load_tensors(content)
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
         facts = json.loads(header["__metadata__"][KEY])
-    except (SafetensorError, ValueError, KeyError, TypeError) as error:
+        if not isinstance(facts, dict):
+            raise TypeError(f"its metadata are {reprlib.repr(facts)}, expected a dictionary")
+        stated = facts.pop("sha256", None)
+        found = _digest(leaves, facts)
+    except (SafetensorError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise CheckpointError(
             f"{path}: is not a usvlearn checkpoint or is damaged ({error}): use the set saved before it"
         ) from error
     if facts.get("schema") != SCHEMA:
         raise CheckpointError(
-            f"{path}: has the schema {facts.get('schema')!r}, this version reads {SCHEMA}: "
+            f"{path}: has the schema {reprlib.repr(facts.get('schema'))}, this version reads {SCHEMA}: "
             "read it with the version of usvlearn that wrote it"
         )
-    if facts.pop("sha256", None) != _digest(leaves, facts):
+    if stated != found:
         raise CheckpointError(f"{path}: is damaged (its checksum does not fit): use the set saved before it")
     return leaves, facts
 
@@ -103,7 +108,8 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
     found = facts.get("estimator")
     if estimator is not None and found != estimator:
         raise CheckpointError(
-            f"{path}: belongs to the estimator {found!r}, expected {estimator!r}: name one of {found}"
+            f"{path}: belongs to the estimator {reprlib.repr(found)}, expected {estimator!r}: "
+            f"give a checkpoint of {estimator}"
         )
     wanted = dict(named_leaves(template))
     for kind, names in (
@@ -121,6 +127,10 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
                 f"{path}: {name} has the shape {leaves[name].shape}, expected {tuple(leaf.shape)}: "
                 "use the configuration that it was saved with"
             )
+        if _sort(leaf) != _sort(leaves[name]):
+            raise CheckpointError(
+                f"{path}: {name} is {leaves[name].dtype}, expected {leaf.dtype}: use the set saved before it"
+            )
     return rebuild(template, {name: _like(leaf, leaves[name]) for name, leaf in wanted.items()}), facts
 
 
@@ -135,15 +145,11 @@ def restore_newest(folder: str | Path, template: Any, estimator: str | None = No
     Raises:
         CheckpointError: none can be read.
     """
-    return _newest(folder, lambda path: restore(path, template, estimator))
+    return newest(folder, lambda path: restore(path, template, estimator))
 
 
-def load_newest(folder: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """`load` the newest readable parameter set of a folder, as `restore_newest`."""
-    return _newest(folder, load)
-
-
-def _newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
+def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
+    """What `read` makes of the newest parameter set of a folder, of which it raises no CheckpointError."""
     paths = checkpoints(folder)
     for path in reversed(paths):
         try:
@@ -180,6 +186,11 @@ def as_array(leaf) -> np.ndarray:
     """
     array = leaf if isinstance(leaf, np.ndarray) else leaf.detach().cpu().numpy()
     return np.ascontiguousarray(array).reshape(array.shape)
+
+
+def _sort(leaf) -> str:
+    """What sort of numbers an array or a tensor holds: bool, float, int …"""
+    return str(leaf.dtype).removeprefix("torch.").rstrip("0123456789")
 
 
 def _like(leaf, array: np.ndarray):

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usvlearn import checkpoint
-from usvlearn.errors import CheckpointError, ShapeError
-from usvlearn.kernels import compilable
+from usvlearn.errors import CheckpointError
 from usvlearn.signals import Inputs, Sample, named_leaves
 
 if TYPE_CHECKING:
@@ -57,25 +56,14 @@ class Online:
         """Go on from a checkpoint (the newest readable one where `path` is a folder), by the kernels, without torch.
 
         Raises:
-            CheckpointError: it cannot be read, or does not say how its estimator is built.
+            CheckpointError: it cannot be read, does not say how its estimator is built, or says what is not legal.
         """
-        leaves, facts = (checkpoint.load_newest if Path(path).is_dir() else checkpoint.load)(path)
-        if not compilable(facts.get("kernel")):
-            raise CheckpointError(
-                f"{path}: does not say how its estimator is built, or that has no compiled kernel: use "
-                "Online(ESTIMATOR).load(path), with torch"
-            )
+        leaves, facts = checkpoint.newest(path, _read) if Path(path).is_dir() else _read(Path(path))
         from usvlearn.kernels.live import Live
 
         self = cls.__new__(cls)
         self._template, self._name, self._description = None, facts["estimator"], facts["kernel"]
-        try:
-            self._live = Live(self._description, leaves)
-        except (ShapeError, KeyError, TypeError, ValueError) as error:
-            raise CheckpointError(
-                f"{path}: does not fit what it says of its estimator ({error}): use the set saved before it, or "
-                "Online(ESTIMATOR).load(path), with torch"
-            ) from error
+        self._live = Live(self._description, leaves)
         return self
 
     def __copy__(self) -> Online:  # two boats that learn into one state would spoil it
@@ -119,3 +107,22 @@ class Online:
         restore = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
         self.state, metadata = restore(path, self.state, self._name)
         return metadata
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A parameter set from which the kernels can go on."""
+    from usvlearn.kernels.describe import check, wrong
+
+    leaves, facts = checkpoint.load(path)
+    torch = "Online(ESTIMATOR).load(path), with torch"
+    if facts.get("kernel") is None:
+        raise CheckpointError(
+            f"{path}: does not say how its estimator is built, or that has no compiled kernel: use {torch}"
+        )
+    try:
+        if not isinstance(name := facts.get("estimator"), str):
+            raise wrong("estimator", name, "the name of an estimator")
+        check(facts["kernel"], leaves)
+    except CheckpointError as error:
+        raise CheckpointError(f"{path}: {error}: use the set saved before it, or {torch}") from error
+    return leaves, facts

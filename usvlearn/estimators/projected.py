@@ -30,6 +30,8 @@ from usvlearn.estimator import Estimator
 from usvlearn.estimators.rls import LeastSquares, RLSState
 from usvlearn.signals import Inputs
 
+ROUNDS = 1000  # at most; as a rule two or three are enough
+
 
 def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iterations: int = 4) -> Tensor:
     """The solution of (1) after so many rounds of (2); the clipped θ where they did not suffice.
@@ -68,7 +70,7 @@ class Projected(Estimator):
     Args:
         estimator: RLS or SIFtRLS.
         signs: −1, 0 (free) or 1 for each parameter; those of the estimator's model by default.
-        iterations: rounds of (2) after each update.
+        iterations: rounds of (2) after each update, 1000 at most.
 
     >>> from usvlearn import SIFtRLS, SurgeDynamics
     >>> Projected(SIFtRLS(SurgeDynamics(28.0))).signs
@@ -86,8 +88,8 @@ class Projected(Estimator):
                 f"signs: found {list(self.signs)}, expected -1, 0 or 1 for each of the "
                 f"{len(estimator.model.names)} parameters"
             )
-        if not (isinstance(iterations, int) and iterations >= 1):
-            raise ConfigError(f"iterations: found {iterations!r}, expected a whole number, 1 or more")
+        if not (isinstance(iterations, int) and 1 <= iterations <= ROUNDS):
+            raise ConfigError(f"iterations: found {iterations!r}, expected a whole number, 1 … {ROUNDS}")
         self.iterations = iterations
 
     def init(self, batch: Sequence[int] = ()) -> RLSState:
@@ -111,7 +113,11 @@ class Projected(Estimator):
 
     def kernel(self) -> dict[str, Any] | None:
         inner = described(self.estimator)
-        return inner and {**inner, "signs": list(self.signs), "iterations": self.iterations if any(self.signs) else 0}
+        return inner and {
+            **inner,
+            "signs": list(map(int, self.signs)),
+            "iterations": int(self.iterations) if any(self.signs) else 0,
+        }
 
     def monitor(self, state: RLSState) -> dict[str, Tensor]:
         return self.estimator.monitor(state)

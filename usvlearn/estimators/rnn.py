@@ -282,9 +282,9 @@ class RNN(Estimator):
             tiny=torch.finfo(self.a.dtype).tiny,
         )  # fmt: skip
         return {
-            "kind": "rnn", "size": len(self.a), "feedback": self.feedback, "unroll": self.unroll, "numbers": values,
+            "kind": "rnn", "size": len(self.a), "feedback": self.feedback, "unroll": int(self.unroll),
             "condition": "none" if self.contraction_rate is None else self.condition, "best": self.gauge == "best",
-            "vectors": numbers(bounds=self.bounds.flatten(), rate_ratio=self.rate_ratio),
+            "numbers": values, "vectors": numbers(bounds=self.bounds.flatten(), rate_ratio=self.rate_ratio),
         }  # fmt: skip
 
     def monitor(self, state: RNNState) -> dict[str, Tensor]:

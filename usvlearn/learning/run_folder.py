@@ -209,7 +209,8 @@ class RunFolder:
         """Every boat starts from one parameter set; what is watched, such as the thrusters, is watched anew."""
         state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
         state = stack([state] * len(self.fleet.boats))._replace(monitors=start.state.monitors)
-        return start._replace(state=state, note=f"starting from {facts['boat']}, run {facts['run']}, {source}")
+        of = ", run ".join(str(facts[name]) for name in ("boat", "run") if name in facts)
+        return start._replace(state=state, note=f"starting from {of or 'a set'}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
         """Every boat starts from its newest readable parameter set; the runs are new to it."""

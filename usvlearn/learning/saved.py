@@ -62,8 +62,11 @@ def configuration(folder: Path) -> dict[str, Any]:
     paths = [path for boat in sorted((folder / CHECKPOINTS).glob("*")) for path in reversed(checkpoints(boat))]
     for path in paths:
         try:
-            return load(path)[1]["configuration"]
-        except (CheckpointError, KeyError) as error:
+            found = load(path)[1].get("configuration")
+            if not isinstance(found, dict):
+                raise CheckpointError(f"{path}: found no configuration, expected a dictionary")
+            return found
+        except CheckpointError as error:
             last = error
     if paths:
         cause = f"none of its {len(paths)} parameter sets can be read ({last})"
