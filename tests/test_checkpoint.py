@@ -2,6 +2,7 @@
 
 import os
 import signal
+import stat
 import subprocess
 import sys
 import time
@@ -121,6 +122,57 @@ def test_kill_at_any_moment_leaves_a_whole_file(tmp_path):
             writer.wait()
         leaves, facts = store.load(path)
         assert (leaves["theta"] == facts["k"]).all()
+    store.save(path, {"theta": np.zeros(1)})
+    assert list(tmp_path.iterdir()) == [path]  # what the killed ones left is gone
+
+
+def test_several_processes_save_to_one_path(tmp_path):
+    """None of them fails, and the file is the last one's, whole."""
+    code = WRITER.replace("while True", "while k < 40")
+    writers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)]) for _ in range(4)]
+    assert [writer.wait(120) for writer in writers] == [0] * 4
+    assert (store.load(tmp_path / "a.safetensors")[0]["theta"] == 39).all()
+    assert [path.name for path in tmp_path.iterdir()] == ["a.safetensors"]
+
+
+def test_temporary_files_of_writers_that_were_killed_are_removed(tmp_path):
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    names = [f".b.safetensors.{store.HOST}-{process}-7.tmp" for process in (ended.pid, os.getpid(), os.getppid())]
+    others = [".b.safetensors.00000000-1-7.tmp", ".notes.tmp", "b-1-7.tmp"]  # of another machine, of nobody
+    for name in (*names, *others):
+        (tmp_path / name).write_bytes(b"half")
+    path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(1)})
+    assert {path.name for path in tmp_path.iterdir()} == {"a.safetensors", names[2], *others}
+    assert store.checkpoints(tmp_path) == [path]
+
+
+class Recorded:
+    """`os`, which notes what is flushed to the disk and what is renamed."""
+
+    def __init__(self):
+        self.done = []
+
+    def __getattr__(self, name):
+        return getattr(os, name)
+
+    def fsync(self, file):
+        found = os.fstat(file)
+        self.done.append(("folder" if stat.S_ISDIR(found.st_mode) else f"{found.st_size} bytes", found.st_ino))
+        os.fsync(file)
+
+    def replace(self, old, new):
+        self.done.append(("renamed", os.stat(old).st_ino))
+        os.replace(old, new)
+
+
+def test_file_and_folder_are_flushed_in_that_order(tmp_path, monkeypatch):
+    """A power cut leaves the old file or the new one: all of it is on the disk before it has its name."""
+    monkeypatch.setattr(store, "os", recorded := Recorded())
+    path = tmp_path / "a.json"
+    store.write_atomically(path, b"12345")
+    file, folder = path.stat().st_ino, tmp_path.stat().st_ino
+    assert recorded.done == [("5 bytes", file), ("renamed", file), ("folder", folder)]
 
 
 FOREIGN = {

@@ -7,11 +7,15 @@ torch: aboard a small computer there is none.
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import os
+import platform
+import re
 import reprlib
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +30,9 @@ from usvlearn.signals import named_leaves, rebuild
 SCHEMA = 2  # 1 kept another square root of the covariance of least squares
 SUFFIX = ".safetensors"
 KEY = "usvlearn"  # of the metadata in the safetensors header
+HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
+LEFT = re.compile(rf"\..+\.{HOST}-(\d{{1,19}})-\d+\.tmp")
+_COUNT, _WRITING = itertools.count(), set[str]()  # of this process's temporary files
 
 
 def save(path: str | Path, state: Any, **metadata: Any) -> Path:
@@ -160,8 +167,14 @@ def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that a kill at any moment leaves the old one or the new one, never a part."""
-    temporary = path.with_name(f".{path.name}.tmp")
+    """Write a file so that a kill at any moment leaves the old one or the new one, never a part.
+
+    Of several that write it at the same time, each writes a temporary file of its own, and the last one's remains.
+    What writers that were killed have left in the folder is removed.
+    """
+    _sweep(path.parent)
+    temporary = path.with_name(f".{path.name}.{HOST}-{os.getpid()}-{next(_COUNT)}.tmp")
+    _WRITING.add(temporary.name)
     try:
         with open(temporary, "wb") as file:
             file.write(content)
@@ -170,12 +183,33 @@ def write_atomically(path: Path, content: bytes) -> None:
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
+        _WRITING.discard(temporary.name)
     if hasattr(os, "O_DIRECTORY"):
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(folder)
         finally:
             os.close(folder)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the temporary files of this machine's writers that do not run any more, where that is allowed."""
+    with suppress(OSError):
+        for name in os.listdir(folder):
+            if (found := LEFT.fullmatch(name)) and name not in _WRITING and not _runs_elsewhere(int(found[1])):
+                (folder / name).unlink(missing_ok=True)
+
+
+def _runs_elsewhere(process: int) -> bool:
+    """Whether another process of this machine has this number, as far as that can be asked."""
+    if process == os.getpid():
+        return False
+    try:
+        return os.name != "posix" or os.kill(process, 0) is None
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
 
 
 def as_array(leaf) -> np.ndarray:
