@@ -36,6 +36,7 @@ from usvlearn import (
 from usvlearn.backend import described
 from usvlearn.errors import CheckpointError
 from usvlearn.estimators.projected import ROUNDS
+from usvlearn.kernels import of_lane
 from usvlearn.kernels.describe import check
 from usvlearn.kernels.rls import ITERATIONS
 from usvlearn.signals import named_leaves, tree_map
@@ -256,6 +257,8 @@ def test_what_estimators_say_of_themselves_is_legal(name, dtype):
         check(description, {name: leaf.numpy() for name, leaf in named_leaves(state)})
         state = rollout(estimator, state, mission(100, *batch, dtype=dtype))[0]
         check(description, {name: leaf.numpy() for name, leaf in named_leaves(state)})
+        one = {name: leaf[1].numpy() for name, leaf in named_leaves(state)}  # boat's, as a run saves it
+        check(of_lane(description, batch[0], 1), one)
 
 
 @pytest.mark.parametrize("name", BEYOND)
