@@ -10,7 +10,7 @@ from usvlearn.kernels.samples import DT, LEFT, RIGHT, YAW_RATE
 MONITOR_NUMBERS = {
     "huber": POSITIVE, "huber_mean": POSITIVE, "huber_rate": UNIT, "least_scale": POSITIVE,
     "innovation_memory": Range(1.0, MOST),
-    "yaw_memory": POSITIVE, "yaw_ridge": POSITIVE, "yaw_floor": POSITIVE, "yaw_rate": UNIT, "knee": POSITIVE,
+    "yaw_memory": POSITIVE, "yaw_ridge": Range(1e-6, MOST), "yaw_floor": POSITIVE, "yaw_rate": UNIT, "knee": POSITIVE,
     "yaw_spread": NOT_NEGATIVE, "loss": NOT_NEGATIVE, "horizon": NOT_NEGATIVE, "misfit": NOT_NEGATIVE,
     "clip": POSITIVE, "effect": POSITIVE, "calm": POSITIVE, "threshold": POSITIVE, "backwards": FINITE,
     "doubt": POSITIVE, "cleared": UNIT,
