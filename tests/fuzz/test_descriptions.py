@@ -116,7 +116,9 @@ def spoiled(rng, leaves: dict) -> dict:
         elif what == 1:
             leaves[name] = np.zeros(rng.integers(0, 4, rng.integers(0, 4)), leaf.dtype)
         elif what == 2:
-            leaves[name] = leaf.astype(one_of(rng, [np.float32, np.float16, np.int64, np.int8, bool, np.complex64]))
+            leaves[name] = leaf.real.astype(
+                one_of(rng, [np.float32, np.float16, np.int64, np.int8, bool, np.complex64])
+            )
         elif what == 3:
             leaves[name + one_of(rng, ["", ".x", "2"])] = one_of(rng, [leaf[None], np.stack([leaf, leaf], -1), leaf])
         elif leaf.dtype != bool and leaf.size:
