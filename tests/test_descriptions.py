@@ -194,6 +194,7 @@ STATES = {  # case: a leaf, what becomes of it, and what the error must say; Non
     "asleep": ("predictions", nan_at, None),
     "diverged": ("members.rnn.weights.a", nan_at, None),
     "infinite": ("members.aid.theta", lambda x: x / 0.0, None),
+    "diverging": ("members.aid.theta", lambda x: x + 1e40, None),
 }  # fmt: skip
 
 

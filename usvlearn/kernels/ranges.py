@@ -22,7 +22,7 @@ class Range:
 
     Attributes:
         diagonal: the least number on the diagonal of a square matrix.
-        sleeps: whether a number that is not finite is legal, too.
+        sleeps: whether NaN, infinity and what is beyond all measure are legal, too.
     """
 
     least: float
@@ -39,14 +39,16 @@ class Range:
         legal = (array >= self.least) & (array <= self.most)
         if self.diagonal > -inf:
             legal &= (array >= self.diagonal) | ~np.eye(array.shape[-1], dtype=bool)
-        return array[~(legal | ~np.isfinite(array) if self.sleeps else legal)]
+        if self.sleeps:
+            legal |= ~(np.abs(array) <= MOST)
+        return array[~legal]
 
     def __str__(self) -> str:
         ends = f"{self.least:.9g} … {self.most:.9g}"
         return ends if self.diagonal == -inf else f"{ends}, and {self.diagonal:.9g} or more on the diagonal"
 
     def asleep(self) -> Range:
-        """These, and what is not finite: of a member of an ensemble that has diverged, which then sleeps."""
+        """These, and those of a member of an ensemble that diverges, or has: it sleeps."""
         return replace(self, sleeps=True)
 
 
@@ -60,7 +62,6 @@ FACTOR = Range(LEAST, 1.0)
 BELOW_ONE = Range(0.0, 1 - 2.0**-24)  # in float32, too
 AT_MOST_TEN = Range(0.0, 10.0)  # the exponent of what is multiplied at every step
 WEIGHT = Range(0.0, 1.001)  # a share, to rounding
-SIGN = Range(-1.0, 1.0)
 TRIANGLE = Range(-MOST, MOST, diagonal=LEAST)  # the Cholesky factor of a covariance
 ANY = Range(-inf, inf, sleeps=True)
 
