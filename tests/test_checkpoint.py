@@ -206,6 +206,15 @@ def test_other_numbers_are_refused(tmp_path, dtype):
     assert store.restore(single, {"theta": np.ones(2)})[0]["theta"].dtype == np.float64
 
 
+def test_a_header_is_not_quoted_whole(tmp_path):
+    header = b'{"__metadatA__":{"usvlearn":"%s"}}' % (b"x" * 5000)
+    path = tmp_path / "a.safetensors"
+    path.write_bytes(len(header).to_bytes(8, "little") + header)
+    with pytest.raises(CheckpointError, match="x" * 100) as caught:
+        store.load(path)
+    assert len(str(caught.value)) < 800
+
+
 def test_a_foreign_estimator_is_told_in_one_sentence(tmp_path):
     path = store.save(tmp_path / "a.safetensors", {"theta": np.ones(2)}, estimator=["x" * 100] * 1000)
     with pytest.raises(CheckpointError, match="expected 'AID': give a checkpoint of AID") as caught:

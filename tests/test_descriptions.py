@@ -135,6 +135,7 @@ FORGED = {  # case: a place in the description, what is put there, and what the 
     "missing": ("members/aid/numbers/gain", REMOVED, "members.aid.numbers: found no 'gain'"),
     "more": ("members/aid/numbers/gains", 1.0, "members.aid.numbers: found 'gains', expected scale, surge_max, gain"),
     "name": ("members/a b", {}, "kernel.members: found 'a b', expected names of letters, digits and _"),
+    "long_name": ("members/" + "x" * 5000, {}, "kernel.members.x{300}"),
     "output": ("output", "best", "kernel.output: found 'best', expected one of 'average', 'boa'"),
     "columns": ("columns", ["aid"], r"kernel.columns: found \['aid'\], expected 5 of them"),
     "column": ("columns/0", 5, r"kernel.columns\[0\]: found 5, expected a name"),

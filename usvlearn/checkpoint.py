@@ -30,6 +30,7 @@ from usvlearn.signals import named_leaves, rebuild
 SCHEMA = 2  # 1 kept another square root of the covariance of least squares
 SUFFIX = ".safetensors"
 KEY = "usvlearn"  # of the metadata in the safetensors header
+TOLD = 400  # characters of an error that quotes the file
 HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
 LEFT = re.compile(rf"\..+\.{HOST}-(\d{{1,19}})-\d+\.tmp")
 _COUNT, _WRITING = itertools.count(), set[str]()  # of this process's temporary files
@@ -83,7 +84,7 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         found = _digest(leaves, facts)
     except (SafetensorError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise CheckpointError(
-            f"{path}: is not a usvlearn checkpoint or is damaged ({error}): use the set saved before it"
+            f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:TOLD]}): use the set saved before it"
         ) from error
     if facts.get("schema") != SCHEMA:
         raise CheckpointError(

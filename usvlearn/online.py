@@ -124,5 +124,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
             raise wrong("estimator", name, "the name of an estimator")
         check(facts["kernel"], leaves)
     except CheckpointError as error:
-        raise CheckpointError(f"{path}: {error}: use the set saved before it, or {torch}") from error
+        raise CheckpointError(
+            f"{path}: {str(error)[: checkpoint.TOLD]}: use the set saved before it, or {torch}"
+        ) from error
     return leaves, facts
