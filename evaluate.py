@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
     from usvlearn.simulate.truth import truth_of
 
     set_threads(1)
-    tools = Tools(instantiate, align_fleet, truth_of, console())
+    tools = Tools(instantiate, align_fleet, truth_of, console(), cfg.trust)
     with one_sentence(hydra.errors.InstantiationException):
         if cfg.study is not None:
             study(cfg, tools)

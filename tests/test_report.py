@@ -278,6 +278,21 @@ def test_a_report_never_takes_the_place_of_something_else(copy):
     assert before == {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
 
 
+def test_a_list_of_files_that_names_others_removes_none(tmp_path):
+    report, mine = tmp_path / "report", tmp_path / "mine"
+    check_report_folder(report)
+    mine.write_text("mine")
+    (report / "tables" / "old.csv").write_text("old")
+    names = ["../mine", "figures/../../mine", str(mine), "figures/..", ".", "", "tables/old.csv"]
+    (report / "files.json").write_text(json.dumps(names))
+    write_report(report, ["Two"], [])
+    assert mine.read_text() == "mine" and not (report / "tables" / "old.csv").exists()
+    (report / "tables").rename(tmp_path / "elsewhere")
+    (report / "tables").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match="tables is a link to another folder"):
+        write_report(report, ["Three"], [])
+
+
 def test_matplotlib_missing_is_told_before_anything_is_simulated(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"usvlearn\[plot\]"):

@@ -47,6 +47,16 @@ def test_a_search_that_broke_off_goes_on_to_the_count(fleet, tmp_path):
         searched(fleet, tmp_path, 13, request("search=aid", "tuning.ranges.aid.gain=[0.1,1]"))
 
 
+def test_a_journal_that_names_code_is_refused(fleet, tmp_path):
+    searched(fleet, tmp_path, 2, batch=2)
+    journal = tmp_path / "optuna.log"
+    text = journal.read_text()
+    journal.write_text(text.replace('{"gain":', '{"_target_":'))
+    assert journal.read_text() != text
+    with pytest.raises(ConfigError, match=r"optuna\.log: found the setting '_target_'"):
+        searched(fleet, tmp_path, 2)
+
+
 def test_what_a_killed_process_left_is_given_back(fleet, tmp_path):
     """And what a living one has in hand is waited for."""
     import optuna

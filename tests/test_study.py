@@ -90,6 +90,19 @@ def test_a_plan_that_is_not_legal_leaves_nothing_behind(tmp_path):
         assert done.returncode == 2 and told in done.stderr and not (tmp_path / "study").exists()
 
 
+def test_a_saved_setting_that_names_code_is_refused(tmp_path):
+    made(tmp_path, Recorder()).make()
+    path = tmp_path / "tune" / "aid" / "tuning.json"
+    found = json.loads(path.read_text())
+    found["best"]["setting"] = {"_target_": "os.system"}
+    path.write_text(json.dumps(found))
+    (tmp_path / "tuned" / "initial" / "results.json").unlink()
+    again = Recorder()
+    with pytest.raises(ConfigError, match=r"tuning\.json: found the setting '_target_': 'os\.system'"):
+        made(tmp_path, again).make()
+    assert again.stages == []
+
+
 @pytest.mark.parametrize("name", ["study.json", "tune/aid/tuning.json", "default/start.json"])
 def test_a_damaged_file_is_told(tmp_path, name):
     made(tmp_path, Recorder()).make()

@@ -30,10 +30,11 @@ def command(*arguments: str, script: str = "train.py") -> list[str]:
     return [sys.executable, str(ROOT / script), *arguments]
 
 
-def run(*arguments: str, folder: Path, script: str = "train.py") -> subprocess.CompletedProcess:
+def run(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
     return subprocess.run(
-        command(*arguments, script=script), cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=300
-    )
+        command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -115,17 +115,20 @@ def check_report_folder(folder: Path) -> None:
     if folder.is_dir() and not (folder / FILES).exists() and any(folder.iterdir()):
         raise ConfigError(f"report: {folder} holds something that is no report: name another folder")
     for kind in FOLDERS:
+        if (folder / kind).is_symlink():
+            raise ConfigError(f"report: {folder / kind} is a link to another folder: remove it")
         (folder / kind).mkdir(parents=True, exist_ok=True)
     if not (folder / FILES).exists():
         write_atomically(folder / FILES, b"[]")
 
 
 def _written(folder: Path) -> list[str]:
-    """The files in the folders of an earlier report that it has written itself."""
+    """The files in the folders of an earlier report that it has written itself; a list that names others is ignored."""
     try:
-        return [str(name) for name in json.loads((folder / FILES).read_text())]
+        names = [Path(name) for name in json.loads((folder / FILES).read_text())]
     except (OSError, ValueError, TypeError):
         return []
+    return [str(name) for name in names if len(name.parts) == 2 and name.parts[0] in FOLDERS and name.name != ".."]
 
 
 def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:

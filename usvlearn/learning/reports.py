@@ -30,6 +30,7 @@ class Tools(NamedTuple):
     align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
     truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
     console: Console
+    trust: str | Sequence[str] | None = None  # modules of the user's own that saved settings may name
 
     def say(self, text: str) -> None:
         """Print a line that is not to be broken, such as a command or a path."""
@@ -49,13 +50,13 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
     """
     if data is not None and "_target_" not in data:
         raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
-    settings = [configuration(folder) for folder in folders]
+    settings = [configuration(folder, tools.trust) for folder in folders]
     last, sources = settings[-1], []
     for each in [found["data"] for found in settings] if data is None else [data]:
         if each not in sources:  # several folders of the same logs
             sources.append(each)
     combiners = tools.instantiate(last["combiners"], _convert_="all")
-    ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last["output"])
+    ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last.get("output"))
     with tools.console.status("reading and aligning"):
         fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
     truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # of the boats that were learned

@@ -13,13 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.checkpoint import checkpoints, load, restore
-from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.errors import CheckpointError, ConfigError, check_positive
 from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
 from usvlearn.learning.run_folder import digest, position
+from usvlearn.learning.trust import check_settings
 from usvlearn.signals import Fleet, tree_map
+
+SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a saved configuration must hold
 
 
 def run_folders(folder: str | Path) -> list[Path]:
@@ -53,19 +56,32 @@ def is_sweep(folder: Path) -> bool:
     return True
 
 
-def configuration(folder: Path) -> dict[str, Any]:
-    """With what a run was made, as its newest readable parameter set tells.
+def configuration(folder: Path, trust: str | Sequence[str] | None = None) -> dict[str, Any]:
+    """The settings that a run was made with, from its newest readable parameter set; they can be instantiated.
+
+    Args:
+        folder: of the run.
+        trust: see `usvlearn.learning.trust.check_settings`.
 
     Raises:
-        CheckpointError: it has none, or none can be read.
+        CheckpointError: it has no parameter set, none can be read, or its settings name code that is not trusted.
     """
+    path, found = _configuration(folder)
+    check_settings(str(path), found, trust)
+    check_positive(f"{path}: align.dt", found["align"].get("dt"), "of s")
+    check_positive(f"{path}: vehicle.mass", found["vehicle"].get("mass"), "of kg")
+    return found
+
+
+def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """The newest readable parameter set, and the settings in it."""
     paths = [path for boat in sorted((folder / CHECKPOINTS).glob("*")) for path in reversed(checkpoints(boat))]
     for path in paths:
         try:
             found = load(path)[1].get("configuration")
-            if not isinstance(found, dict):
-                raise CheckpointError(f"{path}: found no configuration, expected a dictionary")
-            return found
+            if not (isinstance(found, dict) and all(isinstance(found.get(key), dict) for key in SETTINGS)):
+                raise CheckpointError(f"{path}: found no configuration with {', '.join(SETTINGS)}")
+            return path, found
         except CheckpointError as error:
             last = error
     if paths:
@@ -136,7 +152,7 @@ class _Folder(NamedTuple):
 
 
 def _read(folder: Path) -> _Folder:
-    learned, dt = _runs_file(folder)["boats"], float(configuration(folder)["align"]["dt"])
+    learned, dt = _runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
     published: dict[int, list[dict[str, np.ndarray]]] = {}
     for path in sorted((folder / PREDICTIONS).glob("*.npz")):
         at = position(path)

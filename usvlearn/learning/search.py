@@ -19,6 +19,7 @@ from typing import Any
 
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.learning.lanes import Evaluation, Hyperparameter, Objective
+from usvlearn.learning.trust import check_setting
 
 JOURNAL, WORKERS = "optuna.log", "workers"
 STALE = 60.0  # s without a sign of life after which a process counts as dead: a chunk of steps takes a few
@@ -127,7 +128,7 @@ def search(
         worker.end()
     for trial in _complete(study)[:evaluations]:
         maes = tuple(math.inf if mae is None else mae for mae in trial.user_attrs["maes"])
-        found.append(Evaluation(trial.user_attrs["setting"], maes))
+        found.append(Evaluation(check_setting(str(folder / JOURNAL), trial.user_attrs["setting"]), maes))
     return found, len(found) - 1
 
 

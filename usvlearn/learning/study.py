@@ -27,6 +27,7 @@ from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.learning.layout import RESULTS, RUNS, TUNING
 from usvlearn.learning.saved import results
+from usvlearn.learning.trust import check_setting
 
 PLAN, START = "study.json", "start.json"
 Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
@@ -86,8 +87,11 @@ class Study:
 
     def _tuned(self, member: str) -> dict[str, Any]:
         folder = self.folder / "tune" / member
-        self._stage(self._tuning(member), folder, folder / TUNING)
-        return _read(folder / TUNING)
+        path = folder / TUNING
+        self._stage(self._tuning(member), folder, path)
+        found = _read(path)
+        check_setting(str(path), found["best"]["setting"])
+        return found
 
     def _tuning(self, member: str) -> list[str]:
         return [*self._season("tuning"), f"grid={member}", f"tuning.evaluations={self.plan['evaluations']}"]
