@@ -12,8 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from usvlearn.errors import LogFormatError, MissingExtraError, check_choice
+from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive
 from usvlearn.logs.channel import Channel, Source, build_channel, match_name
+from usvlearn.logs.decompress import MB, Total, limit_chunks, limited
 from usvlearn.logs.rosbag_scan import Scan
 
 CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt is that of a clock that was never set
@@ -32,6 +33,7 @@ class Rosbag:
     Args:
         clock: `header` takes the stamp in a message's header, and the time of receipt for messages without
             one or with one more than 1 s from the receipt; `receive` always takes the time of receipt.
+        chunk_limit: MB that a compressed chunk may unpack to; a bag with a larger one is refused.
 
     >>> Rosbag().suffixes
     ('.bag', '.active', '.mcap', '.db3')
@@ -41,11 +43,18 @@ class Rosbag:
     """
 
     clock: str = "header"
+    chunk_limit: float = 100.0
 
     suffixes: ClassVar[tuple[str, ...]] = (".bag", ".active", ".mcap", ".db3")
 
     def __post_init__(self):
         check_choice("data.reader.clock", self.clock, ("header", "receive"))
+        check_positive("data.reader.chunk_limit", self.chunk_limit, "of MB")
+
+    @property
+    def _limit(self) -> int:
+        """Bytes."""
+        return int(MB * self.chunk_limit)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         """The channels of a bag and what could not be used: channel -> cause -> count.
@@ -55,7 +64,8 @@ class Rosbag:
             sources: channel -> where it is found.
 
         Raises:
-            LogFormatError: the file is no bag, has no readable message, or lacks a topic or a field.
+            LogFormatError: the file is no bag, has no readable message, a chunk beyond the limit, or lacks a topic or
+                a field.
             MissingExtraError: rosbags is not installed.
         """
         try:
@@ -64,7 +74,10 @@ class Rosbag:
         except ImportError as error:
             raise MissingExtraError("rosbags", "logs", "reading ROS bags") from error
         try:
-            with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
+            latest = get_typestore(Stores.LATEST)
+            with limited(path, self._limit), AnyReader([path], default_typestore=latest) as bag:
+                if not bag.is2:
+                    limit_chunks(path, bag.readers[0], self._limit)
                 return self._read(path, bag, sources)
         except LogFormatError:
             raise
@@ -78,7 +91,7 @@ class Rosbag:
         if path.suffix == ".active":
             what = "its recording was not closed"
         patterns = [source.name for source in sources.values()]
-        bag = Scan(path, keep=lambda topic: any(_may_match(pattern, topic) for pattern in patterns))
+        bag = Scan(path, lambda topic: any(_may_match(pattern, topic) for pattern in patterns), self._limit)
         if not bag.count:
             raise LogFormatError(
                 f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
@@ -101,9 +114,10 @@ class Rosbag:
         time: dict[str, list[float]] = {channel: [] for channel in sources}
         value: dict[str, list[float]] = {channel: [] for channel in sources}
         order: dict[str, list[int]] = {channel: [] for channel in sources}
-        start = bag.start_time
+        start, total = bag.start_time, Total(path, self._limit)
         wanted = [connection for connection in bag.connections if connection.topic in readings]
         for number, (connection, received, data) in enumerate(bag.messages(wanted)):
+            total.add(len(data))
             message = bag.deserialize(data, connection.msgtype)
             seconds = (self._stamp(message, received) - start) * 1e-9
             for channel in readings[connection.topic]:

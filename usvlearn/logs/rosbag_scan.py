@@ -5,7 +5,6 @@ The records are those of format 2.0, https://wiki.ros.org/Bags/Format/2.0
 
 from __future__ import annotations
 
-import bz2
 import io
 import itertools
 import os
@@ -14,9 +13,11 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.decompress import Total, unpack
+
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)  # the field "op" of a record's header
-BLOCK = 1 << 16  # bytes decompressed at a time: the blocks before a damaged one are kept
 
 
 class Connection(NamedTuple):
@@ -35,23 +36,29 @@ class Scan:
     Args:
         path: the bag.
         keep: of the topics, those whose messages are wanted: only they are held in memory and deserialised.
+        limit: bytes that a compressed chunk may unpack to.
 
     Attributes:
         connections: sorted by number.
         start_time: ns since 1970, the earliest message of any topic.
         count: messages of any topic.
         end, size: bytes; where the record begins that cannot be parsed (the size if there is none), and the size.
+
+    Raises:
+        LogFormatError: a chunk is larger than the limit.
     """
 
-    def __init__(self, path: Path, keep: Callable[[str], bool]):
+    def __init__(self, path: Path, keep: Callable[[str], bool], limit: int):
         from rosbags.typesys import Stores, get_typestore
 
         self.start_time, self.count, self.end, self.size = 2**63 - 1, 0, 0, 0
+        self._path, self._limit = path, limit
         self._keep, self._store = keep, get_typestore(Stores.EMPTY)
         self._connections: dict[int, Connection] = {}
         self._messages: dict[int, list[tuple[int, bytes]]] = {}  # number of a kept connection -> (received, data)
         if not path.is_file():
             return
+        self._total = Total(path, limit)
         with path.open("rb") as file:
             self.size = os.fstat(file.fileno()).st_size
             if file.read(len(MAGIC)) != MAGIC:
@@ -61,6 +68,8 @@ class Scan:
                     self.end = end
                     self._record(file, self.size)
                 self.end = self.size
+            except LogFormatError:
+                raise
             except Exception as error:  # garbage raises any type, and from within rosbags, bz2 and lz4
                 if isinstance(error, OSError) and error.errno:
                     raise
@@ -82,7 +91,7 @@ class Scan:
         header = _fields(_read(stream, size, _uint32(stream.read(4))))
         op, length = header["op"][0], _uint32(stream.read(4))
         if op == CHUNK:
-            self._chunk(stream, size - stream.tell(), length, header["compression"])
+            self._chunk(stream, size - stream.tell(), length, header)
             return
         data = _read(stream, size, length)
         if op == CONNECTION:
@@ -92,10 +101,11 @@ class Scan:
         elif op not in (BAG_HEADER, INDEX, CHUNK_INFO):
             raise ValueError(op)
 
-    def _chunk(self, stream: BinaryIO, left: int, length: int, compression: bytes) -> None:
-        if length == 0 and compression != b"none":
+    def _chunk(self, stream: BinaryIO, left: int, length: int, header: dict[str, bytes]) -> None:
+        compression, announced = header["compression"].decode(), _uint32(header.get("size", bytes(4)))
+        if length == 0 and compression != "none":
             length = left  # the length is written when a chunk is closed: this one never was
-        data, whole = _decompress(stream.read(min(length, left)), compression)
+        data, whole = unpack(self._path, stream.read(min(length, left)), compression, self._limit, announced)
         inner = io.BytesIO(data)
         while inner.tell() < len(data):
             self._record(inner, len(data))
@@ -122,6 +132,7 @@ class Scan:
         received = seconds * 10**9 + nanoseconds
         if connection.number in self._messages:
             self.deserialize(data, connection.msgtype)  # what fails here is where the scan ends
+            self._total.add(len(data))
             self._messages[connection.number].append((received, data))
         self.start_time = min(self.start_time, received)
         self.count += 1
@@ -152,24 +163,3 @@ def _fields(header: bytes) -> dict[str, bytes]:
         fields[name.decode()] = value
         place = end
     return fields
-
-
-def _decompress(data: bytes, compression: bytes) -> tuple[bytes, bool]:
-    """A chunk's data as far as it goes, and whether that is all of it."""
-    if compression == b"none":
-        return data, True
-    if compression == b"bz2":
-        stream = bz2.BZ2Decompressor()
-    elif compression == b"lz4":
-        from lz4.frame import LZ4FrameDecompressor
-
-        stream = LZ4FrameDecompressor()
-    else:
-        raise ValueError(compression)
-    parts = []
-    try:
-        for place in range(0, len(data), BLOCK):
-            parts.append(stream.decompress(data[place : place + BLOCK]))
-    except (OSError, RuntimeError, EOFError):  # EOFError: bytes behind the stream's end
-        pass
-    return b"".join(parts), stream.eof

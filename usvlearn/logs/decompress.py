@@ -1,0 +1,159 @@
+"""The compressed chunks of a bag, unpacked in a stream and up to a limit: 10 kB can hold gigabytes of zeros.
+
+The package rosbags unpacks a chunk at once, whatever its size. `limited` makes it use `unpack`.
+"""
+
+from __future__ import annotations
+
+import bz2
+import io
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from usvlearn.errors import LogFormatError
+
+MB = 1_000_000
+BLOCK = 1 << 16  # bytes unpacked at a time: the blocks before a damaged one are kept
+MOST = 1000  # times its size: how much a bag may unpack to, all chunks together
+_PATCHED = threading.Lock()  # what rosbags unpacks with is common to all threads
+
+
+def unpack(path: Path, data: bytes, compression: str, limit: int, announced: int = 0) -> tuple[bytes, bool]:
+    """A chunk's data as far as it can be read, and whether that is all of it.
+
+    Args:
+        path: of the bag, for the error.
+        data: the compressed chunk.
+        compression: none, bz2, lz4 or zstd.
+        limit: of the unpacked chunk, bytes.
+        announced: size that the chunk's header gives, bytes; 0 where it gives none. What is beyond is damage.
+
+    Raises:
+        LogFormatError: the chunk is larger than the limit, or announces to be.
+        ValueError: an unknown compression.
+
+    >>> unpack(Path("a.bag"), bz2.compress(bytes(1000)), "bz2", limit=5000, announced=1000) == (bytes(1000), True)
+    True
+    >>> unpack(Path("a.bag"), bz2.compress(bytes(10**7)), "bz2", limit=MB)
+    Traceback (most recent call last):
+    usvlearn.errors.LogFormatError: a.bag: found a chunk that unpacks to more than 1 MB: leave this log out, or raise \
+data.reader.chunk_limit if you know where it is from
+    """
+    if compression == "none":
+        return data, True
+    if announced > limit:
+        raise _too_large(path, f"a chunk that unpacks to {announced / MB:.0f} MB, more than {limit / MB:g} MB")
+    most, found, whole = announced or limit, bytearray(), False
+    stream = _opened(compression, io.BytesIO(data))
+    try:
+        while part := stream.read1(min(BLOCK, most + 1 - len(found))):
+            found += part
+        whole = announced in (0, len(found))
+    except Exception:  # each library has its own for damage; the blocks before it are kept
+        pass
+    if len(found) > limit:
+        raise _too_large(path, f"a chunk that unpacks to more than {limit / MB:g} MB")
+    return bytes(found[:most]), whole
+
+
+def _opened(compression: str, file: BinaryIO) -> Any:
+    """A stream of what a file unpacks to."""
+    if compression == "bz2":
+        return bz2.BZ2File(file)
+    if compression == "lz4":
+        from lz4.frame import LZ4FrameFile
+
+        return LZ4FrameFile(file)
+    if compression == "zstd":
+        from rosbags.rosbag2.storage_mcap import zstd
+
+        return zstd.ZstdFile(file)
+    raise ValueError(f"compression {compression!r}")
+
+
+class Total:
+    """Counts the unpacked data of one bag, which may be larger than the file, but not by any factor.
+
+    Args:
+        path: of the bag.
+        limit: of one unpacked chunk, bytes.
+    """
+
+    def __init__(self, path: Path, limit: int):
+        self.path, self.most, self.count = path, limit + MOST * path.stat().st_size, 0
+
+    def add(self, count: int) -> None:
+        """Count some bytes more; a LogFormatError where there are too many."""
+        self.count += count
+        if self.count > self.most:
+            raise _too_large(
+                self.path, f"more than {self.most / MB:.0f} MB of messages in {self.path.stat().st_size} bytes"
+            )
+
+
+def _too_large(path: Path, what: str) -> LogFormatError:
+    advice = "leave this log out, or raise data.reader.chunk_limit if you know where it is from"
+    return LogFormatError(f"{path}: found {what}: {advice}")
+
+
+def _whole(path: Path, data: bytes, compression: str, limit: int, announced: int) -> bytes:
+    found, whole = unpack(path, data, compression, limit, announced)
+    if not whole:
+        raise ValueError(f"a chunk of {announced} bytes ends after {len(found)}")
+    return found
+
+
+@contextmanager
+def limited(path: Path, limit: int) -> Iterator[None]:
+    """While this is entered, rosbags unpacks what ROS 2 has stored in chunks, or in rows, up to a limit.
+
+    Args:
+        path: of the bag.
+        limit: of one unpacked chunk or row, bytes.
+    """
+    import apsw
+    from rosbags.rosbag2.storage_mcap import DECOMPRESSORS
+
+    total = Total(path, limit)
+
+    def chunk(compression: str, data: bytes, announced: int) -> bytes:
+        found = _whole(path, data, compression, limit, announced)
+        total.add(len(found))
+        return found
+
+    def rows(connection: apsw.Connection) -> None:
+        connection.limit(apsw.SQLITE_LIMIT_LENGTH, min(limit, 2**31 - 1))
+
+    with _PATCHED:
+        before = dict(DECOMPRESSORS)
+        DECOMPRESSORS.update({name: partial(chunk, name) for name in ("lz4", "zstd")})
+        apsw.connection_hooks.append(rows)
+        try:
+            yield
+        finally:
+            DECOMPRESSORS.update(before)
+            apsw.connection_hooks.remove(rows)
+
+
+def limit_chunks(path: Path, reader: Any, limit: int) -> None:
+    """Let a reader of a ROS 1 bag unpack no chunk beyond a limit, nor beyond what the chunk announces.
+
+    Args:
+        path: of the bag.
+        reader: a `rosbags.rosbag1.Reader` that is open.
+        limit: of one unpacked chunk, bytes.
+    """
+    from rosbags.rosbag1.reader import Header
+
+    def unpacked(place: int, data: bytes) -> bytes:
+        reader.bio.seek(place)
+        header = Header.read(reader.bio)
+        return _whole(path, data, header.get_string("compression"), limit, header.get_uint32("size"))
+
+    reader.chunks |= {
+        place: each._replace(decompressor=partial(unpacked, place)) for place, each in reader.chunks.items()
+    }
