@@ -1,6 +1,7 @@
 """A run's folder: a stop between two writes, damage, strangers' files never change what a resumed run learns."""
 
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -97,7 +98,7 @@ def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypa
         assert_same(again, whole)
 
 
-@pytest.mark.parametrize("damage", ["cut", "flip", "remove", "foreign"])
+@pytest.mark.parametrize("damage", ["cut", "flip", "remove", "foreign", "bomb", "header", "plain"])
 def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
     whole, folder = session(tmp_path / "whole", fleet), session(tmp_path / "run", fleet)
     paths = sorted((folder.path / "predictions").glob("*.npz"))
@@ -108,6 +109,20 @@ def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
         middle.write_bytes(content[:80] + bytes([content[80] ^ 255]) + content[81:])
     elif damage == "remove":
         middle.unlink()
+    elif damage == "bomb":  # a few kB that unpack to gigabytes, were they read
+        with (
+            zipfile.ZipFile(middle, "w", zipfile.ZIP_DEFLATED) as archive,
+            archive.open("predictions.npy", "w") as file,
+        ):
+            np.lib.format.write_array_header_2_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**7,)})
+            for _ in range(80):
+                file.write(bytes(10**6))
+    elif damage == "header":  # an array that claims to be larger than any memory
+        with zipfile.ZipFile(middle, "w") as archive, archive.open("predictions.npy", "w") as file:
+            np.lib.format.write_array_header_2_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+    elif damage == "plain":
+        with middle.open("wb") as file:
+            np.save(file, np.ones(3))
     else:
         (folder.path / "predictions" / "notes.npz").write_bytes(b"x")
         (folder.path / "checkpoints" / "a" / "best.safetensors").write_bytes(b"x")
@@ -115,7 +130,8 @@ def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
         again = session(folder.path, fleet, "latest")
         (folder.path / "checkpoints" / "a" / "best.safetensors").unlink()
     else:
-        with pytest.warns(UserWarning, match="going on from before it"):
+        told = "unpacks to 80 MB, expected 0" if damage == "bomb" else "going on from before it"
+        with pytest.warns(UserWarning, match=told):
             again = session(folder.path, fleet, "latest")
     assert_same(again, whole)
 

@@ -28,6 +28,17 @@ from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULT
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
+DAMAGE = (
+    OSError,
+    ValueError,
+    KeyError,
+    IndexError,
+    EOFError,
+    MemoryError,
+    zipfile.BadZipFile,
+    zlib.error,
+)  # to an .npz
+
 
 class Start(NamedTuple):
     """Where a run begins."""
@@ -237,13 +248,12 @@ class RunFolder:
             steps, boats = place.step - before.step, len(self.fleet.boats)
             shape = (steps, boats, start.state.predictions.shape[-1])
             try:
-                with path.open("rb") as file, np.load(file) as archive:
-                    published = {name: archive[name] for name in PUBLISHED if name in archive}
+                published = read_published(path, *shape)
                 found = published["predictions"].shape
                 whole = all(array.shape[:2] == (steps, boats) for array in published.values())
                 if place.run != before.run or found != shape or not whole:
                     raise ValueError(f"it holds {found}, expected {shape}")
-            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            except DAMAGE as error:
                 warnings.warn(f"{path}: is damaged ({error}); going on from before it", stacklevel=2)
                 break
             readable.append((place, published))
@@ -301,6 +311,22 @@ class RunFolder:
 def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """Stretches of what was published, one after the other."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def read_published(path: Path, steps: int, boats: int, columns: int) -> dict[str, np.ndarray]:
+    """The arrays of a file of predictions, by PUBLISHED; one of DAMAGE where it cannot be read.
+
+    Args:
+        path: of the file.
+        steps, boats, columns: how large the predictions can be. A file with much more is not unpacked.
+    """
+    most = (1 << 16) + 4 * 8 * max(0, steps) * boats * (2 * columns + 5)
+    if not zipfile.is_zipfile(path):
+        raise ValueError("it is no archive of arrays")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
+            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
+        return {name: archive[name] for name in PUBLISHED if name in archive}
 
 
 def position(path: Path) -> Position | None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-import zipfile
-import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +16,7 @@ from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
-from usvlearn.learning.run_folder import digest, position
+from usvlearn.learning.run_folder import DAMAGE, digest, position, read_published
 from usvlearn.learning.trust import check_settings
 from usvlearn.signals import Fleet, tree_map
 
@@ -138,7 +136,8 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             f"data: found the boat {', '.join(missing)}, of which the runs hold no parameter set (they have "
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
-    read = [_read(folder) for folder in folders]
+    lengths = {key: len(run.samples.surge) for found in runs.values() for key, run in found.items()}
+    read = [_read(folder, lengths, len(ensemble.names)) for folder in folders]
     return [_season(boat, list(found.values()), read, ensemble) for boat, found in runs.items()]
 
 
@@ -151,21 +150,23 @@ class _Folder(NamedTuple):
     published: dict[int, list[dict[str, np.ndarray]]]  # index of the run -> stretches, (time, boats, …)
 
 
-def _read(folder: Path) -> _Folder:
+def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
+    """What stands in a folder; predictions only of the runs whose lengths are given by key."""
     learned, dt = _runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
     published: dict[int, list[dict[str, np.ndarray]]] = {}
     for path in sorted((folder / PREDICTIONS).glob("*.npz")):
         at = position(path)
+        keys = [runs[at.run][2] for runs in learned.values() if at is not None and at.run < len(runs)]
+        if not (steps := max((lengths.get(key, 0) for key in keys), default=0)):
+            continue
         try:
-            with path.open("rb") as file, np.load(file) as archive:
-                part = {name: archive[name] for name in archive.files}
+            part = read_published(path, steps, len(learned), columns)
             if any(array.shape[1] != len(learned) for array in part.values()):
                 raise ValueError(f"it is not of {len(learned)} boats")
-        except (OSError, ValueError, KeyError, EOFError, IndexError, zipfile.BadZipFile, zlib.error) as error:
+        except DAMAGE as error:
             warnings.warn(f"{path}: is damaged ({error}); its run goes without predictions", stacklevel=3)
             continue
-        if at is not None:
-            published.setdefault(at.run, []).append(part)
+        published.setdefault(at.run, []).append(part)
     return _Folder(folder, dt, learned, published)
 
 
