@@ -5,20 +5,19 @@ python evaluate.py runs=multirun/DIR                the jobs of a sweep: the lea
 python evaluate.py experiment=paper                 the paper's study from nothing, on a simulated fleet
 """
 
-import sys
 from functools import partial
 from pathlib import Path
 
 import hydra
 from hydra.experimental.callback import Callback
-from hydra.utils import instantiate
 from omegaconf import DictConfig, OmegaConf
 
-from usvlearn.errors import ConfigError, one_sentence  # what needs torch is imported where it is used: --help is quick
+from usvlearn.errors import one_sentence  # what needs torch is imported where it is used: --help is quick
 from usvlearn.evaluation.terminal import console
 from usvlearn.learning.launchers import prepare_workers, set_threads
 from usvlearn.learning.leaderboard import leaderboard
 from usvlearn.learning.sweep import check_sweep
+from usvlearn.lock import Lock
 from usvlearn.logs.fleet import align_fleet
 
 
@@ -27,7 +26,11 @@ def load(path: Path) -> object:
 
 
 class Sweep(Callback):
-    """What train.py does around a sweep: at its end the leaderboard, and exit code 2 where a job failed."""
+    """What train.py does around a run: lock its folder; after a sweep the leaderboard, and code 2 where a job failed."""
+
+    def on_run_start(self, config: DictConfig, **_) -> None:
+        with one_sentence():  # a search is made by several processes together
+            self.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
 
     def on_multirun_start(self, config: DictConfig, **_) -> None:
         with one_sentence():
@@ -37,7 +40,7 @@ class Sweep(Callback):
     def on_multirun_end(self, config: DictConfig, **_) -> None:
         with one_sentence():
             if not leaderboard(Path(config.hydra.sweep.dir), load):
-                sys.exit(2)
+                raise SystemExit(2)
 
 
 def study(cfg: DictConfig, tools) -> None:
@@ -51,7 +54,7 @@ def study(cfg: DictConfig, tools) -> None:
     made = Study(
         Path(cfg.folder), plain(cfg.study), tools.say, choose=lambda folder: start_of(folder, tools),
         run=lambda overrides, folder: work(hydra.compose("train", overrides), folder, overrides),
-        check=lambda overrides: request(plain(hydra.compose("train", overrides)), instantiate),
+        check=lambda overrides: request(plain(hydra.compose("train", overrides)), hydra.utils.instantiate),
     )  # fmt: skip
     season, gained = made.make()
     evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands)
@@ -64,13 +67,11 @@ def main(cfg: DictConfig) -> None:
     from usvlearn.simulate.truth import truth_of
 
     set_threads(1)
-    tools = Tools(instantiate, align_fleet, truth_of, console(), cfg.trust)
+    tools = Tools(hydra.utils.instantiate, align_fleet, truth_of, console(), cfg.trust)
     with one_sentence(hydra.errors.InstantiationException):
         if cfg.study is not None:
             study(cfg, tools)
-        elif cfg.runs is None:
-            raise ConfigError("runs is not set: set runs=FOLDER, a folder that train.py has written")
-        elif is_sweep(Path(cfg.runs)):
+        elif is_sweep(cfg.runs):
             leaderboard(Path(cfg.runs), load)
         else:
             evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))

@@ -18,6 +18,7 @@ OURS = {
     "usvlearn.checkpoint": LIGHT,
     "usvlearn.logs": LIGHT | {"usvlearn.compiled", "usvlearn.logs"},
     "usvlearn.compiled": set(),
+    "usvlearn.lock": LIGHT,
     "usvlearn.kernels": LIGHT | {"usvlearn.compiled", "usvlearn.kernels"},
     "usvlearn.hyper": LIGHT,
     "usvlearn.backend": LIGHT | {"usvlearn.kernels", "usvlearn.estimator"},  # the latter's names, for types
@@ -28,13 +29,14 @@ OURS = {
     "usvlearn.online": LIGHT | {"usvlearn.backend", "usvlearn.estimator", "usvlearn.checkpoint", "usvlearn.kernels"},
     "usvlearn.learning": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                   "usvlearn.checkpoint", "usvlearn.learning", "usvlearn.evaluation",
-                                  "usvlearn.kernels",
+                                  "usvlearn.kernels", "usvlearn.lock",
                                   "usvlearn.tensorboard"},
     "usvlearn.evaluation.stability": LIGHT | {"usvlearn.estimators", "certify"},
     "usvlearn.evaluation.sections.network": LIGHT | {"usvlearn.estimators", "usvlearn.evaluation", "certify"},
     "usvlearn.evaluation.sections.cost": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.evaluation",
                                                   "usvlearn.online"},
-    "usvlearn.evaluation.report": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.tensorboard"},
+    "usvlearn.evaluation.report": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.lock",
+                                           "usvlearn.tensorboard"},
     "usvlearn.evaluation": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
                                     "usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.backend"},
     "usvlearn.tensorboard": set(),
@@ -49,7 +51,7 @@ CERTIFY = {
 }
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.compiled", "usvlearn.kernels",
-            "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation")  # fmt: skip
+            "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation", "usvlearn.lock")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.evaluation.judge", "usvlearn.evaluation.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))

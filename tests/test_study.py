@@ -114,7 +114,7 @@ def test_a_damaged_file_is_told(tmp_path, name):
 def test_another_plan_is_not_mixed_in(tmp_path):
     made(tmp_path, Recorder()).make()
     with pytest.raises(ConfigError, match="study of another plan"):
-        made(tmp_path, Recorder(), {**PLAN, "evaluations": 8})
+        made(tmp_path, Recorder(), {**PLAN, "evaluations": 8}).make()
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "configs" / "experiment").glob("*.yaml")), ids=lambda path: path.stem)

@@ -17,6 +17,7 @@ from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.figures import INK, LINE, themed
 from usvlearn.evaluation.section import Drawn, Section
+from usvlearn.lock import NAME as LOCK
 from usvlearn.tensorboard import Board
 
 STYLE = """
@@ -112,7 +113,8 @@ def check_report_folder(folder: Path) -> None:
     """
     with themed():
         pass
-    if folder.is_dir() and not (folder / FILES).exists() and any(folder.iterdir()):
+    found = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
+    if found - {LOCK} and FILES not in found:
         raise ConfigError(f"report: {folder} holds something that is no report: name another folder")
     for kind in FOLDERS:
         if (folder / kind).is_symlink():

@@ -20,6 +20,7 @@ from usvlearn.evaluation.season import Season
 from usvlearn.evaluation.section import Section
 from usvlearn.evaluation.sections.parameters import Truth
 from usvlearn.learning.saved import configuration, read_seasons, results
+from usvlearn.lock import Lock
 from usvlearn.signals import Fleet
 
 
@@ -29,7 +30,7 @@ class Tools(NamedTuple):
     instantiate: Callable[..., Any]  # makes the object that a node of a configuration describes
     align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
     truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
-    console: Console
+    console: Console = Console(markup=False)
     trust: str | Sequence[str] | None = None  # modules of the user's own that saved settings may name
 
     def say(self, text: str) -> None:
@@ -79,13 +80,14 @@ def evaluate(
         more: sections to begin with.
         commands: with which the report can be made again.
     """
-    check_report_folder(report)
-    unfinished = [f"{folder} is not finished: judged as far as it is." for folder in folders if not results(folder)]
-    ensemble, seasons, truth = read(folders, tools, data)
-    with Progress(console=tools.console) as progress:
-        bar = progress.add_task("simulating", total=simulations(ensemble, seasons))
-        sections, errors = judge(ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps))
-    page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
+    with Lock(report, "report"):
+        check_report_folder(report)
+        unfinished = [f"{folder} is not finished: judged as far as it is." for folder in folders if not results(folder)]
+        ensemble, seasons, truth = read(folders, tools, data)
+        with Progress(console=tools.console) as progress:
+            bar = progress.add_task("simulating", total=simulations(ensemble, seasons))
+            sections, errors = judge(ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps))
+        page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
     tools.say(f"report: {page}")
     return page
 

@@ -28,6 +28,7 @@ from usvlearn.evaluation.sections.tuning import tuning_section
 from usvlearn.learning.layout import RESULTS, RUNS, TUNING
 from usvlearn.learning.saved import results
 from usvlearn.learning.trust import check_setting
+from usvlearn.lock import Lock
 
 PLAN, START = "study.json", "start.json"
 Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
@@ -46,7 +47,7 @@ class Study:
         choose: of a finished folder, the checkpoint from which the next season starts.
 
     Raises:
-        ConfigError: the folder holds a study of another plan; a member cannot be tuned so.
+        ConfigError: a member cannot be tuned so.
     """
 
     def __init__(
@@ -61,29 +62,36 @@ class Study:
         self.folder, self.commands = folder, list[str]()
         self.plan = {**plan, "version": usvlearn.__version__}
         self._run, self._choose, self._say = run, choose, say
-        path = folder / PLAN
         with themed():  # what its report needs, before an hour is spent
             pass
         for member in self.plan["members"]:
             check(self._tuning(member))
+
+    def make(self) -> tuple[Path, Section]:
+        """Make all stages; the folder of the season with tuned settings, and what tuning gained.
+
+        Raises:
+            ConfigError: the folder holds a study of another plan, or another process is at work there.
+        """
+        with Lock(self.folder, "folder"):
+            self._keep_plan()
+            found = {member: self._tuned(member) for member in self.plan["members"]}
+            settings = [
+                f"estimators.{member}.{path}={value}"
+                for member, each in found.items()
+                for path, value in each["best"]["setting"].items()
+            ]
+            before, after = self._learned("default", []), self._learned("tuned", settings)
+            return after, tuning_section(found, results(after)["boats"], results(before)["boats"])
+
+    def _keep_plan(self) -> None:
+        path = self.folder / PLAN
         if path.exists() and _read(path) != self.plan:
             raise ConfigError(
                 f"{path}: found a study of another plan or version, expected the same: choose another folder=DIR, or "
                 "remove this one"
             )
-        folder.mkdir(parents=True, exist_ok=True)
         write_atomically(path, json.dumps(self.plan, indent=2).encode())
-
-    def make(self) -> tuple[Path, Section]:
-        """Make all stages; the folder of the season with tuned settings, and what tuning gained."""
-        found = {member: self._tuned(member) for member in self.plan["members"]}
-        settings = [
-            f"estimators.{member}.{path}={value}"
-            for member, each in found.items()
-            for path, value in each["best"]["setting"].items()
-        ]
-        before, after = self._learned("default", []), self._learned("tuned", settings)
-        return after, tuning_section(found, results(after)["boats"], results(before)["boats"])
 
     def _tuned(self, member: str) -> dict[str, Any]:
         folder = self.folder / "tune" / member
@@ -117,7 +125,8 @@ class Study:
         self._say(self.commands[-1])
         if (folder / RUNS).exists():  # it was stopped
             overrides = [*(each for each in overrides if not each.startswith("resume=")), f"resume={folder}"]
-        self._run(overrides, folder)
+        with Lock(folder, "folder"):
+            self._run(overrides, folder)
 
 
 def _read(path: Path) -> Any:

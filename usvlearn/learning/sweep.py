@@ -22,6 +22,7 @@ from usvlearn.errors import ConfigError, UsvlearnError, bad_input
 from usvlearn.evaluation.ranking import differing, ranked_by, scored
 from usvlearn.evaluation.tables import told
 from usvlearn.learning.layout import RESULTS, RUNS, save_results
+from usvlearn.lock import Lock
 
 JOB, TRACEBACK = "job.json", "traceback.txt"
 
@@ -76,7 +77,8 @@ def run_job(
 ) -> float:
     """Do one job of a sweep: nothing if it is finished, the rest if it was begun, all if it failed before.
 
-    A folder that holds the job of other settings is left as it is. No error leaves this function: the other jobs go on.
+    A folder that holds the job of other settings, or in which another process is at work, is left as it is. No error
+    leaves this function: the other jobs go on.
 
     Args:
         folder: the job's own.
@@ -97,6 +99,23 @@ def run_job(
     if settings.get("resume") == "latest":
         print("error: resume=latest: a sweep goes on from where it stopped by itself: leave it out", file=sys.stderr)
         return float("nan")
+    try:
+        lock = Lock(folder, "hydra.sweep.dir")
+    except (UsvlearnError, OSError) as error:
+        print(f"error: {bad_input(error) or error}", file=sys.stderr)
+        return float("nan")
+    with lock:
+        return _run_job(folder, settings, overrides, work, wrapper)
+
+
+def _run_job(
+    folder: Path,
+    settings: Mapping,
+    overrides: Sequence[str],
+    work: Callable[[str | None], float],
+    wrapper: type[BaseException],
+) -> float:
+    """`run_job` in a folder that is locked."""
     known, held, results = digest(settings), _read(folder / JOB), _read(folder / RESULTS)
     begun, done = (folder / RUNS).exists(), "boats" in results
     if held.get("settings", known) != known and (begun or done):
@@ -106,7 +125,6 @@ def run_job(
         print(f"finished before: {folder}")
         return _objective(results, overrides, swept)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         for old in (RESULTS, TRACEBACK):
             (folder / old).unlink(missing_ok=True)
         note = {"settings": known, "overrides": list(overrides)}

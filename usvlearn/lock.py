@@ -1,0 +1,105 @@
+"""One process at a time writes to a folder: a lock that the system takes back when its process ends, however it ends.
+
+The lock is held on the file `.lock` in the folder, which names the process. It is removed when the lock is released;
+one that a killed process has left means nothing.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import warnings
+from pathlib import Path
+
+from usvlearn.errors import ConfigError
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+    import msvcrt
+
+NAME = ".lock"
+
+
+class Lock:
+    """Holds the lock of a folder until `release`, the end of a `with`, or the end of the process.
+
+    Args:
+        folder: that is to be written to; it is made.
+        other: what the user can choose in its place, for the error.
+        shared: whether other processes may hold it, too, if they share it.
+
+    Raises:
+        ConfigError: another process holds it.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     with Lock(Path(folder, "run"), "hydra.run.dir"):
+    ...         sorted(path.name for path in Path(folder, "run").iterdir())
+    ...     sorted(path.name for path in Path(folder, "run").iterdir())
+    ['.lock']
+    []
+    """
+
+    def __init__(self, folder: Path, other: str, shared: bool = False):
+        self.path, self._process = folder / NAME, os.getpid()
+        folder.mkdir(parents=True, exist_ok=True)
+        while True:
+            self._file: int | None = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            try:
+                _lock(self._file, shared)
+            except (BlockingIOError, PermissionError):
+                holder = os.read(self._file, 20).decode(errors="replace").strip()
+                os.close(self._file)
+                holder = f"process {holder}" if holder else "another process"
+                raise ConfigError(
+                    f"{folder}: {holder} is writing there: wait for its end, or choose another {other}"
+                ) from None
+            except OSError as error:  # a file system without locks
+                warnings.warn(
+                    f"{folder}: cannot be locked ({error.strerror}): let no other process write there", stacklevel=2
+                )
+            if self._is_current():
+                break
+            os.close(self._file)  # of a process that has just removed it
+        os.ftruncate(self._file, 0)
+        os.write(self._file, str(self._process).encode())
+        atexit.register(self.release)
+
+    def release(self) -> None:
+        """Give the lock back; a second time does nothing."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        atexit.unregister(self.release)
+        if os.getpid() == self._process:  # a fork has a copy, which is not its own
+            try:
+                _lock(file, shared=False)  # the last of those that share it removes the file
+                self.path.unlink(missing_ok=True)
+            except OSError:  # shared, or open on Windows: the file stays
+                pass
+        os.close(file)
+
+    def __enter__(self) -> Lock:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.release()
+
+    def _is_current(self) -> bool:
+        """Whether the locked file is still the one of that name."""
+        try:
+            return os.path.samestat(os.fstat(self._file), os.stat(self.path))
+        except FileNotFoundError:
+            return False
+
+
+def _lock(file: int, shared: bool) -> None:
+    """Lock an open file; BlockingIOError or PermissionError where another process holds it."""
+    if fcntl is not None:
+        fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    elif not shared:  # Windows has none that is shared: who shares does not lock
+        os.lseek(file, 1 << 30, os.SEEK_SET)  # a byte behind the content, which others may read
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+        os.lseek(file, 0, os.SEEK_SET)
