@@ -26,7 +26,7 @@ def load(path: Path) -> object:
 
 
 class Sweep(Callback):
-    """What train.py does around a run: lock its folder; after a sweep the leaderboard, and code 2 where a job failed."""
+    """What train.py does around a run: lock its folder; after a sweep the leaderboard, and code 2 if a job failed."""
 
     def on_run_start(self, config: DictConfig, **_) -> None:
         with one_sentence():  # a search is made by several processes together

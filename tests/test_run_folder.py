@@ -1,5 +1,7 @@
 """A run's folder: a stop between two writes, damage, strangers' files never change what a resumed run learns."""
 
+import json
+import os
 import warnings
 import zipfile
 
@@ -13,7 +15,7 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.learning import run_folder
 from usvlearn.learning.replay import replay
 from usvlearn.learning.run_folder import RunFolder
-from usvlearn.learning.saved import configuration
+from usvlearn.learning.saved import configuration, run_folders
 from usvlearn.logs.fleet import align_fleet
 from usvlearn.signals import named_leaves
 
@@ -190,3 +192,72 @@ def test_a_set_without_a_configuration_is_passed_over(tmp_path, fleet, foreign):
     leaves, facts = checkpoint.load(newest)
     checkpoint.save(newest, leaves, **{key: value for key, value in facts.items() if key != "configuration"} | foreign)
     assert configuration(run.path) == SETTINGS["configuration"]
+
+
+def shuffled(tmp_path, rng) -> None:
+    """The clock told anything while all files were written."""
+    for path in tmp_path.rglob("*"):
+        os.utime(path, (float(rng.uniform(0, 2e9)),) * 2)
+
+
+def began(folder) -> int:
+    return json.loads((folder / "runs.json").read_text())["began"]["number"]
+
+
+def test_the_latest_run_is_the_one_that_began_last_whatever_the_clock_says(tmp_path, fleet, monkeypatch):
+    rng = np.random.default_rng(0)
+    for k, name in enumerate("cab"):
+        monkeypatch.setattr(run_folder.time, "time", lambda k=k: 2e9 - 1e8 * k)  # set back before each run
+        session(tmp_path / name, fleet)
+    assert [began(tmp_path / name) for name in "cab"] == [1, 2, 3]
+    other = align_fleet([recording("a", "new", 6.0, speed=0.5), recording("b", "new", 9.0)])
+    for k in range(5):
+        shuffled(tmp_path, rng)
+        new = RunFolder(tmp_path / f"new{k}", other, SETTINGS)
+        assert new._latest() == tmp_path / ("b" if k == 0 else f"new{k - 1}")
+        new.begin(model().init((2,)), "latest")
+    assert [path.name for path in run_folders(tmp_path)] == [*"cab", "new0", "new1", "new2", "new3", "new4"]
+
+
+def test_a_run_that_went_on_is_the_latest(tmp_path, fleet):
+    for name in ("first", "second"):
+        session(tmp_path / name, fleet)
+    session(tmp_path / "first", fleet, "latest")
+    assert (began(tmp_path / "first"), began(tmp_path / "second")) == (3, 2)
+    shuffled(tmp_path, np.random.default_rng(1))
+    assert RunFolder(tmp_path / "next", fleet, SETTINGS)._latest() == tmp_path / "first"
+    elsewhere = session(tmp_path / "other" / "run", fleet, str(tmp_path / "first"))
+    assert began(elsewhere.path) == 4  # later than what it goes on from, wherever that is
+
+
+def test_runs_without_a_record_of_their_beginning(tmp_path, fleet):
+    """Those of an older version: the one with the newest set, as before, and before any that has the record."""
+    for k, name in enumerate(("old", "older")):
+        folder = session(tmp_path / name, fleet).path
+        content = json.loads((folder / "runs.json").read_text())
+        del content["began"]
+        (folder / "runs.json").write_text(json.dumps(content))
+        for path in folder.rglob("*.*"):
+            os.utime(path, (1e9 - k, 1e9 - k))
+    latest = RunFolder(tmp_path / "next", fleet, SETTINGS)._latest
+    assert latest() == tmp_path / "old"
+    for number in ("3", None, True, -1, 1e300, [1]):
+        content["began"] = {"number": number}
+        (tmp_path / "older" / "runs.json").write_text(json.dumps(content))
+        os.utime(tmp_path / "older" / "runs.json", (1e9 - 1, 1e9 - 1))
+        assert latest() == tmp_path / "old", number
+    session(tmp_path / "new", fleet)
+    shuffled(tmp_path, np.random.default_rng(2))
+    assert began(tmp_path / "new") == 1 and latest() == tmp_path / "new"
+
+
+def test_of_two_that_began_at_once_the_one_that_came_further_is_the_latest(tmp_path, fleet):
+    for name in ("z", "a"):
+        session(tmp_path / name, fleet)
+        content = json.loads((tmp_path / name / "runs.json").read_text()) | {"began": {"number": 1}}
+        (tmp_path / name / "runs.json").write_text(json.dumps(content))
+    for boat in "ab":
+        checkpoint.checkpoints(tmp_path / "z" / "checkpoints" / boat)[-1].unlink()
+    for seed in range(10):
+        shuffled(tmp_path, np.random.default_rng(seed))
+        assert RunFolder(tmp_path / "next", fleet, SETTINGS)._latest() == tmp_path / "a"

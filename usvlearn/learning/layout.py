@@ -3,7 +3,8 @@
 checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
 predictions/RRRRR_SSSSSSS.npz                what was published since the file before, of all boats: predictions,
                                              half-widths of their intervals, health of the thrusters
-runs.json                                    which runs, of which samples, through which ensemble
+runs.json                                    which runs, of which samples, through which ensemble; when it began, and
+                                             as which number among the runs beside it
 results.json                                 the scores, at the end
 tuning.json                                  what tuning leaves in place of all that
 """

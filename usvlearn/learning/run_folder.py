@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import time
 import warnings
 import zipfile
 import zlib
@@ -120,7 +121,10 @@ class RunFolder:
                 save_checkpoint(first.path, first.state, **first.facts)
         self._saved, self.state = start.position, start.state
         self._forget(start.position)
-        write_atomically(self.path / RUNS, json.dumps(self._runs, indent=2).encode())
+        others = [*self.path.parent.glob("*"), *([] if resume is None else [source])]
+        number = 1 + max(map(_number, others), default=0)
+        noted = self._runs | {"began": {"number": number, "time": time.strftime("%FT%TZ", time.gmtime(time.time()))}}
+        write_atomically(self.path / RUNS, json.dumps(noted, indent=2).encode())
         return start
 
     def save(self, chunk: Chunk) -> None:
@@ -193,19 +197,16 @@ class RunFolder:
         return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
 
     def _latest(self) -> Path:
-        """The folder with the newest parameter set: this one if a run began here, else a sibling."""
+        """The run that began last, or went on: this one if it began here, else a sibling with parameter sets."""
         if (self.path / RUNS).exists():
             return self.path
-        stamped = [
-            (max(path.stat().st_mtime_ns for path in sets), folder)
-            for folder in self.path.parent.glob("*")
-            if (folder / RUNS).exists() and (sets := list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")))
-        ]
-        if not stamped:
+        found = [path.parent for path in self.path.parent.glob(f"*/{RUNS}")]
+        found = [folder for folder in found if any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))]
+        if not found:
             raise CheckpointError(
                 f"resume=latest: no run with parameter sets in {self.path.parent}: give a run's folder, or leave it out"
             )
-        return max(stamped)[1]
+        return max(found, key=begun)
 
     def _is_this_run(self, source: Path) -> bool:
         """Whether a folder was made from these samples, or from the first of these runs, by this ensemble."""
@@ -327,6 +328,26 @@ def read_published(path: Path, steps: int, boats: int, columns: int) -> dict[str
         if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
             raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
         return {name: archive[name] for name in PUBLISHED if name in archive}
+
+
+def begun(folder: Path) -> tuple[int, int, Position, str]:
+    """A key that sorts the runs in one folder by when they began, or last went on.
+
+    Clocks are set back, so that runs are numbered as they begin. Of equal numbers the run that came further is the
+    later. Runs of older versions have no number: they are before the others, and sorted by the time of their files.
+    """
+    sets, number = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), _number(folder)
+    stamp = 0 if number else max(path.stat().st_mtime_ns for path in [*sets, folder / RUNS])
+    return number, stamp, max(filter(None, map(position, sets)), default=BEGIN), folder.name
+
+
+def _number(folder: Path) -> int:
+    """How many runs had begun beside a folder's run, itself counted; 0 where that is not noted."""
+    try:
+        number = json.loads((folder / RUNS).read_text())["began"]["number"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return 0
+    return number if type(number) is int and number > 0 else 0
 
 
 def position(path: Path) -> Position | None:

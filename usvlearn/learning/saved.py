@@ -16,7 +16,7 @@ from usvlearn.estimator import stack
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
-from usvlearn.learning.run_folder import DAMAGE, digest, position, read_published
+from usvlearn.learning.run_folder import DAMAGE, begun, digest, position, read_published
 from usvlearn.learning.trust import check_settings
 from usvlearn.signals import Fleet, tree_map
 
@@ -34,7 +34,9 @@ def run_folders(folder: str | Path) -> list[Path]:
     if not found:
         what = "a tuning alone in" if (folder / TUNING).exists() else "no run below"
         raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which train.py has made a run")
-    return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))
+    if len({path.parent for path in found}) == 1:
+        return sorted(found, key=begun)
+    return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are those of one folder
 
 
 def is_sweep(folder: str | Path | None) -> bool:
