@@ -173,6 +173,22 @@ def test_a_scan_ends_at_lost_writes_and_says_where(tmp_path):
     assert 0 < len(channels["surge"].time) < STEPS
 
 
+@pytest.mark.parametrize("compression", ["bz2", "lz4"])
+def test_a_scan_ends_at_a_chunk_that_does_not_unpack_to_its_end(tmp_path, compression):
+    """The chunk's record is whole, and so are those behind it: what it lacks is lost, not passed over in silence."""
+    whole = write_bag(tmp_path / "whole.bag", compression).read_bytes()
+    chunks = [each for each in records(whole[len(MAGIC) :]) if each[0] == CHUNK]
+    _, place, start, end = (len(MAGIC) + x for x in chunks[len(chunks) // 2])
+    data = whole[start : (start + end) // 2]
+    broken = whole[: start - 4] + struct.pack("<I", len(data)) + data + whole[end:]
+    channels, warning = recovered(tmp_path / "a.bag", unindexed(broken))
+    assert f"breaks off in the one at byte {place} of {len(broken)}" in warning
+    before, _ = recovered(tmp_path / "b.bag", unindexed(whole[:place]))
+    count = len(before["surge"].time)
+    assert 0 < count <= len(channels["surge"].time) < STEPS
+    np.testing.assert_array_equal(channels["surge"].value[:count], before["surge"].value)
+
+
 @pytest.mark.filterwarnings("ignore:.*missing or damaged:UserWarning")
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_damage_anywhere_is_refused_or_read_around(tmp_path, compression):
