@@ -208,3 +208,45 @@ def test_many_chunks_cannot_fill_the_memory_together(tmp_path):
     total.add(MB + MOST * whole.stat().st_size)
     with pytest.raises(LogFormatError, match=r"a\.bag: found more than \d+ MB of messages"):
         total.add(1)
+
+
+def typed(path: Path, definition: str, data: bytes, indexed: bool) -> Path:
+    """A bag of one message of a type of its own."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(definition, "own/msg/Speed"))
+    with rosbag1.Writer(path) as bag:
+        connection = bag.add_connection("/speed", "own/msg/Speed", typestore=store)
+        bag.write(connection, START, data)
+    if not indexed:
+        path.write_bytes(unindexed(path.read_bytes()))
+    return path
+
+
+EMPTY = "\n" + 80 * "=" + "\nMSG: own/Empty\n"
+NESTED = "".join(f"\n{80 * '='}\nMSG: own/T{k}\nown/T{k + 1}[100] x\n" for k in range(4)) + EMPTY.replace("Empty", "T4")
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+@pytest.mark.parametrize(
+    ("definition", "data", "what"),
+    [
+        (f"float64 data\nown/Empty[] x{EMPTY}", bytes(8) + b"\xff" * 4, "a list of what has no fields"),
+        (f"float64 data\nown/Empty[100000000] x{EMPTY}", bytes(8), "an array of 100000000 fields"),
+        (f"float64 data\nown/T0 x{NESTED}", bytes(8), "an array of 10100 fields"),
+        ("float64 data\nstring[50000000] x", bytes(8), "an array of 50000000 fields"),
+        ("float64 data\nuint8[] x", bytes(8) + struct.pack("<I", 2 * MB) + bytes(2 * MB), "a message of 2.0 MB"),
+    ],
+)
+def test_a_message_cannot_become_many_more_objects_than_it_has_bytes(tmp_path, definition, data, what, indexed):
+    path = typed(tmp_path / "a.bag", definition, data, indexed)
+    with pytest.raises(LogFormatError, match=what):
+        Rosbag().read(path, SPEED)
+
+
+def test_types_of_many_numbers_are_read(tmp_path):
+    path = typed(
+        tmp_path / "a.bag", "float64 data\nfloat64[50000] x\nuint8[] y\nstring[3] z", bytes(8 + 400_000 + 16), True
+    )
+    assert Rosbag().read(path, SPEED)[0]["surge"].value == [0.0]

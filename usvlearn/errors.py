@@ -6,12 +6,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 
+def printable(text: str) -> str:
+    r"""Text from a file, with what would act on a terminal escaped.
+
+    >>> print(printable("found \x1b[2J, 3 °"))
+    found \x1b[2J, 3 °
+    """
+    return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
+
+
 class UsvlearnError(ValueError):
     """Any bad input that a person can mend. `train.py` prints it in one sentence and exits with code 2."""
 
 
 class LogFormatError(UsvlearnError):
-    """A log that cannot be read as it was declared."""
+    """A log that cannot be read as it was declared. The message may quote the log: see `printable`."""
+
+    def __init__(self, message: str):
+        super().__init__(printable(message))
 
 
 class CheckpointError(UsvlearnError):

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO
 from usvlearn.errors import LogFormatError
 
 MB = 1_000_000
+MESSAGE = MB  # bytes of one message that is read: as objects of Python it takes a hundred times as many
 BLOCK = 1 << 16  # bytes unpacked at a time: the blocks before a damaged one are kept
 MOST = 1000  # times its size: how much a bag may unpack to, all chunks together
 _PATCHED = threading.Lock()  # what rosbags unpacks with is common to all threads
@@ -85,6 +86,15 @@ class Total:
 
     def __init__(self, path: Path, limit: int):
         self.path, self.most, self.count = path, limit + MOST * path.stat().st_size, 0
+
+    def message(self, data: bytes) -> None:
+        """Count a message that is to be read; a LogFormatError where it, or all of them, are too large."""
+        if len(data) > MESSAGE:
+            raise LogFormatError(
+                f"{self.path}: found a message of {len(data) / MB:.1f} MB, expected at most {MESSAGE / MB:g} MB: name "
+                "another topic in data.channels"
+            )
+        self.add(len(data))
 
     def add(self, count: int) -> None:
         """Count some bytes more; a LogFormatError where there are too many."""

@@ -12,10 +12,11 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive
+from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
 from usvlearn.logs.channel import Channel, Source, build_channel, match_name
 from usvlearn.logs.decompress import MB, Total, limit_chunks, limited
 from usvlearn.logs.rosbag_scan import Scan
+from usvlearn.logs.rosbag_types import check_type
 
 CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt is that of a clock that was never set
 
@@ -69,6 +70,7 @@ class Rosbag:
             MissingExtraError: rosbags is not installed.
         """
         try:
+            import apsw  # noqa: F401: an older rosbags has none, and cannot be limited
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
@@ -87,7 +89,7 @@ class Rosbag:
 
     def _recover(self, path: Path, sources: dict[str, Source], refusal: Exception):
         """What `read` gives, of a bag that rosbags refuses."""
-        what = " ".join(str(refusal).split())[:200].rstrip(".") or type(refusal).__name__
+        what = printable(" ".join(str(refusal).split())[:200].rstrip(".")) or type(refusal).__name__
         if path.suffix == ".active":
             what = "its recording was not closed"
         patterns = [source.name for source in sources.values()]
@@ -116,8 +118,10 @@ class Rosbag:
         order: dict[str, list[int]] = {channel: [] for channel in sources}
         start, total = bag.start_time, Total(path, self._limit)
         wanted = [connection for connection in bag.connections if connection.topic in readings]
+        for connection in wanted:
+            check_type(path, connection.msgtype, bag.typestore.fielddefs)
         for number, (connection, received, data) in enumerate(bag.messages(wanted)):
-            total.add(len(data))
+            total.message(data)
             message = bag.deserialize(data, connection.msgtype)
             seconds = (self._stamp(message, received) - start) * 1e-9
             for channel in readings[connection.topic]:

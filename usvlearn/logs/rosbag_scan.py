@@ -15,6 +15,7 @@ from typing import BinaryIO, NamedTuple
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.decompress import Total, unpack
+from usvlearn.logs.rosbag_types import check_type
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)  # the field "op" of a record's header
@@ -53,7 +54,7 @@ class Scan:
 
         self.start_time, self.count, self.end, self.size = 2**63 - 1, 0, 0, 0
         self._path, self._limit = path, limit
-        self._keep, self._store = keep, get_typestore(Stores.EMPTY)
+        self._keep, self.typestore = keep, get_typestore(Stores.EMPTY)
         self._connections: dict[int, Connection] = {}
         self._messages: dict[int, list[tuple[int, bytes]]] = {}  # number of a kept connection -> (received, data)
         if not path.is_file():
@@ -84,7 +85,7 @@ class Scan:
         yield from sorted(itertools.chain(*logs), key=lambda message: message[1])
 
     def deserialize(self, data: bytes, msgtype: str):
-        return self._store.deserialize_ros1(data, msgtype)
+        return self.typestore.deserialize_ros1(data, msgtype)
 
     def _record(self, stream: BinaryIO, size: int) -> None:
         """Takes in the next record of a stream of so many bytes; an exception if it cannot be parsed."""
@@ -121,9 +122,10 @@ class Scan:
         package, _, name = described["type"].decode().partition("/")
         msgtype = f"{package}/msg/{name}"  # as rosbags names it
         if self._keep(topic):
-            self._store.register(get_types_from_msg(described["message_definition"].decode(), msgtype))
-            if self._store.generate_msgdef(msgtype)[1] != described["md5sum"].decode():
+            self.typestore.register(get_types_from_msg(described["message_definition"].decode(), msgtype))
+            if self.typestore.generate_msgdef(msgtype)[1] != described["md5sum"].decode():
                 raise ValueError(msgtype)
+            check_type(self._path, msgtype, self.typestore.fielddefs)
             self._messages[number] = []
         self._connections[number] = Connection(number, topic, msgtype)
 
@@ -131,8 +133,8 @@ class Scan:
         seconds, nanoseconds = struct.unpack("<II", time)
         received = seconds * 10**9 + nanoseconds
         if connection.number in self._messages:
+            self._total.message(data)
             self.deserialize(data, connection.msgtype)  # what fails here is where the scan ends
-            self._total.add(len(data))
             self._messages[connection.number].append((received, data))
         self.start_time = min(self.start_time, received)
         self.count += 1
