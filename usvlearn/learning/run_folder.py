@@ -29,16 +29,8 @@ from usvlearn.learning.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULT
 from usvlearn.learning.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
-DAMAGE = (
-    OSError,
-    ValueError,
-    KeyError,
-    IndexError,
-    EOFError,
-    MemoryError,
-    zipfile.BadZipFile,
-    zlib.error,
-)  # to an .npz
+# what a damaged .npz raises
+DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 class Start(NamedTuple):

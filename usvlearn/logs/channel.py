@@ -14,6 +14,7 @@ import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 
+LISTED, QUOTED = 60, 60  # names in an error, and characters of one
 CHANNELS = ("command_left", "command_right", "heading", "yaw_rate", "surge")
 REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be had from the heading
 
@@ -115,14 +116,18 @@ def match_name(pattern: str, available: Iterable[str], where: str) -> str:
         return found[0]
     if found:
         raise LogFormatError(
-            f"{where}: channel {pattern!r} matches {', '.join(found)}: name one of them in data.channels"
+            f"{where}: channel {pattern!r} matches {_listing(found)}: name one of them in data.channels"
         )
     close = difflib.get_close_matches(pattern, names, n=3, cutoff=0.5)
-    hint = f" Did you mean {' or '.join(close)}?" if close else ""
-    listing = ", ".join(names[:60]) + (f", and {len(names) - 60} more" if len(names) > 60 else "")
+    hint = f" Did you mean {' or '.join(name[:QUOTED] for name in close)}?" if close else ""
     raise LogFormatError(
-        f"{where}: no channel {pattern!r}.{hint} The log has: {listing or 'nothing'}: name one of them"
+        f"{where}: no channel {pattern!r}.{hint} The log has: {_listing(names) or 'nothing'}: name one of them"
     )
+
+
+def _listing(names: Sequence[str]) -> str:
+    more = f", and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return ", ".join(name[:QUOTED] for name in names[:LISTED]) + more
 
 
 def parse_numbers(cells: Sequence[str]) -> np.ndarray:
@@ -172,7 +177,7 @@ def build_channel(
             dropped["no_time" if np.isfinite(raw[row]) else "not_a_number"] += 1
     if not usable.any():
         causes = ", ".join(f"{count} {cause}" for cause, count in dropped.items())
-        shown = f" ({causes}; the first is {cells[0] if cells is not None else raw[0]!r})" if len(raw) else ""
+        shown = f" ({causes}; the first is {cells[0][:QUOTED] if cells is not None else raw[0]!r})" if len(raw) else ""
         raise LogFormatError(
             f"{where}: expected numbers in {source.name!r}, found none among its {len(raw)} values{shown}: "
             "name another source, or leave this log out"

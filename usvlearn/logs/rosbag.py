@@ -70,7 +70,7 @@ class Rosbag:
             MissingExtraError: rosbags is not installed.
         """
         try:
-            import apsw  # noqa: F401: an older rosbags has none, and cannot be limited
+            import apsw  # noqa: F401  # an older rosbags has none, and cannot be limited
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:

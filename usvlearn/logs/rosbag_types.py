@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from usvlearn.errors import LogFormatError
+from usvlearn.logs.channel import QUOTED
 
 FIELDS = 10_000  # of one message; an array of numbers counts as one
 DEEPEST = 20  # types within types
@@ -27,7 +28,7 @@ def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None
 
     def refused(what: str) -> LogFormatError:
         return LogFormatError(
-            f"{path}: found the message type {msgtype!r} with {what}, expected one that holds some numbers: name "
+            f"{path}: found the message type {msgtype[:QUOTED]!r} with {what}, expected one that holds some numbers: name "
             "another topic in data.channels"
         )
 

@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
-from usvlearn.logs.channel import Channel, Source, build_channel, match_name, parse_numbers
+from usvlearn.logs.channel import QUOTED, Channel, Source, build_channel, match_name, parse_numbers
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
@@ -89,7 +89,7 @@ class Table:
             matched[channel] = match_name(source.name, names, where)
         columns = [self.time, *dict.fromkeys(matched.values())]
         if twice := [name for name in columns if header.count(name) > 1]:
-            raise LogFormatError(f"{path}: has several columns {twice[0]!r}, expected one: rename all but one")
+            raise LogFormatError(f"{path}: has several columns {twice[0][:QUOTED]!r}, expected one: rename all but one")
         places = [header.index(name) for name in columns]
         order, rows, torn = _rows(path, lines, len(header), itemgetter(*places, places[0]))
         cells = dict(zip(columns, zip(*rows, strict=True), strict=False))  # the getter's last place is spare
@@ -114,7 +114,7 @@ class Table:
         if not readable.any():
             raise LogFormatError(
                 f"{path}, line {order[0]}: expected a number or a date-time in the time column "
-                f"{self.time!r}, found {cells[0]!r}: name the column of the stamps in data.reader.time"
+                f"{self.time!r}, found {cells[0][:QUOTED]!r}: name the column of the stamps in data.reader.time"
             )
         return factor * (stamps - stamps[readable][0])
 
@@ -149,7 +149,7 @@ def _date(cell: str) -> float:
 
 
 def _no_time_column(path: Path, time: str, names: list[str], delimiter: str) -> str:
-    listing = ", ".join(repr(name[:60]) for name in names[:40]) + (", ..." if len(names) > 40 else "")
+    listing = ", ".join(repr(name[:QUOTED]) for name in names[:40]) + (", ..." if len(names) > 40 else "")
     message = f"{path}: expected a time column {time!r}, found the columns {listing or '(none)'}: "
     if len(names) == 1:
         return message + f"set data.reader.delimiter if {delimiter!r} does not separate its cells"
