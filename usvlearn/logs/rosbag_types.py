@@ -28,8 +28,8 @@ def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None
 
     def refused(what: str) -> LogFormatError:
         return LogFormatError(
-            f"{path}: found the message type {msgtype[:QUOTED]!r} with {what}, expected one that holds some numbers: name "
-            "another topic in data.channels"
+            f"{path}: found the message type {msgtype[:QUOTED]!r} with {what}, expected one that holds some numbers: "
+            "name another topic in data.channels"
         )
 
     def measure(description: Any, depth: int) -> tuple[int, int]:
