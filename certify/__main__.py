@@ -43,9 +43,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(_parse(arguments))
     except (CertifyError, OSError) as error:
         return _error(error)
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package in ("", "certify"):
+            raise
+        return _error(f"the package {package} is not installed: run `pip install {package}`")
 
 
-def _error(error: Exception) -> int:
+def _error(error: Exception | str) -> int:
     """Print one line on standard error; the code of bad input."""
     print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
     return BAD_INPUT
