@@ -89,3 +89,11 @@ def test_without_optuna_the_extra_is_named(fleet, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "optuna", None)
     with pytest.raises(MissingExtraError, match=r"usvlearn\[tune\]"):
         searched(fleet, tmp_path, 2)
+
+
+def test_a_line_that_a_full_disk_left_unfinished_is_cut_off(fleet, tmp_path):
+    found, _ = searched(fleet, tmp_path, 2, batch=2)
+    journal = tmp_path / "optuna.log"
+    journal.write_bytes(journal.read_bytes() + b'{"op_code":8,"worker_id":"')
+    more, used = searched(fleet, tmp_path, 4, batch=2)
+    assert used == 4 and more[:3] == found

@@ -24,9 +24,12 @@ The horizontal axis counts the steps of the grid. The CUSTOM SCALARS page draws 
 
 from __future__ import annotations
 
+import functools
+import threading
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 
 class Board:
@@ -41,7 +44,12 @@ class Board:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of TensorBoard's own imports
             from torch.utils.tensorboard import SummaryWriter
-        self._writer = SummaryWriter(str(folder), max_queue=1000, flush_secs=30)
+        threading.excepthook = functools.partial(_unless_tensorboard, threading.excepthook)
+        try:
+            self._writer = SummaryWriter(str(folder), max_queue=1000, flush_secs=30)
+        except BaseException:
+            _restore_excepthook()
+            raise
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:
         """One point of each curve `prefix/name`, all in one record: a record each takes ten times as long."""
@@ -86,13 +94,27 @@ class Board:
         self._writer.add_hparams(flat, dict(results), run_name=run)
 
     def close(self) -> None:
-        self._writer.close()
+        try:
+            self._writer.close()
+        finally:
+            _restore_excepthook()
 
     def __enter__(self) -> Board:
         return self
 
     def __exit__(self, *_) -> None:
         self.close()
+
+
+def _unless_tensorboard(before: Callable[[Any], None], failed: Any) -> None:
+    """Keep quiet of TensorBoard's thread: what it raises, such as on a full disk, is raised again by the next write."""
+    if not type(failed.thread).__module__.startswith("tensorboard"):
+        before(failed)
+
+
+def _restore_excepthook() -> None:
+    if getattr(threading.excepthook, "func", None) is _unless_tensorboard:
+        threading.excepthook = threading.excepthook.args[0]
 
 
 def _flatten(tree: Mapping, prefix: str = ""):

@@ -19,9 +19,10 @@ from typing import Any
 
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.learning.lanes import Evaluation, Hyperparameter, Objective
+from usvlearn.learning.layout import JOURNAL
 from usvlearn.learning.trust import check_setting
 
-JOURNAL, WORKERS = "optuna.log", "workers"
+WORKERS = "workers"
 STALE = 60.0  # s without a sign of life after which a process counts as dead: a chunk of steps takes a few
 STUDY = "tuning"
 
@@ -84,7 +85,9 @@ def search(
     batch = max(1, min(batch, objective.batch - 1))
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    storage = optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(folder / JOURNAL)))
+    journal = optuna.storages.journal
+    _cut_unfinished(folder / JOURNAL, journal.JournalFileSymlinkLock(str(folder / JOURNAL)))
+    storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(folder / JOURNAL)))
     study = optuna.create_study(storage=storage, study_name=STUDY, load_if_exists=True)
     told = json.dumps(dict(facts), sort_keys=True)
     if study.user_attrs.get("facts", told) != told:
@@ -130,6 +133,17 @@ def search(
         maes = tuple(math.inf if mae is None else mae for mae in trial.user_attrs["maes"])
         found.append(Evaluation(check_setting(str(folder / JOURNAL), trial.user_attrs["setting"]), maes))
     return found, len(found) - 1
+
+
+def _cut_unfinished(path: Path, lock: Any) -> None:
+    """Remove the part of a line that a full disk has left at the journal's end: Optuna reads nothing beyond it."""
+    lock.acquire()
+    try:
+        content = path.read_bytes() if path.exists() else b""
+        if (whole := content.rfind(b"\n") + 1) < len(content):
+            os.truncate(path, whole)
+    finally:
+        lock.release()
 
 
 def _taken(
