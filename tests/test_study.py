@@ -37,6 +37,7 @@ class Recorder:
         folder.mkdir(parents=True, exist_ok=True)
         if stage == self.fails:
             (folder / "runs.json").write_text("{}")
+            (folder / "results.json").write_text('{"partial": {}}')
             raise KeyboardInterrupt
         if stage.startswith("tune/"):
             best = {"mae": 0.1, "gain": 50.0, "setting": {"gain": 3.0}}

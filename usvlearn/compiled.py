@@ -140,7 +140,11 @@ def announced(package: str, what: str) -> Iterator[None]:
         return
     print(f"usvlearn: compiling the {what}, once on this machine …", end="", file=sys.stderr, flush=True)
     began = time.perf_counter()
-    yield
+    try:
+        yield
+    except BaseException:
+        print(file=sys.stderr)  # what comes next has a line of its own
+        raise
     print(f" {time.perf_counter() - began:.0f} s; kept in {mark.parent}", file=sys.stderr)
     try:
         mark.touch()

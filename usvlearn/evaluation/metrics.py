@@ -55,12 +55,12 @@ def scores(
 
 
 def fleet_scores(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]], names: Sequence[str]) -> dict[str, dict]:
-    """`scores` per boat over all its runs; published are arrays `(time, boats, estimators)` per run."""
-    found = {}
+    """`scores` per boat over what was published of its runs, arrays `(time, boats, estimators)` per run."""
+    found, lengths = {}, [len(run) for run in published["predictions"]]  # fewer and shorter where it was stopped
     for lane, boat in enumerate(fleet.boats):  # one by one: over many hours this is most of a run's memory
         mine = {name: np.concatenate([run[:, lane] for run in runs]) for name, runs in published.items()}
-        measured = [(run.samples.measured[:, lane], run.samples.surge[:, lane]) for run in fleet.runs]
-        surge = np.concatenate([np.where(known, speed, np.nan) for known, speed in measured])
+        samples = [(run.samples, n) for run, n in zip(fleet.runs, lengths, strict=False)]
+        surge = np.concatenate([np.where(x.measured[:n, lane], x.surge[:n, lane], np.nan) for x, n in samples])
         found[boat] = scores(mine["predictions"], surge, names, mine.get("halfwidths"))
     return found
 

@@ -5,8 +5,9 @@ predictions/RRRRR_SSSSSSS.npz                what was published since the file b
                                              half-widths of their intervals, health of the thrusters
 runs.json                                    which runs, of which samples, through which ensemble; when it began, and
                                              as which number among the runs beside it
-results.json                                 the scores, at the end
+results.json                                 the scores, at the end; {"partial": scores} of a run that was stopped
 tuning.json                                  what tuning leaves in place of all that
+optuna.log                                   the trials of a search, as they come
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any
 from usvlearn.checkpoint import write_atomically
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
-TUNING = "tuning.json"
+TUNING, JOURNAL = "tuning.json", "optuna.log"
 ESTIMATOR = "Ensemble"  # whose state a checkpoint holds
 
 

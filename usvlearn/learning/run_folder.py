@@ -63,7 +63,7 @@ class RunFolder:
         self.path, self.fleet, self.metadata = Path(path), fleet, {"version": usvlearn.__version__, **metadata}
         self._chunks: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]  # what was published, per run
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
-        self._saved = BEGIN
+        self._saved = self._reached = BEGIN
         self._writer = ThreadPoolExecutor(1)
         self._writing: Future | None = None  # one place behind the replay, at most
         self.state: EnsembleState | None = None  # the newest, leaves (boats, ...)
@@ -111,7 +111,8 @@ class RunFolder:
             for lane, boat in enumerate(self.fleet.boats):
                 first = self._lane_set(start.state, lane, boat, BEGIN)
                 save_checkpoint(first.path, first.state, **first.facts)
-        self._saved, self.state = start.position, start.state
+        self._saved = self._reached = start.position
+        self.state = start.state
         self._forget(start.position)
         others = [*self.path.parent.glob("*"), *([] if resume is None else [source])]
         number = 1 + max(map(_number, others), default=0)
@@ -121,21 +122,24 @@ class RunFolder:
 
     def save(self, chunk: Chunk) -> None:
         """Write what a chunk makes due: predictions first, since a state is gone on from only with them."""
-        self.state = chunk.state
+        self.state, self._reached = chunk.state, chunk.end
         self._chunks[chunk.end.run].append(chunk.published)
         self._pending.append(chunk.published)
-        if not chunk.save:
-            return
+        if chunk.save:
+            self._hand_on()
+
+    def _hand_on(self) -> None:
+        """Have all that is pending written, and every boat's parameter set."""
         self._wait()
-        run = self.fleet.runs[chunk.end.run]
-        before = self._saved.step if self._saved.run == chunk.end.run else 0
+        index, step = self._reached
+        run, before = self.fleet.runs[index], self._saved.step if self._saved.run == index else 0
         sets = [
-            self._lane_set(chunk.state, lane, boat, Position(chunk.end.run, min(chunk.end.step, run.lengths[lane])))
+            self._lane_set(self.state, lane, boat, Position(index, min(step, run.lengths[lane])))
             for lane, boat in enumerate(self.fleet.boats)
             if run.lengths[lane] > before
         ]
-        self._writing = self._writer.submit(self._write, chunk.end, self._pending, sets)
-        self._pending, self._saved = [], chunk.end
+        self._writing = self._writer.submit(self._write, self._reached, self._pending, sets)
+        self._pending, self._saved = [], self._reached
 
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
         """Predictions and sets of one place; a disk is slow, so that the replay goes on meanwhile."""
@@ -161,13 +165,23 @@ class RunFolder:
 
     def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
         """Judge all that was published; returns what stands in `results.json`: scores, alarms, the objective."""
+        found = self._judged(ensemble, seconds)
+        save_results(self.path, found)
+        return found
+
+    def stop(self, ensemble: Ensemble, seconds: float) -> None:
+        """Save a replay that ends early, so that it can go on; its results so far are marked as partial."""
+        if self._pending:
+            self._hand_on()
+        steps = {"steps": self.fleet.steps_before(*self._reached), "of": self.fleet.steps}
+        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, seconds)}})
+
+    def _judged(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
         self._wait()
         published = self.published
         boats = fleet_scores(self.fleet, published, ensemble.names)
         found = {"boats": boats, "alarms": alarms(self.fleet, published), "rejected": self.fleet.rejected}
-        found |= {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
-        save_results(self.path, found)
-        return found
+        return found | {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
 
     def _lane_set(self, state: EnsembleState, lane: int, boat: str, place: Position) -> Set:
         run = self.fleet.runs[place.run]

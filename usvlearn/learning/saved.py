@@ -107,7 +107,7 @@ def results(folder: Path) -> dict[str, Any]:
         found = json.loads(path.read_text()) if path.exists() else {}
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected a dictionary")
-        return found
+        return {} if "partial" in found else found
     except (OSError, ValueError) as error:
         raise CheckpointError(
             f"{path}: is damaged ({error}): run train.py with resume={folder} hydra.run.dir={folder} to write it anew"

@@ -119,7 +119,7 @@ class Study:
 
     def _stage(self, overrides: Sequence[str], folder: Path, done: Path) -> None:
         self.commands.append(f"python train.py {shlex.join(overrides)} hydra.run.dir={folder}")
-        if done.exists():
+        if done.exists() and "partial" not in _read(done):
             self._say(f"{folder}: is there")
             return
         self._say(self.commands[-1])
