@@ -287,7 +287,7 @@ def test_sleepers_of_the_fixed_rules():
     ("make", "message"),
     [
         (lambda: bound(BOA(prior={"aid": 2.0})), "found aid, expected some of a, b, c, d"),
-        (lambda: BOA(prior={"a": 0.0}), "prior of a"),
+        (lambda: BOA(prior={"a": 0.0}), "prior.a"),
         (lambda: BOA(loss="huber"), "absolute, square"),
         (lambda: BOA(memory=0.0), "memory"),
         (lambda: BOA(scale=0.0), "scale"),

@@ -1,9 +1,15 @@
 """The errors that usvlearn raises at its borders: each message says what, where, expected and what to do."""
 
+import difflib
+import errno
+import re
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK = (*NO_ROOM, errno.EROFS, errno.EIO)  # of a write, which names no file
 
 
 def printable(text: str) -> str:
@@ -80,16 +86,45 @@ def check_not_negative(name: str, value: float, unit: str = "") -> float:
     return value
 
 
-def bad_input(error: BaseException, wrapper: type[BaseException] = UsvlearnError) -> str | None:
-    """The sentence for the person who gave bad input, or None where the error is a bug.
+def did_you_mean(word: str, names: Iterable[str]) -> str:
+    """A hint at the nearest of some names: keys that end in the word, or one that looks like it; empty where none does.
+
+    >>> did_you_mean("gain", ["aid.gain", "align"]), did_you_mean("aid.gian", ["aid.gain"]), did_you_mean("x", ["aid"])
+    (': did you mean aid.gain?', ': did you mean aid.gain?', '')
+    """
+    names = list(names)
+    close = [name for name in names if name.endswith(f".{word}")] or difflib.get_close_matches(word, names, n=1)
+    return f": did you mean {' or '.join(close[:3])}?" if close else ""
+
+
+@contextmanager
+def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
+    """Let an error that begins with the name of an option begin with the full path of its key.
 
     Args:
-        error: what was raised.
-        wrapper: the error in which a configured constructor's own is wrapped; its last line names the key.
+        key: under which the options stand.
+        names: of the options; by default every error is about one.
 
-    >>> bad_input(ConfigError("dt: found 0, expected a positive number"), KeyError)
+    >>> with under("align", ["dt"]):
+    ...     check_positive("dt", 0)
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: align.dt: found 0, expected a positive number
+    """
+    try:
+        yield
+    except UsvlearnError as error:
+        first = re.match(r"\w*", str(error))[0]
+        if key and (names is None or first in names):
+            error.args = (f"{key}.{error}",)
+        raise
+
+
+def bad_input(error: BaseException) -> str | None:
+    """The sentence for the person who gave bad input or has no room on the disk, or None where the error is a bug.
+
+    >>> bad_input(ConfigError("dt: found 0, expected a positive number"))
     'dt: found 0, expected a positive number'
-    >>> print(bad_input(RuntimeError("a bug"), KeyError))
+    >>> print(bad_input(RuntimeError("a bug")))
     None
     """
     cause: BaseException | None = error
@@ -97,15 +132,15 @@ def bad_input(error: BaseException, wrapper: type[BaseException] = UsvlearnError
         cause = cause.__cause__
     if cause is not None:
         return str(cause)
-    if isinstance(error, OSError) and error.filename is not None:
-        return f"{error.filename}: {error.strerror}: mend that, or name another file or folder"
-    if isinstance(error, wrapper) and isinstance(error.__cause__, TypeError | ValueError):
-        return f"{' '.join(str(error).split())}: correct this key"
+    if isinstance(error, OSError) and (error.filename is not None or error.errno in DISK):
+        full = "make room there; what was saved before is whole"
+        hint = full if error.errno in NO_ROOM else "correct that, or name another file or folder"
+        return f"{error.filename or 'a file of the run'}: {error.strerror}: {hint}"
     return None
 
 
 @contextmanager
-def one_sentence(wrapper: type[BaseException] = UsvlearnError) -> Iterator[None]:
+def one_sentence() -> Iterator[None]:
     """Let bad input end the program with one sentence and code 2 (see `bad_input`), and a warning be one line.
 
     >>> with one_sentence():
@@ -116,7 +151,7 @@ def one_sentence(wrapper: type[BaseException] = UsvlearnError) -> Iterator[None]
     try:
         yield
     except Exception as error:
-        if (cause := bad_input(error, wrapper)) is None:
+        if (cause := bad_input(error)) is None:
             raise
         print(f"error: {cause}", file=sys.stderr)
         sys.exit(2)

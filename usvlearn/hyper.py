@@ -86,7 +86,7 @@ def check_broadcast(module: nn.Module, batch: tuple[int, ...]) -> None:
 
     >>> check_broadcast(Positive([[0.1], [1.0]], "gain"), (2, 8))
     """
-    for part in module.modules():
+    for path, part in module.named_modules():
         if isinstance(part, Positive | UnitInterval):
             shape = tuple(next(part.parameters()).shape)
             try:
@@ -95,6 +95,6 @@ def check_broadcast(module: nn.Module, batch: tuple[int, ...]) -> None:
                 fits = False
             if not fits:
                 raise ShapeError(
-                    f"{part.name}: found the shape {shape}, expected one that broadcasts against the batch {batch}: "
-                    "a grid is (grid, 1) beside a batch (grid, boats)"
+                    f"{path or part.name}: found the shape {shape}, expected one that broadcasts against the batch "
+                    f"{batch}: a grid is (grid, 1) beside a batch (grid, boats)"
                 )

@@ -206,7 +206,7 @@ class Prior(Combiner):
         super().__init__(members)
         self.memory = None if memory is None else Positive(memory, "memory")
         self.loss = check_choice("loss", loss, ("absolute", "square"))
-        self.prior = {name: check_positive(f"prior of {name}", weight) for name, weight in (prior or {}).items()}
+        self.prior = {name: check_positive(f"prior.{name}", weight) for name, weight in (prior or {}).items()}
 
     def bind(self, names: Sequence[str]) -> None:
         super().bind(names)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.backend import described
-from usvlearn.errors import ConfigError, check_positive
+from usvlearn.errors import ConfigError, check_positive, under
 from usvlearn.estimator import Estimator, check_estimator
 from usvlearn.estimators import monitors
 from usvlearn.estimators.combiners import Average, Combiner
@@ -44,7 +44,7 @@ class Bank(nn.Module):
         super().__init__()
         self.estimator = check_estimator("estimator of Bank", estimator)
         if isinstance(labels, str) or not labels:
-            raise ConfigError(f"labels of Bank: found {labels!r}, expected a list of names, one for each setting")
+            raise ConfigError(f"labels: found {labels!r}, expected a list of names, one for each setting")
         self.labels = tuple(labels)
 
     def init(self, batch: Sequence[int]) -> Any:
@@ -116,9 +116,9 @@ class Ensemble(Estimator):
         self._columns: dict[str, list[str]] = {}  # member -> its columns
         for name, member in members.items():
             if not isinstance(member, Estimator | Bank):
-                raise ConfigError(f"ensemble member {name}: found {member!r}, expected an estimator")
+                raise ConfigError(f"estimators.{name}: found {member!r}, expected an estimator")
             if not name.isidentifier() or hasattr(nn.ModuleDict, name):
-                raise ConfigError(f"ensemble member {name!r}: expected a plain name of letters, digits and _")
+                raise ConfigError(f"estimators: found the name {name!r}, expected letters, digits and _")
             self._columns[name] = [f"{name}_{x}" for x in member.labels] if isinstance(member, Bank) else [name]
         self.columns = tuple(column for columns in self._columns.values() for column in columns)
         self.names = (*self.columns, *combiners)
@@ -126,7 +126,7 @@ class Ensemble(Estimator):
             raise ConfigError(f"ensemble: {', '.join(twice)} names two members, or a member and a combiner")
         self.output = list(combiners)[-1] if output is None else output
         if self.output not in combiners:
-            raise ConfigError(f"ensemble output: found {output!r}, expected one of {', '.join(combiners)}")
+            raise ConfigError(f"output: found {output!r}, expected one of {', '.join(combiners)}")
         self.watched, self.coverage = watched, coverage
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.surge_limit = min(self.surge_limit, self.surge_max)
@@ -137,10 +137,8 @@ class Ensemble(Estimator):
         for name, combiner in combiners.items():
             chosen = self._named(combiner.members, name)
             self._places[name] = [self.columns.index(column) for column in chosen]
-            try:
+            with under(f"combiners.{name}"):
                 combiner.bind(chosen)
-            except ConfigError as error:
-                raise ConfigError(f"ensemble combiner {name}: {error}") from error
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
         """The columns that a combiner means; the name of a bank stands for all of its own."""
@@ -148,13 +146,13 @@ class Ensemble(Estimator):
         chosen = list(self._columns) if members is None else list(members)
         if not chosen or (unknown := sorted(set(chosen) - set(known))):
             raise ConfigError(
-                f"ensemble combiner {combiner}: found members {', '.join(chosen) or 'none'}, "
+                f"combiners.{combiner}.members: found {', '.join(chosen) or 'none'}, "
                 f"expected some of {', '.join(known)}"
                 + (f" (unknown: {', '.join(unknown)}): correct the members of {combiner}" if chosen else "")
             )
         columns = [column for name in chosen for column in known[name]]
         if len(set(columns)) < len(columns):
-            raise ConfigError(f"ensemble combiner {combiner}: found {', '.join(chosen)}, expected each member once")
+            raise ConfigError(f"combiners.{combiner}.members: found {', '.join(chosen)}, expected each member once")
         return columns
 
     def columns_of(self, member: str) -> list[str]:
@@ -163,9 +161,15 @@ class Ensemble(Estimator):
 
     def init(self, batch: Sequence[int] = ()) -> EnsembleState:
         batch = tuple(batch)
-        members = {name: member.init(batch) for name, member in self.members.items()}
+        members = {}
+        for name, member in self.members.items():
+            with under(f"estimators.{name}"):
+                members[name] = member.init(batch)
         like = next(leaf for _, leaf in named_leaves(members) if leaf.is_floating_point())
-        combiners = {name: combiner.init(batch, like) for name, combiner in self.combiners.items()}
+        combiners = {}
+        for name, combiner in self.combiners.items():
+            with under(f"combiners.{name}"):
+                combiners[name] = combiner.init(batch, like)
         conformal = conformal_start(batch, len(self.names), like)
         watched = monitors.init(batch, len(self.names), like) if self.watched else {}
         width = conformal.halfwidth

@@ -74,7 +74,7 @@ def known_rows(known: Mapping[str, float], names: Sequence[str]) -> tuple[list[l
             if term not in names:
                 raise ConfigError(f"known: found {term!r}, expected {', '.join(names)}, or a sum of them with +")
         if not (isinstance(value, int | float) and math.isfinite(value) and value != 0):
-            raise ConfigError(f"known {key}: found {value!r}, expected a number other than 0, in physical units")
+            raise ConfigError(f"known.{key}: found {value!r}, expected a number other than 0, in physical units")
         rows.append([float(terms.count(name)) for name in names])
         values.append(float(value))
     return rows, values

@@ -80,7 +80,7 @@ class Projected(Estimator):
     def __init__(self, estimator: LeastSquares, signs: Sequence[int] | None = None, iterations: int = 4):
         super().__init__()
         if not isinstance(estimator, LeastSquares):
-            raise ConfigError(f"Projected: found {type(estimator).__name__}, expected RLS or SIFtRLS itself")
+            raise ConfigError(f"estimator: found {type(estimator).__name__}, expected RLS or SIFtRLS itself")
         self.estimator = estimator
         self.signs = tuple(estimator.model.signs if signs is None else signs)
         if len(self.signs) != len(estimator.model.names) or not set(self.signs) <= {-1, 0, 1}:

@@ -93,9 +93,11 @@ class Aligner:
         if unknown := [name for name in channels if name not in CHANNELS]:
             raise ConfigError(f"channels: found {', '.join(unknown)}, expected some of {', '.join(CHANNELS)}")
         if channels["surge"].delay:
-            raise ConfigError("delay of surge: expected 0: give the inputs the delay with which they act on it")
+            raise ConfigError(
+                "data.channels.surge.delay: expected 0: give the inputs the delay with which they act on it"
+            )
         if channels["surge"].held:
-            raise ConfigError("held of surge: expected false: an old speed is no measurement")
+            raise ConfigError("data.channels.surge.held: expected false: an old speed is no measurement")
         self._places = {name: CHANNELS.index(name) for name in channels}
         logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope stands for a yaw rate
         self._settings = compiled.new_settings(

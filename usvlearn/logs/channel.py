@@ -66,13 +66,13 @@ class Source:
     delay: float = 0.0
 
     def __post_init__(self):
-        check_choice(f"unit of {self.name}", self.unit, tuple(UNITS))
+        check_choice("unit", self.unit, tuple(UNITS))
         if not math.isfinite(self.span) or self.span == 0:
-            raise ConfigError(f"span of {self.name}: found {self.span!r}, expected a number other than 0")
+            raise ConfigError(f"span: found {self.span!r}, expected a number other than 0")
         if not self.window > 0:
-            raise ConfigError(f"window of {self.name}: found {self.window!r}, expected a positive time in s")
+            raise ConfigError(f"window: found {self.window!r}, expected a positive time in s")
         if not 0 <= self.delay < math.inf:
-            raise ConfigError(f"delay of {self.name}: found {self.delay!r}, expected a time of 0 s or more")
+            raise ConfigError(f"delay: found {self.delay!r}, expected a time of 0 s or more")
 
     def convert(self, raw: np.ndarray) -> np.ndarray:
         """Raw values to SI units; shape unchanged."""

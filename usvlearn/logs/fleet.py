@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.errors import ConfigError, LogFormatError, under
 from usvlearn.logs.align import Aligned, align
 from usvlearn.logs.channel import Recording
 from usvlearn.signals import Fleet, Inputs, Run, Sample, tree_map
@@ -30,10 +30,9 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     short = []
     for recording in recordings:
         if recording.boat in ("", ".", "..") or set(recording.boat) & set("/\\"):
-            raise ConfigError(
-                f"boat: found the name {recording.boat!r}, expected one that can name a folder: set data.boat"
-            )
-        aligned = align(recording.channels, **options)
+            raise ConfigError(f"data.boat: found the name {recording.boat!r}, expected one that can name a folder")
+        with under("align", options):
+            aligned = align(recording.channels, **options)
         counts = rejected.setdefault(recording.boat, {})
         found = [
             (channel, cause, count)

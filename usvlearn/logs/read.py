@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Protocol
 
-from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, under
 from usvlearn.logs.channel import CHANNELS, REQUIRED, Channel, Recording, Source
 
 SOURCE_KEYS = tuple(field.name for field in fields(Source))
@@ -145,7 +145,8 @@ def _sources(channels: Mapping[str, Source | Mapping | None]) -> dict[str, Sourc
     """The channels that are logged, checked."""
     for name in channels:
         if name not in CHANNELS:
-            raise ConfigError(f"data.channels: found {name!r}, expected channels among {', '.join(CHANNELS)}")
+            hint = did_you_mean(name, CHANNELS)
+            raise ConfigError(f"data.channels: found {name!r}, expected channels among {', '.join(CHANNELS)}{hint}")
     sources = {
         name: source
         for name in CHANNELS
@@ -167,7 +168,8 @@ def _source(channel: str, given: Source | Mapping | None) -> Source | None:
         raise ConfigError(f"{key}: found {given!r}, expected {{name: ..., unit: ...}}")
     for name, value in given.items():
         if name not in SOURCE_KEYS:
-            raise ConfigError(f"{key}: found {name!r}, expected keys among {', '.join(SOURCE_KEYS)}")
+            hint = did_you_mean(name, SOURCE_KEYS)
+            raise ConfigError(f"{key}: found {name!r}, expected keys among {', '.join(SOURCE_KEYS)}{hint}")
         numeric = name in ("zero", "span", "window", "delay")
         if numeric and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise ConfigError(f"{key}.{name}: found {value!r}, expected a number")
@@ -175,4 +177,5 @@ def _source(channel: str, given: Source | Mapping | None) -> Source | None:
             raise ConfigError(f"{key}.held: found {value!r}, expected true or false")
     if given.get("name") in (None, "", "???"):
         return None
-    return Source(**{**given, "name": str(given["name"])})
+    with under(key, given):
+        return Source(**{**given, "name": str(given["name"])})

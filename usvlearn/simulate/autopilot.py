@@ -51,5 +51,5 @@ class Autopilot:
     resolution: float = 0.01
 
     def __post_init__(self):
-        check_positive("hz of the autopilot", self.hz, "Hz")
-        check_positive("resolution of the autopilot", self.resolution)
+        check_positive("hz", self.hz, "Hz")
+        check_positive("resolution", self.resolution)

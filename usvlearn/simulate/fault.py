@@ -34,10 +34,10 @@ class Fault:
     minute: float = 10.0
 
     def __post_init__(self):
-        check_choice("side of the fault", self.side, SIDES)
-        check_not_negative("minute of the fault", self.minute)
+        check_choice("side", self.side, SIDES)
+        check_not_negative("minute", self.minute)
         if not (isinstance(self.share, int | float) and 0 <= self.share <= 1):
-            raise ConfigError(f"share of the fault: found {self.share!r}, expected a number from 0 to 1")
+            raise ConfigError(f"share: found {self.share!r}, expected a number from 0 to 1")
 
 
 def faulty_vessels(fault: Fault | None, vessel: Vessel, ticks: Sequence[int], hz: float) -> dict[int, Vessel]:
