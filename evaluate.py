@@ -9,38 +9,16 @@ from functools import partial
 from pathlib import Path
 
 import hydra
-from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
-from usvlearn.errors import one_sentence  # what needs torch is imported where it is used: --help is quick
+from usvlearn.cli.command import command
+from usvlearn.cli.settings import instantiate
+from usvlearn.cli.sweep import load
+from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
 from usvlearn.evaluation.terminal import console
-from usvlearn.learning.launchers import prepare_workers, set_threads
+from usvlearn.learning.launchers import set_threads
 from usvlearn.learning.leaderboard import leaderboard
-from usvlearn.learning.sweep import check_sweep
-from usvlearn.lock import Lock
 from usvlearn.logs.fleet import align_fleet
-
-
-def load(path: Path) -> object:
-    return OmegaConf.to_container(OmegaConf.load(path))
-
-
-class Sweep(Callback):
-    """What train.py does around a run: lock its folder; after a sweep the leaderboard, and code 2 if a job failed."""
-
-    def on_run_start(self, config: DictConfig, **_) -> None:
-        with one_sentence():  # a search is made by several processes together
-            self.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
-
-    def on_multirun_start(self, config: DictConfig, **_) -> None:
-        with one_sentence():
-            check_sweep(Path(config.hydra.sweep.dir), load, OmegaConf.to_container(config.hydra))
-            prepare_workers(Path(__file__).parent)
-
-    def on_multirun_end(self, config: DictConfig, **_) -> None:
-        with one_sentence():
-            if not leaderboard(Path(config.hydra.sweep.dir), load):
-                raise SystemExit(2)
 
 
 def study(cfg: DictConfig, tools) -> None:
@@ -54,27 +32,28 @@ def study(cfg: DictConfig, tools) -> None:
     made = Study(
         Path(cfg.folder), plain(cfg.study), tools.say, choose=lambda folder: start_of(folder, tools),
         run=lambda overrides, folder: work(hydra.compose("train", overrides), folder, overrides),
-        check=lambda overrides: request(plain(hydra.compose("train", overrides)), hydra.utils.instantiate),
+        check=lambda overrides: request(plain(hydra.compose("train", overrides)), instantiate),
     )  # fmt: skip
     season, gained = made.make()
     evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands)
 
 
-@hydra.main(version_base="1.3", config_path="configs", config_name="evaluate")
+@command("evaluate")
 def main(cfg: DictConfig) -> None:
+    if cfg.study is None and cfg.runs is None:
+        raise ConfigError("runs is not set: set runs=FOLDER, a folder that train.py has written")
     from usvlearn.learning.reports import Tools, evaluate
     from usvlearn.learning.saved import is_sweep, run_folders
     from usvlearn.simulate.truth import truth_of
 
     set_threads(1)
-    tools = Tools(hydra.utils.instantiate, align_fleet, truth_of, console(), cfg.trust)
-    with one_sentence(hydra.errors.InstantiationException):
-        if cfg.study is not None:
-            study(cfg, tools)
-        elif is_sweep(cfg.runs):
-            leaderboard(Path(cfg.runs), load)
-        else:
-            evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))
+    tools = Tools(instantiate, align_fleet, truth_of, console(), cfg.trust)
+    if cfg.study is not None:
+        study(cfg, tools)
+    elif is_sweep(Path(cfg.runs)):
+        leaderboard(Path(cfg.runs), load)
+    else:
+        evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.test_sweep import hparams, load, never, table
-from train import swept as swept_keys
+from usvlearn.cli.sweep import swept as swept_keys
 from usvlearn.evaluation.ranking import ranked_by
 from usvlearn.learning.leaderboard import leaderboard
 from usvlearn.learning.sweep import run_job

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
-from hydra.errors import InstantiationException
 
 import train
 from usvlearn import checkpoint
@@ -35,6 +34,11 @@ def run(*arguments: str, folder: Path, script: str = "train.py", **environment: 
         command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
         timeout=300,
     )  # fmt: skip
+
+
+def complaints(stderr: str) -> str:
+    """What a command says on stderr, without what is said where code was never compiled before."""
+    return "".join(line for line in stderr.splitlines(True) if not line.startswith("usvlearn: compiling"))
 
 
 @pytest.fixture(scope="module")
@@ -246,7 +250,7 @@ def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
         cfg = compose("train", [*CSV, *arguments])
     with pytest.raises(Exception) as caught:
         train.work(cfg, tmp_path / "run", [])
-    sentence = bad_input(caught.value, InstantiationException)
+    sentence = bad_input(caught.value)
     assert sentence is not None and all(word in sentence for word in said), sentence
     assert "\n" not in sentence and not (tmp_path / "run").exists()
 
@@ -275,10 +279,3 @@ def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, t
         assert all(word in done.stderr for word in [path.name, *words]), done.stderr
     larger = run(*SMALL, "estimators.rnn.neurons=5", f"resume={good}", "hydra.run.dir=run", folder=tmp_path)
     assert larger.returncode == 2 and "expected (5,)" in larger.stderr
-
-
-@pytest.mark.parametrize("wrong", ["estimators.rls.memmory=9", "data=blueboot", "estimator@estimators.aid=adi"])
-def test_a_mistyped_key_is_refused_in_hydras_words(wrong, tmp_path):
-    done = run(wrong, folder=tmp_path)
-    assert done.returncode == 1 and "Traceback" not in done.stderr
-    assert wrong.split("=")[0].split("@")[0].split(".")[-1] in done.stderr

@@ -8,9 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from shutil import which
 
-from usvlearn.errors import ConfigError, MissingExtraError, check_positive, one_sentence
+from usvlearn.errors import ConfigError, MissingExtraError, check_positive, did_you_mean
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+SLURM = ("srun", "sbatch")
 LAUNCHERS = {  # name -> its plugin, and the extra that brings it
     "basic": None,
     "joblib": ("hydra_joblib_launcher", "sweep"),
@@ -19,15 +20,14 @@ LAUNCHERS = {  # name -> its plugin, and the extra that brings it
 
 
 def check_launcher(arguments: Sequence[str]) -> None:
-    """End with one sentence and code 2 unless the launcher that a command line names is known and installed.
+    """Raise unless the launcher that a command line names is known, installed, and can start jobs here.
+
+    Raises:
+        ConfigError: it is unknown, or of Slurm, and there is none.
+        MissingExtraError: its package is not installed.
 
     >>> check_launcher(["-m", "hydra/launcher=basic"])
     """
-    with one_sentence():
-        _check_launcher(arguments)
-
-
-def _check_launcher(arguments: Sequence[str]) -> None:
     for argument in arguments:
         key, _, name = argument.partition("=")
         if key.lstrip("+") != "hydra/launcher" or name == "basic":
@@ -35,10 +35,13 @@ def _check_launcher(arguments: Sequence[str]) -> None:
         plugin, extra = LAUNCHERS.get(name) or (f"hydra_{name}_launcher", None)
         if not (find_spec("hydra_plugins") and find_spec(f"hydra_plugins.{plugin}")):
             if extra is None:
-                raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}")
+                hint = did_you_mean(name, LAUNCHERS)
+                raise ConfigError(f"hydra/launcher: found {name!r}, expected one of {', '.join(LAUNCHERS)}{hint}")
             raise MissingExtraError(plugin.replace("_", "-"), extra, argument)
-        if name.endswith("slurm") and which("srun") is None:
-            raise ConfigError(f"{argument}: found no srun, expected a Slurm cluster: start it there, or take joblib")
+        missing = [tool for tool in SLURM if which(tool) is None] if name.endswith("slurm") else []
+        if missing:
+            found = " and ".join(missing)
+            raise ConfigError(f"{argument}: found no {found}, expected a Slurm cluster: start it there, or take joblib")
 
 
 def prepare_workers(root: Path) -> None:

@@ -30,7 +30,7 @@ class Tools(NamedTuple):
     instantiate: Callable[..., Any]  # makes the object that a node of a configuration describes
     align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
     truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
-    console: Console = Console(markup=False)
+    console: Console
     trust: str | Sequence[str] | None = None  # modules of the user's own that saved settings may name
 
     def say(self, text: str) -> None:

@@ -39,16 +39,12 @@ def run_folders(folder: str | Path) -> list[Path]:
     return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are those of one folder
 
 
-def is_sweep(folder: str | Path | None) -> bool:
+def is_sweep(folder: Path) -> bool:
     """Whether the runs below a folder are to be compared, not pooled: jobs of a sweep, or of several ensembles.
 
     Raises:
-        ConfigError: no folder is given; or they are of several ensembles, and their commands are not known, as in a
-            study's folder.
+        ConfigError: they are of several ensembles, and their commands are not known, as in a study's folder.
     """
-    if folder is None:
-        raise ConfigError("runs is not set: set runs=FOLDER, a folder that train.py has written")
-    folder = Path(folder)
     if (folder / "multirun.yaml").exists():
         return True
     folders = [path.parent for path in sorted(folder.glob(f"**/{RUNS}"))]

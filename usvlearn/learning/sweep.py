@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.errors import ConfigError, UsvlearnError, bad_input
+from usvlearn.errors import ConfigError, bad_input
 from usvlearn.evaluation.ranking import differing, ranked_by, scored
 from usvlearn.evaluation.tables import told
 from usvlearn.learning.layout import RESULTS, RUNS, save_results
@@ -72,7 +72,6 @@ def run_job(
     settings: Mapping,
     overrides: Sequence[str],
     work: Callable[[str | None], float],
-    wrapper: type[BaseException] = UsvlearnError,
     swept: Sequence[str] = (),
 ) -> float:
     """Do one job of a sweep: nothing if it is finished, the rest if it was begun, all if it failed before.
@@ -85,7 +84,6 @@ def run_job(
         settings: all of them; another value of any is another job.
         overrides: what the command set, for the person who meets the folder.
         work: does it, resuming from a folder or as its settings say (None); returns its own objective.
-        wrapper: of an error that was foreseen; see `usvlearn.errors.bad_input`.
         swept: the keys to which the sweep gives several values.
 
     Returns:
@@ -132,7 +130,7 @@ def _run_job(
         made = work(str(folder) if begun else None)
         return _objective({"objective": made, **_read(folder / RESULTS)}, overrides, swept)
     except Exception as error:
-        cause, told = bad_input(error, wrapper), traceback.format_exc()
+        cause, told = bad_input(error), traceback.format_exc()
         with suppress(OSError):  # a folder that nobody can write to is known by what it lacks
             if cause is None:
                 cause = f"{type(error).__name__}: {error} (see {folder / TRACEBACK})"

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.progress import Progress
 
-from usvlearn.errors import ConfigError
+from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.persistence import Persistence
 from usvlearn.estimators.rnn import RNN
 from usvlearn.learning.fit import Fitted, fit
@@ -100,7 +100,8 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
         raise ConfigError(f"{way}: found {member!r}, expected one of the members {', '.join(members)}")
 
     def build(values: Mapping[str, Any]) -> Any:
-        return instantiate(_changed(members[member], values))
+        with under(f"estimators.{member}", members[member]):
+            return instantiate(_changed(members[member], values))
 
     estimator = check_one_estimator(f"{way}={member}", build({}))
     if explicit:
@@ -191,7 +192,7 @@ def tune(
         found = configuration["resume"]
         raise ConfigError(f"resume: found {found!r} beside {asked_for.way}, which starts anew: leave it out")
     check_folder(folder, asked_for.way, asked_for.member)
-    with console.status("reading and aligning"):
+    with console.status("reading and aligning"), under("data", configuration["data"]):
         fleet = align(instantiate(configuration["data"]), **configuration["align"])
     began = time.perf_counter()
     with Progress(console=console) as progress:

@@ -1,0 +1,168 @@
+"""How train.py and evaluate.py begin and end: Hydra's `main`, with our own sentences, signals and exit codes.
+
+exit code   0 done   1 a bug, with its traceback   2 bad input, or a disk that is full, in one sentence
+            130 Ctrl-C   143 SIGTERM, with the command to go on with
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import inspect
+import logging
+import os
+import re
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NoReturn
+
+import hydra
+from hydra._internal.utils import get_args_parser
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from usvlearn.cli.mistakes import in_one_sentence, known_names
+from usvlearn.cli.sweep import Sweep, cut_short, load
+from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, one_sentence
+from usvlearn.learning.launchers import check_launcher
+from usvlearn.learning.layout import JOURNAL, RUNS
+from usvlearn.learning.leaderboard import leaderboard
+from usvlearn.stopping import Stopped, heeded, heeded_in_worker, in_program, was_stopped
+
+FULL_ERROR = "HYDRA_FULL_ERROR"  # of Hydra: errors are raised, not printed
+
+
+def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
+    """Make a command of what a script does with the configuration of configs/NAME.yaml beside it."""
+
+    def decorate(task: Callable[[DictConfig], Any]) -> Callable[[], None]:
+        configs = Path(inspect.getfile(task)).resolve().parent / "configs"
+
+        @functools.wraps(task)
+        def job(cfg: DictConfig) -> Any:  # what a launcher sends to its workers
+            return _in_program(task, cfg) if in_program() else _in_worker(task, cfg)
+
+        start = hydra.main(version_base="1.3", config_path=str(configs), config_name=name)(job)
+
+        @functools.wraps(task)
+        def main() -> None:
+            with one_sentence(), heeded():
+                flags = parse(sys.argv[1:])
+                check_launcher(flags.overrides)
+                names = known_names(
+                    configs.parent / (flags.config_path or configs), flags.config_name or name, flags.overrides
+                )
+                _run(start, names)
+
+        return main
+
+    return decorate
+
+
+def _in_program(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
+    try:
+        with one_sentence(), in_one_sentence():
+            return task(cfg)
+    except (Exception, KeyboardInterrupt, Stopped) as error:
+        if (stopped := _stopped_by(error)) is None:
+            raise
+        stopped.folder = Path(HydraConfig.get().runtime.output_dir)
+        raise stopped from None
+
+
+def _in_worker(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
+    try:
+        with heeded_in_worker():
+            return task(cfg)
+    except Stopped:
+        return float("nan")
+
+
+def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> None:
+    """All of Hydra's work; whatever ends it early is told in one sentence."""
+    Sweep.folder = None
+    try:
+        with _raising(), in_one_sentence(names):
+            start()
+    except (Exception, KeyboardInterrupt, Stopped) as error:
+        if stopped := _stopped_by(error):
+            _end(stopped)
+        if Sweep.folder is None or (sentence := cut_short(error)) is None:
+            raise
+        _show_sweep()
+        raise ConfigError(f"{sentence}; go on with: {_again(Sweep.folder, None)}") from error
+
+
+def _stopped_by(error: BaseException) -> Stopped | None:
+    """The signal behind an error: raised where it arrived, or a worker or a compilation broke by it."""
+    return error if isinstance(error, Stopped) else was_stopped()
+
+
+@contextmanager
+def _raising() -> Iterator[None]:
+    """Let Hydra raise its errors."""
+    before = os.environ.get(FULL_ERROR)
+    os.environ[FULL_ERROR] = "1"
+    try:
+        yield
+    finally:
+        os.environ.pop(FULL_ERROR)
+        if before is not None:
+            os.environ[FULL_ERROR] = before
+
+
+def _end(stopped: Stopped) -> NoReturn:
+    """Say how to go on, and leave."""
+    logging.getLogger("torch").setLevel(logging.ERROR)  # half imported, it tells at exit what nobody asks for
+    _show_sweep()
+    print(f"{stopped}; go on with: {_again(Sweep.folder, stopped.folder)}", file=sys.stderr)
+    sys.exit(stopped.code)
+
+
+def _show_sweep() -> None:
+    """The leaderboard of what is finished."""
+    if Sweep.folder is not None:
+        with suppress(UsvlearnError, OSError):
+            leaderboard(Sweep.folder, load)
+
+
+def _again(sweep: Path | None, run: Path | None) -> str:
+    """The command that goes on in the same folder, or starts anew where nothing was saved."""
+    more = []
+    if sweep is not None:
+        more = [f"hydra.sweep.dir={sweep}"]
+    elif run is not None and (run / RUNS).exists():
+        more = [f"hydra.run.dir={run}", "resume=latest"]
+    elif run is not None and (run / JOURNAL).exists():
+        more = [f"hydra.run.dir={run}"]
+    keys, script, *arguments = [each.partition("=")[0] for each in more], *sys.argv
+    overrides = [each for each in arguments if each.startswith("~") or ("=" in each and not each.startswith("-"))]
+    flags = [each for each in arguments if each not in overrides]  # which must not stand between overrides
+    kept = [each for each in overrides if each.partition("=")[0] not in keys]
+    return shlex.join(["python", script, *flags, *kept, *more])
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Hydra's flags and the overrides.
+
+    Raises:
+        ConfigError: a flag is unknown, or lacks its value.
+
+    >>> parse(["--multirnu"])
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: unrecognized arguments: --multirnu: did you mean --multirun?
+    """
+    parser = get_args_parser()
+    flags = re.findall(r"--[\w-]+", parser.format_usage())
+
+    def refuse(message: str) -> NoReturn:
+        wrong = re.search(r"unrecognized arguments: (\S+)", message)
+        if wrong and not wrong[1].startswith("-"):
+            raise ConfigError(f"{message}: put all flags before KEY=VALUE, or behind")
+        raise ConfigError(f"{message}{(wrong and did_you_mean(wrong[1], flags)) or ': see the flags by --hydra-help'}")
+
+    parser.error = refuse
+    return parser.parse_args(arguments)

@@ -1,0 +1,80 @@
+"""A composed configuration: what is wrong with it before anything is imported, and the objects that it describes."""
+
+from __future__ import annotations
+
+import inspect
+import pydoc
+import re
+from typing import Any
+
+import hydra
+from hydra.errors import InstantiationException
+from omegaconf import DictConfig, OmegaConf
+
+from usvlearn.cli.mistakes import in_one_sentence
+from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, under
+from usvlearn.logs.align import Aligner
+
+SECTIONS = ("data", "estimators", "combiners", "align", "tuning")
+
+
+def check_settings(cfg: DictConfig) -> None:
+    """Raise a ConfigError where a section of train.yaml is missing, or a value refers to itself or to nothing.
+
+    It imports no torch, so that the person waits for none. Values are checked by the constructors that get them.
+    """
+    plain = OmegaConf.to_container(cfg)
+    for name in SECTIONS:
+        if not isinstance(plain.get(name), dict):
+            found = repr(plain[name]) if name in plain else "nothing"
+            raise ConfigError(f"{name}: found {found}, expected {name}.KEY=VALUE: leave out {name}=… or ~{name}")
+    with in_one_sentence():
+        settings = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+    options = [name for name in inspect.signature(Aligner).parameters if name != "channels"]
+    for name in settings["align"]:
+        if name not in options:
+            hint = did_you_mean(f"align.{name}", [f"align.{each}" for each in options])
+            raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join(options)}{hint}")
+
+
+def instantiate(node: Any, **options: Any) -> Any:
+    """Make the objects that a node describes, as Hydra does; an error begins with the full path of its key.
+
+    >>> instantiate({"rls": {"_target_": "usvlearn.errors.check_positive", "name": "value", "value": -1}})
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: rls.value: found -1, expected a positive number
+    """
+    try:
+        return hydra.utils.instantiate(node, **options)
+    except InstantiationException as error:
+        _retell(error, _names(OmegaConf.to_container(node) if OmegaConf.is_config(node) else node))
+        raise
+
+
+def _retell(error: InstantiationException, names: set[str]) -> None:
+    """Raise what a constructor has said of its arguments; nothing where it has a bug."""
+    text, cause = " ".join(str(error).split()), error.__cause__
+    found, target = re.search(r"full_key: (\S+)", text), re.search(r"target '([^']+)'", text)
+    key, target = found[1] if found else "", target[1] if target else ""
+    place = f"{key}." if key else ""
+    if isinstance(cause, UsvlearnError):
+        with under(key, names):
+            raise cause
+    if argument := re.search(r"unexpected keyword argument '(\w+)'", str(cause)):
+        known = [f"{place}{name}" for name in inspect.signature(pydoc.locate(target)).parameters]
+        name = f"{place}{argument[1]}"
+        raise ConfigError(f"{name}: {target} has no such argument{did_you_mean(name, known)}") from error
+    if "Error locating target" in text:
+        module, _, name = target.rpartition(".")
+        hint = did_you_mean(name, vars(pydoc.locate(module) or type).keys())
+        raise ConfigError(f"{place}_target_: found {target!r}, which cannot be imported{hint}") from error
+    if isinstance(cause, TypeError | ValueError):
+        raise ConfigError(f"{key or target}: {' '.join(str(cause).split())}: correct this key") from error
+    if cause is None:
+        raise ConfigError(f"{key or 'configuration'}: {str(error).splitlines()[0]}: correct this key") from error
+
+
+def _names(node: Any) -> set[str]:
+    """All keys of a tree."""
+    children = node.values() if isinstance(node, dict) else node if isinstance(node, list) else []
+    return set(node if isinstance(node, dict) else []).union(*map(_names, children))

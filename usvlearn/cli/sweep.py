@@ -1,0 +1,84 @@
+"""Around a sweep: its folder is checked before, and its leaderboard is made after, also where it was cut short."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig, OmegaConf
+
+import usvlearn
+from usvlearn.errors import one_sentence
+from usvlearn.learning.launchers import check_launcher, prepare_workers
+from usvlearn.learning.leaderboard import leaderboard
+from usvlearn.learning.sweep import check_sweep, run_job
+from usvlearn.lock import Lock
+from usvlearn.stopping import hold, release
+
+
+def load(path: Path) -> Any:
+    """A YAML file as lists and dictionaries."""
+    return OmegaConf.to_container(OmegaConf.load(path))
+
+
+def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:
+    """Let train.py do its work: alone, or as one job of a sweep. Returns what is minimised, m/s."""
+    job, folder = HydraConfig.get(), Path(HydraConfig.get().runtime.output_dir)
+    ask = partial(work, cfg, folder, job.overrides.task, quiet=job.runtime.choices["hydra/launcher"] == "joblib")
+    if job.mode.name != "MULTIRUN":
+        return ask()
+    return run_job(folder, OmegaConf.to_container(cfg), job.overrides.task, ask, swept(Path(job.sweep.dir)))
+
+
+def swept(folder: Path) -> list[str]:
+    """The keys to which the command of a sweep gives several values, as Hydra notes it in the sweep's folder."""
+    if not (folder / "multirun.yaml").exists():
+        return []
+    noted = load(folder / "multirun.yaml")["hydra"]
+    given = [f"{key}={values}" for key, values in (noted["sweeper"].get("params") or {}).items()]
+    parsed = OverridesParser.create().parse_overrides([*given, *noted["overrides"]["task"]])
+    last = {each.get_key_element(): each for each in parsed}  # the command's own stand above the file's
+    return [key for key, each in last.items() if each.is_sweep_override()]
+
+
+class Sweep(Callback):
+    """Lock a run's folder; at the end of a sweep show its leaderboard, and end with code 2 where a job failed."""
+
+    folder: Path | None = None  # of the sweep that this process has started
+
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        with one_sentence():  # a search is made by several processes together
+            self.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        folder = Path(config.hydra.sweep.dir)
+        with one_sentence():
+            check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
+            check_sweep(folder, load, OmegaConf.to_container(config.hydra))
+            prepare_workers(Path(usvlearn.__file__).parents[1])
+        Sweep.folder = folder
+        if "joblib" in config.hydra.launcher._target_:
+            hold()  # its workers are told, and finish what they do
+
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        release()
+        with one_sentence():
+            if not leaderboard(Path(config.hydra.sweep.dir), load):
+                sys.exit(2)
+
+
+def cut_short(error: BaseException) -> str | None:
+    """The sentence where a launcher has lost a worker, or could not start one; None for any other error."""
+    text = " ".join(str(error).split())
+    if isinstance(error, BrokenProcessPool):
+        return "hydra/launcher=joblib: a worker was killed, perhaps for want of memory: set fewer hydra.launcher.n_jobs"
+    if type(error).__module__.startswith("submitit"):
+        return f"hydra/launcher: {text[:300]}: see whether the cluster can be reached, and the jobs' logs"
+    return None
