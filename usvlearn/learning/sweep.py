@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.errors import ConfigError, bad_input
+from usvlearn.errors import ConfigError, UsvlearnError, bad_input
 from usvlearn.evaluation.ranking import differing, ranked_by, scored
 from usvlearn.evaluation.tables import told
 from usvlearn.learning.layout import RESULTS, RUNS, save_results
@@ -103,7 +103,7 @@ def run_job(
         print(f"error: {bad_input(error) or error}", file=sys.stderr)
         return float("nan")
     with lock:
-        return _run_job(folder, settings, overrides, work, wrapper)
+        return _run_job(folder, settings, overrides, work, swept)
 
 
 def _run_job(
@@ -111,7 +111,7 @@ def _run_job(
     settings: Mapping,
     overrides: Sequence[str],
     work: Callable[[str | None], float],
-    wrapper: type[BaseException],
+    swept: Sequence[str],
 ) -> float:
     """`run_job` in a folder that is locked."""
     known, held, results = digest(settings), _read(folder / JOB), _read(folder / RESULTS)
