@@ -118,7 +118,9 @@ class Ensemble(Estimator):
             if not isinstance(member, Estimator | Bank):
                 raise ConfigError(f"estimators.{name}: found {member!r}, expected an estimator")
             if not name.isidentifier() or hasattr(nn.ModuleDict, name):
-                raise ConfigError(f"estimators: found the name {name!r}, expected letters, digits and _")
+                raise ConfigError(
+                    f"estimators: found the name {name!r}, expected a plain name of letters, digits and _"
+                )
             self._columns[name] = [f"{name}_{x}" for x in member.labels] if isinstance(member, Bank) else [name]
         self.columns = tuple(column for columns in self._columns.values() for column in columns)
         self.names = (*self.columns, *combiners)
