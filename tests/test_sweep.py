@@ -20,7 +20,7 @@ from omegaconf import OmegaConf
 
 from tests.test_train import ENVIRONMENT, ROOT, assert_equal_runs, command, results, run
 from usvlearn import Ensemble
-from usvlearn.errors import ConfigError, bad_input
+from usvlearn.errors import ConfigError, MissingExtraError, bad_input
 from usvlearn.evaluation.metrics import scores
 from usvlearn.learning.launchers import check_launcher
 from usvlearn.learning.leaderboard import LONGEST, write_leaderboard
@@ -144,7 +144,7 @@ def test_a_launcher_that_cannot_be_used_is_told_in_one_sentence(monkeypatch, tmp
     assert len(done.stderr.splitlines()) == 1
     monkeypatch.setattr("usvlearn.learning.launchers.find_spec", lambda name: None)
     for name, extra in {"joblib": "sweep", "slurm": "slurm", "submitit_local": "slurm"}.items():
-        with pytest.raises(ConfigError, match=rf"hydra/launcher={name} needs .* 'usvlearn\[{extra}\]'"):
+        with pytest.raises(MissingExtraError, match=rf"hydra/launcher={name} needs .* 'usvlearn\[{extra}\]'"):
             check_launcher([f"hydra/launcher={name}"])
     monkeypatch.setattr("usvlearn.learning.launchers.find_spec", lambda name: name)
     monkeypatch.setattr("usvlearn.learning.launchers.which", lambda name: None)
