@@ -41,7 +41,8 @@ OURS = {
                                     "usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.backend"},
     "usvlearn.tensorboard": set(),
     "usvlearn.stopping": set(),
-    "usvlearn.cli": LIGHT | {"usvlearn.cli", "usvlearn.learning", "usvlearn.logs", "usvlearn.stopping"},
+    "usvlearn.cli": LIGHT | {"usvlearn.cli", "usvlearn.learning", "usvlearn.lock", "usvlearn.logs",
+                             "usvlearn.stopping"},
 }  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {

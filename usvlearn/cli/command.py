@@ -83,7 +83,7 @@ def _in_worker(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
 
 def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> None:
     """All of Hydra's work; whatever ends it early is told in one sentence."""
-    Sweep.folder = None
+    Sweep.folder, Sweep.lock = None, None
     try:
         with _raising(), in_one_sentence(names):
             start()
@@ -94,6 +94,9 @@ def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> No
             raise
         _show_sweep()
         raise ConfigError(f"{sentence}; go on with: {_again(Sweep.folder, None)}") from error
+    finally:
+        if Sweep.lock is not None:
+            Sweep.lock.release()
 
 
 def _stopped_by(error: BaseException) -> Stopped | None:

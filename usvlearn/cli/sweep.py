@@ -15,6 +15,7 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
+from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.errors import one_sentence
 from usvlearn.learning.launchers import check_launcher, prepare_workers
 from usvlearn.learning.leaderboard import leaderboard
@@ -52,10 +53,11 @@ class Sweep(Callback):
     """Lock a run's folder; at the end of a sweep show its leaderboard, and end with code 2 where a job failed."""
 
     folder: Path | None = None  # of the sweep that this process has started
+    lock: Lock | None = None  # of the run
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
-        with one_sentence():  # a search is made by several processes together
-            self.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
+        with one_sentence(), in_one_sentence():  # a search is made by several processes together
+            Sweep.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
