@@ -19,7 +19,11 @@ from usvlearn.learning.saved import configuration, run_folders
 from usvlearn.logs.fleet import align_fleet
 from usvlearn.signals import named_leaves
 
-SETTINGS = {"configuration": {"estimators": {"aid": 1, "rls": 2}, "combiners": {}}}
+SETTINGS = {
+    "configuration": {
+        "estimators": {"aid": 1, "rls": 2}, "combiners": {}, "data": {}, "align": {"dt": 0.4}, "vehicle": {"mass": 28.0}
+    }
+}  # fmt: skip
 
 
 class Killed(Exception):

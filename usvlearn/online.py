@@ -92,7 +92,8 @@ class Online:
         """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s.
 
         Raises:
-            TypeError: a field is no number, or `fresh` or `measured` no bool; the state stays as it was.
+            TypeError: a field is no number, or `fresh` or `measured` neither a bool nor a whole number; the state
+                stays as it was.
             ShapeError: a field is neither one number nor of the batch; likewise.
         """
         return self._live.step(sample)

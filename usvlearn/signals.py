@@ -7,7 +7,7 @@ Imports numpy alone: the same types carry NumPy arrays (logs, a boat without tor
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,7 +86,7 @@ def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
 
 
 def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
-    """`check_inputs`, the same of the speed, and raise unless `fresh` and `measured` are bools, or arrays of bools.
+    """`check_inputs`, the same of the speed, and raise unless `fresh` and `measured` are bools or whole numbers.
 
     >>> check_sample(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, fresh="false", measured=True))
     Traceback (most recent call last):
@@ -95,7 +95,7 @@ def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
     check_inputs(sample.inputs, batch)
     _check_field("surge", sample.surge, "biuf", "a number (NaN where there is none)", batch)
     for name in ("fresh", "measured"):
-        _check_field(name, getattr(sample, name), "b", "True or False", batch)
+        _check_field(name, getattr(sample, name), "biu", "True or False", batch)
 
 
 def one_number(value: Any) -> Any:
@@ -119,10 +119,10 @@ def _kind(value: Any) -> str:
     if isinstance(value, bool):
         return "b"
     if isinstance(value, Real):
-        return "f"
+        return "i" if isinstance(value, Integral) else "f"
     if isinstance(value, list | tuple):
         kinds = {_kind(each) for each in value}
-        return "b" if kinds == {"b"} else "f" if kinds <= set("biuf") else "O"
+        return "i" if kinds <= set("biu") else "f" if kinds <= set("biuf") else "O"
     dtype = getattr(value, "dtype", None)
     if isinstance(dtype, np.dtype):
         return dtype.kind

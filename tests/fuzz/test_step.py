@@ -19,7 +19,8 @@ NUMBERS = (
     math.inf, -math.inf, np.float32(0.5), np.float64(0.5), np.int8(-3), np.uint64(2**63), np.array(0.5),
     np.array([0.5]), torch.tensor(0.5), torch.tensor([1], dtype=torch.int32), Fraction(1, 2), True,
 )  # fmt: skip
-BOOLS = (True, False, np.True_, np.False_, np.array(True), torch.tensor(False))
+BOOLS = (True, False, 1, 0, np.True_, np.False_, np.int64(1), np.array(True), torch.tensor(False))
+FLOATS = (0.0, 1.0, math.nan, np.float64(1.0), np.array(1.0), torch.tensor(1.0))  # which are no bools
 NEITHER = (
     "0.5", "false", "", b"1", None, 1j, np.complex64(1), object(), {}, [], {"a": 1}, datetime.timedelta(1), "nan",
     np.array("0.5"), np.array(["0.5"]), np.datetime64(1, "s"), np.array(None), torch.tensor(1j), np.ones(3), [0.1, "x"],
@@ -50,7 +51,7 @@ def test_step_takes_numbers_and_bools_alone(rng, cases, kind):
         wrong = set()
         for place in rng.choice(8, rng.integers(1, 4), replace=False):
             right = BOOLS if place >= 6 else NUMBERS
-            bad = NEITHER if place < 6 else (*NEITHER, *NUMBERS[:-1])
+            bad = NEITHER if place < 6 else (*NEITHER, *FLOATS)
             if rng.random() < 0.4:
                 wrong.add(FIELDS[place])
                 values[place] = draw(rng, bad)

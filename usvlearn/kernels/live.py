@@ -97,7 +97,7 @@ class Live:
                 pass
         check_sample(Sample(inputs, surge, fresh, measured))
         *numbers, fresh, measured = map(one_number, (*inputs, surge, fresh, measured))
-        return LIVE(*lanes[0], *map(float, numbers), fresh, measured)
+        return LIVE(*lanes[0], *map(float, numbers), bool(fresh), bool(measured))
 
     def _each(self, lanes: list[tuple], numbers: tuple, masks: tuple) -> np.ndarray:
         fields = map(one_number, (*numbers, *masks))
