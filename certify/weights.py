@@ -21,6 +21,7 @@ from certify.errors import CertifyError, shortened
 
 SUFFIXES = (".safetensors", ".npz", ".pt", ".pth")
 LARGEST = 1e150  # of a weight in a file; sums of products of two are still floats
+UNPACKED = 2**28  # bytes to which an archive may unpack: 30 million weights
 
 
 class ShallowWeights(NamedTuple):
@@ -170,6 +171,14 @@ def load(path: str | Path) -> list[Network]:
     try:
         with path.open("rb"):
             pass
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                unpacked = sum(each.file_size for each in archive.infolist())
+            if unpacked > UNPACKED:
+                raise CertifyError(
+                    f"{path}: unpacks to {unpacked / 1e6:.0f} MB, expected {UNPACKED / 1e6:.0f} MB at most: save the "
+                    "weights alone"
+                )
         tensors = reader(path)
     except CertifyError:
         raise

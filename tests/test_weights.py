@@ -1,6 +1,7 @@
 """Weights: every kind of file, and every way in which one can be wrong."""
 
 import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -189,3 +190,14 @@ def test_digest_knows_every_weight_and_no_negative_zero():
         assert digest(one._replace(**{name: changed})) != digest(one)
     zero = one._replace(a=np.zeros(3))
     assert digest(zero) == digest(zero._replace(a=-np.zeros(3)))
+
+
+@pytest.mark.parametrize("name", ["bomb.npz", "bomb.pt"])
+def test_an_archive_that_unpacks_to_gigabytes_is_refused_before_it_is_unpacked(tmp_path, name):
+    path = tmp_path / name
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.npy", "w") as file:
+        for _ in range(300):
+            file.write(bytes(2**20))
+    assert path.stat().st_size < 2**20
+    with pytest.raises(CertifyError, match="unpacks to 315 MB, expected 268 MB at most"):
+        load(path)
