@@ -10,6 +10,7 @@ import evaluate
 import train
 from tests.test_train import ENVIRONMENT, GOOD, ROOT, complaints
 from usvlearn.cli.command import parse
+from usvlearn.cli.settings import instantiate
 from usvlearn.errors import ConfigError
 
 MISTAKES = {
@@ -67,6 +68,9 @@ VALUES = {  # after torch: constructors check these
     "channel": (["+data.channels.surge.nmae=v", "data.path=log.csv"], ["data.channels.surge", "did you mean name?"]),
     "a grid": (["estimators.aid.gain=[0.1,1]", "data.path=log.csv"], ["estimators.aid.gain: found the shape (2,)"]),
     "simulated": (["data=simulated", "data.sensors.surge_hz=-1"], ["data.sensors.surge_hz: found -1"]),
+    "too few numbers": (["data=simulated", "data.sensors.outage=[8]"], ["data.sensors.outage: found [8]"]),
+    "a number for options": (["data=simulated", "data.sensors=3"], ["data.sensors: found 3"]),
+    "half a boat": (["data=simulated", "data.n=1.5"], ["data.n: found 1.5, expected a whole number"]),
     "a fault": (["data=simulated", "+data.fault={_target_: usvlearn.simulate.fault.Fault, share: 4}"],
                 ["data.fault.share: found 4"]),
     "tuning": (["grid=rls", "estimators.rls.memory=-1"], ["estimators.rls.memory: found -1"]),
@@ -145,6 +149,12 @@ def test_a_bug_keeps_its_traceback(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "argv", ["train.py"])
     with pytest.raises(ZeroDivisionError):
         train.main()
+
+
+def test_a_bug_of_a_constructor_keeps_its_traceback(monkeypatch):
+    monkeypatch.setattr("usvlearn.errors.check_positive", lambda name, value: {}[name])
+    with pytest.raises(KeyError, match="dt"):
+        instantiate({"_target_": "usvlearn.errors.check_positive", "name": "dt", "value": 1})
 
 
 @pytest.mark.parametrize("wrong", ["estimators.aid.gian=2", "data=bluebot", "align=${align}"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import pydoc
 import re
-from typing import Any
+from typing import Any, NoReturn
 
 import hydra
 from hydra.errors import InstantiationException
@@ -48,11 +48,10 @@ def instantiate(node: Any, **options: Any) -> Any:
         return hydra.utils.instantiate(node, **options)
     except InstantiationException as error:
         _retell(error, _names(OmegaConf.to_container(node) if OmegaConf.is_config(node) else node))
-        raise
 
 
-def _retell(error: InstantiationException, names: set[str]) -> None:
-    """Raise what a constructor has said of its arguments; nothing where it has a bug."""
+def _retell(error: InstantiationException, names: set[str]) -> NoReturn:
+    """Raise what a constructor has said of its arguments, or the bug that it has."""
     text, cause = " ".join(str(error).split()), error.__cause__
     found, target = re.search(r"full_key: (\S+)", text), re.search(r"target '([^']+)'", text)
     key, target = found[1] if found else "", target[1] if target else ""
@@ -70,8 +69,9 @@ def _retell(error: InstantiationException, names: set[str]) -> None:
         raise ConfigError(f"{place}_target_: found {target!r}, which cannot be imported{hint}") from error
     if isinstance(cause, TypeError | ValueError):
         raise ConfigError(f"{key or target}: {' '.join(str(cause).split())}: correct this key") from error
-    if cause is None:
-        raise ConfigError(f"{key or 'configuration'}: {str(error).splitlines()[0]}: correct this key") from error
+    if cause is not None:
+        raise cause
+    raise ConfigError(f"{key or 'configuration'}: {str(error).splitlines()[0]}: correct this key") from error
 
 
 def _names(node: Any) -> set[str]:

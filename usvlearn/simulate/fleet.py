@@ -230,6 +230,8 @@ def fleet(
         ("hulls", hulls or 0),
     ):
         check_not_negative(name, value)
+    if not isinstance(n, int):
+        raise ConfigError(f"n: found {n!r}, expected a whole number of boats")
     if drift > 1:
         raise ConfigError(f"drift: found {drift!r}, expected a share of 0 to 1")
     if not missions:
@@ -237,6 +239,9 @@ def fleet(
     for kind in missions:
         check_choice("missions", kind, tuple(MISSIONS))
     autopilot, sensors = autopilot or Autopilot(), sensors or Sensors()
+    for name, value, kind in (("autopilot", autopilot, Autopilot), ("sensors", sensors, Sensors)):
+        if not isinstance(value, kind):
+            raise ConfigError(f"{name}: found {value!r}, expected options under it: leave out {name}=…")
     whole, each = round(3600 * hours * autopilot.hz), round(60 * mission_minutes * autopilot.hz)
     ticks = [min(each, whole - start) for start in range(0, whole, each)]
 

@@ -75,7 +75,7 @@ class Sensors:
             most = 1.0 if name.endswith("share") else math.inf
             if not (0 <= value <= most and math.isfinite(value)):
                 raise ConfigError(f"{name}: found {value!r}, expected a number from 0 to {most}")
-        if not 0 <= self.outage[0] <= self.outage[1]:
+        if len(self.outage) != 2 or not 0 <= self.outage[0] <= self.outage[1]:
             raise ConfigError(f"outage: found {self.outage!r}, expected the shortest and longest time in s")
         if self.jitter * max(self.surge_hz, self.heading_hz) >= 0.25:
             raise ConfigError(
