@@ -19,10 +19,10 @@ from certify.certificate import CONDITIONS
 from certify.errors import CertifyError, quoted
 from certify.weights import SUFFIXES, Network, digest, find, load
 
-CERTIFIED, NOT_ALL, BAD_INPUT = 0, 1, 2  # exit codes
+CERTIFIED, NOT_ALL, BAD_INPUT, STOPPED = 0, 1, 2, 130  # exit codes
 LONGEST_PATH = 4096  # characters of a path that a certificate names
 EPILOG = """
-exit code: 0 all certified by --condition, 1 not all, 2 bad input
+exit code: 0 all certified by --condition, 1 not all, 2 bad input, 130 Ctrl-C
 
 python -m certify outputs/RUN                             the parameter sets of a run
 python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on the operating box
@@ -43,6 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _run(_parse(arguments))
     except (CertifyError, OSError) as error:
         return _error(error)
+    except KeyboardInterrupt:
+        print("stopped by SIGINT: certificates written before are whole", file=sys.stderr)
+        return STOPPED
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package in ("", "certify"):

@@ -223,6 +223,15 @@ def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, argume
     assert message in captured.err
 
 
+def test_ctrl_c_is_one_line_and_code_130(files, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("certify.__main__.find", interrupted)
+    assert main([str(files)]) == 130
+    assert capsys.readouterr().err == "stopped by SIGINT: certificates written before are whole\n"
+
+
 def test_argparse_errors_are_code_2(files):
     with pytest.raises(SystemExit) as error:
         main([str(files / "good.npz"), "--condition", "magic"])
