@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -88,6 +88,11 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--verify", nargs="+", metavar="CERTIFICATE", help="check certificates, of PATH or what they name"
     )
+
+    def refuse(message: str) -> NoReturn:
+        raise CertifyError(f"{message}: see --help")
+
+    parser.error = refuse
     options = parser.parse_args(_joined(arguments))
     if options.box and ":" not in options.box:  # --box PATH
         options.paths, options.box = [options.box, *options.paths], ""

@@ -232,10 +232,11 @@ def test_ctrl_c_is_one_line_and_code_130(files, capsys, monkeypatch):
     assert capsys.readouterr().err == "stopped by SIGINT: certificates written before are whole\n"
 
 
-def test_argparse_errors_are_code_2(files):
-    with pytest.raises(SystemExit) as error:
-        main([str(files / "good.npz"), "--condition", "magic"])
-    assert error.value.code == 2
+@pytest.mark.parametrize("wrong", [["--condition", "magic"], ["--bx"], ["--certificate"]])
+def test_a_wrong_flag_is_one_sentence_and_code_2(files, capsys, wrong):
+    assert main([str(files / "good.npz"), *wrong]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and wrong[0] in error and len(error.splitlines()) == 1
 
 
 def test_closed_forms_import_no_solver(files):
