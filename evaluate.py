@@ -42,6 +42,14 @@ def study(cfg: DictConfig, tools) -> None:
 def main(cfg: DictConfig) -> None:
     if cfg.study is None and cfg.runs is None:
         raise ConfigError("runs is not set: set runs=FOLDER, a folder that train.py has written")
+    for key in ("runs", "report", "folder"):
+        if OmegaConf.is_config(cfg[key]):
+            raise ConfigError(f"{key}: found {cfg[key]!r}, expected a folder")
+        cfg[key] = None if cfg[key] is None else str(cfg[key])  # 3 is a folder, too
+    if cfg.study is not None and cfg.folder is None:
+        raise ConfigError("folder is not set: take an experiment that makes a study, such as experiment=paper_small")
+    if isinstance(cfg.trust, int | float):
+        raise ConfigError(f"trust: found {cfg.trust!r}, expected a module, or a list")
     from usvlearn.learning.reports import Tools, evaluate
     from usvlearn.learning.saved import is_sweep, run_folders
     from usvlearn.simulate.truth import truth_of

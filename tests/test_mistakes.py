@@ -21,6 +21,7 @@ MISTAKES = {
     "key of Hydra": (["hydra.run.dri=x"], ["hydra.run.dri", "did you mean hydra.run.dir?"]),
     "removed key": (["~estimators.aidd"], ["estimators.aidd", "did you mean estimators.aid?"]),
     "key that is there": (["+align.dt=0.3"], ["align.dt", "leave out the +"]),
+    "member that is there": (["+estimator@estimators.aid=rls"], ["+estimator@estimators.aid", "leave out the +"]),
     "group": (["dat=blueboat"], ["dat", "did you mean data?"]),
     "option": (["data=bluebot"], ["data", "'bluebot'", "did you mean blueboat?"]),
     "option of a package": (["estimator@estimators.aid=adi"], ["'adi'", "did you mean aid?"]),
@@ -53,6 +54,7 @@ MISTAKES = {
     "option of align": (["+align.dtt=3"], ["align.dtt", "did you mean align.dt?"]),
 }
 VALUES = {  # after torch: constructors check these
+    "a device": (["data.path=/dev/null"], ["data.path: found '/dev/null', which is a device"]),
     "no path": ([], ["data.path is not set"]),
     "less than nothing": (["estimators.rls.memory=-1"], ["estimators.rls.memory: found -1"]),
     "a word": (["estimators.rls.memory=abc"], ["estimators.rls.memory: found 'abc'"]),
@@ -118,6 +120,10 @@ def test_a_value_is_told_with_the_full_path_of_its_key(case, tmp_path, monkeypat
         (["--config-name=evalaute"], ["did you mean evaluate?"]),
         (["runs=${report}", "report=${runs}"], ["refers to itself"]),
         ([], ["runs is not set"]),
+        (["runs=3"], ["'3'", "runs"]),
+        (["runs=x", "trust=3"], ["trust: found 3, expected a module, or a list"]),
+        (["study=3"], ["folder is not set", "experiment=paper_small"]),
+        (["runs=[a]"], ["runs: found ['a'], expected a folder"]),
     ],
 )
 def test_evaluate_tells_the_same(arguments, words, tmp_path, monkeypatch, capsys):

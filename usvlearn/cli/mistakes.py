@@ -69,8 +69,8 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
         return f"{key}: found no such key{hint}"
     if found := re.search(r"config directory '(.+?)'", str(error)):
         return f"{found[1]}: found no such folder: correct --config-dir or --config-path"
-    if found := re.search(r"already at '([^']+)'", str(error)):
-        return f"+{found[1]}: found that key set already, expected a new one: leave out the +"
+    if found := re.search(r"already at '([^']+)'|Multiple values for (\S+)\.", str(error)):
+        return f"+{found[1] or found[2]}: found that key set already, expected a new one: leave out the +"
     if found := re.search(r"(?:argument|parameters) '(.+?)'", _first_line(error)):
         return f"{found[1]}: found several values: add -m for a sweep over them, or put a list into brackets"
     if isinstance(cause, OmegaConfBaseException):

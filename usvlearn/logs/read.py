@@ -116,6 +116,10 @@ def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, lis
         root = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), here.parts))
         pattern = text
     else:
+        if here.exists():
+            raise ConfigError(
+                f"data.path: found {text!r}, which is a device or a pipe: set it to a folder or log ({endings})"
+            )
         close = difflib.get_close_matches(here.name, _names(here.parent), n=1)
         hint = f"did you mean {here.parent / close[0]}?" if close else f"set it to a folder or log ({endings})"
         raise ConfigError(f"data.path: found {text!r}, but {here.absolute()} does not exist: {hint}")
