@@ -50,6 +50,24 @@ def test_a_lock_is_refused_until_its_process_ends(tmp_path):
     assert list((tmp_path / "run").iterdir()) == []
 
 
+@pytest.mark.parametrize("what", ["link", "dangling link", "folder", "pipe"])
+def test_a_lock_that_is_no_file_is_refused_and_no_link_is_followed(tmp_path, what):
+    path, other = tmp_path / "run" / NAME, tmp_path / "other"
+    path.parent.mkdir()
+    if what == "link":
+        other.write_text("kept")
+    match what:
+        case "folder":
+            path.mkdir()
+        case "pipe":
+            os.mkfifo(path)
+        case _:
+            path.symlink_to(other)
+    with pytest.raises(ConfigError, match=r"run/\.lock: found a link, a folder or the like"):
+        Lock(path.parent, "report")
+    assert other.read_text() == "kept" if what == "link" else not other.exists()
+
+
 def test_a_shared_lock_is_held_by_several(tmp_path):
     process = holder(tmp_path, "shared")
     with Lock(tmp_path, "x", shared=True), Lock(tmp_path, "x", shared=True):

@@ -6,6 +6,7 @@ torch: aboard a small computer there is none.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import itertools
 import json
@@ -71,9 +72,12 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():  # a device or a pipe would never end
+            raise OSError(errno.EINVAL, "it is no file")
         content = path.read_bytes()
-    except OSError as error:
-        raise CheckpointError(f"{path}: cannot be read ({error.strerror}): give the path of a checkpoint") from error
+    except (OSError, MemoryError) as error:
+        cause = getattr(error, "strerror", "it is larger than the memory")
+        raise CheckpointError(f"{path}: cannot be read ({cause}): give the path of a checkpoint") from error
     try:
         leaves = load_tensors(content)
         header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])

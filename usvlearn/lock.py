@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import atexit
 import os
+import stat
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 from usvlearn.errors import ConfigError
@@ -46,7 +48,7 @@ class Lock:
         self.path, self._process = folder / NAME, os.getpid()
         folder.mkdir(parents=True, exist_ok=True)
         while True:
-            self._file: int | None = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o666)
+            self._file: int | None = _opened(self.path)
             try:
                 _lock(self._file, shared)
             except (BlockingIOError, PermissionError):
@@ -93,6 +95,14 @@ class Lock:
             return os.path.samestat(os.fstat(self._file), os.stat(self.path))
         except FileNotFoundError:
             return False
+
+
+def _opened(path: Path) -> int:
+    """The lock's file; a folder may come from anybody, and what a link there points to must not be overwritten."""
+    with suppress(FileNotFoundError):
+        if not stat.S_ISREG(path.lstat().st_mode):
+            raise ConfigError(f"{path}: found a link, a folder or the like, expected a file of our own: remove it")
+    return os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _lock(file: int, shared: bool) -> None:

@@ -91,8 +91,11 @@ def _csv(folder: Path, jobs: Sequence[Job]) -> str:
 
 
 def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
+    if board.is_symlink():  # a sweep may come from anybody
+        raise ConfigError(f"{board} is a link to another folder: remove it")
     for old in board.glob("*/events.out.tfevents.*"):
-        old.unlink()
+        if not old.parent.is_symlink():
+            old.unlink()
     for row in board.glob("*"):
         with suppress(OSError):  # what is not ours stays
             row.rmdir()
