@@ -3,11 +3,13 @@
 Where `USVLEARN_RUN` names the folder of a run, its sets are taken, and torch must not be there; else one is made here.
 """
 
+import hashlib
 import importlib.util
 import json
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -105,3 +107,34 @@ def test_what_is_no_set_or_does_not_say_how_it_is_built_is_refused(sets, tmp_pat
     other = checkpoint.save(tmp_path / "other.safetensors", leaves, **facts)
     with pytest.raises(CheckpointError, match="found a leaf that the estimator has not"):
         Online.open(other)
+
+
+def test_a_state_read_while_another_thread_steps_is_one_between_two_steps(sets):
+    samples, done = voyage(3000), threading.Event()
+
+    def sum_of(state: dict[str, np.ndarray]) -> str:
+        return hashlib.sha256(b"".join(leaf.tobytes() for leaf in state.values())).hexdigest()
+
+    alone, online = Online.open(sets), Online.open(sets)
+    legal = {sum_of(alone.state)}
+    for sample in samples:
+        alone.step(sample)
+        legal.add(sum_of(alone.state))
+
+    def sail() -> None:
+        for sample in samples:
+            online.step(sample)
+        done.set()
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-5)
+    try:
+        thread = threading.Thread(target=sail)
+        thread.start()
+        found = []
+        while not done.is_set():
+            found.append(online.state)
+        thread.join()
+    finally:
+        sys.setswitchinterval(before)
+    assert set(map(sum_of, found)) <= legal

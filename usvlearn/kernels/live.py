@@ -62,12 +62,15 @@ class Live:
 
     @property
     def leaves(self) -> dict[str, np.ndarray]:
-        """The state, copied."""
-        return {name: leaf.copy() for name, leaf in self.plan.unpack(self.states).items()}
+        """The state, copied, between two steps of any thread."""
+        with self._lock:
+            return {name: leaf.copy() for name, leaf in self.plan.unpack(self.states).items()}
 
     @leaves.setter
     def leaves(self, leaves: Mapping[str, np.ndarray]) -> None:
-        self.states[:] = self.plan.pack(leaves)
+        packed = self.plan.pack(leaves)
+        with self._lock:
+            self.states[:] = packed
 
     def step(self, sample: Sample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
