@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
@@ -16,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
 from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.errors import one_sentence
+from usvlearn.errors import ConfigError, one_sentence
 from usvlearn.learning.launchers import check_launcher, prepare_workers
 from usvlearn.learning.leaderboard import leaderboard
 from usvlearn.learning.sweep import check_sweep, run_job
@@ -25,8 +26,17 @@ from usvlearn.stopping import hold, release
 
 
 def load(path: Path) -> Any:
-    """A YAML file as lists and dictionaries."""
-    return OmegaConf.to_container(OmegaConf.load(path))
+    """A YAML file as lists and dictionaries.
+
+    Raises:
+        ConfigError: it is damaged, or no file that Hydra has written.
+    """
+    try:
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(path.read_text())):
+            raise ValueError("it has an alias, of which a few can stand for gigabytes")
+        return OmegaConf.to_container(OmegaConf.load(path))
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
+        raise ConfigError(f"{path}: is damaged ({' '.join(str(error).split())[:200]}): make that job anew") from error
 
 
 def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:

@@ -220,7 +220,7 @@ class RunFolder:
             old, new = json.loads((source / RUNS).read_text()), self._runs
             same = old["ensemble"] == new["ensemble"] and list(old["boats"]) == list(new["boats"])
             return same and all(new["boats"][boat][: len(runs)] == runs for boat, runs in old["boats"].items())
-        except (OSError, ValueError, KeyError, TypeError):
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return False
 
     def _from_file(self, source: Path, start: Start) -> Start:
@@ -253,13 +253,11 @@ class RunFolder:
             if before.run < place.run and before.step in (0, len(self.fleet.runs[before.run].time)):
                 before = Position(before.run + (before.step > 0), 0)
             steps, boats = place.step - before.step, len(self.fleet.boats)
-            shape = (steps, boats, start.state.predictions.shape[-1])
             try:
-                published = read_published(path, *shape)
-                found = published["predictions"].shape
-                whole = all(array.shape[:2] == (steps, boats) for array in published.values())
-                if place.run != before.run or found != shape or not whole:
-                    raise ValueError(f"it holds {found}, expected {shape}")
+                published = read_published(path, steps, boats, start.state.predictions.shape[-1])
+                found = len(published["predictions"])
+                if place.run != before.run or found != steps:
+                    raise ValueError(f"it holds {found} steps, expected {steps}")
             except DAMAGE as error:
                 warnings.warn(f"{path}: is damaged ({error}); going on from before it", stacklevel=2)
                 break
@@ -325,15 +323,22 @@ def read_published(path: Path, steps: int, boats: int, columns: int) -> dict[str
 
     Args:
         path: of the file.
-        steps, boats, columns: how large the predictions can be. A file with much more is not unpacked.
+        steps, boats, columns: how large the predictions can be. A file with much more is not unpacked, and one of other
+            boats or columns is damaged.
     """
     most = (1 << 16) + 4 * 8 * max(0, steps) * boats * (2 * columns + 5)
-    if not zipfile.is_zipfile(path):
+    if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
         raise ValueError("it is no archive of arrays")
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
             raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
-        return {name: archive[name] for name in PUBLISHED if name in archive}
+        found = {name: archive[name] for name in PUBLISHED if name in archive}
+    shape = found["predictions"].shape
+    for name, array in found.items():
+        width = 5 if name == "thrusters" else columns
+        if array.dtype.kind != "f" or array.shape != (shape[0], boats, width):
+            raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of (time, {boats}, {width})")
+    return found
 
 
 def begun(folder: Path) -> tuple[int, int, Position, str]:
@@ -351,9 +356,9 @@ def _number(folder: Path) -> int:
     """How many runs had begun beside a folder's run, itself counted; 0 where that is not noted."""
     try:
         number = json.loads((folder / RUNS).read_text())["began"]["number"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return 0
-    return number if type(number) is int and number > 0 else 0
+    return number if type(number) is int and 0 < number < 2**53 else 0
 
 
 def position(path: Path) -> Position | None:

@@ -104,7 +104,7 @@ def results(folder: Path) -> dict[str, Any]:
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected a dictionary")
         return {} if "partial" in found else found
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(
             f"{path}: is damaged ({error}): run train.py with resume={folder} hydra.run.dir={folder} to write it anew"
         ) from error
@@ -163,8 +163,6 @@ def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
             continue
         try:
             part = read_published(path, steps, len(learned), columns)
-            if any(array.shape[1] != len(learned) for array in part.values()):
-                raise ValueError(f"it is not of {len(learned)} boats")
         except DAMAGE as error:
             warnings.warn(f"{path}: is damaged ({error}); its run goes without predictions", stacklevel=3)
             continue
@@ -183,10 +181,13 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
             at = position(path)
             if at is None or at.step == 0:  # what it started from
                 continue
+            if at.run >= len(learned) or at.step > learned[at.run][1]:
+                warnings.warn(f"{path}: is of no step of the runs in {RUNS}; going on without it", stacklevel=2)
+                continue
             try:
                 sets.append(restore(path, template, ESTIMATOR)[0])
             except CheckpointError as error:
-                if "damaged" not in str(error):
+                if "damaged" not in str(error) and "cannot be read" not in str(error):
                     raise
                 warnings.warn(f"{error}; going on without it", stacklevel=2)
                 continue
@@ -211,8 +212,10 @@ def _runs_file(folder: Path) -> dict[str, Any]:
             boat: [(str(name), int(length), str(key)) for name, length, key in runs]
             for boat, runs in found["boats"].items()
         }
-        return {"boats": boats, "ensemble": found["ensemble"]}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        if any(length < 0 for runs in boats.values() for _, length, _ in runs):
+            raise ValueError("a run has fewer than 0 steps")
+        return {"boats": boats, "ensemble": str(found["ensemble"])}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"{path}: is damaged ({error}): make the run anew") from error
 
 
@@ -223,5 +226,6 @@ def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list
     for index, (_, length, key) in enumerate(folder.learned.get(boat, [])):
         some = folder.published.get(index, [])
         if some and sum(len(part["predictions"]) for part in some) >= length:
-            complete[key] = {name: np.concatenate([part[name][:, lane] for part in some])[:length] for name in some[0]}
+            names = [name for name in some[0] if all(name in part for part in some)]
+            complete[key] = {name: np.concatenate([part[name][:, lane] for part in some])[:length] for name in names}
     return [run._replace(published=complete.get(run.key, run.published)) for run in runs]

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.errors import ConfigError, UsvlearnError, bad_input
+from usvlearn.errors import ConfigError, UsvlearnError, bad_input, printable
 from usvlearn.evaluation.ranking import differing, ranked_by, scored
 from usvlearn.evaluation.tables import told
 from usvlearn.learning.layout import RESULTS, RUNS, save_results
@@ -173,7 +173,7 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
 
 
 def _by_key(overrides: Sequence[str]) -> dict[str, str]:
-    return dict(text.partition("=")[::2] for text in overrides)
+    return dict(printable(str(text)).partition("=")[::2] for text in overrides)
 
 
 def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
@@ -190,8 +190,8 @@ def _read(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text())
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected a dictionary")
-        return found
+        return found | {"error": printable(str(found["error"]))} if "error" in found else found
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         return {"error": f"{path} is damaged ({error}): run the same command again to have it made anew"}
