@@ -1,7 +1,11 @@
 """Where machine code is kept, and what is done where it is damaged."""
 
+import errno
+import os
+
 import numpy as np
 import pytest
+from numba.core import caching
 
 from tests.conftest import python
 from usvlearn import compiled
@@ -76,3 +80,18 @@ def test_another_source_has_a_folder_of_its_own(tmp_path, monkeypatch):
         found.append(compiled.folder(source.parent))
     compiled.folder.cache_clear()
     assert found[0] == found[2] != found[1]
+
+
+def test_machine_code_that_a_full_disk_cannot_keep_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compiled, "folder", lambda package: tmp_path)
+
+    def full(path: str, mode: str) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(caching, "open", full, raising=False)
+        assert compiled.kernel(twice)(1.5) == 3.0
+    assert capsys.readouterr().err.count("cannot be kept in") == 1
+    assert compiled.kernel(twice)(1.5) == 3.0
+    function = compiled.kernel(twice)
+    assert function(1.5) == 3.0 and sum(function.stats.cache_hits.values()) == 1

@@ -109,6 +109,13 @@ class CheckedFiles(IndexDataCacheFile):
         _say_damaged(index.parent)
         return None
 
+    def save(self, key: object, data: object) -> None:
+        """Keep what is compiled; where the disk is full, say so, and go on without."""
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _say_unkept(Path(self._index_path).parent, error.strerror)
+
     @contextmanager
     def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
         with super()._open_for_write(filepath) as file:
@@ -129,6 +136,14 @@ def whole(path: Path) -> bool:
 @cache
 def _say_damaged(folder: Path) -> None:
     print(f"usvlearn: compiled code in {folder} is damaged; it is compiled anew, in a minute or so", file=sys.stderr)
+
+
+@cache
+def _say_unkept(folder: Path, cause: str) -> None:
+    print(
+        f"usvlearn: compiled code cannot be kept in {folder} ({cause}); the next start compiles it anew",
+        file=sys.stderr,
+    )
 
 
 @contextmanager
