@@ -11,12 +11,14 @@ import pytest
 
 from tests.test_trust import saved, tools  # noqa: F401  # a finished run
 from usvlearn import checkpoint
+from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.learning.leaderboard import leaderboard
 from usvlearn.learning.reports import read
 from usvlearn.learning.run_folder import begun
 from usvlearn.learning.saved import results, run_folders
+from usvlearn.learning.sweep import jobs
 
 
 @pytest.fixture
@@ -149,3 +151,52 @@ def test_settings_of_a_job_that_are_damaged_or_unfold_are_refused(tmp_path, text
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"overrides\.yaml: is damaged"):
         load(path)
+
+
+def forged(copy: Path, edit) -> None:
+    """Change the settings in all sets of a run; their checksums are right."""
+    for path in sets(copy):
+        leaves, facts = checkpoint.load(path)
+        edit(facts["configuration"])
+        checkpoint.save(path, leaves, **facts)
+
+
+FORGERIES = {
+    "an unknown option": lambda c: c["align"].update(evil=1),
+    "an option twice": lambda c: c["align"].update(channels={}),
+    "a list for a name": lambda c: c.update(output=["a"]),
+    "data that are none": lambda c: c.update(data={"a": 1}),
+    "an estimator for data": lambda c: c.update(data={"_target_": "usvlearn.estimators.persistence.Persistence"}),
+    "one estimator for all": lambda c: c.update(estimators={"_target_": "usvlearn.estimators.aid.AID"}),
+    "a size beyond all measure": lambda c: c["estimators"].update(
+        rnn={"_target_": "usvlearn.estimators.rnn.RNN", "neurons": 10**9}
+    ),
+    "a grid too fine": lambda c: c["align"].update(dt=1e-9),
+    "hours without end": lambda c: c["data"].update(hours=1e300),
+}
+
+
+@pytest.mark.parametrize("edit", FORGERIES.values(), ids=FORGERIES)
+def test_settings_of_allowed_classes_that_make_no_sense_are_one_sentence(copy, edit):
+    forged(copy, edit)
+    with pytest.raises((CheckpointError, ConfigError)) as caught:
+        read([copy], tools()._replace(instantiate=instantiate))
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("results.json", {"boats": [1]}),
+        ("results.json", {"boats": {"heron": {"aid": {"mae": "low"}}}}),
+        ("job.json", {"settings": "x"}),
+    ],
+)
+def test_notes_of_a_job_that_make_no_sense_are_told_in_its_row(tmp_path, name, content):
+    job = tmp_path / "0"
+    (job / ".hydra").mkdir(parents=True)
+    (job / ".hydra" / "overrides.yaml").write_text("- estimators.aid.gain=1\n")
+    (job / ".hydra" / "config.yaml").write_text("a: 1\n")
+    (job / name).write_text(json.dumps(content))
+    (found,) = jobs(tmp_path, load)
+    assert ("is damaged" in found.results["error"]) if name == "results.json" else found.results == {}

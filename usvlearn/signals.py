@@ -99,7 +99,9 @@ def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
 
 
 def one_number(value: Any) -> Any:
-    """The Python number or bool in an array or tensor of one; anything else as it is."""
+    """The Python number or bool in an array, a list or a tensor of one; anything else as it is."""
+    if isinstance(value, list | tuple):
+        value = np.asarray(value)
     return value.item() if hasattr(value, "item") and np.prod(np.shape(value)) == 1 else value
 
 
@@ -118,8 +120,12 @@ def _kind(value: Any) -> str:
     """What a value holds, as NumPy's `dtype.kind`; "O" where it is neither a number nor an array or tensor of them."""
     if isinstance(value, bool):
         return "b"
+    if isinstance(value, Integral):
+        return "i" if abs(value) < 10**300 else "O"  # beyond any float
     if isinstance(value, Real):
-        return "i" if isinstance(value, Integral) else "f"
+        return "f"
+    if isinstance(value, np.ma.MaskedArray):
+        return "O"  # a masked number is none
     if isinstance(value, list | tuple):
         kinds = {_kind(each) for each in value}
         return "i" if kinds <= set("biu") else "f" if kinds <= set("biuf") else "O"

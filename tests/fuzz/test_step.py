@@ -17,14 +17,14 @@ FIELDS = (*Inputs._fields, "surge", "fresh", "measured")
 NUMBERS = (
     0, 1, -1, 0.5, -0.5, 2.5, 9.99, 10.0, 31.0, 99.0, 100.0, 1e3, 1e4, 1e9, 1e38, 1e300, 5e-324, 10**30, math.nan,
     math.inf, -math.inf, np.float32(0.5), np.float64(0.5), np.int8(-3), np.uint64(2**63), np.array(0.5),
-    np.array([0.5]), torch.tensor(0.5), torch.tensor([1], dtype=torch.int32), Fraction(1, 2), True,
+    np.array([0.5]), [0.5], torch.tensor(0.5), torch.tensor([1], dtype=torch.int32), Fraction(1, 2), True,
 )  # fmt: skip
 BOOLS = (True, False, 1, 0, np.True_, np.False_, np.int64(1), np.array(True), torch.tensor(False))
 FLOATS = (0.0, 1.0, math.nan, np.float64(1.0), np.array(1.0), torch.tensor(1.0))  # which are no bools
 NEITHER = (
     "0.5", "false", "", b"1", None, 1j, np.complex64(1), object(), {}, [], {"a": 1}, datetime.timedelta(1), "nan",
     np.array("0.5"), np.array(["0.5"]), np.datetime64(1, "s"), np.array(None), torch.tensor(1j), np.ones(3), [0.1, "x"],
-    float,
+    float, 10**400, np.ma.masked,
 )  # fmt: skip
 BOATS = {
     "kernel": lambda: Online(Ensemble({"aid": AID(28.0), "persistence": Persistence()})),

@@ -71,6 +71,8 @@ def _retell(error: InstantiationException, names: set[str]) -> NoReturn:
         raise ConfigError(f"{key or target}: {' '.join(str(cause).split())}: correct this key") from error
     if cause is not None:
         raise cause
+    if "blocklisted" in text:
+        raise ConfigError(f"{place}_target_: found {target!r}, which may not be called: name a class") from error
     raise ConfigError(f"{key or 'configuration'}: {str(error).splitlines()[0]}: correct this key") from error
 
 

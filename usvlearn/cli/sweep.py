@@ -67,6 +67,8 @@ class Sweep(Callback):
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         with one_sentence(), in_one_sentence():  # a search is made by several processes together
+            if not config.hydra.run.dir:
+                raise ConfigError("hydra.run.dir: found nothing, expected a folder: leave it out, or name one")
             Sweep.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:

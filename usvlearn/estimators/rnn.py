@@ -52,6 +52,7 @@ from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, n
 from usvlearn.signals import Inputs
 
 BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
+MOST_NEURONS = 10_000  # more can be no boat, but fill the memory
 
 
 class RNNState(NamedTuple):
@@ -198,8 +199,9 @@ class RNN(Estimator):
             raise ConfigError(f"unroll: found {unroll!r}, expected 1 or 2")
         check_choice("initial", initial, ("persistence", "random"))
         self.balanced = pretrained is None and initial == "persistence"
-        if not (isinstance(neurons, int) and neurons > self.balanced):  # which takes two
-            raise ConfigError(f"neurons: found {neurons!r}, expected a whole number, {1 + self.balanced} or more")
+        if not (isinstance(neurons, int) and self.balanced < neurons <= MOST_NEURONS):  # the balanced pair takes two
+            expected = f"a whole number, {1 + self.balanced} … {MOST_NEURONS}"
+            raise ConfigError(f"neurons: found {neurons!r}, expected {expected}")
         if check_not_negative("momentum", momentum) >= 1:
             raise ConfigError(f"momentum: found {momentum!r}, expected a number below 1")
         self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from numba import config
+from numba.core.errors import NumbaError
 
 from usvlearn.compiled import announced
 from usvlearn.kernels import step
@@ -96,7 +97,7 @@ class Live:
         if type(fresh) is bool is type(measured):  # compiled code takes any number, even NaN, for a bool
             try:
                 return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
-            except (TypeError, ValueError, OverflowError):  # not plain numbers
+            except (TypeError, ValueError, OverflowError, NumbaError):  # not plain numbers
                 pass
         check_sample(Sample(inputs, surge, fresh, measured))
         *numbers, fresh, measured = map(one_number, (*inputs, surge, fresh, measured))

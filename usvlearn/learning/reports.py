@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from rich.console import Console
 from rich.progress import Progress
 
-from usvlearn.errors import ConfigError
+from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble import Ensemble
 from usvlearn.evaluation.judge import best_start, facts, judge, simulations
 from usvlearn.evaluation.report import check_report_folder, write_report
@@ -56,10 +56,14 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
     for each in [found["data"] for found in settings] if data is None else [data]:
         if each not in sources:  # several folders of the same logs
             sources.append(each)
-    combiners = tools.instantiate(last["combiners"], _convert_="all")
-    ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last.get("output"))
-    with tools.console.status("reading and aligning"):
-        fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
+    try:
+        combiners = tools.instantiate(last["combiners"], _convert_="all")
+        ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last.get("output"))
+        with tools.console.status("reading and aligning"):
+            fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
+    except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise CheckpointError(f"{folders[-1]}: its settings cannot be used ({what:.200}): make the run anew") from error
     truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # of the boats that were learned
     return ensemble, read_seasons(folders, ensemble, fleets), truth
 

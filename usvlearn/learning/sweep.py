@@ -184,12 +184,25 @@ def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
     return f"{folder} holds another job, {other}: repeat the command that made it, or choose another hydra.sweep.dir"
 
 
+def _are_scores(boats: Any) -> bool:
+    """Whether these are numbers, or null, by boat, method and score."""
+    tables = list(boats.values()) if isinstance(boats, dict) else [None]
+    rows = [row for table in tables for row in (table.values() if isinstance(table, dict) else [None])]
+    return all(
+        isinstance(row, dict) and all(x is None or isinstance(x, int | float) for x in row.values()) for row in rows
+    )
+
+
 def _read(path: Path) -> dict[str, Any]:
     """A JSON file; {} where there is none, {"error": …} where it is damaged."""
     try:
         found = json.loads(path.read_text())
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected a dictionary")
+        if "boats" in found and not _are_scores(found["boats"]):
+            raise ValueError("boats: expected numbers by boat, method and score")
+        if "settings" in found and not isinstance(found.get("overrides"), list):
+            raise ValueError("overrides: expected a list")
         return found | {"error": printable(str(found["error"]))} if "error" in found else found
     except FileNotFoundError:
         return {}

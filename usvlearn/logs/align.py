@@ -32,6 +32,7 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not
 from usvlearn.logs.channel import CHANNELS, REQUIRED, Channel
 from usvlearn.signals import Inputs, Sample
 
+LEAST_DT = 1e-3  # s; far below what a hull does, and a grid of finer steps fills the memory
 ROOM = 64  # messages of a channel that a live boat holds at first
 
 
@@ -77,7 +78,8 @@ class Aligner:
         from usvlearn.compiled import announced
 
         compiled = _compiled()
-        check_positive("dt", dt, "of s")
+        if check_positive("dt", dt, "of s") < LEAST_DT:
+            raise ConfigError(f"dt: found {dt!r}, expected {LEAST_DT:g} s or more")
         check_choice("inputs", inputs, compiled.INPUTS)
         check_positive("outage", outage, "of s")
         check_not_negative("patience", patience, "of s")

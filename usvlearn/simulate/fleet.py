@@ -26,6 +26,7 @@ from usvlearn.simulate.vessel import Vessel, VesselState, at_rest, over_ground, 
 
 LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
 SUBSTEPS_HZ = 10.0  # the motion is stepped at least so often, 1/s
+MOST_HOURS = 1e5  # of all boats together; more fills the memory
 HULL, BED, RIVER, COURSE, EVENT, SENSOR = range(6)  # purposes of a generator
 
 
@@ -232,6 +233,8 @@ def fleet(
         check_not_negative(name, value)
     if not isinstance(n, int):
         raise ConfigError(f"n: found {n!r}, expected a whole number of boats")
+    if n * hours > MOST_HOURS:
+        raise ConfigError(f"hours: found {hours!r} for {n} boats, expected {MOST_HOURS:g} in all at most")
     if drift > 1:
         raise ConfigError(f"drift: found {drift!r}, expected a share of 0 to 1")
     if not missions:
