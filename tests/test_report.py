@@ -172,7 +172,7 @@ def test_sets_know_their_run_and_their_hours(saved):
     assert season.others.sum(1).tolist() == [1] * len(season.own)
     for each, (name, length, _) in zip(season.runs, lengths, strict=True):
         assert each.name == name and each.published["predictions"].shape == (length, len(ensemble.names))
-    with pytest.raises(CheckpointError, match="does not fit"):
+    with pytest.raises(CheckpointError, match="does not fit"), pytest.warns(UserWarning, match="expected numbers of"):
         read_seasons([saved], Ensemble({"aid": AID(mass=28.0)}), fleets(saved))
 
 
