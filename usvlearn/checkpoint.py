@@ -26,7 +26,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from usvlearn.errors import CheckpointError
-from usvlearn.signals import named_leaves, rebuild
+from usvlearn.signals import named_leaves, rebuild, sort_of
 
 SCHEMA = 2  # 1 kept another square root of the covariance of least squares
 SUFFIX = ".safetensors"
@@ -139,7 +139,7 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
                 f"{path}: {name} has the shape {leaves[name].shape}, expected {tuple(leaf.shape)}: "
                 "use the configuration that it was saved with"
             )
-        if _sort(leaf) != _sort(leaves[name]):
+        if sort_of(leaf.dtype) != sort_of(leaves[name].dtype):
             raise CheckpointError(
                 f"{path}: {name} is {leaves[name].dtype}, expected {leaf.dtype}: use the set saved before it"
             )
@@ -228,11 +228,6 @@ def as_array(leaf) -> np.ndarray:
     """
     array = leaf if isinstance(leaf, np.ndarray) else leaf.detach().cpu().numpy()
     return np.ascontiguousarray(array).reshape(array.shape)
-
-
-def _sort(leaf) -> str:
-    """What sort of numbers an array or a tensor holds: bool, float, int …"""
-    return str(leaf.dtype).removeprefix("torch.").rstrip("0123456789")
 
 
 def _like(leaf, array: np.ndarray):

@@ -93,8 +93,9 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
     (': did you mean aid.gain?', ': did you mean aid.gain?', '')
     """
     names = list(names)
-    own = [name for name in names if name.endswith(f".{word}") and not name.startswith("hydra.")]
-    close = own or difflib.get_close_matches(word, names, n=1) or [name for name in names if name.endswith(f".{word}")]
+    ends = [name for name in names if name.endswith(f".{word}")]
+    own = [name for name in ends if not name.startswith("hydra.")]
+    close = own or difflib.get_close_matches(word, names, n=1) or ends
     return f": did you mean {' or '.join(close[:3])}?" if close else ""
 
 

@@ -132,8 +132,16 @@ def _kind(value: Any) -> str:
     dtype = getattr(value, "dtype", None)
     if isinstance(dtype, np.dtype):
         return dtype.kind
-    kind = str(dtype).removeprefix("torch.").rstrip("0123456789")
-    return {"bool": "b", "int": "i", "uint": "u", "float": "f", "bfloat": "f"}.get(kind, "O")
+    return {"bool": "b", "int": "i", "uint": "u", "float": "f", "bfloat": "f"}.get(sort_of(dtype), "O")
+
+
+def sort_of(dtype: Any) -> str:
+    """What sort of numbers a dtype of NumPy or torch stands for, whatever their size.
+
+    >>> sort_of(np.dtype(np.float32)), sort_of(np.dtype(bool))
+    ('float', 'bool')
+    """
+    return str(dtype).removeprefix("torch.").rstrip("0123456789")
 
 
 def tree_map(f: Callable, *trees):
