@@ -15,18 +15,18 @@ from usvlearn.cli.command import command
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
 from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
-from usvlearn.evaluation.terminal import console
-from usvlearn.learning.launchers import set_threads
-from usvlearn.learning.leaderboard import leaderboard
-from usvlearn.logs.fleet import align_fleet
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.report.terminal import console
+from usvlearn.sweeps.launchers import set_threads
+from usvlearn.sweeps.leaderboard import leaderboard
 
 
 def study(cfg: DictConfig, tools) -> None:
     """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
     from train import work
-    from usvlearn.learning.reports import evaluate, start_of
-    from usvlearn.learning.study import Study
-    from usvlearn.learning.tuning import request
+    from usvlearn.report.from_runs import evaluate, start_of
+    from usvlearn.report.study import Study
+    from usvlearn.tuning.tune import request
 
     plain = partial(OmegaConf.to_container, resolve=True)
     made = Study(
@@ -50,8 +50,8 @@ def main(cfg: DictConfig) -> None:
         raise ConfigError("folder is not set: take an experiment that makes a study, such as experiment=paper_small")
     if isinstance(cfg.trust, int | float):
         raise ConfigError(f"trust: found {cfg.trust!r}, expected a module, or a list")
-    from usvlearn.learning.reports import Tools, evaluate
-    from usvlearn.learning.saved import is_sweep, run_folders
+    from usvlearn.report.from_runs import Tools, evaluate
+    from usvlearn.runs.saved import is_sweep, run_folders
     from usvlearn.simulate.truth import truth_of
 
     set_threads(1)

@@ -2,7 +2,7 @@
 
 python train.py data=blueboat data.path=LOGS              logs
 python train.py grid=aid                                  tune a member; learn=aid and search=aid, too
-python train.py -m estimators.rls.memory=10,30            a sweep; or sweep=inputs, of configs/sweep
+python train.py -m estimators.sift_map.memory=10,30            a sweep; or sweep=inputs, of configs/sweep
 """
 
 import time
@@ -15,19 +15,19 @@ from rich.progress import Progress
 import usvlearn  # what needs torch is imported where it is used: --help must not wait for it
 from usvlearn.cli.command import command
 from usvlearn.cli.settings import check_settings, instantiate
+from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.errors import check_positive
-from usvlearn.evaluation import terminal
-from usvlearn.evaluation.tables import closing, report
-from usvlearn.learning.launchers import set_threads
-from usvlearn.logs.fleet import align_fleet
-from usvlearn.stopping import until_stopped
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.report import terminal
+from usvlearn.report.tables import report, summary_lines
+from usvlearn.sweeps.launchers import set_threads
 
 
 def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None = None, quiet=False) -> float:
     """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the MAE, m/s."""
     check_settings(cfg)
-    from usvlearn.learning import tuning
+    from usvlearn.tuning import tune as tuning
 
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     if not tuning.asked(cfg):
@@ -38,10 +38,10 @@ def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
     """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
     from usvlearn.evaluation.members import explained, remarks
-    from usvlearn.evaluation.stability import stability
-    from usvlearn.learning.replay import replay
-    from usvlearn.learning.run_folder import RunFolder
-    from usvlearn.learning.watch import Watch
+    from usvlearn.report.stability import stability
+    from usvlearn.runs.logger import TensorBoardLogger
+    from usvlearn.runs.replay import replay
+    from usvlearn.runs.run_folder import RunFolder
 
     began, settings = time.perf_counter(), {**OmegaConf.to_container(cfg, resolve=True), "resume": None}
     set_threads(cfg.threads)
@@ -50,19 +50,20 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
     ensemble = usvlearn.Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
-    run = RunFolder(folder, fleet, {"configuration": settings, "kernel": ensemble.kernel()})
+    run = RunFolder(folder, fleet, {"configuration": settings, "kernel": ensemble.spec()})
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
-    with run, Watch(folder / "tensorboard", fleet, ensemble) as watch, Progress(console=console) as progress:
+    logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble)
+    with run, logger, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
-        chunks = replay(ensemble, fleet, start.state, start.position, watch.every, save_every)
+        chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every)
         for chunk in until_stopped(chunks, lambda: run.stop(ensemble, time.perf_counter() - began)):
             run.save(chunk)
-            watch.show(chunk)
+            logger.show(chunk)
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
         found = run.finish(ensemble, time.perf_counter() - began)
-        watch.finish(settings, found["boats"], run.published, found["alarms"])
+        logger.finish(settings, found["boats"], run.published, found["alarms"])
     console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)))
-    console.print(*stability(ensemble, run.state, fleet.boats), *closing(found, folder), sep="\n", soft_wrap=True)
+    console.print(*stability(ensemble, run.state, fleet.boats), *summary_lines(found, folder), sep="\n", soft_wrap=True)
     return found["objective"]
 
 

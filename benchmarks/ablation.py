@@ -18,20 +18,19 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
 from usvlearn import Ensemble
-from usvlearn.learning.replay import replay
+from usvlearn.runs.replay import replay
 from usvlearn.signals import tree_map, where
 
 E, RULE = "estimators", "combiners.ensemble"
 ROBUST = ("dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls.estimator")
-SIFT = ("rls", "dynamic_rls.estimator", "steady_rls.estimator.estimator", "memory_rls.estimator.estimator",
+SIFT = ("sift_map", "dynamic_rls.estimator", "steady_rls.estimator.estimator", "memory_rls.estimator.estimator",
         "ambient_rls.estimator.estimator.estimator")  # fmt: skip
-RLS, RULES = "usvlearn.estimators.rls.RLS", "usvlearn.estimators.combiners"
 
 
 def exponential(place: str) -> list[str]:
     """SIFt-RLS there becomes RLS with exponential forgetting of the paper's memory."""
     at = f"{E}.{place}"
-    return [f"{at}._target_={RLS}", f"~{at}.memory", f"~{at}.floor", f"+{at}.forgetting=0.995"]
+    return [f"{at}._target_=usvlearn.RLS", f"~{at}.memory", f"~{at}.floor", f"+{at}.forgetting=0.995"]
 
 
 def pieces(members: Sequence[str]) -> Mapping[str, list[str]]:
@@ -68,14 +67,14 @@ def pieces(members: Sequence[str]) -> Mapping[str, list[str]]:
         "BOA, equal priors": [f"{RULE}.prior=null"],
         "BOA, no shared weight": [f"{RULE}.share=0.0"],
         "exponential weights": [
-            f"{RULE}._target_={RULES}.ExponentialWeights", f"+{RULE}.rate=20.0", f"~{RULE}.scale", f"~{RULE}.share",
+            f"{RULE}._target_=usvlearn.ExponentialWeights", f"+{RULE}.rate=20.0", f"~{RULE}.scale", f"~{RULE}.share",
         ],
         "the paper's RLS weights": [
-            f"{RULE}._target_={RULES}.RecursiveWeights",
+            f"{RULE}._target_=usvlearn.RecursiveWeights",
             *(f"~{RULE}.{key}" for key in ("memory", "loss", "scale", "share", "prior")),
         ],
         "the mean": [
-            f"{RULE}._target_={RULES}.Average",
+            f"{RULE}._target_=usvlearn.Average",
             *(f"~{RULE}.{key}" for key in ("memory", "loss", "scale", "share", "prior")),
         ],
     }  # fmt: skip

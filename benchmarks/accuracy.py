@@ -18,15 +18,15 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
+from tests.support import ROOT
 from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
-from usvlearn.estimator import simulate
-from usvlearn.estimators.persistence import PersistenceState
+from usvlearn.estimators.baselines.persistence import PersistenceState
 from usvlearn.evaluation.metrics import scores
-from usvlearn.learning.replay import replay
-from usvlearn.logs.fleet import align_fleet
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.rollouts import simulate
+from usvlearn.runs.replay import replay
 from usvlearn.signals import Fleet, Sample, tree_map
 
-ROOT = Path(__file__).parents[1]
 REAL = ("blueboat", "vtec", "dalian", "pearl")
 PLANTS = ("heron", "kingfisher", "vtec", "otter")
 SEED = 300  # of the simulated boats that are reported

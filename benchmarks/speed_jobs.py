@@ -23,15 +23,15 @@ from timing import Effort, Section, counted, in_turn, micro, once, ratio, table
 from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.metrics import fleet_scores
-from usvlearn.learning.lanes import fleet_mae
-from usvlearn.learning.replay import replay
-from usvlearn.learning.run_folder import RunFolder
-from usvlearn.learning.watch import Watch
 from usvlearn.logs.alog import Alog
 from usvlearn.logs.channel import Source
-from usvlearn.logs.fleet import align_fleet
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.runs.logger import TensorBoardLogger
+from usvlearn.runs.replay import replay
+from usvlearn.runs.run_folder import RunFolder
 from usvlearn.signals import Fleet, Sample, named_leaves, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
+from usvlearn.tuning.lanes import fleet_mae
 
 MASS, MISSION = 28.0, 15.0  # kg, minutes
 LEAST_STEPS = 50  # of a rollout through many lanes
@@ -186,7 +186,7 @@ def logging(fleet: Fleet, effort: Effort) -> str:
     for _ in range(effort.repeats):
         with (
             tempfile.TemporaryDirectory() as folder,
-            Watch(folder, fleet, model) as watch,
+            TensorBoardLogger(folder, fleet, model) as watch,
             RunFolder(folder, fleet, {}) as archive,
         ):
             start = archive.begin(model.init((len(fleet.boats),)), None)

@@ -29,7 +29,7 @@ from usvlearn import (
     rollout,
 )
 from usvlearn.estimator import clean
-from usvlearn.logs.fleet import align_fleet
+from usvlearn.logs.recordings import align_fleet
 from usvlearn.signals import tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 

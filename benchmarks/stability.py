@@ -17,10 +17,10 @@ import yaml
 
 from certify.conditions import rate as contraction_rate
 from usvlearn import RNN, rollout
-from usvlearn.estimators.rnn import RNNState
-from usvlearn.logs.fleet import align_fleet
+from usvlearn.estimators.rnn.layer import RNNState
+from usvlearn.logs.csv_table import Table
 from usvlearn.logs.read import read_recordings
-from usvlearn.logs.table import Table
+from usvlearn.logs.recordings import align_fleet
 from usvlearn.signals import Sample, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 from usvlearn.simulate.sensors import Sensors

@@ -29,8 +29,9 @@ from peers import LAM, NOISE, P, Peer, peers
 from torch import Tensor, nn
 
 from usvlearn import AID, BOA, RLS, Average, Ensemble, Persistence, Robust, SIFtRLS
-from usvlearn.estimator import Estimator, rollout
-from usvlearn.estimators.regressors import SurgeDynamics
+from usvlearn.estimator import Estimator
+from usvlearn.estimators.regressors.layer import SurgeDynamics
+from usvlearn.rollouts import rollout
 from usvlearn.signals import Inputs, Sample, named_leaves, tree_map
 
 DT, OUTLIERS = 0.4, 0.02  # s, share
@@ -178,7 +179,7 @@ def run_ours(scenario: Scenario, model: Ensemble, step: Callable | None = None) 
         leaves = list(named_leaves(state.members[name]))
         thetas = [leaf for place, leaf in leaves if place.split(".")[-1] == "theta"]
         finite = all(bool(leaf.isfinite().all()) for _, leaf in leaves)
-        results[name] = judge(scenario, surges[..., k], thetas[0] if len(thetas) == 1 else None, finite)
+        results[name] = assess(scenario, surges[..., k], thetas[0] if len(thetas) == 1 else None, finite)
     return results
 
 
@@ -211,10 +212,10 @@ def run_peer(scenario: Scenario, make: Callable[[], Peer]) -> Result:
             finite = False
         theta[lane] = torch.tensor(peer.theta())
         finite = finite and all(np.isfinite(x).all() for x in peer.numbers())
-    return judge(scenario, surges, theta, finite and bool(theta.isfinite().all()))
+    return assess(scenario, surges, theta, finite and bool(theta.isfinite().all()))
 
 
-def judge(scenario: Scenario, surges: Tensor, theta: Tensor | None, finite: bool) -> Result:
+def assess(scenario: Scenario, surges: Tensor, theta: Tensor | None, finite: bool) -> Result:
     inputs, C = scenario.samples.inputs, excitation(scenario)
     asked = (inputs.dt > 0) & torch.stack([x.isfinite() for x in inputs]).all(0)
     error = (surges - scenario.target).abs().nan_to_num(math.inf)
@@ -240,7 +241,7 @@ def true_model(scenario: Scenario) -> Result:
     clean = scenario.samples._replace(surge=scenario.target)
     before = torch.cat([torch.zeros_like(scenario.target[:1]), scenario.target[:-1]])
     surges = before + (regressors(clean) * scenario.theta).sum(-1)
-    return judge(scenario._replace(event=None), surges, scenario.theta, True)
+    return assess(scenario._replace(event=None), surges, scenario.theta, True)
 
 
 class Given(nn.Module):

@@ -15,10 +15,10 @@ from accuracy import configuration, fleet_of, publish
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from usvlearn.learning import tuning
+from usvlearn.tuning import tune as tuning
 
 SEASON = ("data.n=8", "data.hours=0.5", "data.seed=2021", "data.mission_minutes=10")
-MEMBERS = ("aid", "rls", "dynamic_rls", "rnn")
+MEMBERS = ("aid", "sift_map", "dynamic_rls", "rnn")
 WAYS = {
     "grid": ("grid",),
     "gradient, cut after 100 steps": ("learn", "tuning.window=100"),

@@ -21,8 +21,7 @@ from certify.families import initial_networks, random_networks
 from certify.lmi import LMI
 from certify.projections import project, project_jointly, retract
 from certify.weights import ShallowWeights
-
-ROOT = Path(__file__).parents[1]
+from tests.support import ROOT
 
 
 def seconds(work: Callable[[], object], times: int = 30) -> float:

@@ -146,7 +146,7 @@ def _run(options: argparse.Namespace) -> int:
         for note in notes:
             print(note, file=sys.stderr)
     else:
-        from certify.table import show
+        from certify.printed import show
 
         _say(show, rows, options.condition, held, notes, options.dt)
     return max(code, CERTIFIED if all(held) else NOT_ALL)
@@ -163,7 +163,7 @@ def _say(write: Callable, *arguments: Any) -> None:
 
 def _judge(options: argparse.Namespace, networks: Sequence[Network], code: int) -> tuple[list, list, int]:
     """The networks that could be judged, what was found of each, and the exit code so far."""
-    from certify.judge import judge, solver
+    from certify.assess import assess, solver
 
     solve = solver(options.solver) if options.lmi else None
     boxes: dict[int, Any] = {}
@@ -180,13 +180,13 @@ def _judge(options: argparse.Namespace, networks: Sequence[Network], code: int) 
         if m not in inputs:
             inputs[m] = _input(options.input, m, network.path)
     if (options.lmi or options.box is not None) and len(networks) > 1:
-        from certify.table import progress
+        from certify.printed import progress
 
         networks = progress(networks, "certifying")
     judged, rows = [], []
     for each in networks:
         try:
-            rows.append(judge(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
+            rows.append(assess(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
             judged.append(each)
         except CertifyError as error:  # the others are judged all the same
             code = _error(CertifyError(f"{each.path}: {error}"))

@@ -19,13 +19,13 @@ import torch
 
 from certify import box as box_search
 from certify import conditions, exact
+from certify.assess import solver
 from certify.box_proof import proves
 from certify.certificate import CONDITIONS
 from certify.equilibria import equilibria
 from certify.errors import CertifyError
 from certify.families import initial_networks, random_networks, trained_networks
-from certify.judge import solver
-from certify.table import progress
+from certify.printed import progress
 from certify.weights import ShallowWeights, find, load
 
 CORNERS = {"lambda": ("lmi",), "2lambda": ("tight",), "both": ("lmi", "tight")}
@@ -121,7 +121,7 @@ def _least(call: Callable, times: int) -> float:
 
 
 def paper_tests(networks: Sequence[ShallowWeights], choices: argparse.Namespace) -> list[dict[str, Any]]:
-    """The paper's tests as they stand, and mended: M ⪰ 0 or M ≻ 0, Λ or 2Λ in the corner, knots i < n or all.
+    """The paper's tests as they stand, and fixed: M ⪰ 0 or M ≻ 0, Λ or 2Λ in the corner, knots i < n or all.
 
     The matrix is put to networks a hair beyond each test's edge, where a solver errs, and to a = w₁ = 1, b = 0, which
     is the identity: K = 1, a continuum of equilibria.
@@ -223,7 +223,7 @@ def main(arguments: Sequence[str], say: Callable) -> int:
     if options.json:
         say(print, json.dumps(result, indent=1, allow_nan=False))
     else:
-        from certify.table import show_comparison
+        from certify.printed import show_comparison
 
         say(show_comparison, result)
     if options.plot:

@@ -2,7 +2,7 @@
 
 
 class CertifyError(ValueError):
-    """Bad input that a person can mend. `python -m certify` prints it in one sentence and exits with code 2."""
+    """Bad input that a person can fix. `python -m certify` prints it in one sentence and exits with code 2."""
 
 
 def quoted(value: object) -> str:

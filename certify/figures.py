@@ -147,7 +147,7 @@ def _draw_equilibria(axes, found: list[Equilibrium], single: bool) -> None:
     outline = [withStroke(linewidth=9, foreground=INK)]
     for kind, (colour, marker, fill) in MARKS.items():
         some = [each for each in found if each.kind == kind]
-        label = _told(kind, some, LISTED if single else 1)
+        label = _findings(kind, some, LISTED if single else 1)
         for each in some:
             if kind == "continuum":
                 style = {"linewidth": 6.5, "solid_capstyle": "round", "path_effects": outline}
@@ -169,7 +169,7 @@ def _draw_equilibria(axes, found: list[Equilibrium], single: bool) -> None:
         axes.plot([], [], linestyle="none", label="no equilibrium here")
 
 
-def _told(kind: str, found: list[Equilibrium], listed: int) -> str:
+def _findings(kind: str, found: list[Equilibrium], listed: int) -> str:
     """The legend's lines of a class."""
     if len(found) > listed:
         lo, hi = min(each.lo for each in found), max(each.hi for each in found)

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from tests.support import REAL_LOGS, ROOT
 from usvlearn import Inputs, Sample
 
 torch.set_num_threads(1)
 os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
-REAL_LOGS = Path(__file__).parents[2] / "shared" / "data"
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def python(code: str, **environment: str) -> subprocess.CompletedProcess:
     """Run code in a Python of its own, which has to end well."""
     done = subprocess.run(
         [sys.executable, "-c", code],
-        cwd=Path(__file__).parents[1],
+        cwd=ROOT,
         env=os.environ | environment,
         capture_output=True,
         text=True,

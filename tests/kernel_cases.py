@@ -26,7 +26,7 @@ from usvlearn import (
     SurgeDynamics,
     WithMemory,
 )
-from usvlearn.estimators.acceleration import Acceleration
+from usvlearn.estimators.baselines.acceleration import Acceleration
 from usvlearn.signals import named_leaves, tree_map
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from tests.conftest import random_samples
-from tests.estimators import ESTIMATORS
+from tests.support import ESTIMATORS
 from usvlearn import Inputs, Online, Sample, rollout
 from usvlearn.errors import ShapeError
 from usvlearn.signals import named_leaves, tree_map

@@ -5,7 +5,6 @@ import math
 import re
 import sys
 import types
-from pathlib import Path
 
 import pytest
 import torch
@@ -13,9 +12,9 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from tests import estimators, test_contracts
+from tests.support import ROOT
 from usvlearn import Bank, Ensemble, Estimator
 
-ROOT = Path(__file__).parents[1]
 DATA = sorted(p.stem for p in (ROOT / "configs" / "data").glob("*.yaml"))
 
 

@@ -1,17 +1,15 @@
 """Up to 10⁷ steps of idle, cruise and excitation leave every default estimator, rule and monitor finite and sane."""
 
-from pathlib import Path
-
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
+from tests.support import ROOT
 from usvlearn import Ensemble, ExponentialWeights, FixedWeights, Inputs, Sample, rollout
-from usvlearn.estimators.regressors import surge_regressor
+from usvlearn.estimators.regressors.layer import surge_regressor
 from usvlearn.signals import named_leaves, tree_map
 
-ROOT = Path(__file__).parents[1]
 MASS = 28.0
 TRUTH = torch.tensor([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0], dtype=torch.float64)
 

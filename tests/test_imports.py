@@ -7,42 +7,45 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.support import ROOT
 
 # module prefix -> what of ours, and which heavy packages, it may import (anywhere, or at its top level)
 LIGHT = {"usvlearn.signals", "usvlearn.errors"}
+KERNELS = {"usvlearn.jit", "usvlearn.family", "usvlearn.arrays", "usvlearn.rows"}
+LEARNS = LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "usvlearn.rollouts",
+                  "usvlearn.checkpoint", "usvlearn.figures"}  # fmt: skip
 OURS = {
     "certify": {"certify"},
     "usvlearn.errors": set(),
     "usvlearn.signals": {"usvlearn.errors"},
     "usvlearn.checkpoint": LIGHT,
-    "usvlearn.logs": LIGHT | {"usvlearn.compiled", "usvlearn.logs"},
-    "usvlearn.compiled": set(),
     "usvlearn.lock": LIGHT,
-    "usvlearn.kernels": LIGHT | {"usvlearn.compiled", "usvlearn.kernels"},
-    "usvlearn.hyper": LIGHT,
-    "usvlearn.backend": LIGHT | {"usvlearn.kernels", "usvlearn.estimator"},  # the latter's names, for types
-    "usvlearn.estimator": LIGHT | {"usvlearn.backend"},
-    "usvlearn.estimators": LIGHT | {"usvlearn.backend", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
-                                    "certify"},
-    "usvlearn.simulate": LIGHT | {"usvlearn.compiled", "usvlearn.simulate", "usvlearn.logs.channel"},
-    "usvlearn.online": LIGHT | {"usvlearn.backend", "usvlearn.estimator", "usvlearn.checkpoint", "usvlearn.kernels"},
-    "usvlearn.learning": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
-                                  "usvlearn.checkpoint", "usvlearn.learning", "usvlearn.evaluation",
-                                  "usvlearn.kernels", "usvlearn.lock",
-                                  "usvlearn.tensorboard"},
-    "usvlearn.evaluation.stability": LIGHT | {"usvlearn.estimators", "certify"},
-    "usvlearn.evaluation.sections.network": LIGHT | {"usvlearn.estimators", "usvlearn.evaluation", "certify"},
-    "usvlearn.evaluation.sections.cost": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.evaluation",
-                                                  "usvlearn.online"},
-    "usvlearn.evaluation.report": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.lock",
-                                           "usvlearn.tensorboard"},
-    "usvlearn.evaluation": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper",
-                                    "usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.backend"},
     "usvlearn.tensorboard": set(),
-    "usvlearn.stopping": set(),
-    "usvlearn.cli": LIGHT | {"usvlearn.cli", "usvlearn.learning", "usvlearn.lock", "usvlearn.logs",
-                             "usvlearn.stopping"},
+    "usvlearn.jit": set(),
+    "usvlearn.family": LIGHT,
+    "usvlearn.arrays": {"usvlearn.jit"},
+    "usvlearn.rows": LIGHT | {"usvlearn.jit", "usvlearn.arrays"},
+    "usvlearn.logs": LIGHT | {"usvlearn.jit", "usvlearn.logs"},
+    "usvlearn.simulate": LIGHT | {"usvlearn.jit", "usvlearn.simulate", "usvlearn.logs.channel"},
+    "usvlearn.hyper": LIGHT,
+    "usvlearn.figures": LIGHT,
+    "usvlearn.estimator": LIGHT,
+    "usvlearn.estimators": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "certify",
+                                    *KERNELS},
+    "usvlearn.engine": LIGHT | {"usvlearn.engine", "usvlearn.estimators", *KERNELS},
+    "usvlearn.rollouts": LIGHT | {"usvlearn.engine", "usvlearn.estimator"},
+    "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.checkpoint", "usvlearn.engine"},
+    "usvlearn.evaluation": LEARNS | {"usvlearn.evaluation"},
+    "usvlearn.runs": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.lock", "usvlearn.tensorboard",
+                               "usvlearn.engine"},
+    "usvlearn.tuning": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.tuning", "usvlearn.sweeps",
+                                 "usvlearn.tensorboard", "usvlearn.report"},
+    "usvlearn.sweeps": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.lock", "usvlearn.report",
+                                "usvlearn.runs", "usvlearn.sweeps", "usvlearn.tensorboard"},
+    "usvlearn.report": LEARNS | {"usvlearn.evaluation", "usvlearn.lock", "usvlearn.online", "usvlearn.report",
+                                 "usvlearn.runs", "usvlearn.tensorboard", "certify"},
+    "usvlearn.cli": LIGHT | {"usvlearn.cli", "usvlearn.runs", "usvlearn.sweeps", "usvlearn.tuning", "usvlearn.lock",
+                             "usvlearn.logs", "usvlearn.report"},
 }  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
@@ -50,13 +53,13 @@ CERTIFY = {
     "scipy": {"certify.box_cells", "certify.box_milp"},
     "cvxpy": {"certify.lmi"},
     "matplotlib": {"certify.figures"},
-    "rich": {"certify.table"},
+    "rich": {"certify.printed"},
 }
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
-NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.compiled", "usvlearn.kernels",
-            "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation", "usvlearn.lock", "usvlearn.stopping",
+NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.engine",
+            "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation", "usvlearn.lock", "usvlearn.cli.stopping",
             "usvlearn.cli")  # fmt: skip
-TORCH = ("usvlearn.evaluation.crossval", "usvlearn.evaluation.judge", "usvlearn.evaluation.sections")  # they simulate
+TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
 
@@ -131,8 +134,8 @@ def test_the_package_is_imported_at_no_cost():
 
 def test_package_logs_and_checkpoints_import_without_torch():
     code = (
-        "import usvlearn, usvlearn.checkpoint, usvlearn.logs.fleet, usvlearn.logs.read, usvlearn.logs.alog\n"
-        "import usvlearn.logs.table, usvlearn.logs.rosbag\n"
+        "import usvlearn, usvlearn.checkpoint, usvlearn.logs.recordings, usvlearn.logs.read, usvlearn.logs.alog\n"
+        "import usvlearn.logs.csv_table, usvlearn.logs.rosbag\n"
         "usvlearn.Sample, usvlearn.Aligner"
     )
     assert not loaded(code) & {*HEAVY, "hydra", "rich"}
@@ -140,10 +143,10 @@ def test_package_logs_and_checkpoints_import_without_torch():
 
 def test_kernels_run_without_torch():
     """Nor does any part of them import it, at any depth."""
-    code = "import usvlearn.kernels.cross, usvlearn.kernels.live, usvlearn.kernels.run, usvlearn.online"
+    code = "import usvlearn.engine.free_runs, usvlearn.engine.live, usvlearn.engine.run, usvlearn.online"
     assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
     for path in MODULES:
-        if within(name_of(path), ["usvlearn.kernels"]):
+        if within(name_of(path), ["usvlearn.engine"]):
             packages = {found.partition(".")[0] for found in imports(path)}
             assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
 

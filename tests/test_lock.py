@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_search import SMALL as SEARCH
-from tests.test_study import Recorder, made
-from tests.test_train import ENVIRONMENT, SMALL, command, results, run
-from tests.test_trust import tools
+from tests.cli.test_train import ENVIRONMENT, SMALL, command, results, run
+from tests.report.test_study import Recorder, made
+from tests.runs.test_trust import tools
+from tests.tuning.test_search import SMALL as SEARCH
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.learning.reports import evaluate
-from usvlearn.learning.sweep import run_job
 from usvlearn.lock import NAME, Lock
+from usvlearn.report.from_runs import evaluate
+from usvlearn.sweeps.jobs import run_job
 
 HOLD = "import sys, time; from pathlib import Path; from usvlearn.lock import Lock\n"
 HOLD += "lock = Lock(Path(sys.argv[1]), 'x', shared=len(sys.argv) > 2); print('held', flush=True); time.sleep(60)"

@@ -22,7 +22,7 @@ def printable(text: str) -> str:
 
 
 class UsvlearnError(ValueError):
-    """Any bad input that a person can mend. `train.py` prints it in one sentence and exits with code 2."""
+    """Any bad input that a person can fix. `train.py` prints it in one sentence and exits with code 2."""
 
 
 class LogFormatError(UsvlearnError):
@@ -142,10 +142,10 @@ def bad_input(error: BaseException) -> str | None:
 
 
 @contextmanager
-def one_sentence() -> Iterator[None]:
+def exit_on_user_error() -> Iterator[None]:
     """Let bad input end the program with one sentence and code 2 (see `bad_input`), and a warning be one line.
 
-    >>> with one_sentence():
+    >>> with exit_on_user_error():
     ...     dt = check_positive("dt", 0.4)
     """
     before = warnings.formatwarning

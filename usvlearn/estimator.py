@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import torch
 from torch import Tensor, nn
 
-from usvlearn.backend import Record, choose, run, stack
-from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.signals import ABSURD, ABSURD_INPUTS, Inputs, Sample, named_leaves, tree_map, where
+from usvlearn.errors import ConfigError
+from usvlearn.signals import PLAUSIBLE, PLAUSIBLE_INPUTS, Inputs, Sample, tree_map, where
 
 State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
 
@@ -31,7 +30,7 @@ class Estimator(nn.Module, abc.ABC):
         surge_limit: a measured speed at or beyond it, m/s, counts as missing.
     """
 
-    surge_limit: float = ABSURD
+    surge_limit: float = PLAUSIBLE
 
     @abc.abstractmethod
     def init(self, batch: Sequence[int] = ()) -> State:
@@ -49,7 +48,7 @@ class Estimator(nn.Module, abc.ABC):
         """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
         return state
 
-    def loosen(self, state: State, factor: Tensor) -> State:
+    def inflate_covariance(self, state: State, factor: Tensor) -> State:
         """The state, `factor` times as open to new samples (a covariance inflated); by default what it is."""
         return state
 
@@ -60,7 +59,7 @@ class Estimator(nn.Module, abc.ABC):
         """
         return self.update(state, inputs, surge), self.predict(state, inputs)[1]
 
-    def kernel(self) -> dict[str, Any] | None:
+    def spec(self) -> dict[str, Any] | None:
         """What the compiled kernels need to know to make these steps (`kernels.plan`); None: torch makes them.
 
         It speaks for this very class: a subclass, whose steps may be others, has none unless it says so itself.
@@ -77,7 +76,7 @@ class Estimator(nn.Module, abc.ABC):
 
         Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.
         """
-        return _advance(self, state, clean(sample, self.surge_limit), EVERY)
+        return advance(self, state, clean(sample, self.surge_limit), EVERY)
 
 
 def check_estimator(name: str, value: Any) -> Estimator:
@@ -109,109 +108,21 @@ class Kinds(NamedTuple):
 EVERY = Kinds(True, True, True, True)
 
 
-def clean(sample: Sample, surge_limit: float = ABSURD) -> Step:
+def clean(sample: Sample, surge_limit: float = PLAUSIBLE) -> Step:
     """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients.
 
     What is not finite, or beyond all measure, counts as missing; so does a speed at `surge_limit`, m/s, and beyond.
     """
     known, dt = sample.surge.abs() < surge_limit, sample.inputs.dt
     steps = sample.fresh & (dt > 0)
-    for x, limit in zip(sample.inputs, ABSURD_INPUTS, strict=True):
+    for x, limit in zip(sample.inputs, PLAUSIBLE_INPUTS, strict=True):
         steps = steps & (x.abs() < limit)
     inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
     surge = torch.where(known, sample.surge, 0.0)
     return Step(inputs, surge, steps, steps & sample.measured & known, (dt == 0) & known)
 
 
-def rollout(
-    estimator: Estimator,
-    state: State,
-    samples: Sample,
-    record: Record | None = None,
-    detach_every: int | None = None,
-    backend: str = "auto",
-) -> tuple[State, Tensor, Any]:
-    """Run an estimator over samples, predicting before learning.
-
-    Args:
-        estimator: any `Estimator`.
-        state: the state to start from, leaves `(*batch, ...)`.
-        samples: leaves `(time, *batch)`, of the estimator's dtype.
-        record: names of leaves of the state (`named_leaves`), or a function that picks a tree of tensors from each new
-            state.
-        detach_every: truncates back-propagation every so many steps.
-        backend: "kernel" makes the steps by compiled code, which has no gradients; "torch" by torch; "auto" by
-            compiled code where no gradient is asked for, all is on the CPU, and the estimator has a kernel.
-
-    Returns:
-        The last state; the predictions, m/s, `(time, *batch)`; what `record` names or picked, stacked over time (or
-        None).
-
-    Raises:
-        ShapeError: the samples' dtype or batch does not fit the state.
-        ConfigError: `backend="kernel"` where that cannot be.
-
-    >>> from usvlearn import AID, Inputs, Sample
-    >>> t = torch.ones(50, dtype=torch.float64)
-    >>> samples = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t, t > 0, t > 0)
-    >>> aid = AID(mass=28.0)
-    >>> state, surge, _ = rollout(aid, aid.init(), samples)
-    >>> abs(float(surge[-1].detach()) - 1.5) < 0.01
-    True
-    """
-    _check(state, samples)
-    pick = _picking(record, state)
-    if (description := choose(estimator, state, samples, backend)) is not None:
-        return run(description, state, samples, record, free=False)
-    return _run(estimator, state, clean(samples, estimator.surge_limit), pick, detach_every)
-
-
-def simulate(
-    estimator: Estimator, state: State, samples: Sample, record: Record | None = None, backend: str = "auto"
-) -> tuple[State, Tensor, Any]:
-    """Run an estimator free: from the inputs alone, learning nothing; the speed is told where a segment starts.
-
-    Args:
-        estimator, state, samples, record, backend: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
-
-    Returns:
-        As `rollout`. What `record` picks of a step that was not made is of the step before.
-
-    Raises:
-        ShapeError, ConfigError: as `rollout`.
-
-    >>> from usvlearn import AID, Inputs, Sample
-    >>> t = torch.ones(50, dtype=torch.float64)
-    >>> samples = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t, t > 0, t > 0)
-    >>> aid = AID(mass=28.0)
-    >>> float(simulate(aid, aid.init(), samples)[1][-1])  # it has learned nothing, whatever was measured
-    0.0
-    """
-    _check(state, samples)
-    pick = _picking(record, state)
-    if (description := choose(estimator, state, samples, backend)) is not None:
-        return run(description, state, samples, record, free=True)
-    steps = clean(samples, estimator.surge_limit)
-    return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
-
-
-def _run(estimator: Estimator, state: State, steps: Step, pick: Callable | None, detach_every: int | None = None):
-    """All steps by torch; leaves of `steps` are `(time, *batch)`."""
-    holds = ~(steps.steps | steps.starts)
-    kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
-    some = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1).tolist()
-    predictions, records = [], []
-    for k, step in enumerate(_unbind(steps)):
-        if detach_every and k % detach_every == 0:
-            state = tree_map(Tensor.detach, state)
-        state, surge = _advance(estimator, state, step, Kinds(*some[k]))
-        predictions.append(surge)
-        if pick is not None:
-            records.append(pick(state))
-    return state, torch.stack(predictions), (stack(records) if records else None)
-
-
-def _advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tuple[State, Tensor]:
+def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tuple[State, Tensor]:
     """`Estimator.forward` of a clean sample, without what happens in no lane."""
     if some == Kinds(learns=True, coasts=False, starts=False, holds=False):
         return estimator.learn(state, step.inputs, step.surge)
@@ -234,47 +145,12 @@ def _advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tup
     return result, surge
 
 
-def _picking(record: Record | None, state: State) -> Callable[[State], Any] | None:
-    """What `record` names or picks, as a function of the state."""
-    if record is None or callable(record):
-        return record
-    leaves = dict(named_leaves(state))
-    if unknown := [name for name in record if name not in leaves]:
-        raise ConfigError(f"record: found {unknown[0]!r}, expected names of the state's leaves: {', '.join(leaves)}")
-    names = tuple(record)
-    return lambda state: {name: leaf for name, leaf in named_leaves(state) if name in names}
+def spec_of(part: Any) -> dict[str, Any] | None:
+    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing, or it was changed.
 
-
-def _unbind(steps: Step) -> Iterator[Step]:
-    """What belongs to each time, one after the other."""
-    inputs = zip(*(x.unbind(0) for x in steps.inputs), strict=True)
-    for x, *y in zip(inputs, *(y.unbind(0) for y in steps[1:]), strict=True):
-        yield Step(Inputs(*x), *y)
-
-
-def _check(state: State, samples: Sample) -> None:
-    """Raise a ShapeError unless the samples fit each other and the state."""
-    expected, dtype = samples.surge.shape, getattr(samples.surge, "dtype", None)
-    for name, leaf in named_leaves(samples):
-        if not isinstance(leaf, Tensor):
-            raise ShapeError(f"samples: {name} is {type(leaf).__name__}, expected a torch tensor: use torch.as_tensor")
-        if leaf.shape != expected or len(expected) == 0 or len(leaf) == 0:
-            raise ShapeError(
-                f"samples: {name} has the shape {tuple(leaf.shape)}, surge {tuple(expected)}: expected (time, "
-                "*batch), of at least one step, the same for all"
-            )
-        wanted = torch.bool if name in ("fresh", "measured") else dtype
-        if leaf.dtype != wanted:
-            raise ShapeError(f"samples: {name} is {leaf.dtype}, expected {wanted}: convert it with .to({wanted})")
-    batch = tuple(expected[1:])
-    for name, leaf in named_leaves(state):
-        if leaf.is_floating_point() and leaf.dtype != dtype:
-            raise ShapeError(
-                f"samples are {dtype}, the state's {name} is {leaf.dtype}: convert the estimator with .to({dtype}) "
-                "before init, or the samples"
-            )
-        if tuple(leaf.shape[: len(batch)]) != batch:
-            raise ShapeError(
-                f"samples have the batch {batch}, the state's {name} has the shape {tuple(leaf.shape)}: "
-                f"make the state with estimator.init({batch})"
-            )
+    >>> from usvlearn import Persistence
+    >>> spec_of(Persistence())["kind"]
+    'persistence'
+    """
+    changed = vars(part).keys() & {"predict", "update", "learn", "start", "inflate_covariance", "combine", "forward"}
+    return part.spec() if "spec" in vars(type(part)) and not changed else None

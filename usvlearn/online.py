@@ -45,10 +45,11 @@ class Online:
     """
 
     def __init__(self, estimator: Estimator, batch: Sequence[int] = (), backend: str = "auto"):
-        from usvlearn.backend import Stepper, described, live
+        from usvlearn.estimator import spec_of
+        from usvlearn.rollouts import Stepper, live
 
         self._template = Stepper(estimator, batch)  # torch's steps, and the shape of the state
-        self._name, self._description = type(estimator).__name__, described(estimator)
+        self._name, self._description = type(estimator).__name__, spec_of(estimator)
         self._live = live(estimator, self._template.state, backend) or self._template
 
     @classmethod
@@ -59,7 +60,7 @@ class Online:
             CheckpointError: it cannot be read, does not say how its estimator is built, or says what is not legal.
         """
         leaves, facts = checkpoint.newest(path, _read) if Path(path).is_dir() else _read(Path(path))
-        from usvlearn.kernels.live import Live
+        from usvlearn.engine.live import Live
 
         self = cls.__new__(cls)
         self._template, self._name, self._description = None, facts["estimator"], facts["kernel"]
@@ -112,7 +113,7 @@ class Online:
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A parameter set from which the kernels can go on."""
-    from usvlearn.kernels.describe import check, wrong
+    from usvlearn.engine.check import check, wrong
 
     leaves, facts = checkpoint.load(path)
     torch = "Online(ESTIMATOR).load(path), with torch"

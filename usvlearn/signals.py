@@ -27,8 +27,8 @@ class Inputs(NamedTuple):
     dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
 
 
-ABSURD = 100.0  # m/s: beyond it a speed is no measurement, but data gone bad; and so, in their units, inputs are
-ABSURD_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
+PLAUSIBLE = 100.0  # m/s: beyond it a speed is no measurement, but data gone bad; and so, in their units, inputs are
+PLAUSIBLE_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
 
 
 class Sample(NamedTuple):

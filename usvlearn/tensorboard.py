@@ -32,11 +32,11 @@ from pathlib import Path
 from typing import Any
 
 
-class Board:
+class TensorBoardWriter:
     """A TensorBoard run in a folder.
 
     >>> import tempfile
-    >>> with tempfile.TemporaryDirectory() as folder, Board(folder) as board:
+    >>> with tempfile.TemporaryDirectory() as folder, TensorBoardWriter(folder) as board:
     ...     board.scalars("online/mae/heron", {"aid": 0.05}, step=750)
     """
 
@@ -99,7 +99,7 @@ class Board:
         finally:
             _restore_excepthook()
 
-    def __enter__(self) -> Board:
+    def __enter__(self) -> TensorBoardWriter:
         return self
 
     def __exit__(self, *_) -> None:

@@ -13,13 +13,13 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from tests.test_rosbag_scan import NS, START, STEPS, unindexed, write_bag
+from tests.logs.test_rosbag_scan import NS, START, STEPS, unindexed, write_bag
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.alog import Alog
-from usvlearn.logs.fleet import align_fleet
+from usvlearn.logs.csv_table import Table
 from usvlearn.logs.read import read_recordings
+from usvlearn.logs.recordings import align_fleet
 from usvlearn.logs.rosbag import Rosbag
-from usvlearn.logs.table import Table
 
 SECONDS, MEGABYTES = 20, 400  # of one log of some kB: a bag whose message types are large compiles them for a while
 TOKENS = [

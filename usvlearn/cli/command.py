@@ -25,12 +25,12 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from usvlearn.cli.mistakes import in_one_sentence, known_names
+from usvlearn.cli.stopping import Stopped, heeded, heeded_in_worker, in_program, was_stopped
 from usvlearn.cli.sweep import Sweep, cut_short, load
-from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, one_sentence
-from usvlearn.learning.launchers import check_launcher
-from usvlearn.learning.layout import JOURNAL, RUNS
-from usvlearn.learning.leaderboard import leaderboard
-from usvlearn.stopping import Stopped, heeded, heeded_in_worker, in_program, was_stopped
+from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, exit_on_user_error
+from usvlearn.runs.layout import JOURNAL, RUNS
+from usvlearn.sweeps.launchers import check_launcher
+from usvlearn.sweeps.leaderboard import leaderboard
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # of Hydra: errors are raised, not printed
 
@@ -49,7 +49,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
 
         @functools.wraps(task)
         def main() -> None:
-            with one_sentence(), heeded():
+            with exit_on_user_error(), heeded():
                 flags = parse(sys.argv[1:])
                 check_launcher(flags.overrides)
                 names = known_names(
@@ -64,7 +64,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
 
 def _in_program(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
     try:
-        with one_sentence(), in_one_sentence():
+        with exit_on_user_error(), in_one_sentence():
             return task(cfg)
     except (Exception, KeyboardInterrupt, Stopped) as error:
         if (stopped := _stopped_by(error)) is None:

@@ -17,12 +17,12 @@ from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
 from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.errors import ConfigError, one_sentence
-from usvlearn.learning.launchers import check_launcher, prepare_workers
-from usvlearn.learning.leaderboard import leaderboard
-from usvlearn.learning.sweep import check_sweep, run_job
+from usvlearn.cli.stopping import hold, release
+from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.lock import Lock
-from usvlearn.stopping import hold, release
+from usvlearn.sweeps.jobs import check_sweep, run_job
+from usvlearn.sweeps.launchers import check_launcher, prepare_workers
+from usvlearn.sweeps.leaderboard import leaderboard
 
 
 def load(path: Path) -> Any:
@@ -66,14 +66,14 @@ class Sweep(Callback):
     lock: Lock | None = None  # of the run
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
-        with one_sentence(), in_one_sentence():  # a search is made by several processes together
+        with exit_on_user_error(), in_one_sentence():  # a search is made by several processes together
             if not config.hydra.run.dir:
                 raise ConfigError("hydra.run.dir: found nothing, expected a folder: leave it out, or name one")
             Sweep.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
-        with one_sentence():
+        with exit_on_user_error():
             check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
             check_sweep(folder, load, OmegaConf.to_container(config.hydra))
             prepare_workers(Path(usvlearn.__file__).parents[1])
@@ -83,7 +83,7 @@ class Sweep(Callback):
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         release()
-        with one_sentence():
+        with exit_on_user_error():
             if not leaderboard(Path(config.hydra.sweep.dir), load):
                 sys.exit(2)
 

@@ -31,7 +31,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.regressors import SurgeDynamics
+from usvlearn.estimators.regressors.layer import SurgeDynamics
 
 NAMES = SurgeDynamics().names
 MASS_MAX = 1e6  # kg; what seems heavier is not known at all

@@ -18,9 +18,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.backend import choose, free_totals
-from usvlearn.estimator import clean, simulate
-from usvlearn.estimators.ensemble import Ensemble
+from usvlearn.estimator import clean
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.rollouts import choose, free_totals, simulate
 from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
 
 LANES = 2048  # of one batch: what fits a processor's cache, roughly

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from usvlearn.estimators.combiners import Average
-from usvlearn.estimators.ensemble import Bank, Ensemble
-from usvlearn.estimators.regressors import QuasiStatic, SurgeDynamics
+from usvlearn.estimators.ensemble.combiners import Average
+from usvlearn.estimators.ensemble.layer import Bank, Ensemble
+from usvlearn.estimators.regressors.layer import QuasiStatic, SurgeDynamics
 from usvlearn.evaluation.metrics import PERSISTENCE
 
 

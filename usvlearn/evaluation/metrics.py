@@ -70,7 +70,7 @@ def alarms(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]]) -> dict[
 
     Args:
         fleet: what was replayed.
-        published: `thrusters` per run, as `usvlearn.learning.replay.PUBLISHED` says; none where nobody watched.
+        published: `thrusters` per run, as `usvlearn.runs.replay.PUBLISHED` says; none where nobody watched.
     """
     found: dict[str, list[dict]] = {boat: [] for boat in fleet.boats}
     on = np.zeros(len(fleet.boats), dtype=bool)

@@ -75,7 +75,7 @@ class Aligner:
         patience: float = 0.1,
         outage: float = 5.0,
     ):
-        from usvlearn.compiled import announced
+        from usvlearn.jit import announced
 
         compiled = _compiled()
         if check_positive("dt", dt, "of s") < LEAST_DT:
@@ -147,7 +147,7 @@ class Aligner:
         return _samples(self.feed(none.astype(np.int64), none, none, flush=True))
 
     def feed(self, channels: np.ndarray, times: np.ndarray, values: np.ndarray, flush: bool = False) -> np.ndarray:
-        """Take many messages as `push` takes one; returns rows, see `usvlearn.logs.compiled.COLUMNS`.
+        """Take many messages as `push` takes one; returns rows, see `usvlearn.logs.align_kernel.COLUMNS`.
 
         Args:
             channels: `(messages,)` int64, places in `CHANNELS`.
@@ -174,7 +174,7 @@ class Aligner:
 @cache
 def _compiled() -> ModuleType:
     """What makes the steps; numba takes a moment to import."""
-    from usvlearn.logs import compiled
+    from usvlearn.logs import align_kernel as compiled
 
     return compiled
 

@@ -49,7 +49,7 @@ def read_recordings(
         LogFormatError: no log can be read as declared; the first one's reason.
 
     >>> from tempfile import TemporaryDirectory
-    >>> from usvlearn.logs.table import Table
+    >>> from usvlearn.logs.csv_table import Table
     >>> channels = {"command_left": {"name": "L"}, "command_right": {"name": "R"}, "surge": {"name": "v"},
     ...             "heading": {"name": "psi", "unit": "deg"}}
     >>> with TemporaryDirectory() as folder:
@@ -94,7 +94,7 @@ def _read(file: Path, root: Path, reader: Reader, sources: dict[str, Source], bo
         channels, dropped = reader.read(file, sources)
     except OSError as error:
         raise LogFormatError(
-            f"{file}: expected a readable file, found: {error.strerror or error}: mend its permissions"
+            f"{file}: expected a readable file, found: {error.strerror or error}: fix its permissions"
         ) from error
     return Recording(boat, file.relative_to(root).with_suffix("").as_posix(), channels, dropped)
 

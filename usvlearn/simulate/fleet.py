@@ -74,8 +74,8 @@ def fleet_vessels(
     share = (1 - gone) * first + gone * other  # (missions, n, 4)
     factor = torch.from_numpy(1 + spread * np.array([LEAK, WEAR, WEAR, DRAG]) * share)
     mass, sides, hull = factor[..., 0], factor[..., 1:3], factor[..., 3]
-    hulls = {name: getattr(nominal, name) * hull for name in Vessel._fields if name.startswith("drag")}
-    return scale_thrust(nominal._replace(mass=nominal.mass * mass, **hulls), sides)
+    drag = {name: getattr(nominal, name) * hull for name in Vessel._fields if name.startswith("drag")}
+    return scale_thrust(nominal._replace(mass=nominal.mass * mass, **drag), sides)
 
 
 def fleet_missions(
@@ -143,8 +143,8 @@ def sail(
     >>> surge.shape, commands.shape
     (torch.Size([1201, 1, 1]), torch.Size([400, 1, 1, 2]))
     """
-    from usvlearn.compiled import announced  # numba takes a moment to import
-    from usvlearn.simulate.compiled import gains, known, sail_on
+    from usvlearn.jit import announced  # numba takes a moment to import
+    from usvlearn.simulate.missions_kernel import gains, known, sail_on
 
     substeps = math.ceil(SUBSTEPS_HZ / autopilot.hz)
     dt = 1 / (autopilot.hz * substeps)
@@ -193,7 +193,7 @@ def fleet(
     autopilot: Autopilot | None = None,
     sensors: Sensors | None = None,
     fault: Fault | None = None,
-    hulls: int | None = None,
+    fleet_seed: int | None = None,
 ) -> list[Recording]:
     """The logs of a fleet's season, boat by boat in the order of the missions.
 
@@ -212,7 +212,7 @@ def fleet(
         autopilot: gains of the controller; by default it never backs up.
         sensors: rates, errors and losses.
         fault: a thruster of every boat that fails; by default none does.
-        hulls: seed of the boats themselves, by default `seed`; with it the same boats sail another season.
+        fleet_seed: seed of the boats themselves, by default `seed`; with it the same boats sail another season.
 
     Returns:
         Recordings; `dropped` counts the messages that were lost.
@@ -228,7 +228,7 @@ def fleet(
         ("drift", drift),
         ("current", current),
         ("seed", seed),
-        ("hulls", hulls or 0),
+        ("fleet_seed", fleet_seed or 0),
     ):
         check_not_negative(name, value)
     if not isinstance(n, int):
@@ -248,7 +248,7 @@ def fleet(
     whole, each = round(3600 * hours * autopilot.hz), round(60 * mission_minutes * autopilot.hz)
     ticks = [min(each, whole - start) for start in range(0, whole, each)]
 
-    vessel = fleet_vessels(n, spread, plant, seed if hulls is None else hulls, len(ticks), drift)
+    vessel = fleet_vessels(n, spread, plant, seed if fleet_seed is None else fleet_seed, len(ticks), drift)
     names, courses = fleet_missions(n, ticks, autopilot.hz, seed, missions, aborted_share, paused_share)
     flow, direction = _river(seed, len(ticks), current)
     later = faulty_vessels(fault, vessel, ticks, autopilot.hz)

@@ -40,21 +40,21 @@ def true_parameters(
     seed: int,
     spread: float = 1.0,
     drift: float = 0.2,
-    hulls: int | None = None,
+    fleet_seed: int | None = None,
     **_,
 ) -> dict[str, dict[str, np.ndarray]]:
     """The parameters of every boat by name, one value for each mission, in the units of `SurgeDynamics`.
 
     Args:
         mass: declared, kg.
-        n, plant, hours, mission_minutes, seed, spread, drift, hulls: as of `usvlearn.simulate.fleet.fleet`.
+        n, plant, hours, mission_minutes, seed, spread, drift, fleet_seed: as of `usvlearn.simulate.fleet.fleet`.
 
     >>> found = true_parameters(28.0, 1, "heron", hours=1.0, mission_minutes=30.0, seed=0, spread=0.0)
     >>> found["heron"]["drag_linear"].round(3).tolist(), len(found["heron"])
     ([-16.45, -16.45], 9)
     """
     missions = math.ceil(round(hours * 60 / mission_minutes, 6))
-    vessel = fleet_vessels(n, spread, plant, seed if hulls is None else hulls, missions, drift)
+    vessel = fleet_vessels(n, spread, plant, seed if fleet_seed is None else fleet_seed, missions, drift)
     one = torch.ones(2, dtype=torch.float64)
     top = float(steady_surge(vessel, one).max())
     v = torch.linspace(0.0, top, GRID, dtype=torch.float64)[1:]

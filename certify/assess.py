@@ -1,0 +1,164 @@
+"""All that is to be said of one parameter set, as a JSON object."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from certify import exact
+from certify.box_planes import Box
+from certify.box_proof import proves
+from certify.equilibria import equilibria, surge_inputs, sweep
+from certify.errors import CertifyError
+from certify.rounding import float_above, float_below
+from certify.weights import Network, ShallowWeights
+
+HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
+AT_REST = (-1.0, 1.0)  # x between which they are looked for: twice the largest speed, ahead or astern
+
+
+def assess(
+    network: Network,
+    u: np.ndarray | None = None,
+    box: Box | None = None,
+    seconds: float = 10.0,
+    solve: Callable[[ShallowWeights], dict[str, Any]] | None = None,
+) -> dict[str, Any]:
+    """Every condition, decided exactly; equilibria; what the solver and the search on the box found.
+
+    Margins are rounded down and rates up, so that what is read is true; places and slopes are rounded to nearest.
+
+    Args:
+        network: one parameter set.
+        u: constant input of the equilibria, `(m,)`; zeros, as in the paper, by default.
+        box: on which the exact rate is searched for, if any.
+        seconds: for that search.
+        solve: what the LMI is handed to, if any; see `solver`.
+
+    >>> found = assess(Network("a.npz", ShallowWeights(*map(np.array, ([0.5], [1.0], [[0.0]], [0.25])))))
+    >>> found["rate"], found["certified"]["tight"], found["equilibria"][0]["x"]
+    (0.5, True, 0.25)
+    """
+    weights = network.weights
+    n, m = weights.W2.shape
+    conditions = exact.conditions(weights.a, weights.w1)
+    K = conditions["tight"].rate
+    u = np.zeros(m) if u is None else u
+    found = {
+        "path": network.path,
+        "n": n,
+        "m": m,
+        "margins": {name: float_below(condition.margin) for name, condition in conditions.items()},
+        "rate": float_above(K),
+        "time_constant": _time_constant(K),  # in steps
+        "certified": {name: condition.margin > 0 for name, condition in conditions.items()},
+        "best_gauge": {name: rate < 1 for name, rate in exact.best_gauge(weights.a, weights.w1).items()},
+        "input": list(map(float, u)),
+        "equilibria": [_findings(each) for each in equilibria(weights, u)],
+    }
+    if m == 4:
+        at_rest = sweep(weights, surge_inputs(HEADINGS), *AT_REST)
+        every = [each for places in at_rest for each in places]
+        found["at_rest"] = {
+            "headings": len(at_rest),
+            "equilibria": [min(map(len, at_rest)), max(map(len, at_rest))],
+            "x": [float(f(each.x for each in every)) for f in (min, max)] if every else [],
+            "classes": sorted({each.kind for each in every}),
+        }
+    if solve is not None:
+        found["lmi"] = solve(weights)
+    if box is not None:
+        found["box"] = search_box(weights, box, seconds)
+    return found
+
+
+def _time_constant(K: Fraction) -> float | None:
+    """−1/ln K; None where K ≥ 1."""
+    if K >= 1:
+        return None
+    if float(K) == 0:
+        return 0.0
+    return -1 / (math.log(float(K)) if K < 0.5 else math.log1p(-float(1 - K)))
+
+
+def _findings(equilibrium) -> dict[str, Any]:
+    """A point, or an interval: {"x": 0.3, …} or {"x": 0.3, "interval": [0.2, 0.4], …}."""
+    told = {"x": float(equilibrium.x), "class": equilibrium.kind}
+    if equilibrium.lo != equilibrium.hi:
+        told["interval"] = [float(equilibrium.lo), float(equilibrium.hi)]
+    return {**told, "slopes": [float(equilibrium.slope_left), float(equilibrium.slope_right)]}
+
+
+def search_box(weights: ShallowWeights, box: Box, seconds: float = 10.0) -> dict[str, Any]:
+    """The bracket of the exact rate on a box, and the verdict on rate < 1, with the trees that prove it."""
+    from certify import box as search
+    from certify.certificate import provable_rate
+
+    bracket = search.rate(weights, box, seconds=seconds / 2)
+    asked = [Fraction(1)]
+    if (short := provable_rate(1.001 * bracket.upper)) is not None and short < 1:
+        asked.insert(0, short)
+    for kappa in asked:
+        found = search.certify(weights, box, float(kappa), seconds / 2)
+        if found.verdict == "certified" or kappa == 1:
+            break
+    return {
+        "verdict": found.verdict,
+        "bracket": [bracket.lower, min(bracket.upper, found.upper)],
+        "closed": bracket.closed,
+        "method": bracket.method,
+        "interval": "certified" if proves(weights, box, ".", 1) else "not certified",
+        "proved_rate": found.rate if found.verdict == "certified" else None,
+        "forward_invariant": found.invariant,
+        "witness": _point(found.witness or bracket.witness),
+        "escape": None if found.escape is None else list(map(float, found.escape)),
+        "intervals": [[float(lo), float(hi)] for lo, hi in zip(box.lo, box.hi, strict=True)],
+        "tree": found.tree,
+        "invariance_tree": found.invariance_tree,
+    }
+
+
+def _point(witness) -> dict[str, Any] | None:
+    if witness is None:
+        return None
+    return {"x": float(witness.x), "u": list(map(float, witness.u)), "slope": float(witness.slope)}
+
+
+def solver(name: str = "CLARABEL") -> Callable[[ShallowWeights], dict[str, Any]]:
+    """A function that solves both matrices' LMI for a network; problems are compiled once per size."""
+    from certify.lmi import LMI
+
+    problems: dict[tuple[int, str], LMI] = {}
+
+    def solve(weights: ShallowWeights) -> dict[str, Any]:
+        found = {}
+        for condition in ("lmi", "tight"):
+            key = len(weights.a), condition
+            if key not in problems:
+                problems[key] = LMI(*key, solver=name)
+            try:
+                solution = problems[key].solve(weights.a, weights.w1)
+                rate, _ = problems[key].smallest_rate(weights.a, weights.w1)
+            except CertifyError as error:  # weights that no float solver can take
+                nothing = {"margin": None, "rate": None, "metric": None, "status": str(error), "seconds": 0.0}
+                found[condition] = {"verdict": "unknown", **nothing}
+                continue
+            found[condition] = {
+                "verdict": solution.verdict,
+                "margin": _number(solution.margin),
+                "rate": _number(rate),
+                "metric": _number(solution.metric),
+                "status": solution.status,
+                "seconds": solution.seconds,
+            }
+        return {"solver": name, **found}
+
+    return solve
+
+
+def _number(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None

@@ -1,0 +1,239 @@
+"""The table that `python -m certify` prints."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from certify.exact import CORNER
+from certify.rounding import above, below
+
+MARGINS = tuple(CORNER)
+MARKS = {
+    "certified": ("✓", "green"),
+    "refuted": ("✗", "red"),
+    "not certified": ("✗", "red"),
+    "unknown": ("?", "yellow"),
+}
+UNLIMITED = 100_000  # columns of a file or a pipe
+FOLDED = 24  # columns that a text of several words has at least
+GAP = 2
+
+
+def show(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool], notes: Sequence[str], dt: float | None):
+    """One row per parameter set, and a summary."""
+    console = _console()
+    _print(console, *_table(rows, dt))
+    console.print(*summary(rows, condition, held), *notes, sep="\n", soft_wrap=True)
+
+
+def _console() -> Console:
+    """As wide as the terminal; without a limit where there is none, unless COLUMNS sets one."""
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else UNLIMITED
+    return Console(markup=False, highlight=False, width=width)
+
+
+def _print(
+    console: Console,
+    title: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str | Text]],
+    texts: Sequence[str] = (),
+) -> None:
+    """A table; where it is too wide, its columns go on in further ones below, each with the first column.
+
+    Args:
+        console: on which it is printed.
+        title: stands above it.
+        headings: of the columns; the first is that of the names.
+        rows: a cell for each heading.
+        texts: headings of the columns that may be folded between words, as the names are where they fill half a line.
+    """
+    cells = list(zip(headings, *([str(cell) for cell in row] for row in rows), strict=True))
+    widths = [max(map(cell_len, column)) for column in cells]
+    widths = [min(width, FOLDED) if name in texts else width for name, width in zip(headings, widths, strict=True)]
+    room = min(console.width // 2, console.width - GAP - max(widths[1:]))
+    widths[0] = min(widths[0], max(room, FOLDED // 2))
+    blocks: list[list[int]] = [[]]
+    for k in range(1, len(headings)):
+        if blocks[-1] and sum(widths[j] + GAP for j in (0, *blocks[-1], k)) > console.width:
+            blocks.append([])
+        blocks[-1].append(k)
+    console.print(Text(title, "italic"), soft_wrap=True)
+    for block in blocks:
+        table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+        for k in (0, *block):
+            text = k == 0 or headings[k] in texts
+            style = {"overflow": "fold", "min_width": widths[k]} if text else {"no_wrap": True}
+            table.add_column(headings[k], justify="left" if text else "right", **style)
+        for row in rows:
+            table.add_row(*(row[k] for k in (0, *block)))
+        console.print()
+        console.print(table)
+    console.print()
+
+
+def _table(
+    rows: Sequence[dict[str, Any]], dt: float | None
+) -> tuple[str, list[str], list[list[str | Text]], Sequence[str]]:
+    """The title, headings, rows and texts of `_print`."""
+    solved, boxed = (any(key in row for row in rows) for key in ("lmi", "box"))
+    paths, shared = _short([row["path"] for row in rows])
+    marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
+    title = f"Below {shared}: margins, > 0 where a condition holds, and rates" + f"; {marks}" * (solved or boxed)
+    headings = ["parameter set", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
+    headings += ["LMI lmi, tight"] * solved + ["on the box"] * boxed + ["equilibria"]
+    found = []
+    for row, path in zip(rows, paths, strict=True):
+        margins = [
+            Text(below(row["margins"][name], 3), "green" if row["certified"][name] else "red") for name in MARGINS
+        ]
+        cells = [_lmi(row["lmi"])] if solved else []
+        cells += [_box(row["box"])] if boxed else []
+        constant = time_constant(row["time_constant"], dt)
+        cells = [path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _places(row["equilibria"])]
+        found.append(cells)
+    return title, headings, found, ["equilibria"]
+
+
+def _short(paths: Sequence[str]) -> tuple[list[str], str]:
+    """The paths without what all of them share, and the folder that they share."""
+    paths = [os.path.abspath(path) for path in paths]
+    shared = os.path.commonpath([os.path.dirname(path) for path in paths])
+    ending = {os.path.splitext(path)[1] for path in paths} if len(paths) > 1 else {""}
+    names = [os.path.relpath(path, shared) for path in paths]
+    names = [name.removesuffix(*ending) if len(ending) == 1 else name for name in names]
+    return names, min(os.path.relpath(shared), shared, key=len)
+
+
+def time_constant(steps: float | None, dt: float | None) -> str:
+    """τ = −1/ln K in steps, or in s, rounded up."""
+    return "–" if steps is None else above(steps * (dt or 1), 3)
+
+
+def _places(equilibria: Sequence[dict[str, Any]]) -> str:
+    kinds: dict[str, list[str]] = {}
+    for each in equilibria:
+        ends = each.get("interval")
+        place = f"{each['x']:.3g}" if ends is None else f"{ends[0]:.3g}…{ends[1]:.3g}"
+        kinds.setdefault(each["class"], []).append(place)
+    return "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items()) or "none"
+
+
+def _mark(verdict: str) -> Text:
+    return Text(*MARKS[verdict])
+
+
+def _lmi(found: dict[str, Any]) -> Text:
+    told = Text()
+    for condition in ("lmi", "tight"):
+        rate = found[condition]["rate"]
+        told.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
+    return told
+
+
+def _box(found: dict[str, Any]) -> Text:
+    low, high = found["bracket"]
+    rate = above(high, 4) if found["closed"] else f"{below(low, 4)}…{above(high, 4)}"
+    kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
+    return Text().append(_mark(found["verdict"])).append(f" {rate}, {kept}")
+
+
+def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]) -> list[str]:
+    """What it came to, in a few lines."""
+    n = len(rows)
+    counts = Counter(name for row in rows for name in MARGINS if row["certified"][name])
+    gauge = Counter(name for row in rows for name, held in row["best_gauge"].items() if held)
+    told = [
+        f"{sum(held)} of {n} certified contracting by {condition}, in rational arithmetic",
+        ", ".join(f"{name} {counts[name]}" for name in MARGINS)
+        + f"; after rescaling neurons: simple {gauge['simple']}, gershgorin {gauge['gershgorin']}",
+    ]
+    if rests := [row["at_rest"] for row in rows if "at_rest" in row]:
+        numbers = sorted({k for rest in rests for k in rest["equilibria"]})
+        places = sorted(x for rest in rests for x in rest["x"])
+        kinds = sorted({kind for rest in rests for kind in rest["classes"]})
+        told.append(
+            f"at rest, over {rests[0]['headings']} headings: {'…'.join(map(str, numbers))} equilibria each"
+            + (f", x in {places[0]:.3g}…{places[-1]:.3g}, {', '.join(kinds)}" if places else "")
+        )
+    if any("box" in row for row in rows):
+        verdicts = Counter(row["box"]["verdict"] for row in rows)
+        kept = Counter(row["box"]["forward_invariant"] for row in rows)
+        told.append(
+            f"on the box: {', '.join(f'{word} {count}' for word, count in verdicts.items())}; "
+            + "f maps the box into itself: "
+            + ", ".join(f"{word} {count}" for word, count in kept.items())
+        )
+        if refuted := next((row for row in rows if row["box"]["verdict"] == "refuted"), None):
+            point = refuted["box"]["witness"]
+            u = ", ".join(f"{x:.4g}" for x in point["u"])
+            slope = ("−" if point["slope"] < 0 else "") + below(abs(point["slope"]))
+            told.append(f"witness: {refuted['path']}: slope {slope} at x = {point['x']:.4g}, u = ({u})")
+    return told
+
+
+def progress(items: Sequence, told: str):
+    """The items, with a bar on the standard error stream that leaves no trace."""
+    from rich.progress import track
+
+    return track(items, told, console=Console(stderr=True), transient=True)
+
+
+def show_comparison(result: dict[str, Any]) -> None:
+    """The tables of `certify.compare`."""
+    console = _console()
+    headings = ("tier", "certified", "rate/exact", "largest K certified", "time constant", "solver disagrees")
+    for name, family in result["families"].items():
+        rows = []
+        for tier, row in family["tiers"].items():
+            K, ratio = row["largest_K"], row["conservatism"]
+            slowest = "–" if K is None or not 0 < K < 1 else f"{-result['dt'] / math.log(K):.3g} s"
+            share, disagreements = f"{100 * row['share']:.0f} %", row["disagreements"]
+            told = ["–" if ratio is None else f"{ratio:.3g}", "–" if K is None else f"{K:.4g}", slowest]
+            rows.append([tier, share, *told, "" if disagreements is None else str(disagreements)])
+        _print(console, f"{name}: {len(family['networks'])} networks of {result['neurons']} neurons", headings, rows)
+    _print_timings(console, result["timings"])
+    if result["paper"]:
+        _print_paper(console, result["paper"])
+
+
+def _print_timings(console: Console, rows: Sequence[dict[str, Any]]) -> None:
+    keys = {"closed_tight": "closed form", "exact_rate": "exact rate", "proof": "p, Λ, LDLᵀ", "box": "box",
+            "lmi_first": "LMI first", "lmi_again": "LMI again"}  # fmt: skip
+    told = []
+    for row in rows:
+        ratio = "–" if row["lmi_again"] is None else f"{row['lmi_again'] / row['closed_tight']:.2g}"
+        told.append([str(row["n"]), *(_seconds(row[key]) for key in keys), ratio])
+    title = "Time of one network; ratio: LMI solved again / closed form"
+    _print(console, title, ("n", *keys.values(), "ratio"), told)
+
+
+def _seconds(x: float | None) -> str:
+    if x is None:
+        return "–"
+    return next(f"{x * scale:.3g} {unit}" for scale, unit in ((1, "s"), (1e3, "ms"), (1e6, "µs")) if x * scale >= 1)
+
+
+def _print_paper(console: Console, rows: Sequence[dict[str, Any]]) -> None:
+    headings = ("test", "accepted at 0.999 of its edge", "accepted just beyond", "identity", "wrong")
+    told = []
+    for row in rows:
+        if "wrong" in row:
+            told.append([row["test"], "", "", "", "{} of {}".format(*row["wrong"])])
+        else:
+            wrong = row["identity"] + max(0, row["beyond"][0] - row["contracting"])
+            identity = "accepted" if row["identity"] else "refused"
+            told.append([row["test"], "{} of {}".format(*row["inside"]), "{} of {}".format(*row["beyond"]), identity,
+                         f"{wrong} not contracting"])  # fmt: skip
+    _print(console, "The paper's tests, literally and fixed", headings, told)

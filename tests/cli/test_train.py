@@ -1,0 +1,281 @@
+"""The main job from the command line: what it leaves behind, how it goes on, what it says to bad input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+
+import train
+from tests.support import ROOT
+from usvlearn import checkpoint
+from usvlearn.errors import bad_input
+
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
+SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
+NAMES = {
+    "aid", "sift_map", "rnn", "dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls_short",
+    "ambient_rls_long", "persistence", "average", "weighted", "ensemble",
+}  # fmt: skip
+
+
+def command(*arguments: str, script: str = "train.py") -> list[str]:
+    return [sys.executable, str(ROOT / script), *arguments]
+
+
+def run(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
+
+
+def complaints(stderr: str) -> str:
+    """What a command says on stderr, without what is said where code was never compiled before."""
+    return "".join(line for line in stderr.splitlines(True) if not line.startswith("usvlearn: compiling"))
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    """A finished run of two simulated boats, two missions each."""
+    folder = tmp_path_factory.mktemp("whole")
+    done = run(*SMALL, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
+    assert done.returncode == 0, done.stderr
+    (folder / "output.txt").write_text(done.stdout)
+    return folder / "run"
+
+
+def results(folder: Path) -> dict:
+    return json.loads((folder / "results.json").read_text())
+
+
+def predictions(folder: Path) -> list[np.ndarray]:
+    return [np.load(path)["predictions"] for path in sorted((folder / "predictions").glob("*.npz"))]
+
+
+def test_results(whole):
+    found = results(whole)
+    assert list(found["boats"]) == ["heron1", "heron2"]
+    for rows in found["boats"].values():
+        assert set(rows) == NAMES
+        for row in rows.values():
+            assert {"mae", "median", "rmse", "skill", "steps"} <= row.keys()
+            assert 0 < row["median"] <= row["rmse"] < 5 and row["mae"] <= row["rmse"] and row["steps"] > 450
+        assert rows["persistence"]["skill"] == 0
+        assert 0.85 < rows["ensemble"]["coverage"] < 0.95 and 0.01 < rows["ensemble"]["halfwidth"] < 0.5
+        assert rows["aid"]["skill"] == pytest.approx(1 - rows["aid"]["mae"] / rows["persistence"]["mae"])
+    assert found["rejected"]["heron1"]["surge"]["lost"] > 0
+    assert found["seconds"] > 0
+    maes = [rows["ensemble"]["mae"] for rows in found["boats"].values()]
+    assert found["objective"] == pytest.approx(np.mean(maes))
+
+
+def test_terminal(whole):
+    text = (whole.parent / "output.txt").read_text()
+    assert all(name in text for name in (*NAMES, "heron2", "MAE", "median", "RMSE", "skill", "m/s", "surge"))
+    assert f"tensorboard --logdir {whole}" in text
+
+
+def test_parameter_sets(whole):
+    """One each half minute of run time and one at each run's end, complete and told apart."""
+    for boat in ("heron1", "heron2"):
+        paths = checkpoint.checkpoints(whole / "checkpoints" / boat)
+        saved = [(facts["run"], facts["step"]) for facts in (checkpoint.load(path)[1] for path in paths)]
+        runs = json.loads((whole / "runs.json").read_text())["boats"][boat]
+        assert saved == [(name, k) for name, length, _ in runs for k in (*range(75, length, 75), length)]
+        assert len(saved) >= 6
+        leaves, facts = checkpoint.load(paths[-1])
+        assert facts["boat"] == boat and facts["estimator"] == "Ensemble" and facts["schema"] == 2
+        assert facts["configuration"]["estimators"]["rnn"]["neurons"] == 4
+        assert facts["time"] == pytest.approx(0.4 * (facts["step"] - 1))
+        assert {"members.aid.theta", "members.rnn.weights.w1", "members.rnn.moment2"} <= leaves.keys()
+
+
+def test_tensorboard(whole):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(whole / "tensorboard"))
+    events.Reload()
+    scalars = set(events.Tags()["scalars"])
+    for tag in (
+        "online/mae/heron1/aid", "online/skill/heron2/steady_rls", "state/heron1/aid/drag_quadratic",
+        "state/heron1/steady_rls/excitation_drag_linear", "state/heron2/sift_map/covariance_trace",
+        "state/heron1/memory_rls/clipped", "state/heron1/monitors/evidence_left",
+        "state/heron2/ensemble/weight_memory_aid",
+        "state/heron1/rnn/margin_simple", "state/heron1/rnn/margin_tight", "state/heron1/weighted/weight_aid",
+        "rejected/heron1/surge/lost", "total/mae/aid",
+    ):  # fmt: skip
+        assert tag in scalars, tag
+    assert "prediction/heron1" in events.Tags()["images"]
+    assert 3 <= len(events.Scalars("online/mae/heron1/aid")) <= 200
+    assert events.Scalars("online/skill/heron1/persistence")[-1].value == 0
+
+
+def test_everything_lies_in_the_runs_folder(whole):
+    assert sorted(p.name for p in whole.parent.iterdir()) == ["output.txt", "run"]
+    assert {"checkpoints", "predictions", "tensorboard", ".hydra", "results.json", "runs.json"} == {
+        p.name for p in whole.iterdir()
+    }
+    assert "gain: 1.0" in (whole / ".hydra" / "config.yaml").read_text()
+
+
+def killed_after(sets: int, folder: Path, *arguments: str) -> None:
+    """Start a run and kill it, with no chance to clean up, once it has saved some parameter sets."""
+    process = subprocess.Popen(command(*arguments), cwd=folder, env=ENVIRONMENT, stdout=subprocess.DEVNULL)
+    started = time.monotonic()
+    while len(list(folder.glob("run/checkpoints/heron2/*.safetensors"))) < sets and process.poll() is None:
+        assert time.monotonic() - started < 120
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def assert_equal_runs(found: Path, expected: Path) -> None:
+    """Every saved state and prediction, bit for bit, and the same results."""
+    for name in ("checkpoints", "predictions"):
+        ours, theirs = (sorted(p.relative_to(f) for p in (f / name).rglob("*.*")) for f in (found, expected))
+        assert ours == theirs
+    for path in sorted((expected / "checkpoints").rglob("*.safetensors")):
+        ours, theirs = (checkpoint.load(f)[0] for f in (found / path.relative_to(expected), path))
+        assert all(np.array_equal(ours[name], theirs[name]) for name in theirs), path.name
+    for ours, theirs in zip(predictions(found), predictions(expected), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert results(found)["boats"] == results(expected)["boats"]
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
+@pytest.mark.parametrize("sets", [1, 4])
+def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
+    arguments = [*SMALL, "data.n=2", f"hydra.run.dir={tmp_path}/run"]
+    killed_after(sets, tmp_path, *arguments)
+    assert not (tmp_path / "run" / "results.json").exists()
+    refused = run(*arguments, folder=tmp_path)
+    assert refused.returncode == 2 and "resume=latest" in refused.stderr
+    newest = checkpoint.checkpoints(tmp_path / "run" / "checkpoints" / "heron1")[-1]
+    newest.write_bytes(newest.read_bytes()[:-7])  # and the disk failed, too
+    resumed = run(*arguments, "resume=latest", folder=tmp_path)
+    assert resumed.returncode == 0, resumed.stderr
+    assert "damaged" in resumed.stderr
+    if sets > 1:
+        assert "going on after step" in resumed.stdout
+    assert_equal_runs(tmp_path / "run", whole)
+
+
+def test_resumed_into_another_folder_is_complete(whole, tmp_path):
+    finished = run(*SMALL, "data.n=2", f"resume={whole}", f"hydra.run.dir={tmp_path}/run", folder=tmp_path)
+    assert finished.returncode == 0, finished.stderr
+    assert_equal_runs(tmp_path / "run", whole)
+
+
+def test_resume_carries_parameters_to_other_runs(whole, tmp_path):
+    """A new season starts from the parameters of the last one."""
+    season = [*SMALL, "data.n=2", "data.seed=5", f"hydra.run.dir={tmp_path}/run"]
+    done = run(*season, f"resume={whole}", folder=tmp_path)
+    assert done.returncode == 0 and "from the first run on" in done.stdout, done.stderr
+    anew = run(*season[:-1], f"hydra.run.dir={tmp_path}/anew", folder=tmp_path)
+    assert anew.returncode == 0
+    first = predictions(tmp_path / "run")[0][1:6], predictions(tmp_path / "anew")[0][1:6]
+    assert not np.array_equal(*first)
+    single = run(*SMALL, f"resume={max((whole / 'checkpoints' / 'heron2').iterdir())}",
+                 f"hydra.run.dir={tmp_path}/one", folder=tmp_path)  # fmt: skip
+    assert single.returncode == 0 and "starting from heron2" in single.stdout
+
+
+def test_other_samples_or_another_ensemble_are_never_mixed_in(whole, tmp_path):
+    """In the same folder they are refused; in another they start from the parameters, at the first run."""
+    for other in ("estimators.aid.gain=3", "data.sensors.surge_noise=0.3"):
+        arguments = [*SMALL, "data.n=2", other]
+        refused = run(*arguments, "resume=latest", f"hydra.run.dir={whole}", folder=tmp_path)
+        assert refused.returncode == 2 and "another hydra.run.dir" in refused.stderr, refused.stderr
+    elsewhere = run(*arguments, f"resume={whole}", "hydra.run.dir=run", folder=tmp_path)
+    assert elsewhere.returncode == 0 and "from the first run on" in elsewhere.stdout
+    assert results(tmp_path / "run")["boats"]["heron1"]["persistence"]["mae"] > 0.2  # of the noise, not the old one
+
+
+GOOD = "time,L,R,heading,speed\n" + "".join(f"{0.1 * k},0.5,0.5,90,{0.01 * k}\n" for k in range(100))
+CSV = ["data=csv", "data.channels.command_left.name=L", "data.channels.command_right.name=R",
+       "data.channels.surge.name=speed"]  # fmt: skip
+
+
+def test_a_table_of_ones_own(tmp_path):
+    (tmp_path / "log.csv").write_text(GOOD)
+    done = run(*CSV, "data.path=log.csv", "hydra.run.dir=run", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert results(tmp_path / "run")["boats"]["log"]["aid"]["steps"] == 24
+
+
+BAD_INPUT = {
+    "missing file": (["data.path=none.csv"], None, ["none.csv", "does not exist"]),
+    "no path": ([], None, ["data.path"]),
+    "empty file": (["data.path=log.csv"], "", ["log.csv", "empty"]),
+    "wrong format": (["data.path=log.csv"], "\x00\x01\x02", ["log.csv"]),
+    "no such channel": (["data.path=log.csv", "data.channels.surge.name=sped"], GOOD, ["sped", "speed", "heading"]),
+    "a channel with no numbers": (
+        ["data.path=log.csv"],
+        GOOD.replace(",90,", ",north,"),
+        ["log.csv", "heading", "numbers"],
+    ),
+    "no speed": (["data.path=log.csv", "data.channels.surge.name=null"], GOOD, ["surge"]),
+    "a run of one step": (["data.path=log.csv"], "\n".join(GOOD.splitlines()[:9]), ["run log: 1", "at least 3"]),
+    "zero dt": (["data.path=log.csv", "align.dt=0"], GOOD, ["dt", "positive"]),
+    "negative dt": (["data.path=log.csv", "align.dt=-0.4"], GOOD, ["dt", "-0.4", "positive"]),
+    "inputs": (["data.path=log.csv", "align.inputs=future"], GOOD, ["inputs", "mean, last, next"]),
+    "a gain below zero": (["data.path=log.csv", "estimators.aid.gain=-1"], GOOD, ["-1", "positive"]),
+    "a boat's name": (["data.path=log.csv", "data.boat=../b"], GOOD, ["data.boat", "../b"]),
+    "no threads": (["data.path=log.csv", "threads=0"], GOOD, ["threads", "positive"]),
+    "minutes": (["data.path=log.csv", "save_minutes=null"], GOOD, ["save_minutes", "None", "positive"]),
+    "a grid": (["data.path=log.csv", "estimators.aid.gain=[0.1,1]"], GOOD, ["gain", "(2,)", "broadcasts"]),
+    "no member": (["data.path=log.csv", "estimators.aid=null"], GOOD, ["aid", "expected an estimator"]),
+    "a type": (["data.path=log.csv", "estimators.rnn.seed=abc"], GOOD, ["seed", "abc"]),
+    "no reader": (["data.path=log.csv", "data.reader=null"], GOOD, ["data"]),
+    "no checkpoint": (["data.path=log.csv", "resume=latest"], GOOD, ["resume=latest", "no run"]),
+    "resume nowhere": (["data.path=log.csv", "resume=nowhere"], GOOD, ["nowhere", "does not exist"]),
+}
+
+
+@pytest.mark.parametrize("case", BAD_INPUT)
+def test_bad_input_is_told_in_one_sentence(case, tmp_path, monkeypatch):
+    """In process: the sentence, and that nothing is half-written."""
+    arguments, content, said = BAD_INPUT[case]
+    if content is not None:
+        (tmp_path / "log.csv").write_text(content)
+    monkeypatch.chdir(tmp_path)
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        cfg = compose("train", [*CSV, *arguments])
+    with pytest.raises(Exception) as caught:
+        train.work(cfg, tmp_path / "run", [])
+    sentence = bad_input(caught.value)
+    assert sentence is not None and all(word in sentence for word in said), sentence
+    assert "\n" not in sentence and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("case", ["missing file", "no such channel", "a channel with no numbers", "a grid"])
+def test_bad_input_ends_with_code_2_and_no_traceback(case, tmp_path):
+    arguments, content, said = BAD_INPUT[case]
+    (tmp_path / "log.csv").write_text(content or "")
+    done = run(*CSV, *arguments, "hydra.run.dir=run", folder=tmp_path)
+    assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith("error: ") and all(word in last for word in said), last
+    assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]
+
+
+def test_a_checkpoint_of_another_estimator_schema_or_with_a_flipped_bit(whole, tmp_path):
+    good = max((whole / "checkpoints" / "heron1").iterdir())
+    other = checkpoint.save(tmp_path / "other.safetensors", {"theta": np.ones(9)}, estimator="AID")
+    flipped = tmp_path / "flipped.safetensors"
+    content = bytearray(good.read_bytes())
+    content[-5] ^= 1
+    flipped.write_bytes(content)
+    for path, words in ((other, ["'AID'", "'Ensemble'"]), (flipped, ["damaged", "checksum"])):
+        done = run(*SMALL, f"resume={path}", "hydra.run.dir=run", folder=tmp_path)
+        assert done.returncode == 2 and "Traceback" not in done.stderr
+        assert all(word in done.stderr for word in [path.name, *words]), done.stderr
+    larger = run(*SMALL, "estimators.rnn.neurons=5", f"resume={good}", "hydra.run.dir=run", folder=tmp_path)
+    assert larger.returncode == 2 and "expected (5,)" in larger.stderr

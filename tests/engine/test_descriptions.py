@@ -1,0 +1,291 @@
+"""What a parameter set says of its estimator is checked, whole, before the kernels are handed it."""
+
+import copy
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+from tests.kernel_cases import LONG, VARIANTS, mission
+from tests.support import ESTIMATORS
+from usvlearn import (
+    AID,
+    BOA,
+    RLS,
+    RNN,
+    Average,
+    Bank,
+    Ensemble,
+    Inputs,
+    Online,
+    Persistence,
+    Projected,
+    RecursiveWeights,
+    Robust,
+    Sample,
+    SIFtRLS,
+    SurgeDynamics,
+    WithMemory,
+    checkpoint,
+    rollout,
+)
+from usvlearn.engine import of_lane
+from usvlearn.engine.check import check
+from usvlearn.errors import CheckpointError
+from usvlearn.estimator import spec_of
+from usvlearn.estimators.least_squares.kernel import ITERATIONS
+from usvlearn.estimators.least_squares.projected import ROUNDS
+from usvlearn.signals import named_leaves, tree_map
+
+SAMPLE = Sample(Inputs(0.5, 0.4, 1.0, 0.1, 0.4), 1.0, True, True)
+OPEN = """
+import sys
+from pathlib import Path
+from usvlearn import Inputs, Online, Sample
+from usvlearn.errors import CheckpointError
+for path in sorted(Path(sys.argv[1]).glob("*.safetensors")):
+    try:
+        boat = Online.open(path)
+        for _ in range(3):
+            boat.step(Sample(Inputs(0.5, 0.4, 1.0, 0.1, 0.4), 1.0, True, True))
+        print(path.stem, "opened", flush=True)
+    except CheckpointError as error:
+        print(path.stem, error, flush=True)
+"""
+
+
+def members() -> dict:
+    memory = WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True), memory=[4.0, 20.0]))
+    projected = Projected(RLS(SurgeDynamics(28.0)))
+    return {
+        "aid": AID(28.0), "rnn": RNN(6), "projected": projected, "bank": Bank(Robust(memory), ["short", "long"]),
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """The leaves and facts of a set that has learned a little."""
+    rules = {"average": Average(["aid", "rnn"]), "boa": BOA(), "weighted": RecursiveWeights()}
+    boat = Online(Ensemble(members(), rules), backend="torch")
+    for _ in range(3):
+        boat.step(SAMPLE)
+    return checkpoint.load(boat.save(tmp_path_factory.mktemp("set") / "a.safetensors", boat="heron"))
+
+
+REMOVED = object()
+
+
+def put(facts, entry: str, value) -> None:
+    """Change what stands at a place of the description."""
+    holder, *path, last = facts, "kernel", *(entry.split("/") if entry else [])
+    for key in path:
+        holder = holder[int(key) if isinstance(holder, list) else key]
+    if value is REMOVED:
+        del holder[last]
+    else:
+        holder[int(last) if isinstance(holder, list) else last] = value
+
+
+NINE = [1.0] * 9
+FORGED = {  # case: a place in the description, what is put there, and what the error must say
+    "index": ("rules/average/columns/0", 10**9, r"rules.average.columns\[0\]: found 1000000000, expected 0 … 4:"),
+    "negative_index": ("rules/average/columns/0", -(10**6), r"columns\[0\]: found -1000000, expected 0 … 4"),
+    "index_twice": ("rules/average/columns", [0, 0], r"columns: found \[0, 0\], expected each once"),
+    "no_index": ("rules/average/columns", [], r"columns: found \[\], expected 1 … 5 of them"),
+    "fraction": ("rules/average/columns/0", 0.5, r"columns\[0\]: found 0.5, expected a whole number"),
+    "truth": ("rules/average/columns/0", True, r"columns\[0\]: found True, expected a whole number"),
+    "short": ("members/aid/vectors/spread", [1.0] * 5, r"vectors.spread: found the shape \(5,\), expected .*\(9,\)"),
+    "long": ("members/aid/vectors/theta0", [1.0] * 10, r"theta0: found the shape \(10,\), expected .*\(9,\)"),
+    "one": ("members/aid/vectors/theta0", [1.0], r"theta0: found the shape \(1,\), expected .*\(9,\)"),
+    "ratio": ("members/rnn/vectors/rate_ratio", NINE, r"rnn.vectors.rate_ratio: found the shape \(9,\), .*\(42,\)"),
+    "ragged": ("members/aid/vectors/spread", [NINE, [1.0]], r"spread: found .* expected a number, or lists of numbers"),
+    "signs": ("members/projected/signs", [1] * 8, r"projected.signs: found \[1, .*\], expected 9 of them"),
+    "sign": ("members/projected/signs/8", 0.5, r"projected.signs\[8\]: found 0.5, expected one of -1, 0, 1"),
+    "rounds": ("members/projected/iterations", 10**12, r"iterations: found 1000000000000, expected 0 … 1000"),
+    "unsigned": ("members/projected/signs", REMOVED, "members.projected: found no 'signs'"),
+    "empty": ("", {}, "kernel: found no 'kind'"),
+    "list": ("", [], r"kernel: found \[\], expected a dictionary"),
+    "size": ("members/aid/size", 10**9, "members.aid.size: found 1000000000, expected 9"),
+    "neurons": ("members/rnn/size", 10**9, "members.rnn.size: found 1000000000, expected 1 … 100000"),
+    "many_neurons": ("members/rnn/size", 99_999, "kernel: found 28.* numbers in all, expected 1048576 at most"),
+    "more_neurons": ("members/rnn/size", 7, r"members.rnn.weights.a: found the shape \(6,\), expected \(7,\)"),
+    "no_neurons": ("members/rnn/size", 0, "members.rnn.size: found 0, expected 1 … "),
+    "count": ("members/bank/count", 0, "members.bank.count: found 0, expected 1 … "),
+    "counts": ("members/bank/count", 10**12, "members.bank.count: found 1000000000000, expected 1 … "),
+    "kind": ("members/aid/kind", "quantum", "members.aid.kind: found 'quantum', expected one of 'rls', 'sift', 'aid'"),
+    "no_kind": ("members/aid/kind", [], r"members.aid.kind: found \[\], expected the kind"),
+    "nested": ("members/aid/kind", "ensemble", "members.aid.kind: found 'ensemble', expected one of"),
+    "twice": ("members/bank/inner/inner/kind", "robust", "inner.inner.kind: found 'robust', expected one of"),
+    "bare_memory": ("members/aid/terms", ["dynamics", "memory"], r"terms: found .*'memory'\], expected one of \[\], "),
+    "terms": ("members/aid/terms", ["dynamics"] * 2, r"terms: found \['dynamics', 'dynamics'\], expected one of"),
+    "condition": ("members/rnn/condition", 3, "condition: found 3, expected one of 'none', 'simple'"),
+    "unroll": ("members/rnn/unroll", True, "unroll: found True, expected one of 1, 2"),
+    "feedback": ("members/aid/feedback", [], r"feedback: found \[\], expected one of 'measured'"),
+    "word": ("members/aid/numbers/gain", "1.0", "numbers.gain: found '1.0', expected a number"),
+    "nothing": ("members/aid/numbers/gain", None, "numbers.gain: found None, expected a number"),
+    "nan": ("members/aid/numbers/gain", float("nan"), r"numbers.gain: found nan, expected 1e-30 … 1e\+30"),
+    "zero": ("members/aid/numbers/scale", 0.0, "numbers.scale: found 0.0, expected 1e-12"),
+    "infinite": ("members/rnn/numbers/rate", float("inf"), "numbers.rate: found inf, expected 1e-30"),
+    "forgetting": ("members/projected/numbers/forgetting", 1.5, "forgetting: found 1.5, expected 1e-30 … 1:"),
+    "batch": ("members/aid/numbers/gain", [1.0, 2.0], r"gain: found the shape \(2,\), expected .* against \(\)"),
+    "missing": ("members/aid/numbers/gain", REMOVED, "members.aid.numbers: found no 'gain'"),
+    "more": ("members/aid/numbers/gains", 1.0, "members.aid.numbers: found 'gains', expected scale, surge_max, gain"),
+    "name": ("members/a b", {}, "kernel.members: found 'a b', expected names of letters, digits and _"),
+    "long_name": ("members/" + "x" * 5000, {}, "kernel.members.x{300}"),
+    "output": ("output", "best", "kernel.output: found 'best', expected one of 'average', 'boa'"),
+    "columns": ("columns", ["aid"], r"kernel.columns: found \['aid'\], expected 5 of them"),
+    "column": ("columns/0", 5, r"kernel.columns\[0\]: found 5, expected a name"),
+    "monitors": ("monitors/calm", REMOVED, "kernel.monitors: found no 'calm'"),
+    "rule": ("rules/average/vector", [1.0, 1.0], "rules.average: found 'vector', expected kind, columns, numbers"),
+    "dotted_rule": ("rules/a.b", {}, "kernel.rules: found 'a.b', expected names without a dot"),
+    "prior": ("rules/boa/vector/0", 0.0, r"rules.boa.vector\[0:\]: found 0.0, expected 1e-30 … 1"),
+    "priors": ("rules/boa/vector", [0.2] * 5, r"rules.boa.vector: found .*, expected 10 of them"),
+    "no_rules": ("rules", {}, "kernel.rules: found {}, expected at least one"),
+    "no_members": ("members", {}, "kernel.members: found {}, expected at least one"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def told(saved, tmp_path_factory) -> dict[str, str]:
+    """What opening each forged set, and stepping, says; another process does it, which such a set may kill."""
+    folder = tmp_path_factory.mktemp("forged")
+    leaves, facts = saved
+    for case, (entry, value, _) in FORGED.items():
+        forged = copy.deepcopy(facts)
+        put(forged, entry, value)
+        checkpoint.save(folder / f"{case}.safetensors", leaves, **forged)
+    done = subprocess.run([sys.executable, "-c", OPEN, str(folder)], capture_output=True, text=True, timeout=300)
+    return dict(line.split(" ", 1) for line in done.stdout.splitlines())
+
+
+@pytest.mark.parametrize("case", FORGED)
+def test_a_forged_description_is_refused(told, case):
+    """By one sentence that begins with the file and names the entry."""
+    assert re.search(rf"/{case}.safetensors: (kernel|state)", told[case]) and re.search(FORGED[case][2], told[case])
+    assert len(told[case]) < 600 and told[case].endswith("Online(ESTIMATOR).load(path), with torch")
+
+
+def nan_at(leaf):
+    return np.where(np.arange(leaf.size).reshape(leaf.shape) == 0, np.nan, leaf)
+
+
+STATES = {  # case: a leaf, what becomes of it, and what the error must say; None: it is legal
+    "shape": ("members.aid.theta", lambda x: x[:8], r"theta: found the shape \(8,\), expected \(9,\)"),
+    "axes": ("members.aid.theta", lambda x: x[None], r"found the shape \(5,\)|found the shape"),
+    "number": ("members.aid.theta", lambda x: x.sum(), r"theta: found the shape \(\), expected \(\*batch, 9\)"),
+    "no_lanes": ("members.aid.theta", lambda x: x[None][:0], "expected"),
+    "half": ("members.aid.theta", np.float16, "theta: found numbers of float16, expected float64 or float32"),
+    "single": ("members.aid.surge", np.float32, "surge: found numbers of float32, expected float64 or float32, the"),
+    "whole": ("monitors.thrusters.alarms", np.int64, "alarms: found numbers of int64"),
+    "complex": ("members.rnn.weights.a", np.complex64, "a: found numbers of complex64"),
+    "flag": ("members.rnn.unbroken", np.float64, "unbroken: found numbers of float64, expected bool"),
+    "no_leaf": ("halfwidths", None, "halfwidths: found no such leaf"),
+    "other_leaf": ("members.aid.more", lambda x: np.ones(3), "members.aid.more: found a leaf that"),
+    "count": ("conformal.count", np.negative, r"conformal.count: found -3.0, expected 0 … 1e\+30"),
+    "interval": ("conformal.halfwidth", nan_at, "conformal.halfwidth: found nan"),
+    "published": ("halfwidths", nan_at, "halfwidths: found nan"),
+    "rule": ("combiners.weighted.weights", nan_at, "weights: found nan"),
+    "factor": ("combiners.weighted.factor", lambda x: 0 * x, r"factor: found 0.0, expected .* 1e-30 or more on the"),
+    "monitor": ("monitors.thrusters.moments", nan_at, "moments: found nan"),
+    "updates": ("members.rnn.updates", np.negative, "updates: found -3.0"),
+    "asleep": ("predictions", nan_at, None),
+    "diverged": ("members.rnn.weights.a", nan_at, None),
+    "infinite": ("members.aid.theta", lambda x: x / 0.0, None),
+    "diverging": ("members.aid.theta", lambda x: x + 1e40, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", STATES)
+@pytest.mark.filterwarnings("ignore:divide by zero|invalid value")
+def test_a_forged_state_is_refused(saved, tmp_path, case):
+    name, change, expected = STATES[case]
+    leaves, facts = saved
+    leaves = dict(leaves)
+    before = leaves.pop(name, None)
+    if change is not None:
+        leaves[name] = np.asarray(change(before))
+    path = checkpoint.save(tmp_path / "a.safetensors", leaves, **facts)
+    if expected is not None:
+        with pytest.raises(CheckpointError, match=rf"a.safetensors: state\..*{expected}"):
+            Online.open(path)
+        return
+    boat = Online.open(path)
+    for _ in range(3):
+        assert np.isfinite(boat.step(SAMPLE))  # the others go on
+    assert all(np.isfinite(x).all() for name, x in boat.state.items() if not name.startswith(("members", "pred")))
+
+
+def test_a_diverged_estimator_alone_is_refused(tmp_path):
+    leaves, facts = checkpoint.load(Online(AID(28.0)).save(tmp_path / "a.safetensors"))
+    path = checkpoint.save(tmp_path / "a.safetensors", leaves | {"theta": np.full(9, np.nan)}, **facts)
+    with pytest.raises(CheckpointError, match=r"state\.theta: found nan"):
+        Online.open(path)
+
+
+def test_a_folder_is_opened_at_its_newest_legal_set(tmp_path):
+    boat = Online(Persistence())
+    boat.save(tmp_path / "1.safetensors")
+    leaves, facts = checkpoint.load(boat.save(tmp_path / "2.safetensors"))
+    facts["kernel"]["size"] = -1
+    checkpoint.save(tmp_path / "2.safetensors", leaves, **facts)
+    with pytest.warns(UserWarning, match="kernel.size: found -1, expected 0: .*; trying the one before"):
+        assert Online.open(tmp_path).step(SAMPLE) == 0.0
+
+
+def test_the_name_of_the_estimator_must_be_there(tmp_path):
+    leaves, facts = checkpoint.load(Online(Persistence()).save(tmp_path / "a.safetensors"))
+    for name in (None, 3, ["Persistence"]):
+        path = checkpoint.save(tmp_path / "a.safetensors", leaves, **facts | {"estimator": name})
+        with pytest.raises(CheckpointError, match=r"estimator: found .*, expected the name of an estimator"):
+            Online.open(path)
+
+
+EVERY = ESTIMATORS | VARIANTS | LONG
+BEYOND = ("robust_rnn_blows_up", "robust_rnn_refuses", "memory_around_refusal", "refusal_around_memory")
+
+
+@pytest.mark.parametrize("name", sorted(EVERY.keys() - BEYOND))
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
+def test_what_estimators_say_of_themselves_is_legal(name, dtype):
+    """And so are their states, before and after samples with faults."""
+    estimator, batch = EVERY[name]().to(dtype), (4,) if name in LONG else (2,)
+    description = json.loads(json.dumps(spec_of(estimator)))
+    with torch.no_grad():
+        state = estimator.init(batch)
+        check(description, {name: leaf.numpy() for name, leaf in named_leaves(state)})
+        state = rollout(estimator, state, mission(100, *batch, dtype=dtype))[0]
+        check(description, {name: leaf.numpy() for name, leaf in named_leaves(state)})
+        one = {name: leaf[1].numpy() for name, leaf in named_leaves(state)}  # boat's, as a run saves it
+        check(of_lane(description, batch[0], 1), one)
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_rates_that_overflow_are_not_legal(name):
+    estimator = EVERY[name]()
+    leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(estimator.init())}
+    with pytest.raises(CheckpointError, match=r"numbers.rate: found .*e\+(200|308), expected 1e-30 … 1e\+30"):
+        check(spec_of(estimator), leaves)
+
+
+def test_numbers_that_differ_by_boat_are_opened(tmp_path):
+    aid, sample = AID(28.0, gain=[0.3, 1.0, 3.0]), tree_map(lambda x: np.full(3, x), SAMPLE)
+    boats, torchs = (Online(aid, (3,), backend) for backend in ("kernel", "torch"))
+    for _ in range(3):
+        np.testing.assert_allclose(boats.step(sample), torchs.step(sample), rtol=1e-12)
+    again = Online.open(boats.save(tmp_path / "a.safetensors"))
+    np.testing.assert_allclose(again.step(sample), torchs.step(sample), rtol=1e-12)
+
+
+def test_whole_numbers_may_be_given_as_others(tmp_path):
+    for estimator in (Projected(SIFtRLS(), [1.0] * 9, True), RNN(6, unroll=2.0)):
+        boat = Online(estimator, backend="torch")
+        again = Online.open(boat.save(tmp_path / "a.safetensors"))
+        np.testing.assert_allclose(again.step(SAMPLE), boat.step(SAMPLE), rtol=1e-12)
+
+
+def test_rounds_are_bounded_alike():
+    assert ITERATIONS.most == ROUNDS

@@ -1,0 +1,265 @@
+"""Ensemble: its rules, what it publishes, and what it refuses."""
+
+import math
+
+import pytest
+import torch
+
+from tests.conftest import random_samples
+from usvlearn import (
+    AID,
+    BOA,
+    RLS,
+    RNN,
+    Average,
+    Bank,
+    Ensemble,
+    Estimator,
+    ExponentialWeights,
+    FixedWeights,
+    Persistence,
+    RecursiveWeights,
+    Robust,
+    SIFtRLS,
+    SurgeDynamics,
+    WithMemory,
+    rollout,
+)
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.baselines.persistence import PersistenceState
+from usvlearn.estimators.ensemble.conformal import conformal_start, conformal_step
+from usvlearn.signals import tree_map
+
+
+def members():
+    return {"aid": AID(28.0), "rls": RLS(), "persistence": Persistence()}
+
+
+def published(state):
+    return state.predictions
+
+
+def test_publishes_what_each_member_predicts_alone():
+    ensemble, samples = Ensemble(members()), random_samples(20, 3)
+    _, surge, published = rollout(ensemble, ensemble.init((3,)), samples, record=lambda s: s.predictions)
+    for k, (name, member) in enumerate(members().items()):
+        assert ensemble.names[k] == name
+        assert torch.equal(published[..., k], rollout(member, member.init((3,)), samples)[1])
+    torch.testing.assert_close(published[..., :3].mean(-1), surge)
+
+
+def test_rules_see_the_members_that_they_name():
+    rules = {"two": Average(["aid", "persistence"]), "fixed": FixedWeights({"rls": 0.25, "aid": 0.75})}
+    ensemble, samples = Ensemble(members(), rules, output="two"), random_samples(10)
+    _, surge, published = rollout(ensemble, ensemble.init(), samples, record=lambda s: s.predictions)
+    aid, rls, persistence, two, fixed = published.unbind(-1)
+    torch.testing.assert_close(two, (aid + persistence) / 2)
+    torch.testing.assert_close(fixed, 0.25 * rls + 0.75 * aid)
+    assert torch.equal(surge, two)
+
+
+def test_recursive_weights_equal_batch_least_squares():
+    lam, samples = 0.97, random_samples(120)
+    ensemble = Ensemble(members(), {"weighted": RecursiveWeights(forgetting=lam, covariance=2.0)})
+    end, _, published = rollout(ensemble, ensemble.init(), samples, record=lambda s: s.predictions)
+    phi, y = published[:, :3], samples.surge
+    weights = lam ** torch.arange(len(y) - 1, -1, -1.0, dtype=torch.float64)
+    information = lam ** len(y) * torch.eye(3, dtype=torch.float64) / 2.0
+    prior = information @ torch.full((3,), 1 / 3, dtype=torch.float64)
+    expected = torch.linalg.solve(
+        information + (phi * weights[:, None]).mT @ phi, prior + (phi * weights[:, None]).mT @ y
+    )
+    torch.testing.assert_close(end.combiners["weighted"].weights, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_recursive_weights_find_the_one_good_member():
+    samples = random_samples(2000)
+    steady = samples._replace(surge=samples.surge.repeat_interleave(2)[:2000])  # persistence is right every other step
+    ensemble = Ensemble(members(), {"weighted": RecursiveWeights()})
+    with torch.no_grad():
+        end, _, _ = rollout(ensemble, ensemble.init(), steady)
+    aid, rls, persistence = end.combiners["weighted"].weights
+    assert persistence > max(aid, rls)
+
+
+def test_ensembles_of_ensembles():
+    inner = {"outer": Ensemble(members()), "persistence": Persistence()}
+    ensemble, samples = Ensemble(inner), random_samples(5, 2)
+    _, surge, _ = rollout(ensemble, ensemble.init((2,)), samples)
+    alone = Ensemble(members())
+    expected = (rollout(alone, alone.init((2,)), samples)[1] + torch.cat([torch.zeros(1, 2), samples.surge[:-1]])) / 2
+    torch.testing.assert_close(surge, expected)
+
+
+BANKS = {
+    "aid": lambda gain: AID(28.0, gain=gain),
+    "memory": lambda gain: WithMemory(AID(28.0, gain=gain, model=SurgeDynamics(28.0, memory=True))),
+    "robust": lambda gain: Robust(SIFtRLS(SurgeDynamics(28.0), memory=gain, covariance=gain)),
+    "rnn": lambda gain: RNN(4, rate=gain),
+}
+
+
+@pytest.mark.parametrize("name", BANKS)
+@pytest.mark.parametrize("batch", [(), (2, 3)], ids=str)
+def test_columns_of_a_bank_are_what_its_settings_predict_alone(name, batch):
+    settings, samples = [0.03, 0.1, 0.3], random_samples(15, *batch)
+    bank = Bank(BANKS[name](settings), ["low", "middle", "high"])
+    ensemble = Ensemble({"persistence": Persistence(), name: bank})
+    assert ensemble.columns == ("persistence", f"{name}_low", f"{name}_middle", f"{name}_high")
+    end, _, found = rollout(ensemble, ensemble.init(batch), samples, record=published)
+    shown = ensemble.monitor(end)
+    for k, setting in enumerate(settings):
+        alone = BANKS[name](setting)
+        state, expected, _ = rollout(alone, alone.init(batch), samples)
+        torch.testing.assert_close(found[..., 1 + k], expected, rtol=1e-12, atol=1e-12)
+        numbers = alone.monitor(state)
+        column = ensemble.columns[1 + k]
+        assert {key.split("/")[1] for key in shown if key.startswith(f"{column}/")} == set(numbers)
+        for key, value in numbers.items():
+            torch.testing.assert_close(shown[f"{column}/{key}"], value, rtol=1e-9, atol=1e-9)
+
+
+def test_banks_coast_and_start_as_their_settings_do():
+    samples = random_samples(10, 2)
+    measured = samples.measured.clone()
+    measured[4:7] = False
+    dt = samples.inputs.dt.clone()
+    dt[8] = 0.0
+    samples = samples._replace(inputs=samples.inputs._replace(dt=dt), measured=measured)
+    ensemble = Ensemble({"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["a", "b"])})
+    _, _, found = rollout(ensemble, ensemble.init((2,)), samples, record=published)
+    for k, gain in enumerate((0.3, 3.0)):
+        alone = AID(28.0, gain=gain)
+        expected = rollout(alone, alone.init((2,)), samples)[1]
+        steps = expected.isfinite()
+        torch.testing.assert_close(found[..., k][steps], expected[steps], rtol=1e-12, atol=1e-12)
+
+
+def test_rules_name_banks_or_their_columns_in_any_order():
+    """A rule sees its members in the order in which it names them; the name of a bank stands for all its columns."""
+    bank = {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"])}
+    rules = {
+        "all": Average(),
+        "fixed": FixedWeights({"rls": 0.5, "aid_fast": 0.3, "persistence": 0.2}),
+        "bank": Average("aid"),
+        "mixed": BOA(["persistence", "aid"], share=0.0, prior={"aid_fast": 2.0}),
+    }
+    ensemble, samples = Ensemble({**bank, **members() | {"aid": bank["aid"]}}, rules), random_samples(12, 2)
+    assert ensemble.names == ("aid_slow", "aid_fast", "rls", "persistence", "all", "fixed", "bank", "mixed")
+    assert ensemble.combiners["mixed"].names == ("persistence", "aid_slow", "aid_fast")
+    end, _, found = rollout(ensemble, ensemble.init((2,)), samples, record=published)
+    slow, fast, rls, persistence, everybody, fixed, both, mixed = found.unbind(-1)
+    torch.testing.assert_close(everybody, (slow + fast + rls + persistence) / 4)
+    torch.testing.assert_close(fixed, 0.5 * rls + 0.3 * fast + 0.2 * persistence)
+    torch.testing.assert_close(both, (slow + fast) / 2)
+    torch.testing.assert_close(mixed[0], (0.25 * persistence + 0.25 * slow + 0.5 * fast)[0])
+    shown = ensemble.monitor(end)
+    assert [k for k in shown if k.startswith("mixed/")] == [
+        "mixed/weight_persistence", "mixed/weight_aid_slow", "mixed/weight_aid_fast"
+    ]  # fmt: skip
+    torch.testing.assert_close(shown["mixed/weight_aid_fast"], end.combiners["mixed"].weights[..., 2])
+
+
+def test_intervals_belong_to_the_predictions_beside_them():
+    """Every published half-width was there before the speed it is to cover; a missing speed changes nothing."""
+    samples = random_samples(40, 2)
+    measured = samples.measured.clone()
+    measured[10:13] = False
+    samples = samples._replace(measured=measured)
+    ensemble = Ensemble(members(), coverage=0.8)
+    record = lambda s: {"predictions": s.predictions, "halfwidths": s.halfwidths}  # noqa: E731
+    _, surge, found = rollout(ensemble, ensemble.init((2,)), samples, record=record)
+    torch.testing.assert_close(found["predictions"][..., -1], surge)
+    conformal = conformal_start((2,), 4, samples.surge)
+    for k in range(40):
+        assert torch.equal(found["halfwidths"][k], conformal.halfwidth)
+        if not 10 <= k < 13:
+            conformal = conformal_step(conformal, samples.surge[k, :, None] - found["predictions"][k], 0.8)
+
+
+class Wild(Estimator):
+    """Persistence that says something else once in five steps."""
+
+    def __init__(self, wrong: float):
+        super().__init__()
+        self.wrong = wrong
+
+    def init(self, batch=()):
+        return PersistenceState(torch.zeros(tuple(batch), dtype=torch.float64))
+
+    def predict(self, state, inputs):
+        return state, torch.where(inputs.heading > 4.8, self.wrong, state.surge)
+
+    def update(self, state, inputs, surge):
+        return PersistenceState(surge)
+
+    def start(self, state, surge):
+        return PersistenceState(surge)
+
+
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf, 1e30, -11.0])
+@pytest.mark.parametrize(
+    "rule", [Average, BOA, ExponentialWeights, RecursiveWeights, lambda: FixedWeights({"aid": 0.5, "wild": 0.5})]
+)
+def test_a_member_that_says_nonsense_does_not_spoil_the_rest(wrong, rule):
+    samples = random_samples(200)
+    ensemble = Ensemble({"aid": AID(28.0), "wild": Wild(wrong)}, {"rule": rule()})
+    end, surge, found = rollout(ensemble, ensemble.init(), samples, record=published)
+    assert surge.isfinite().all() and surge.abs().max() < 10
+    away = samples.inputs.heading > 4.8
+    assert away.sum() > 20
+    if not isinstance(ensemble.combiners["rule"], RecursiveWeights):  # who alone is awake is what is said
+        torch.testing.assert_close(surge[away], found[away, 0])
+    for name in ("combiners", "conformal"):
+        assert all(leaf.isfinite().all() for leaf in tree_leaves(getattr(end, name)))
+    assert end.halfwidths[-1] < 5
+
+
+def tree_leaves(tree):
+    found = []
+    tree_map(found.append, tree)
+    return found
+
+
+def test_an_ensemble_of_which_all_sleep_says_nothing_and_recovers():
+    ensemble, samples = Ensemble({"a": Wild(math.nan), "b": Wild(1e9)}, {"boa": BOA()}), random_samples(100)
+    end, surge, _ = rollout(ensemble, ensemble.init(), samples)
+    away = samples.inputs.heading > 4.8
+    assert torch.equal(surge.isnan(), away) and away.any()
+    assert all(leaf.isfinite().all() for leaf in tree_leaves(end.combiners))
+
+
+def test_coverage_is_what_was_asked_for():
+    samples = random_samples(1500)
+    for coverage in (0.5, 0.9):
+        ensemble = Ensemble({"rls": RLS(), "persistence": Persistence()}, coverage=coverage)
+        record = lambda s: {"predictions": s.predictions, "halfwidths": s.halfwidths}  # noqa: E731
+        with torch.no_grad():
+            _, _, found = rollout(ensemble, ensemble.init(), samples, record=record)
+        hits = (found["predictions"] - samples.surge[:, None]).abs() <= found["halfwidths"]
+        torch.testing.assert_close(hits.double().mean(0), torch.full((3,), coverage).double(), rtol=0, atol=0.015)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"members": {}}, "at least one"),
+        ({"combiners": {"aid": Average()}}, "names two members, or a member and a combiner"),
+        ({"combiners": {"average": Average(["aid", "rnn"])}}, "rnn"),
+        ({"output": "boa"}, "boa"),
+        ({"members": {"aid": None}}, "expected an estimator"),
+        ({"members": {"a.b": AID()}}, "plain name"),
+        ({"members": {"keys": AID()}}, "plain name"),
+        ({"coverage": 1.0}, "coverage"),
+        ({"surge_max": 0.0}, "surge_max"),
+        ({"combiners": {"boa": BOA(prior={"aid_fast": 2.0})}}, "prior: found aid_fast"),
+        ({"members": {"a": Bank(AID(gain=[1.0, 2.0]), ["b", "c"]), "a_b": AID()}}, "a_b names two members"),
+        (
+            {"members": {"a": Bank(AID(gain=[1.0, 2.0]), ["b", "c"])}, "combiners": {"f": FixedWeights({"a": 1.0})}},
+            "one for each of a_b, a_c",
+        ),
+    ],
+)
+def test_illegal_ensembles_are_refused(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        Ensemble(**{"members": members(), **arguments})

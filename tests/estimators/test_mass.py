@@ -1,0 +1,170 @@
+"""What surge data alone tell and what they do not, and the mass from a known quantity."""
+
+import pytest
+import torch
+
+from tests.conftest import random_samples
+from usvlearn import AID, RLS, Inputs, Sample, SurgeDynamics, rollout
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.mass import NAMES, null_vector, recover_mass
+from usvlearn.estimators.regressors.layer import surge_regressor
+
+MASS = 28.0
+THETA = torch.tensor([-3.0, -12.0, -8.0, 15.0, 20.0, -3.0, 12.0, 18.0, -2.0], dtype=torch.float64)
+PULL = {"thrust_linear_left + thrust_quadratic_left": 35.0, "thrust_linear_right + thrust_quadratic_right": 30.0}
+FORGETTING = 1 - 1e-12  # remembers all
+
+
+def boat(steps: int, *batch: int, mass: float = MASS, theta=THETA, noise: float = 0.0, astern: float = 0.0) -> Sample:
+    """A boat at sea: commands that change every 2 s; white noise in the speed that is measured, m/s."""
+    inputs = random_samples(steps, *batch).inputs
+    held = torch.arange(steps) // 5 * 5
+    left, right = ((1 + astern) * x[held] - astern for x in (inputs.command_left, inputs.command_right))
+    inputs = inputs._replace(command_left=left, command_right=right)
+    speeds, v = [], torch.zeros(batch, dtype=torch.float64)
+    for k in range(steps):
+        v = v + 0.4 / mass * (surge_regressor(v, Inputs(*(x[k] for x in inputs))) @ theta)
+        speeds.append(v)
+    surge = torch.stack(speeds)
+    generator = torch.Generator().manual_seed(0)
+    surge = surge + noise * torch.randn(surge.shape, generator=generator, dtype=torch.float64)
+    yes = torch.ones(steps, *batch, dtype=torch.bool)
+    return Sample(inputs, surge, yes, yes)
+
+
+@torch.no_grad()
+def identified(samples: Sample, guess: float = 50.0):
+    """η and its covariance by least squares in the unit of a guessed mass."""
+    rls = RLS(SurgeDynamics(guess), forgetting=FORGETTING, covariance=1e6)
+    end, surge, _ = rollout(rls, rls.init(samples.surge.shape[1:]), samples)
+    variance = (surge - samples.surge)[20:].square().mean(0)
+    return end.theta / guess, end.covariance / guess**2 * variance[..., None, None]
+
+
+def test_a_boat_twice_as_heavy_and_strong_gives_the_same_data():
+    """(m, θ) and (2m, 2θ): no estimator can tell them apart without a known quantity."""
+    one, two = boat(300), boat(300, mass=2 * MASS, theta=2 * THETA)
+    assert torch.equal(one.surge, two.surge)
+    per_mass, _ = identified(one)
+    torch.testing.assert_close(per_mass, THETA / MASS, rtol=1e-4, atol=1e-4)
+    half, double = (recover_mass(per_mass, {"thrust_quadratic_left": d}) for d in (20.0, 40.0))
+    torch.testing.assert_close(2 * half.mass, double.mass)
+    torch.testing.assert_close(2 * half.parameters, double.parameters)
+
+
+def test_null_vector_is_the_singular_vector_of_the_data():
+    """The last right singular vector of the rows [surge_dot, −W], by SVD."""
+    samples, rows, v = boat(200), [], torch.zeros((), dtype=torch.float64)
+    for k in range(200):
+        W = surge_regressor(v, Inputs(*(x[k] for x in samples.inputs)))
+        rows.append(torch.cat([(samples.surge[k] - v)[None] / 0.4, -W]))
+        v = samples.surge[k]
+    _, singular, right = torch.linalg.svd(torch.stack(rows))
+    assert singular[-1] < 1e-12 < 1e-3 < singular[-2]
+    found = null_vector((THETA / MASS).expand(2, 9))
+    torch.testing.assert_close(found, (right[-1] * right[-1][0].sign()).expand(2, 10), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(found[..., 1:] / found[..., :1], (THETA / MASS).expand(2, 9))
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "speed", "rank"),
+    [
+        ("free", "free", "free", 9),
+        ("free", "left", "free", 6),  # both commands always together: left cannot be told from right
+        ("free", "free", "one", 5),  # one speed: c_q and c_l, and all that goes with speed, are one
+        ("one", "one", "free", 4),  # one command: all thrust is a constant and a linear drag
+    ],
+)
+def test_what_the_data_excite_is_what_can_be_told(left, right, speed, rank):
+    """The rank of W over a hundred samples, as the module's docstring says."""
+    generator = torch.Generator().manual_seed(0)
+
+    def draw(kind: str) -> torch.Tensor:
+        return torch.full((100,), 0.7).double() if kind == "one" else torch.rand(100, generator=generator).double()
+
+    xi = draw(left)
+    inputs = Inputs(xi, xi if right == "left" else draw(right), 0 * xi, 0.5 * draw(speed), 0 * xi + 0.4)
+    v = draw(speed)
+    assert torch.linalg.matrix_rank(surge_regressor(v, inputs), rtol=1e-10) == rank
+
+
+def test_mass_of_a_boat_whose_bollard_pull_is_known():
+    """Sixteen boats measured for 20 min with noise of 0.5 cm/s: within 1 %, as far as it says itself."""
+    per_mass, covariance = identified(boat(3000, 16, noise=0.005))
+    found = recover_mass(per_mass, PULL, covariance)
+    assert ((found.mass - MASS).abs() < 0.01 * MASS).all()
+    assert 0.6 < found.mass.std() / found.mass_deviation.mean() < 1.7
+    pulls = found.parameters[..., 3] + found.parameters[..., 4]
+    assert ((pulls - 35.0).abs() < 0.35).all()
+
+
+def test_aid_identifies_the_mass_where_a_thrust_is_known():
+    """The left pull alone, a first guess that is wrong by far, 40 min ahead and astern: AID is slow but gets there."""
+    aid, samples = AID(mass=50.0, gain=10.0, known=dict([next(iter(PULL.items()))])), boat(6000, astern=0.6)
+    assert aid.monitor(aid.init())["mass"].isnan()  # nothing was seen yet
+    end, _, _ = rollout(aid, aid.init(), samples)
+    numbers = aid.monitor(end)
+    assert abs(numbers["mass"] - MASS) < 0.05 * MASS
+    assert abs(numbers["thrust_linear_left"] + numbers["thrust_quadratic_left"] - 35.0) < 1e-9
+    assert abs(numbers["thrust_linear_right"] + numbers["thrust_quadratic_right"] - 30.0) < 1.5
+
+
+def test_a_first_guess_of_the_mass_scales_the_parameters_and_nothing_else():
+    samples = random_samples(100)
+    light, heavy = AID(10.0), AID(100.0)
+    one, v1, _ = rollout(light, light.init(), samples)
+    ten, v10, _ = rollout(heavy, heavy.init(), samples)
+    torch.testing.assert_close(v1, v10)
+    torch.testing.assert_close(10 * one.theta, ten.theta)
+
+
+def test_uncertainty_is_that_of_repeated_experiments():
+    """η drawn from its covariance, ten thousand times: the spread of the masses and parameters recovered."""
+    generator = torch.Generator().manual_seed(0)
+    root = 0.01 * torch.randn(9, 9, generator=generator, dtype=torch.float64)
+    draws = THETA / MASS + torch.randn(10000, 9, generator=generator, dtype=torch.float64) @ root.mT
+    covariance = root @ root.mT
+    found = recover_mass(draws, PULL, covariance)
+    said = recover_mass(THETA / MASS, PULL, covariance)
+    torch.testing.assert_close(said.mass, torch.tensor(MASS, dtype=torch.float64))
+    torch.testing.assert_close(found.mass.std(), said.mass_deviation, rtol=0.05, atol=0)
+    torch.testing.assert_close(found.parameters.std(0), said.deviations, rtol=0.06, atol=0)
+    plain = recover_mass(draws, PULL)
+    assert found.mass.std() < plain.mass.std()  # the weights pay
+    assert plain.mass_deviation.isnan().all() and plain.deviations.isnan().all()
+
+
+def test_weights_are_those_of_generalised_least_squares():
+    """1/m of least squares over rows whitened by a Cholesky factor."""
+    generator = torch.Generator().manual_seed(1)
+    root = torch.randn(9, 9, generator=generator, dtype=torch.float64)
+    covariance, per_mass = root @ root.mT, THETA / MASS + 0.02 * torch.randn(9, generator=generator).double()
+    known = {"thrust_linear_left": 15.0, "drag_linear": -12.0, "drag_quadratic": -3.0}
+    index, d = [3, 1, 0], torch.tensor([[15.0], [-12.0], [-3.0]], dtype=torch.float64)
+    white = torch.linalg.inv(torch.linalg.cholesky(covariance[index][:, index]))
+    inverse = torch.linalg.lstsq(white @ d, white @ per_mass[index][:, None]).solution[0, 0]
+    torch.testing.assert_close(recover_mass(per_mass, known, covariance).mass, 1 / inverse)
+
+
+def test_what_is_not_seen_yet_is_nan_and_spoils_no_other_boat():
+    per_mass = torch.stack([THETA / MASS, 0 * THETA, -THETA / MASS, 1e-9 * THETA]).float()
+    covariance = torch.stack([torch.eye(9), 0 * torch.eye(9), torch.eye(9), torch.eye(9)])
+    for given in (None, covariance):
+        found = recover_mass(per_mass, PULL, given)
+        assert found.mass.dtype == torch.float32
+        torch.testing.assert_close(found.mass[0], torch.tensor(MASS))
+        assert found.mass[1:].isnan().all() and found.parameters[1:].isnan().all()
+
+
+@pytest.mark.parametrize(
+    "known",
+    [{}, {"thrust": 3.0}, {"drag_linear": 0.0}, {"drag_linear": float("nan")}, {"drag_linear": "heavy"},
+     {"drag_linear + ": 1.0}],
+)  # fmt: skip
+def test_known_quantities_that_say_nothing_are_refused(known):
+    with pytest.raises(ConfigError, match="expected"):
+        recover_mass(THETA / MASS, known)
+
+
+def test_names_are_those_of_the_model():
+    assert SurgeDynamics(MASS).names == NAMES

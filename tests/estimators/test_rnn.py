@@ -1,0 +1,376 @@
+"""RNN: its gradient equals autograd's, its Adam torch's; it starts as persistence, or warm, and stays contracting."""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from torch.func import grad
+
+from certify import exact
+from certify.box_planes import Box, interval_rate
+from certify.weights import ShallowWeights
+from tests.conftest import random_samples
+from usvlearn import AID, RNN, Ensemble, Inputs, Sample, rollout
+from usvlearn.checkpoint import save
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.rnn.layer import RNNState, clipped, gradient, lane_weights, network, network_inputs
+from usvlearn.report.stability import stability
+from usvlearn.signals import tree_map
+
+
+def case(n: int, batch=(), seed: int = 0):
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn((*batch, *shape), generator=generator, dtype=torch.float64)
+
+    weights = ShallowWeights(normal(n) / n, normal(n), normal(n, 4), normal(n))
+    return weights, normal(), normal(4), normal(), normal(), normal(4)
+
+
+def flatten(w: ShallowWeights) -> torch.Tensor:
+    return torch.cat([w.a, w.w1, w.W2.flatten(-2), w.b], -1)
+
+
+def loss(weights, x, u, target, penalty, x_before, u_before, unbroken):
+    """Equation (2) of the module, written down plainly."""
+    if unbroken:
+        x = network(weights, x_before, u_before)[0]
+    predicted, n = network(weights, x, u)[0], len(weights.a)
+    psi = (weights.a.abs() + weights.w1.abs() / (n + 1) > 1 / (n + 1)).to(x.dtype)
+    return 0.5 * (predicted - target) ** 2 + penalty / 2 * (psi * (weights.a**2 + weights.w1**2)).sum()
+
+
+@pytest.mark.parametrize("unbroken", [False, True])
+@pytest.mark.parametrize("n", [1, 6, 20])
+def test_gradient_equals_autograd_and_differences(n, unbroken):
+    weights, x, u, target, x_before, u_before = case(n)
+    penalty, flag = torch.tensor(0.3, dtype=torch.float64), torch.tensor(unbroken)
+    found = gradient(weights, x, u, target, penalty, (x_before, u_before, flag))
+    arguments = (x, u, target, penalty, x_before, u_before, unbroken)
+    torch.testing.assert_close(found, flatten(grad(loss)(weights, *arguments)), rtol=1e-12, atol=1e-12)
+    h, flat = 1e-6, flatten(weights)
+    for k in range(7 * n):
+        costs = []
+        for sign in (1, -1):
+            moved = flat.clone()
+            moved[k] += sign * h
+            a, w1, W2, b = moved.split((n, n, 4 * n, n))
+            costs.append(loss(ShallowWeights(a, w1, W2.reshape(n, 4), b), *arguments))
+        torch.testing.assert_close(found[k], (costs[0] - costs[1]) / (2 * h), rtol=1e-5, atol=1e-7)
+
+
+def test_one_step_gradient_is_the_broken_one():
+    weights, x, u, target, x_before, u_before = case(6, batch=(5,))
+    penalty, broken = torch.tensor(0.1, dtype=torch.float64), torch.zeros(5, dtype=torch.bool)
+    one = gradient(weights, x, u, target, penalty)
+    torch.testing.assert_close(one, gradient(weights, x, u, target, penalty, (x_before, u_before, broken)))
+
+
+@pytest.mark.parametrize("decay", [None, 7])
+@pytest.mark.parametrize(
+    ("momentum", "ratio"), [(0.9, (1, 1, 1, 1, 1)), (0.0, (1, 2, 0.3, 1.5, 0.5))], ids=["paper's", "default"]
+)
+def test_adam_equals_torch(momentum, ratio, decay):
+    rnn = RNN(6, initial="random", rate=0.01, rate_ratio=ratio, decay=decay, momentum=momentum, clip=None,
+              stability="penalty", penalty=1e-3)  # fmt: skip
+    samples = random_samples(40)
+    end, _, _ = rollout(rnn, rnn.init(), samples)
+    a, w1, W2, b = rnn.init().weights
+    parts = [w.detach().clone().requires_grad_() for w in (a, w1, W2[:, :2], W2[:, 2:], b)]
+    groups = [{"params": [part], "lr": 0.01 * each} for part, each in zip(parts, ratio, strict=True)]
+    optimizer = torch.optim.Adam(groups, betas=(momentum, 0.999))
+    v = torch.zeros((), dtype=torch.float64)
+    for k in range(40):
+        for group, each in zip(optimizer.param_groups, ratio, strict=True):
+            group["lr"] = each * (0.01 if decay is None else 0.01 / (1 + k // decay) ** 0.5)
+        u = network_inputs(type(samples.inputs)(*(x[k] for x in samples.inputs)))
+        optimizer.zero_grad()
+        weights = ShallowWeights(parts[0], parts[1], torch.cat(parts[2:4], -1), parts[4])
+        loss(weights, rnn.scale * v, u, rnn.scale * samples.surge[k], 1e-3, None, None, False).backward()
+        optimizer.step()
+        v = samples.surge[k]
+    weights = ShallowWeights(parts[0], parts[1], torch.cat(parts[2:4], -1), parts[4])
+    for found, expected in zip(end.weights, weights, strict=True):
+        torch.testing.assert_close(found, expected.detach(), rtol=1e-10, atol=1e-12)
+
+
+def boat(steps: int) -> Sample:
+    """A hull of first order, v⁺ = 0.9 v + 0.1 (L + R), whose commands change every 20 steps; 0.005 m/s noise."""
+    generator = torch.Generator().manual_seed(0)
+    commands = torch.rand((steps // 20, 2), generator=generator).double().repeat_interleave(20, 0)
+    surge = [torch.zeros((), dtype=torch.float64)]
+    for left, right in commands:
+        surge.append(0.9 * surge[-1] + 0.1 * (left + right))
+    noise = 0.005 * torch.randn(steps, generator=generator).double()
+    zero, true = torch.zeros(steps, dtype=torch.float64), torch.ones(steps, dtype=torch.bool)
+    inputs = Inputs(commands[:, 0], commands[:, 1], zero, zero, zero + 0.4)
+    return Sample(inputs, torch.stack(surge[1:]) + noise, true, true)
+
+
+def test_it_is_persistence_at_first_and_better_later():
+    samples, rnn = boat(2000), RNN(surge_max=2.0)
+    with torch.no_grad():
+        _, surge, _ = rollout(rnn, rnn.init(), samples)
+    error = (surge - samples.surge).abs()[1:]
+    steady = (samples.surge[1:] - samples.surge[:-1]).abs()
+    assert error[:100].mean() < 1.2 * steady[:100].mean()
+    assert error[1000:].mean() < 0.5 * steady[1000:].mean()
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [({}, 0.999), ({"contraction_rate": 0.6}, 0.6), ({"condition": "interval"}, 0.999), ({"condition": "lmi"}, 0.4995),
+     ({"stability": "penalty", "contraction_rate": 0.9}, 0.9), ({"stability": "none"}, 0.999)],
+    ids=str,
+)  # fmt: skip
+def test_the_initial_network_is_persistence(options, expected):
+    rnn = RNN(surge_max=2.5, **options)
+    inputs = random_samples(1, 50).inputs
+    inputs = type(inputs)(*(x[0] for x in inputs))
+    speeds = torch.linspace(-2.4, 5.0, 50, dtype=torch.float64)
+    _, surge = rnn.predict(rnn.start(rnn.init((50,)), speeds), inputs)
+    torch.testing.assert_close(surge.detach(), expected * speeds, rtol=1e-11, atol=1e-11)
+
+
+@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight"])
+@pytest.mark.parametrize("gauge", ["literal", "best"])
+def test_the_initial_network_is_certified_exactly(condition, gauge):
+    rnn = RNN(condition=condition, gauge=gauge, contraction_rate=0.9)
+    weights = lane_weights(rnn.init(), ())
+    found = exact.conditions(weights.a, weights.w1)
+    name = condition if gauge == "literal" else "tight"
+    assert 0 < found[name].rate <= Fraction(0.9)
+
+
+def test_clipping_shortens_each_lane_alone():
+    generator = torch.Generator().manual_seed(0)
+    long = torch.randn((4, 140), generator=generator).double() * torch.tensor([[1e-6], [1.0], [1e6], [1e300]])
+    short = clipped(long, 0.1)
+    norm = short.norm(dim=-1)
+    assert (norm <= 0.1).all() and (norm[1:] > 0.099).all()
+    assert short.isfinite().all()
+    torch.testing.assert_close(short[0], long[0], rtol=1e-8, atol=0.0)
+    torch.testing.assert_close(short[1:3] / norm[1:3, None], long[1:3] / long[1:3].norm(dim=-1, keepdim=True))
+    for lane in range(4):
+        assert torch.equal(short[lane], clipped(long[lane], 0.1))
+
+
+def test_an_outlier_fills_no_memory_of_adam():
+    """One lane in two meets 99 m/s: the other is untouched, and its own mean of g² stays below c²."""
+    rnn, samples = RNN(), random_samples(60, 2)
+    surge = samples.surge.clone()
+    surge[30, 1] = 99.0  # the fastest that counts as a measurement
+    with torch.no_grad():
+        clean, _, _ = rollout(rnn, rnn.init((2,)), samples)
+        hit, _, _ = rollout(rnn, rnn.init((2,)), samples._replace(surge=surge))
+    assert all(x.isfinite().all() for x in (*hit.weights, hit.moment1, hit.moment2))
+    assert (hit.moment2[1] <= 0.1**2).all() and not torch.equal(hit.weights.a[1], clean.weights.a[1])
+    assert all(torch.equal(x[0], y[0]) for x, y in zip(hit.weights, clean.weights, strict=True))
+    loose = RNN(clip=math.inf)
+    with torch.no_grad():
+        hit, _, _ = rollout(loose, loose.init((2,)), samples._replace(surge=surge))
+    assert hit.moment2[1].max() > 5 * 0.1**2  # which is what it is for
+
+
+def trained() -> RNNState:
+    """What a season left."""
+    rnn = RNN(surge_max=2.0)
+    with torch.no_grad():
+        return rollout(rnn, rnn.init(), boat(200))[0]
+
+
+def test_warm_start_from_every_kind_of_file(tmp_path):
+    state = trained()
+    a, w1, W2, b = lane_weights(state, ())
+    np.savez(tmp_path / "set.npz", a=a, w1=w1, W2=W2, b=b)
+    layers = {"0.weight": torch.from_numpy(np.column_stack([w1, W2])), "0.bias": torch.from_numpy(b)}
+    torch.save({**layers, "2.weight": torch.from_numpy(a)[None]}, tmp_path / "set.pt")
+    save(tmp_path / "set.safetensors", {"members": {"aid": AID().init(), "rnn": state}})
+    for name in ("set.npz", "set.pt", "set.safetensors"):
+        warm = RNN(surge_max=2.0, pretrained=tmp_path / name).init((3,))
+        for found, expected in zip(warm.weights, state.weights, strict=True):  # on the edge `project` moves an ulp
+            torch.testing.assert_close(found, expected.expand(3, *expected.shape), rtol=1e-12, atol=1e-12)
+        assert (warm.moment2 == 0).all() and (warm.updates == 0).all()
+
+
+def test_warm_start_is_projected_and_learns_on(tmp_path):
+    n = 3
+    np.savez(tmp_path / "wild.npz", a=np.ones(n), w1=np.ones(n), W2=np.zeros((n, 4)), b=np.ones(n))
+    rnn = RNN(n, pretrained=str(tmp_path / "wild.npz"))
+    with torch.no_grad():
+        _, _, weights = rollout(rnn, rnn.init(), random_samples(30), record=lambda s: s.weights)
+    assert exact.conditions(*lane_weights(rnn.init(), ())[:2])["tight"].rate <= Fraction(0.999)
+    assert all(
+        exact.conditions(*pair)["tight"].rate <= Fraction(0.999)
+        for pair in zip(weights.a.numpy(), weights.w1.numpy(), strict=True)
+    )
+
+
+def test_warm_start_from_one_of_several_networks(tmp_path):
+    state = trained()
+    path, other = tmp_path / "both.safetensors", RNN(20, initial="random").init()
+    save(path, {"members": {"first": state, "second": other}})
+    one = RNN(surge_max=2.0, pretrained=f"{path}:members.second.weights")
+    torch.testing.assert_close(one.init().weights.a, other.weights.a, rtol=1e-12, atol=1e-12)
+    lanes = save(tmp_path / "lanes.safetensors", tree_map(lambda x: torch.stack([x, 0.5 * x]), state.weights))
+    torch.testing.assert_close(RNN(pretrained=f"{lanes}[1]").init().weights.a, 0.5 * state.weights.a)
+
+
+def test_a_wrong_warm_start_is_refused(tmp_path):
+    state = trained()
+    both = save(tmp_path / "both.safetensors", {"first": state, "second": state})
+    np.savez(tmp_path / "narrow.npz", a=np.ones(20), w1=np.ones(20), W2=np.ones((20, 3)), b=np.ones(20))
+    np.savez(tmp_path / "nan.npz", a=np.full(20, np.nan), w1=np.ones(20), W2=np.ones((20, 4)), b=np.ones(20))
+    (tmp_path / "noise.safetensors").write_bytes(b"noise")
+    wrong = {
+        str(tmp_path / "none.npz"): r"pretrained: .*cannot be read",
+        str(tmp_path): r"pretrained: .*expected a file that ends in",
+        str(tmp_path / "noise.safetensors"): r"pretrained: .*cannot be read",
+        str(tmp_path / "nan.npz"): r"pretrained: .*expected finite weights",
+        str(both): r"found 2 networks .*give one of .*:first.weights, .*:second.weights",
+        f"{both}:third.weights": r"found 0 networks .*give one of .*:first.weights, .*:second.weights",
+        str(tmp_path / "narrow.npz"): r"found 20 neurons and 3 inputs .*expected 20 and 4",
+    }
+    for given, message in wrong.items():
+        with pytest.raises(ConfigError, match=message):
+            RNN(pretrained=given)
+    with pytest.raises(ConfigError, match=r"found 20 neurons and 4 inputs .*expected 6 and 4: set neurons"):
+        RNN(6, pretrained=f"{both}:first.weights")
+
+
+def test_unrolled_loss_starts_one_step_earlier_only_where_the_step_before_was_made():
+    rnn, samples = RNN(6, unroll=2), random_samples(3)
+    first, _, _ = rollout(rnn, rnn.init(), type(samples)(*map_time(samples, slice(0, 1))))
+    assert bool(first.unbroken) and not bool(rnn.start(first, samples.surge[0]).unbroken)
+    coasted, _ = rnn.predict(first, type(samples.inputs)(*(x[1] for x in samples.inputs)))
+    assert not bool(coasted.unbroken)
+
+
+def map_time(samples, part):
+    return type(samples.inputs)(*(x[part] for x in samples.inputs)), *(x[part] for x in samples[1:])
+
+
+def test_paper_size_and_seeded_weights():
+    assert sum(w.numel() for w in RNN().init().weights) == 140
+    same, other = RNN(seed=1).init().weights, RNN(seed=2).init().weights
+    assert torch.equal(RNN(seed=1).init().weights.W2, same.W2) and not torch.equal(same.W2, other.W2)
+
+
+def test_learns_a_constant_speed():
+    rnn, samples = RNN(surge_max=3.0), random_samples(600)
+    steady = samples._replace(surge=torch.full_like(samples.surge, 1.5))
+    _, surge, _ = rollout(rnn, rnn.init(), steady)
+    assert (surge[-50:] - 1.5).abs().mean() < 0.05
+
+
+@pytest.mark.parametrize("wrong", [{"unroll": 3}, {"neurons": 0}, {"rate": 0.0}, {"surge_max": 0.0}, {"decay": 0},
+              {"momentum": 1.0}, {"momentum": -0.1}, {"clip": 0.0}, {"initial": "zero"}, {"neurons": 1},
+              {"rate_ratio": [1.0] * 4}, {"rate_ratio": [-1.0] * 5}])  # fmt: skip
+def test_illegal_hyperparameters_are_refused(wrong):
+    with pytest.raises(ConfigError, match="expected"):
+        RNN(**wrong)
+
+
+@pytest.mark.parametrize("updates", [pytest.param(40, id="some"), pytest.param(2000, id="1e5", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight", "interval"])
+def test_projection_holds_exactly_after_every_update(condition, updates):
+    """50 lanes with rates up to 1, outliers of 10⁴ m/s, stale and missing samples: no set beyond the rate, exactly."""
+    rates = torch.logspace(-4, 0, 50, dtype=torch.float64)
+    rnn, generator = RNN(condition=condition, rate=rates, decay=None), torch.Generator().manual_seed(0)
+    samples = random_samples(updates, 50)
+    wild = torch.rand(samples.surge.shape, generator=generator, dtype=torch.float64)
+    surge = torch.where(wild < 0.02, 1e4 * torch.randn(wild.shape, generator=generator).double(), samples.surge)
+    surge = torch.where(wild > 0.98, torch.nan, surge)
+    with torch.no_grad():
+        _, _, weights = rollout(rnn, rnn.init((50,)), samples._replace(surge=surge), record=lambda s: s.weights)
+    a, w1 = (x.flatten(0, 1).numpy() for x in (weights.a, weights.w1))
+    assert len(a) == 50 * updates and not (a[1:] == a[:-1]).all()
+    if condition == "interval":
+        W2, b = (x.flatten(0, 1).numpy() for x in (weights.W2, weights.b))
+        box = Box(*rnn.bounds.numpy())
+        found = [interval_rate(ShallowWeights(*each), box) for each in zip(a, w1, W2, b, strict=True)]
+    else:
+        found = [exact.conditions(*pair)[condition].rate for pair in zip(a, w1, strict=True)]
+    assert all(rate is not None and rate <= Fraction(0.999) for rate in found)
+    assert max(found) > 0.9  # it is at the edge that it has to hold
+
+
+def test_two_networks_that_learn_alike_forget_how_they_started():
+    """Equal updates and inputs from two speeds: the difference shrinks by κ at every step, while the weights move."""
+    rnn, samples = RNN(feedback="estimate", rate=0.1, contraction_rate=0.9), random_samples(30, 2)
+    state = rnn.init((2,))
+    inputs = type(samples.inputs)(*(x[:, :1].expand(-1, 2) for x in samples.inputs))
+    state = state._replace(surge=torch.tensor([-0.5, 1.5], dtype=torch.float64))
+    before = 2.0
+    for k in range(30):
+        learned = rnn.update(state, type(inputs)(*(x[k] for x in inputs)), samples.surge[k, :1].expand(2))
+        weights = tree_map(lambda w: w[:1].expand_as(w), learned.weights)  # the first lane's, for both
+        state = state._replace(weights=weights)
+        coasted, _ = rnn.predict(state, type(inputs)(*(x[k] for x in inputs)))
+        after = float((coasted.surge[1] - coasted.surge[0]).detach().abs())
+        assert after <= 0.9 * before + 1e-12
+        state, before = coasted, after
+
+
+@pytest.mark.parametrize("rate", [1e-3, 1e-2, 0.1])
+def test_two_starts_that_learn_differently_stay_within_the_bound(rate):
+    """|Δ_k| ≤ κᵏ |Δ_0| + L_θ sup ‖Δθ‖/(1 − κ); κᵏ |Δ_0| alone holds for equal weights only."""
+    kappa, steps = 0.9, 100
+    rnn, samples = RNN(feedback="estimate", rate=rate, contraction_rate=kappa), random_samples(steps, 1)
+    inputs = type(samples.inputs)(*(x.expand(-1, 2) for x in samples.inputs))
+    state = rnn.init((2,))._replace(surge=torch.tensor([-0.5, 1.5], dtype=torch.float64))
+    first = apart = rnn.scale * 2.0
+    largest = farthest = 0.0  # L_θ, sup ‖Δθ‖
+    beyond = 0
+    for k in range(steps):
+        now = type(inputs)(*(x[k] for x in inputs))
+        with torch.no_grad():
+            u, weights = network_inputs(now)[1], state.weights
+            x = (rnn.scale * state.surge)[1]
+            z = network(weights, x, u)[1].abs().amax(0)  # at x' under either weights, and so under those between
+            a = weights.a.abs().amax(0)
+            largest = max(largest, float((z @ z + (1 + x * x + u @ u) * (a @ a)).sqrt()))
+            farthest = max(farthest, float(sum((w[0] - w[1]).square().sum() for w in weights).sqrt()))
+            state = rnn.update(state, now, samples.surge[k].expand(2))
+        apart = rnn.scale * float((state.surge[1] - state.surge[0]).abs())
+        assert apart <= kappa ** (k + 1) * first + largest * farthest / (1 - kappa) + 1e-12
+        beyond += apart > kappa ** (k + 1) * first + 1e-12
+    assert beyond > steps / 4 and farthest > 0
+
+
+def test_monitor_tells_margins_rate_time_constant_and_rest():
+    rnn, samples = RNN(surge_max=2.0), random_samples(50, 3)
+    state, _, _ = rollout(rnn, rnn.init((3,)), samples)
+    told = rnn.monitor(state)
+    K = told["contraction_rate"]
+    torch.testing.assert_close(told["margin_tight"], 1 - K)
+    torch.testing.assert_close(told["time_constant"], -state.dt / K.log())
+    rest = torch.cat([state.inputs_before[:, :2], torch.zeros(3, 2).double()], -1)
+    x = rnn.scale * told["equilibrium"].double()
+    torch.testing.assert_close(network(state.weights, x, rest)[0], x)
+    assert (told["equilibria"] == 1).all()  # a contraction has one
+    broken = state._replace(weights=tree_map(lambda w: w * torch.nan, state.weights))
+    assert rnn.monitor(broken)["equilibrium"].isnan().all()
+
+
+def test_a_rate_just_below_one_is_not_told_as_one():
+    ensemble = Ensemble({"rnn": RNN(contraction_rate=0.999999)})
+    (line,) = stability(ensemble, ensemble.init((1,)), ["heron"])
+    assert "certified contracting by tight, K = 0.999999 a step" in line
+    ensemble = Ensemble({"rnn": RNN(stability="none", contraction_rate=0.5)})
+    state = ensemble.init((1,))
+    learned = state.members["rnn"]
+    grown = learned._replace(weights=learned.weights._replace(a=learned.weights.a * 2.00002))
+    (line,) = stability(ensemble, state._replace(members={"rnn": grown}), ["heron"])
+    assert "not certified contracting, K = 1 (≥ 1)" in line
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"stability": "hope"}, {"condition": "loose"}, {"contraction_rate": 1.5}, {"gauge": "x"}]
+)
+def test_illegal_stability_is_refused(wrong):
+    with pytest.raises(ConfigError, match="expected"):
+        RNN(**wrong)

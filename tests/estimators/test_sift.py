@@ -1,0 +1,238 @@
+"""SIFt-RLS: the information form of Lai and Bernstein, the UD form, and what plain forgetting does not survive."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.conftest import random_samples
+from usvlearn import Inputs, QuasiStatic, SIFtRLS, SurgeDynamics, rollout
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.least_squares.rls import rls_step
+from usvlearn.estimators.least_squares.sift import sift_step
+
+TAU = 20.0
+
+
+def series(steps: int, p: int = 4, seed: int = 0):
+    """Regressors, measurements and irregular time steps of a noisy linear model whose parameters are all 1."""
+    rng = np.random.default_rng(seed)
+    phi = rng.standard_normal((steps, p)) * rng.uniform(0.1, 2.0, p)
+    y = phi.sum(-1) + 0.1 * rng.standard_normal(steps)
+    return phi, y, np.exp(-rng.uniform(0.05, 2.0, steps) / TAU)
+
+
+def run(phi, y, lam, factor, theta=None, dtype=torch.float64, step=sift_step):
+    """(θ, S) after the rows of φ, from θ = 0."""
+    phi, y, lam = (torch.as_tensor(x).to(dtype) for x in (phi, y, lam))
+    theta = torch.zeros(phi.shape[1:], dtype=dtype) if theta is None else theta
+    with torch.no_grad():
+        for k in range(len(phi)):
+            theta, factor = step(theta, factor, phi[k], y[k] - (phi[k] * theta).sum(-1), lam[k])
+    return theta, factor
+
+
+def dense_oracle(phi, y, lam, covariance):
+    """The paper's recursion of the information: R̄ = R − (1−λ)Rφφᵀ R/(φᵀRφ), R⁺ = R̄ + φφᵀ, θ⁺ = θ + R⁺⁻¹φe."""
+    R, theta = np.linalg.inv(covariance), np.zeros(phi.shape[1])
+    for x, target, keep in zip(phi, y, lam, strict=True):
+        Rx = R @ x
+        R = R - (1 - keep) * np.outer(Rx, Rx) / (x @ Rx) + np.outer(x, x)
+        R = (R + R.T) / 2
+        theta = theta + np.linalg.solve(R, x * (target - x @ theta))
+    return theta, np.linalg.inv(R)
+
+
+def agee_turner(U, D, v, c):
+    """U D Uᵀ + c v vᵀ, c > 0, factored anew (Bierman 1977, chapter III.3)."""
+    U, D, v = U.copy(), D.copy(), v.copy()
+    for j in range(len(D) - 1, 0, -1):
+        d = D[j] + c * v[j] ** 2
+        gain = c * v[j] / d
+        c *= D[j] / d
+        for i in range(j):
+            v[i] -= v[j] * U[i, j]
+            U[i, j] += gain * v[i]
+        D[j] = d
+    D[0] += c * v[0] ** 2
+    return U, D
+
+
+def bierman(U, D, x):
+    """The measurement update of U D Uᵀ by x with noise 1 (Bierman 1977, chapter V.3), and the gain."""
+    U, D, f = U.copy(), D.copy(), U.T @ x
+    v, alpha = D * f, 1 + D[0] * f[0] ** 2
+    gain = np.zeros(len(D))
+    gain[0], D[0] = v[0], D[0] / alpha
+    for j in range(1, len(D)):
+        before, alpha = alpha, alpha + f[j] * v[j]
+        D[j] *= before / alpha
+        p = -f[j] / before
+        for i in range(j):
+            U[i, j], gain[i] = U[i, j] + gain[i] * p, gain[i] + v[j] * U[i, j]
+        gain[j] = v[j]
+    return U, D, gain / alpha
+
+
+def test_equals_the_information_form():
+    phi, y, lam = series(3000)
+    theta, factor = run(phi, y, lam, 3.0 * torch.eye(4, dtype=torch.float64))
+    expected, covariance = dense_oracle(phi, y, lam, 9.0 * np.eye(4))
+    np.testing.assert_allclose(theta, expected, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(factor @ factor.mT, covariance, rtol=1e-10, atol=1e-13)
+
+
+def test_equals_the_ud_form():
+    phi, y, lam = series(2000, seed=1)
+    theta, factor = run(phi, y, lam, 3.0 * torch.eye(4, dtype=torch.float64))
+    U, D, expected = np.eye(4), np.full(4, 9.0), np.zeros(4)
+    for x, target, keep in zip(phi, y, lam, strict=True):
+        z = np.linalg.solve(U, x)
+        U, D = agee_turner(U, D, x, (1 - keep) / (keep * (z**2 / D).sum()))
+        U, D, gain = bierman(U, D, x)
+        expected = expected + gain * (target - x @ expected)
+    np.testing.assert_allclose(theta, expected, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(factor @ factor.mT, (U * D) @ U.T, rtol=1e-10, atol=1e-13)
+
+
+def test_without_forgetting_it_is_least_squares():
+    phi, y, _ = series(200)
+    theta, factor = run(phi, y, np.ones(200), 3.0 * torch.eye(4, dtype=torch.float64))
+    information = phi.T @ phi + np.eye(4) / 9
+    np.testing.assert_allclose(theta, np.linalg.solve(information, phi.T @ y), rtol=1e-11)
+    np.testing.assert_allclose(factor @ factor.mT, np.linalg.inv(information), rtol=1e-10)
+
+
+def test_one_direction_alone_is_forgotten_and_learned():
+    """Samples of one direction φ: the variance across it never grows, and from P ∝ I neither it nor θ changes there."""
+    phi, y, lam = series(50)
+    x = torch.as_tensor(phi[0])
+    across = torch.linalg.svd(x[None])[2][1:].mT  # (4, 3), orthonormal, ⟂ φ
+    start = 3.0 * torch.eye(4, dtype=torch.float64)
+    rows, target, keep = phi[:1].repeat(1000, 0), np.full(1000, 7.0), np.full(1000, 0.95)
+    theta, factor = run(rows, target, keep, start)
+    torch.testing.assert_close(across.mT @ factor @ factor.mT @ across, 9.0 * torch.eye(3, dtype=torch.float64))
+    torch.testing.assert_close(across.mT @ theta, torch.zeros(3, dtype=torch.float64), rtol=0, atol=1e-12)
+    torch.testing.assert_close((x * theta).sum(), x.new_tensor(7.0))
+    # the information along φ, r⁺ = λ r + 1, settles at 1/(1 − λ)
+    torch.testing.assert_close(1 / (x @ factor @ factor.mT @ x), x.new_tensor(20.0))
+    theta, factor = run(phi, y, lam, start)  # now P is no longer round
+    for _ in range(5):
+        theta, after = run(rows[:10], target[:10], keep[:10], factor, theta)
+        for w in across.mT:
+            assert w @ after @ after.mT @ w <= (w @ factor @ factor.mT @ w) * (1 + 1e-9)
+        factor = after
+
+
+def test_irregular_steps_forget_by_the_time_that_passed():
+    """Along φ, R⁺ = λ R + φφᵀ, so 1/(φᵀP⁺φ) = λ/(φᵀPφ) + 1 with λ = exp(−dt/τ)."""
+    rls = SIFtRLS(SurgeDynamics(28.0), memory=TAU)
+    one = torch.ones(1, dtype=torch.float64)
+    for dt in (0.1, 0.4, 3.0):
+        state = rls.init((1,))
+        inputs = Inputs(0 * one, 0 * one, 0 * one, 0 * one, dt * one)
+        state = rls.start(state, 2 * one)
+        phi = rls.model(state.surge, inputs)[1][0]
+        learned = rls.update(state, inputs, 1.9 * one)
+        before, after = (1 / (phi @ s.covariance[0] @ phi) for s in (state, learned))
+        torch.testing.assert_close(after, math.exp(-dt / TAU) * before + 1)
+
+
+def test_nothing_changes_below_the_floor():
+    rls = SIFtRLS(SurgeDynamics(28.0), floor=0.01)
+    samples = random_samples(4, 2)
+    state, _, _ = rollout(rls, rls.init((2,)), samples)
+    small = torch.tensor([1e-3, 1.0], dtype=torch.float64)  # |φ·m|² = (0.4 · 1e-3)² · 2 in the first lane
+    inputs = Inputs(small, 0 * small, 0 * small, 0 * small, torch.full_like(small, 0.4))
+    state = rls.start(state, torch.zeros_like(small))
+    after = rls.update(state, inputs, torch.full_like(small, 0.3))
+    assert torch.equal(after.theta[0], state.theta[0]) and torch.equal(after.factor[0], state.factor[0])
+    assert not torch.equal(after.theta[1], state.theta[1]) and not torch.equal(after.factor[1], state.factor[1])
+    assert torch.equal(after.surge, torch.full_like(small, 0.3))
+    nothing = SIFtRLS(SurgeDynamics(28.0), floor=0.0)  # even then a regressor of zeros informs nothing
+    after = nothing.update(state, inputs._replace(command_left=0 * small), torch.full_like(small, 0.3))
+    assert torch.equal(after.theta, state.theta) and torch.equal(after.factor, state.factor)
+
+
+def test_lanes_have_their_own_memory_and_floor():
+    phi, y, _ = series(300)
+    lam = np.stack([np.full(300, 0.9), np.full(300, 0.999)], -1)
+    wide = np.stack([phi, phi], 1)
+    start = torch.eye(4, dtype=torch.float64)
+    theta, factor = run(wide, np.stack([y, y], -1), lam, start.expand(2, 4, 4))
+    for lane in range(2):
+        alone, alone_factor = run(phi, y, lam[:, lane], start)
+        torch.testing.assert_close(theta[lane], alone, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(factor[lane], alone_factor, rtol=1e-12, atol=1e-12)
+
+
+def day(steps: int, p: int = 6):
+    """Idling, cruise with a little noise, and excitation in turn, a sixth each of so many steps."""
+    rng = np.random.default_rng(3)
+    phi = rng.standard_normal((steps, p))
+    part = np.arange(steps) * 6 // steps
+    cruise = rng.standard_normal(p)
+    phi[part % 3 == 0] = 0.0
+    phi[part % 3 == 1] = cruise
+    phi[part % 3 == 1] += 1e-3 * rng.standard_normal(((part % 3 == 1).sum(), p))
+    return phi, phi.sum(-1) + 0.05 * rng.standard_normal(steps)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "steps"),
+    [(torch.float64, 9000), (torch.float32, 9000),
+     pytest.param(torch.float64, 1_000_000, marks=pytest.mark.slow),
+     pytest.param(torch.float32, 1_000_000, marks=pytest.mark.slow)],
+)  # fmt: skip
+def test_idling_cruise_and_excitation_stay_bounded(dtype, steps):
+    """The trace of P never exceeds its start: nothing that was ever known is lost without a sample that replaces it."""
+    phi, y = day(steps)
+    theta, factor = torch.zeros(6, dtype=dtype), math.sqrt(10.0) * torch.eye(6, dtype=dtype)
+    lam, worst = torch.tensor(math.exp(-0.4 / 4.0), dtype=dtype), 0.0
+    rows, targets = torch.as_tensor(phi).to(dtype), torch.as_tensor(y).to(dtype)
+    with torch.no_grad():
+        for k in range(steps):
+            x = rows[k]
+            theta, factor = sift_step(theta, factor, x, targets[k] - x @ theta, lam, (x * x).sum() >= 1e-4)
+            if k % 100 == 0 or k > steps - 100:
+                worst = max(worst, float((factor * factor).sum()))
+    assert worst <= 60 * (1 + 1e-4)
+    assert float((theta - 1).abs().max()) < 0.1
+
+
+def test_reexcitation_after_a_long_cruise():
+    """Half an hour and more at one speed; what excited the boat before is still known, unlike with plain forgetting."""
+    rng = np.random.default_rng(5)
+    p, lam = 6, 0.99
+    cruise = np.ones((5000, p)) * rng.standard_normal(p)
+    phi = np.concatenate([rng.standard_normal((500, p)), cruise])
+    y = phi.sum(-1) + 0.02 * rng.standard_normal(len(phi))
+    start = 10.0 * torch.eye(p, dtype=torch.float64)
+    again = torch.as_tensor(rng.standard_normal((20, p)))
+    errors = {}
+    for name, step in {"sift": sift_step, "plain": rls_step}.items():
+        theta, _ = run(phi, y, np.full(len(phi), lam), start, step=step)
+        errors[name] = float((again @ (theta - 1)).abs().max())
+    assert errors["sift"] < 0.05
+    assert not errors["plain"] < 1.0  # or NaN
+
+
+@pytest.mark.parametrize("model", [QuasiStatic(), SurgeDynamics(28.0)], ids=["map", "dynamics"])
+def test_float32_follows_float64(model):
+    samples = random_samples(1500)
+    ends = {}
+    for dtype in (torch.float64, torch.float32):
+        rls = SIFtRLS(model, memory=10.0).to(dtype)
+        inputs = Inputs(*(x.to(dtype) for x in samples.inputs))
+        with torch.no_grad():
+            _, surge, _ = rollout(rls, rls.init(), samples._replace(inputs=inputs, surge=samples.surge.to(dtype)))
+        ends[dtype] = surge.double()
+    model.double()
+    torch.testing.assert_close(ends[torch.float32], ends[torch.float64], rtol=0, atol=2e-3)
+
+
+@pytest.mark.parametrize("wrong", [{"memory": 0.0}, {"covariance": -1.0}, {"floor": -1e-4}, {"feedback": "both"}])
+def test_illegal_hyperparameters_are_refused(wrong):
+    with pytest.raises(ConfigError, match="expected"):
+        SIFtRLS(**wrong)

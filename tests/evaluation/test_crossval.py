@@ -1,0 +1,220 @@
+"""Free runs of saved sets, as lanes, against plain loops; the matrix between boats on planted differences."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.conftest import random_samples
+from usvlearn import AID, BOA, RLS, RNN, Average, Bank, Ensemble, Inputs, Persistence, RecursiveWeights, Sample
+from usvlearn.errors import ShapeError
+from usvlearn.estimators.regressors.layer import SurgeDynamics
+from usvlearn.evaluation.crossval import FreeErrors, cross_validate, methods
+from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.report.assembly import assemble, best_start
+from usvlearn.report.sections.boats import best_sets, fleet_matrices
+from usvlearn.rollouts import rollout, simulate
+from usvlearn.signals import tree_map
+
+
+def spoilt(steps: int, seed: int) -> Sample:
+    """A run with a segment, stale inputs, and speeds that are missing or not finite."""
+    samples = random_samples(steps, seed=seed)
+    dt, surge, fresh, measured = samples.inputs.dt, samples.surge, samples.fresh.clone(), samples.measured.clone()
+    dt[[0, 12]] = 0.0
+    fresh[5:7], measured[[3, 5, 6, 9, 12]], surge[[3, 15]] = False, False, torch.nan
+    return Sample(samples.inputs, surge, fresh, measured)
+
+
+def numpied(samples: Sample) -> Sample:
+    return tree_map(lambda x: x.numpy(), samples)
+
+
+@pytest.fixture(scope="module")
+def ensemble() -> Ensemble:
+    members = {
+        "aid": Bank(AID(gain=[0.5, 5.0]), ["slow", "fast"]),
+        "rls": RLS(SurgeDynamics(28.0)),
+        "rnn": RNN(neurons=5),
+        "persistence": Persistence(),
+    }
+    rules = {"average": Average(["aid", "rls"]), "weighted": RecursiveWeights(["rls", "rnn"]), "boa": BOA()}
+    return Ensemble(members, rules, surge_max=4.0)
+
+
+@pytest.fixture(scope="module")
+def sets(ensemble):
+    """Three parameter sets, learned, so that weights and parameters differ."""
+    with torch.no_grad():
+        return rollout(ensemble, ensemble.init((3,)), random_samples(40, 3, seed=9))[0]
+
+
+@torch.no_grad()
+def plain(ensemble: Ensemble, state, samples: Sample) -> dict[str, tuple[float, float, bool]]:
+    """One set on one run, step by step, by `forward` on samples without speeds: MAE, MSE, diverged, by method."""
+    weights = state.combiners
+    errors = {name: [] for name in methods(ensemble)}
+    diverged = dict.fromkeys(errors, False)
+    for k in range(len(samples.surge)):
+        sample = tree_map(lambda x, k=k: x[k], samples)
+        blind = sample._replace(measured=torch.tensor(False))
+        state, _ = ensemble(state, blind)
+        if not (sample.fresh and sample.inputs.dt > 0):
+            continue
+        columns = state.predictions[: len(ensemble.columns)]
+        seen = ensemble.seen(columns)
+        learning = {f"{name}+": ensemble.combiners[name].combine(weights[name], seen[name]) for name in weights}
+        said = {**dict(zip(ensemble.names, state.predictions, strict=True)), **learning}
+        measured = bool(sample.measured & sample.surge.isfinite())
+        for name in errors:
+            value = float(said[name])
+            diverged[name] |= not abs(value) < ensemble.surge_max
+            if measured:
+                value = ensemble.surge_max if np.isnan(value) else np.clip(value, -4.0, 4.0)
+                errors[name].append(abs(value - float(sample.surge)))
+        if measured:
+            weights = ensemble.reweigh(weights, seen, sample.surge, sample.inputs.dt)
+    return {name: (float(np.mean(e)), float(np.mean(np.square(e))), diverged[name]) for name, e in errors.items()}
+
+
+@pytest.mark.parametrize("lanes", [1, 7, 2048])
+def test_lanes_equal_single_simulations(ensemble, sets, lanes):
+    runs = [spoilt(steps, seed) for seed, steps in enumerate((30, 17, 200, 30))]
+    told = []
+    found = cross_validate(ensemble, sets, [numpied(run) for run in runs], lanes, told.append)
+    assert found.methods == methods(ensemble) and found.methods[-2:] == ("weighted+", "boa+")
+    assert sum(told) == 3 * found.steps.sum()
+    for k in range(3):
+        for j, run in enumerate(runs):
+            expected = plain(ensemble, tree_map(lambda x, k=k: x[k], sets), run)
+            for m, name in enumerate(found.methods):
+                mae, mse, diverged = expected[name]
+                assert found.mae[k, j, m] == pytest.approx(mae, rel=1e-10), (k, j, name)
+                assert found.mse[k, j, m] == pytest.approx(mse, rel=1e-10), (k, j, name)
+                assert found.diverged[k, j, m] == diverged, (k, j, name)
+
+
+def test_a_free_run_sees_no_speed_but_that_of_a_start(ensemble, sets):
+    run = spoilt(60, 1)
+    other = run._replace(surge=torch.where(run.inputs.dt == 0, run.surge, run.surge + 3.0))
+    expanded, changed = (tree_map(lambda x: x[:, None].expand(-1, 3), each) for each in (run, other))
+    with torch.no_grad():
+        first = simulate(ensemble, sets, expanded, lambda s: s.predictions)[2]
+        second = simulate(ensemble, sets, changed, lambda s: s.predictions)[2]
+        started = simulate(ensemble, sets, expanded._replace(surge=expanded.surge + 1.0), lambda s: s.predictions)[2]
+    assert torch.equal(first, second)
+    assert not torch.equal(first, started)
+
+
+def test_simulate_equals_rollout_without_measurements(ensemble, sets):
+    run = tree_map(lambda x: x[:, None].expand(-1, 3), spoilt(60, 2))
+    with torch.no_grad():
+        state, surge, _ = simulate(ensemble, sets, run)
+        blind = run._replace(measured=torch.zeros_like(run.measured))
+        expected, other, _ = rollout(ensemble, sets, blind)
+    assert torch.equal(surge.nan_to_num(-9), other.nan_to_num(-9))
+    assert torch.equal(state.members["rls"].surge, expected.members["rls"].surge)
+    with pytest.raises(ShapeError, match="batch"):
+        simulate(ensemble, sets, tree_map(lambda x: x[:, :2], run))
+
+
+def test_a_simulation_that_leaves_the_limit_is_counted_and_kept():
+    aid = AID(mass=1.0, surge_max=10.0)
+    ensemble = Ensemble({"aid": aid, "persistence": Persistence()}, surge_max=4.0)
+    state = ensemble.init((2,))
+    theta = state.members["aid"].theta.clone()
+    theta[1, 1] = 5.0  # a drag that drives
+    state = state._replace(members={**state.members, "aid": state.members["aid"]._replace(theta=theta)})
+    t = torch.ones(20, dtype=torch.float64)
+    dt = torch.cat([torch.zeros(1), torch.full((19,), 0.4)]).double()
+    found = cross_validate(ensemble, state, [Sample(Inputs(0 * t, 0 * t, 0 * t, 0 * t, dt), t, t > 0, t > 0)])
+    assert found.diverged[:, 0, 0].tolist() == [False, True] and not found.diverged[:, 0, 1].any()
+    assert found.mae[0, 0, 0] == 0 and 2.5 < found.mae[1, 0, 0] <= 3.0  # 3: at the limit of 4 m/s all the time
+
+
+def test_pooled_weighs_steps_and_leaves_out():
+    mse = np.array([[[1.0], [4.0]], [[2.0], [np.nan]]])
+    found = FreeErrors(("aid",), mse, mse, mse > 9, np.array([30.0, 10.0]))
+    assert found.pooled(mse)[0, 0] == pytest.approx((30 * 1 + 10 * 4) / 40)
+    others = np.array([[False, True], [True, False]])
+    assert found.pooled(mse, others)[:, 0].tolist() == [4.0, 2.0]
+
+
+def boats(factors: np.ndarray, seed: int = 0) -> tuple[Ensemble, list[Season]]:
+    """Boats of the surge dynamics without noise, θ times `factors` `(boats, 9)`; two runs each, a set after each."""
+    rng = np.random.default_rng(seed)
+    truth = torch.tensor([-3.0, -6.0, -2.0, 20.0, 8.0, -2.0, 18.0, 9.0, -2.0]).double() * torch.from_numpy(factors)
+    model, n = SurgeDynamics(28.0), len(factors)
+    ensemble = Ensemble({"rls": RLS(model, forgetting=0.9999, covariance=1e4)}, {"average": Average()})
+    state, runs, states = ensemble.init((n,)), [], []
+    for _ in range(2):
+        left, right = torch.from_numpy(rng.random((2, 20, n)).repeat(10, 1))
+        steps = len(left)
+        yaw_rate = torch.from_numpy(0.2 * rng.standard_normal((steps, n)))
+        dt = torch.full((steps, n), 0.4).double()
+        dt[0] = 0.0
+        v, surge = torch.zeros(n).double(), []
+        for k in range(steps):
+            inputs = Inputs(left[k], right[k], 0 * left[k], yaw_rate[k], dt[k])
+            v = v + (model(v, inputs)[1] * truth).sum(-1)
+            surge.append(v)
+        yes = torch.ones(steps, n, dtype=torch.bool)
+        runs.append(Sample(Inputs(left, right, 0 * left, yaw_rate, dt), torch.stack(surge), yes, yes))
+        with torch.no_grad():
+            state = rollout(ensemble, state, runs[-1])[0]
+        states.append(state)
+    return ensemble, [
+        Season(
+            f"boat{k}",
+            tuple(SeasonRun(f"{j}", f"{k}{j}", numpied(tree_map(lambda x, k=k: x[:, k], run)), {})
+                  for j, run in enumerate(runs)),
+            tree_map(lambda *x, k=k: torch.stack([each[k] for each in x]), *states),
+            (Path("a"), Path(f"{k}")), np.array([0, 1]), np.array([0.02, 0.04]),
+        )
+        for k in range(n)
+    ]  # fmt: skip
+
+
+def matrix_of(ensemble: Ensemble, seasons: list[Season]) -> np.ndarray:
+    last = tree_map(lambda *x: torch.stack([each[-1] for each in x]), *(season.state for season in seasons))
+    between = {s.boat: cross_validate(ensemble, last, [run.samples for run in s.runs]) for s in seasons}
+    return fleet_matrices(seasons, between, ["average"])["average"]
+
+
+def test_a_fleet_of_equal_boats_gives_a_flat_matrix():
+    matrix = matrix_of(*boats(np.ones((8, 9))))
+    assert matrix.shape == (8, 8) and matrix.max() < 1e-6  # the model is exact, and so is each boat's set
+
+
+def test_planted_differences_have_their_minimum_on_the_diagonal():
+    factors = np.random.default_rng(1).uniform(0.7, 1.4, (8, 9))
+    ensemble, seasons = boats(factors)
+    matrix = matrix_of(ensemble, seasons)
+    assert matrix.argmin(0).tolist() == list(range(8)) and matrix.argmin(1).tolist() == list(range(8))
+    assert matrix[~np.eye(8, dtype=bool)].min() > 10 * np.diag(matrix).max()
+    mean = matrix.mean(1)
+    assert best_start(ensemble, seasons) == Path(f"{mean.argmin()}")
+
+
+def test_the_best_set_is_chosen_on_runs_that_it_was_not_saved_in():
+    _, seasons = boats(np.ones((1, 9)))
+    shape = (2, 2, 2)
+    mse = np.zeros(shape)
+    mse[0, 0], mse[0, 1] = 0.0, 3.0  # the first set: perfect on its own run, bad on the other
+    mse[1, 0], mse[1, 1] = 1.0, 9.0
+    errors = {"boat0": FreeErrors(("rls", "average"), mse, mse, mse > 99, np.array([10.0, 1000.0]))}
+    assert best_sets(seasons, errors, "average") == [1]
+
+
+def test_judge_writes_every_section_of_a_simulated_fleet():
+    ensemble, seasons = boats(np.random.default_rng(2).uniform(0.8, 1.2, (2, 9)))
+    sections, errors = assemble(ensemble, seasons, {})
+    assert [section.key for section in sections] == ["online", "crossval", "fleet", "parameters", "cost"]
+    assert "no online predictions" in sections[0].here[0]
+    result_table = sections[1].sheets[1]
+    rows = {row[0]: dict(zip(result_table.columns, row, strict=True)) for row in result_table.rows if row[1] == "rls"}
+    others = errors["boat1"].mae[..., 0][~np.eye(2, dtype=bool)]
+    assert rows["boat1"]["median MAE, m/s"] == pytest.approx(np.median(others)) and rows["boat1"]["simulations"] == 2
+    later = rows["boat1"]["median over later runs, m/s"]
+    assert later == errors["boat1"].mae[0, 1, 0]  # the only run that is later than the only set before it

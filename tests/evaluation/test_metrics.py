@@ -1,0 +1,94 @@
+"""Scores by hand, and how the tables show them."""
+
+import io
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from usvlearn.evaluation.metrics import scores
+from usvlearn.figures import prediction_figure
+from usvlearn.report.tables import fleet_table, rejection_table, score_table, sweep_table
+
+SURGE = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+PREDICTIONS = np.array([[1.5, 2.0], [2.0, 4.0], [9.0, 9.0], [3.0, 5.0], [np.nan, np.nan]])
+
+
+def shown(table) -> str:
+    console = Console(file=io.StringIO(), width=120, markup=False)
+    console.print(table)
+    return console.file.getvalue()
+
+
+def test_scores_count_steps_that_were_measured_and_made():
+    table = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
+    assert table["aid"] == pytest.approx(
+        {"mae": 0.5, "median": 0.5, "rmse": np.sqrt(1.25 / 3), "skill": 1 - 0.5 / (4 / 3), "steps": 3, "diverged": 0}
+    )
+    assert table["persistence"]["skill"] == 0 and table["persistence"]["mae"] == pytest.approx(4 / 3)
+
+
+def test_an_error_as_large_as_the_interval_is_inside():
+    table = scores(np.array([[1.5], [2.0]]), np.array([1.0, 2.5]), ["aid"], np.array([[0.5], [0.25]]))
+    assert (table["aid"]["coverage"], table["aid"]["halfwidth"]) == (0.5, 0.375)
+
+
+def test_diverged_predictions_are_counted_and_missing_persistence_is_told():
+    predictions = np.array([[np.inf, 1.0], [np.nan, 2.0], [2.0, 4.0]])
+    table = scores(predictions, np.array([1.0, 2.0, 4.0]), ["aid", "rls"])
+    assert table["aid"]["diverged"] == 2 and table["aid"]["steps"] == 1 and table["rls"]["mae"] == 0
+    assert table["aid"]["mae"] is None and table["rls"]["skill"] is None
+    nothing = scores(np.full((2, 1), np.inf), np.ones(2), ["aid"])
+    assert nothing["aid"]["mae"] is None and nothing["aid"]["diverged"] == 2
+
+
+def test_tables_show_units_and_survive_gaps():
+    rows = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
+    none = scores(np.full((2, 2), np.inf), np.ones(2), ["aid", "persistence"])
+    text = shown(score_table({"heron": rows, "broken": none})) + shown(fleet_table({"heron": rows, "broken": none}))
+    (diverged,) = {line.split()[-1] for line in text.splitlines() if line.startswith("aid") and line.endswith(" 2")}
+    assert diverged == "2" and "diverged" in text.splitlines()[2]
+    assert "m/s" in text and "0.5000" in text and "0.625" in text and "–" in text
+    assert rejection_table({"heron": {}}) is None
+    assert "17" in shown(rejection_table({"heron": {"surge": {"stale": 17}}}))
+    jobs = [({"c": "9", "a.b.gain": "[one]"}, {"boats": {"heron": rows}, "objective": 0.5}),
+            ({"c": "9", "a.b.gain": "two"}, {"error": "bad"}), ({"c": "9"}, {}),
+            ({"c": "9", "a.b.gain": "zero"}, {"boats": {"heron": rows}, "objective": 0.1})]  # fmt: skip
+    text = shown(sweep_table(jobs))
+    assert "b.gain" in text and "9" not in text.splitlines()[2]  # what is the same in all jobs is not shown
+    assert all(
+        "–" in line
+        for line in shown(sweep_table([({}, {"boats": {"a": none}}), ({}, {"boats": {}})])).splitlines()[4:6]
+    )
+    assert text.index("zero") < text.index("[one]") < text.index("gain=two: bad") < text.index("did not finish")
+
+
+def test_tables_are_in_the_order_of_the_errors_and_say_what_stands_in_them():
+    """The best first, those without an error last; each boat's by its own errors, the fleet's by the mean."""
+    boats = {
+        "anna": {name: {"mae": mae, "steps": 9} for name, mae in (("map", 0.9), ("rnn", 0.2), ("persistence", 0.3))},
+        "bert": {name: {"mae": mae, "steps": 9} for name, mae in (("map", 0.1), ("rnn", 0.4), ("persistence", None))},
+    }
+    remarks = {"map": "quasi-static map", "persistence": "baseline"}
+
+    def order(table) -> list[str]:
+        return [line.partition("  ")[0] for line in shown(table).splitlines()[4:] if "0." in line or "–" in line]
+
+    both = ["rnn", "persistence, baseline", "map, quasi-static map"]
+    assert order(score_table(boats, remarks)) == [*both, both[2], both[0], both[1]]
+    assert order(fleet_table(boats, remarks)) == [both[0], both[2], both[1]]
+    assert order(fleet_table(boats)) == ["rnn", "map", "persistence"]
+
+
+def test_figure_without_a_measurement():
+    figure = prediction_figure(np.arange(3.0), np.full(3, np.nan), np.ones((3, 1)), ["aid"], "heron, no GPS")
+    assert figure.axes[0].get_title() == "heron, no GPS"
+
+
+def test_figure_of_predictions():
+    time = np.arange(5.0)
+    figure = prediction_figure(time, SURGE, PREDICTIONS, ["aid", "persistence"], "heron, run 1")
+    above, below = figure.axes
+    assert "m/s" in above.get_ylabel() and "s" in above.get_xlabel() and "m/s" in below.get_xlabel()
+    assert [line.get_label() for line in above.lines] == ["measured", "aid", "persistence"]
+    np.testing.assert_array_equal(above.lines[1].get_ydata(), PREDICTIONS[:, 0])

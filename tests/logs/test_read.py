@@ -1,0 +1,244 @@
+"""`read_recordings` finds the logs that a path means, and refuses bad ones in one sentence."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support import REAL_LOGS, ROOT
+from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.logs.alog import Alog
+from usvlearn.logs.channel import Source
+from usvlearn.logs.csv_table import Table
+from usvlearn.logs.read import read_recordings
+from usvlearn.logs.rosbag import Rosbag
+
+CONFIGS = ROOT / "configs" / "data"
+DATA = REAL_LOGS
+CHANNELS = {
+    "command_left": {"name": "L"},
+    "command_right": {"name": "R"},
+    "heading": {"name": "psi", "unit": "deg"},
+    "surge": {"name": "v"},
+}
+HEADER = "t,L,R,psi,v\n"
+
+
+def write(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def refused(error, function, *args) -> str:
+    """The one-line message with which a call fails."""
+    with pytest.raises(error) as caught:
+        function(*args)
+    message = str(caught.value)
+    assert "\n" not in message and len(message) < 600
+    return message
+
+
+def test_runs_are_found_below_a_folder_in_natural_order(tmp_path):
+    for name in ("day2/run_10.csv", "day2/run_2.csv", "day10/run_1.CSV", "day2/note.txt", ".trash/run_0.csv"):
+        write(tmp_path / "heron" / name, HEADER + "0,0,0,0,1\n")
+    recordings = read_recordings(tmp_path / "heron", Table("t"), CHANNELS)
+    assert [r.run for r in recordings] == ["day2/run_2", "day2/run_10", "day10/run_1"]
+    assert {r.boat for r in recordings} == {"heron"}
+    recordings = read_recordings(str(tmp_path / "heron/day*/run_1*"), Table("t"), CHANNELS, boat="a")
+    assert [(r.boat, r.run) for r in recordings] == [("a", "day2/run_10"), ("a", "day10/run_1")]
+
+
+def test_a_mapping_names_the_boats_and_a_file_names_itself(tmp_path):
+    path = write(tmp_path / "run[1].csv", HEADER + "0,0,0,0,1\n")
+    recordings = read_recordings({"anna": path, "bert": str(tmp_path)}, Table("t"), CHANNELS)
+    assert [(r.boat, r.run) for r in recordings] == [("anna", "run[1]"), ("bert", "run[1]")]
+    assert read_recordings(path, Table("t"), CHANNELS)[0].boat == "run[1]"
+    assert "BOAT: FILE" in refused(ConfigError, read_recordings, {"anna": path}, Table("t"), CHANNELS, "bert")
+
+
+def test_channels_that_are_not_logged_are_skipped(tmp_path):
+    path = write(tmp_path / "a.csv", HEADER + "0,0,0,0,1\n")
+    for absent in (None, {"name": None, "unit": "rad/s"}):
+        (recording,) = read_recordings(path, Table("t"), {**CHANNELS, "yaw_rate": absent})
+        assert list(recording.channels) == ["command_left", "command_right", "heading", "surge"]
+    (recording,) = read_recordings(path, Table("t"), {**CHANNELS, "yaw_rate": Source("v", unit="deg/s")})
+    np.testing.assert_allclose(recording.channels["yaw_rate"].value, [math.pi / 180], rtol=1e-15)
+
+
+@pytest.mark.parametrize("path", [None, "???", ""])
+def test_an_unset_path_says_how_to_set_it(path):
+    assert "set data.path=FILE" in refused(ConfigError, read_recordings, path, Table("t"), CHANNELS)
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("mission.csv", ["mission.csv", "does not exist", "did you mean", "missions.csv"]),
+        ("nothing/like/it", ["does not exist", "(.csv)"]),
+        ("empty", ["empty", "0 files", ".csv"]),
+        ("other", ["none among its 1 files", ".csv"]),
+        ("no*.csv", ["no*.csv", "0 files"]),
+        (3, ["found 3", "pattern"]),
+        ({}, ["no boat"]),
+    ],
+)
+def test_a_path_without_logs_is_refused(tmp_path, monkeypatch, path, expected):
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    write(Path("other/a.alog"), "0 A b 1\n")
+    write(Path("missions.csv"), HEADER)
+    message = refused(ConfigError, read_recordings, path, Table("t"), CHANNELS)
+    assert message.startswith("data.path") and all(part in message for part in expected)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"speed": {"name": "v"}}, ["'speed'", "surge"]),
+        ({"surge": None}, ["no surge", "data.channels.surge.name"]),
+        ({"surge": {"column": "v"}}, ["'column'", "name, field"]),
+        ({"surge": "v"}, ["data.channels.surge", "'v'"]),
+        ({"surge": {"name": "v", "span": "wide"}}, ["data.channels.surge.span", "'wide'"]),
+        ({"surge": {"name": "v", "held": "yes"}}, ["data.channels.surge.held", "'yes'"]),
+        ({"surge": {"name": "v", "unit": "mph"}}, ["'mph'", "knots"]),
+    ],
+)
+def test_badly_declared_channels_are_refused(tmp_path, change, expected):
+    path = write(tmp_path / "a.csv", HEADER + "0,0,0,0,1\n")
+    message = refused(ConfigError, read_recordings, path, Table("t"), {**CHANNELS, **change})
+    assert all(part in message for part in expected)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "reader", "expected"),
+    [
+        ("a.csv", "", Table("t"), ["empty file"]),
+        ("a.csv", "\n\n", Table("t"), ["time column 't'", "(none)"]),
+        ("a.csv", HEADER, Table("t"), ["nothing below the header"]),
+        ("a.csv", HEADER + "0,0,0\n", Table("t"), ["5 cells", "found 3 in line 2"]),
+        ("a.csv", HEADER + "0,0,0,0,1\n", Table("stamp"), ["'stamp'", "'t', 'L', 'R'", "data.reader.time"]),
+        ("a.csv", HEADER.replace(",", ";"), Table("t"), ["data.reader.delimiter"]),
+        ("a.csv", HEADER + "noon,0,0,0,1\n", Table("t"), ["line 2", "'noon'", "data.reader.time"]),
+        (
+            "a.csv",
+            HEADER.replace("v", "vel") + "0,0,0,0,1\n",
+            Table("t"),
+            ["channels.surge.name", "'v'", "vel"],
+        ),
+        ("a.csv", HEADER + "0,0,0,0,fast\n1,0,0,0,\n", Table("t"), ["surge", "'v'", "'fast'", "1 empty"]),
+        ("a.csv", HEADER + "0,0,0,0," + "9" * 200_000, Table("t"), ["line 2", "fix"]),
+        ("a.csv", "#ROSBAG V2.0\nE\0\0\0index_pos=", Table("t"), ["binary data"]),
+        ("a.alog", "t,L,R\n0,1,2\n", Alog(), ["no row of the form"]),
+        ("a.alog", "%% LOGSTART 1\n", Alog(), ["no row of the form"]),
+        ("a.alog", "0 L a 0\n0 R a 0\n0 psi a 0\n0 w a 0\n", Alog(), ["surge.name", "'v'", "L, R, psi, w"]),
+        ("a.alog", "0 L a 0\n0 R a 0\n0 psi a 0\n0 v a n/a\n", Alog(), ["surge", "'v'", "'n/a'"]),
+        ("a.bag", "0.1 L a 0\n", Rosbag(), ["whole ROS bag"]),
+    ],
+)
+def test_a_log_that_is_not_as_declared_is_refused(tmp_path, name, content, reader, expected):
+    if name.endswith(".bag"):
+        pytest.importorskip("rosbags", reason="needs the package rosbags")
+    path = write(tmp_path / name, content)
+    message = refused(LogFormatError, read_recordings, path, reader, CHANNELS)
+    assert message.startswith(str(path)) and all(part in message for part in expected)
+
+
+# ---------------------------------------------------------------- configs/data
+
+
+def configured(name: str, path: Path) -> list:
+    """The recordings that `data=NAME data.path=PATH` reads."""
+    hydra = pytest.importorskip("hydra.utils", reason="needs the package hydra-core")
+    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
+    config = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data
+    config.path = str(path)
+    return hydra.instantiate(config)
+
+
+@pytest.mark.parametrize("name", ["alog", "csv", "rosbag"])
+def test_generic_configs_list_every_option_of_every_channel(name):
+    omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
+    channels = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data.channels
+    options = set(Source.__dataclass_fields__) - (set() if name == "rosbag" else {"field"})
+    assert len(channels) == 5
+    for name, source in channels.items():
+        assert set(source) == options - ({"delay"} if name == "surge" else set()), name
+
+
+def test_csv_config_reads_a_plain_table(tmp_path):
+    path = write(tmp_path / "a.csv", "time,command_left,command_right,heading,surge\n5,0.1,-0.2,180,1.5\n")
+    (recording,) = configured("csv", path)
+    assert recording.boat == recording.run == "a"
+    values = {name: channel.value.tolist() for name, channel in recording.channels.items()}
+    assert values == {"command_left": [0.1], "command_right": [-0.2], "heading": [math.pi], "surge": [1.5]}
+
+
+def test_alog_config_holds_commands_that_are_posted_on_change(tmp_path):
+    rows = "0 DESIRED_THRUST_L p 50\n0 DESIRED_THRUST_R p -100\n1 NAV_HEADING g 90\n1 NAV_SPEED g 1\n"
+    (recording,) = configured("alog", write(tmp_path / "a.alog", rows))
+    left, right = recording.channels["command_left"], recording.channels["command_right"]
+    assert (left.value, right.value) == (0.5, -1.0) and left.held and right.held
+    assert recording.channels["heading"].value == pytest.approx(math.pi / 2)
+    assert not recording.channels["surge"].held
+
+
+@pytest.mark.parametrize(
+    ("boat", "runs", "counts", "surge", "dropped"),
+    [
+        ("blueboat", 12, (14067, 14067, 14067, 14067, 14055), (-2.32, 3.42), 12),
+        ("vtec", 18, (47555, 47669, 29004, 11851, 11851), (-0.12, 1.48), 0),
+        ("dalian", 1, (1536, 1536, 1536, 0, 1536), (0.17, 1.06), 0),
+        ("pearl", 1, (700, 700, 88, 0, 88), (0.0, 0.44), 0),
+    ],
+)
+def test_real_logs(boat, runs, counts, surge, dropped):
+    if not (DATA / boat).is_dir():
+        pytest.skip(f"needs the logs in shared/data/{boat}, which are not part of the repository")
+    if boat == "vtec":
+        pytest.importorskip("rosbags", reason="needs the package rosbags")
+    recordings = configured(boat, DATA / boat)
+    assert len(recordings) == runs == len({r.run for r in recordings})
+    assert {r.boat for r in recordings} == {boat}
+    channels = ("command_left", "command_right", "heading", "yaw_rate", "surge")
+    found = [sum(len(r.channels[c].time) for r in recordings if c in r.channels) for c in channels]
+    assert found == list(counts)
+    speeds = np.concatenate([r.channels["surge"].value for r in recordings])
+    assert (speeds.min(), speeds.max()) == pytest.approx(surge, abs=0.01)
+    assert sum(sum(causes.values()) for r in recordings for causes in r.dropped.values()) == dropped
+    for side in ("command_left", "command_right"):
+        share = np.concatenate([r.channels[side].value for r in recordings])
+        assert 0.6 < np.abs(share).max() < 1.03  # PWM 1100 lies 411 us below the BlueBoat's zero, span 400
+
+
+@pytest.mark.parametrize("boat", ["blueboat", "vtec"])
+def test_real_headings_turn_the_way_the_yaw_rate_says(boat):
+    if not (DATA / boat).is_dir():
+        pytest.skip(f"needs the logs in shared/data/{boat}, which are not part of the repository")
+    if boat == "vtec":
+        pytest.importorskip("rosbags", reason="needs the package rosbags")
+    tried = 0
+    for recording in configured(boat, DATA / boat):
+        heading, rate = recording.channels["heading"], recording.channels["yaw_rate"]
+        grid = np.arange(1, heading.time.max() - 1, 0.4)
+        area = np.concatenate([[0], np.cumsum(np.diff(rate.time) * (rate.value[1:] + rate.value[:-1]) / 2)])
+        expected = np.diff(np.interp(grid, rate.time, area))
+        turned = np.diff(np.interp(grid, heading.time, np.unwrap(heading.value)))
+        if np.sqrt(np.mean(expected**2)) > 0.02:  # rad a step; in straighter runs noise hides the scale
+            assert turned @ expected / (expected @ expected) == pytest.approx(1, abs=0.05)
+            tried += 1
+    assert tried >= 6
+
+
+def test_one_unreadable_log_among_several_is_left_out_with_a_warning(tmp_path):
+    write(tmp_path / "good.csv", "t,L,R,v,psi\n0,0.5,0.5,1.0,90\n")
+    write(tmp_path / "torn.csv", "")
+    channels = {"command_left": "L", "command_right": "R", "surge": "v", "heading": "psi"}
+    channels = {name: Source(column) for name, column in channels.items()}
+    with pytest.warns(UserWarning, match=r"left out: .*torn\.csv.*empty"):
+        recordings = read_recordings(tmp_path, Table("t"), channels)
+    assert [recording.run for recording in recordings] == ["good"]
+    (tmp_path / "good.csv").unlink()
+    with pytest.raises(LogFormatError, match=r"torn\.csv"):
+        read_recordings(tmp_path, Table("t"), channels)

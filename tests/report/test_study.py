@@ -1,0 +1,167 @@
+"""The study: its stages, that it goes on where it stopped, and the same whether it was stopped or not."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+from hydra import compose, initialize_config_dir
+
+from tests.cli.test_train import ENVIRONMENT, command, run
+from tests.support import ROOT
+from usvlearn.errors import ConfigError
+from usvlearn.report.study import Study
+
+PLAN = {"members": ["aid"], "evaluations": 4, "common": ["data.n=2"], "tuning": ["data.seed=1"], "season": ["x=3"]}
+STAGES = ["tune/aid", "default/initial", "default/season", "tuned/initial", "tuned/season"]
+
+
+def maes(mae: float) -> dict:
+    return {"heron": {"aid": {"mae": mae}}}
+
+
+class Recorder:
+    """Stands for `train.py`: leaves what a stage leaves, and fails where it is told to."""
+
+    def __init__(self, fails: str | None = None):
+        self.stages: list[tuple[str, list[str]]] = []
+        self.fails = fails
+
+    def __call__(self, overrides, folder: Path) -> None:
+        stage = f"{folder.parent.name}/{folder.name}"
+        self.stages.append((stage, list(overrides)))
+        folder.mkdir(parents=True, exist_ok=True)
+        if stage == self.fails:
+            (folder / "runs.json").write_text("{}")
+            (folder / "results.json").write_text('{"partial": {}}')
+            raise KeyboardInterrupt
+        if stage.startswith("tune/"):
+            best = {"mae": 0.1, "gain": 50.0, "setting": {"gain": 3.0}}
+            (folder / "tuning.json").write_text(
+                json.dumps({"evaluations": 4, "default": {"mae": 0.2}, "best": best, "way": "grid"})
+            )
+        else:
+            (folder / "results.json").write_text(json.dumps({"boats": maes(0.3 if stage[0] == "d" else 0.2)}))
+
+
+def made(folder: Path, recorder: Recorder, plan=PLAN) -> Study:
+    return Study(folder, plan, lambda text: None, recorder, lambda where: where / "best", lambda overrides: None)
+
+
+def test_stages_in_order_with_what_tuning_found(tmp_path):
+    recorder = Recorder()
+    study = made(tmp_path, recorder)
+    season, gained = study.make()
+    assert [stage for stage, _ in recorder.stages] == STAGES and season == tmp_path / "tuned" / "season"
+    overrides = dict(recorder.stages)
+    assert overrides["tune/aid"] == ["data.n=2", "data.seed=1", "grid=aid", "tuning.evaluations=4"]
+    assert overrides["default/season"] == ["data.n=2", "x=3", f"resume={tmp_path}/default/initial/best"]
+    assert overrides["tuned/initial"] == ["data.n=2", "data.seed=1", "estimators.aid.gain=3.0"]
+    assert len(study.commands) == 5 and study.commands[0].startswith("python train.py data.n=2")
+    row = gained.sheets[0].rows[0]
+    assert row[3:6] == (0.2, 0.1, 50.0) and row[6:8] == (0.3, 0.2)
+
+
+@pytest.mark.parametrize("fails", STAGES)
+def test_a_stopped_study_goes_on(tmp_path, fails):
+    with pytest.raises(KeyboardInterrupt):
+        made(tmp_path, Recorder(fails)).make()
+    again = Recorder()
+    study = made(tmp_path, again)
+    study.make()
+    assert [stage for stage, _ in again.stages] == STAGES[STAGES.index(fails) :]
+    assert f"resume={tmp_path / fails}" in again.stages[0][1]
+    assert sum(text.startswith("resume=") for text in again.stages[0][1]) == 1
+    finished = Recorder()
+    commands = made(tmp_path, finished)
+    commands.make()
+    assert finished.stages == [] and commands.commands == study.commands
+
+
+def test_a_plan_that_is_not_legal_leaves_nothing_behind(tmp_path):
+    for wrong, told in (
+        ("study.evaluations=0", "tuning.evaluations: found 0"),
+        ("study.members=[aid,nosuch]", "nosuch"),
+    ):
+        done = run("experiment=paper_small", wrong, f"folder={tmp_path}/study", folder=tmp_path, script="evaluate.py")
+        assert done.returncode == 2 and told in done.stderr and not (tmp_path / "study").exists()
+
+
+def test_a_saved_setting_that_names_code_is_refused(tmp_path):
+    made(tmp_path, Recorder()).make()
+    path = tmp_path / "tune" / "aid" / "tuning.json"
+    found = json.loads(path.read_text())
+    found["best"]["setting"] = {"_target_": "os.system"}
+    path.write_text(json.dumps(found))
+    (tmp_path / "tuned" / "initial" / "results.json").unlink()
+    again = Recorder()
+    with pytest.raises(ConfigError, match=r"tuning\.json: found the setting '_target_': 'os\.system'"):
+        made(tmp_path, again).make()
+    assert again.stages == []
+
+
+@pytest.mark.parametrize("name", ["study.json", "tune/aid/tuning.json", "default/start.json"])
+def test_a_damaged_file_is_told(tmp_path, name):
+    made(tmp_path, Recorder()).make()
+    (tmp_path / name).write_text("{")
+    with pytest.raises(ConfigError, match=rf"{name}: is damaged .* remove it"):
+        made(tmp_path, Recorder()).make()
+
+
+def test_another_plan_is_not_mixed_in(tmp_path):
+    made(tmp_path, Recorder()).make()
+    with pytest.raises(ConfigError, match="study of another plan"):
+        made(tmp_path, Recorder(), {**PLAN, "evaluations": 8}).make()
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "configs" / "experiment").glob("*.yaml")), ids=lambda path: path.stem)
+def test_every_experiment_composes(path):
+    """For train.py, or as a study of evaluate.py whose stages are overrides of train.yaml."""
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        if "study:" not in path.read_text():
+            assert "study" not in compose("train", [f"experiment={path.stem}"])
+            return
+        study = compose("evaluate", [f"experiment={path.stem}"]).study
+        for season in ("tuning", "season"):
+            overrides = [*study.common, *study[season]]
+            cfg = compose("train", [*overrides, "grid=aid", f"tuning.evaluations={study.evaluations}"])
+            assert set(study.members) <= set(cfg.tuning.ranges) and cfg.data.n > 1
+        assert study.tuning != study.season
+
+
+def test_a_study_is_not_for_train(tmp_path):
+    done = run("experiment=paper_small", folder=tmp_path)
+    assert done.returncode == 2 and "python evaluate.py experiment=" in done.stderr
+
+
+TINY = [
+    "experiment=paper_small", "study.members=[aid,sift_map]", "study.evaluations=2",
+    "study.common=['data.n=2','data.mission_minutes=2','estimators.rnn.neurons=4','save_minutes=0.5','tuning.rounds=1']",
+    "study.tuning=['data.seed=1','data.hours=0.0667']", "study.season=['data.seed=2','data.hours=0.0667']",
+]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [4.0, 12.0, 25.0, 40.0])
+def test_a_killed_study_equals_an_uninterrupted_one(tmp_path, seconds):
+    whole = run(*TINY, f"folder={tmp_path}/whole", folder=tmp_path, script="evaluate.py")
+    assert whole.returncode == 0, whole.stderr
+    arguments = command(*TINY, f"folder={tmp_path}/killed", script="evaluate.py")
+    process = subprocess.Popen(arguments, cwd=tmp_path, env=ENVIRONMENT, start_new_session=True,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+    time.sleep(seconds)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    again = run(*TINY, f"folder={tmp_path}/killed", folder=tmp_path, script="evaluate.py")
+    assert again.returncode == 0, again.stderr
+    for name in ("online", "crossval", "fleet", "parameters", "tuning", "certificates", "equilibria"):
+        tables = [(tmp_path / kind / "report" / "tables" / f"{name}.csv").read_text() for kind in ("whole", "killed")]
+        assert tables[0] == tables[1], name
+    pages = [(tmp_path / kind / "report" / "report.md").read_text() for kind in ("whole", "killed")]
+    assert "What tuning gained" in pages[0]
+    commands = [re.findall(r"python train.py .*", page.replace("/killed/", "/whole/")) for page in pages]
+    assert len(commands[0]) == 6 and commands[0] == commands[1]

@@ -1,0 +1,143 @@
+"""Tables at any width: every number and name is whole, and no line is wider than the terminal."""
+
+import io
+import os
+import pty
+import re
+import subprocess
+import sys
+from collections import Counter
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from tests.cli.test_train import ROOT
+from usvlearn.evaluation.metrics import scores
+from usvlearn.report.tables import report, sweep_table, tuning_table
+from usvlearn.report.terminal import Blocks, console
+
+WIDTHS = [60, 80, 100, 160]
+NAMES = ["aid", "rls", "ambient_rls_short", "persistence", "average", "a_member_with_a_long_name"]
+REMARKS = {"rls": "quasi-static map", "persistence": "baseline"}
+NUMBER = r"-?\d+\.\d+%?|\d+"
+
+
+def printed(table, width: int) -> list[str]:
+    screen = Console(file=io.StringIO(), width=width, markup=False)
+    screen.print(table)
+    return screen.file.getvalue().splitlines()
+
+
+def fleet(count: int, name: str = "heron") -> dict[str, dict]:
+    """Scores of boats; one member is far off, and diverges on the last of them."""
+    rng, boats = np.random.default_rng(count), {}
+    for k in range(count):
+        surge = rng.random(2000)
+        predictions = surge[:, None] + 10.0 ** -np.arange(len(NAMES)) * rng.normal(size=(2000, len(NAMES)))
+        predictions[:3, 1] = np.inf if k + 1 == count > 1 else 1.0
+        boats[f"{name}{k + 1}"] = scores(predictions, surge, NAMES, 0.1 + np.abs(predictions - surge[:, None]))
+    return boats
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("name", ["heron", "blueboat_of_the_northern_harbour_"])
+@pytest.mark.parametrize("count", [1, 8, 20])
+def test_the_tables_of_a_run_are_whole(count, name, width):
+    boats = fleet(count, name)
+    channels = {
+        "surge": {"stale": 1234567, "out_of_range": 7654321, "duplicate": 17, "repeated": 4},
+        "heading": {"lost": 3},
+    }
+    rejected = dict.fromkeys(boats, channels)
+    lines = printed(report(boats, rejected, {}, REMARKS), width)
+    assert max(map(len, lines)) <= width and "…" not in "".join(lines)
+    whole = printed(report(boats, rejected, {}, REMARKS), 10_000)
+    assert max(map(len, whole)) > width or width >= 100 or count == 1
+    for text in (lines, whole):
+        words = " ".join(text).split()
+        for rows in boats.values():
+            for row in rows.values():
+                for value, digits in ((row["mae"], 4), (row["rmse"], 4), (row["skill"], 3)):
+                    assert value is None or f"{value:.{digits}f}" in words
+        assert set(boats) <= set(words) and {"1234567,", "7654321,"} <= set(words)
+        for each in NAMES:
+            assert words.count(each) + words.count(f"{each},") >= count
+    narrow, wide = (Counter(re.findall(NUMBER, " ".join(text))) for text in (lines, whole))
+    assert not wide - narrow  # none is lost
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_table_of_a_sweep_is_whole(width):
+    long = "/logs/of/a/long/season/that/has/a/name"
+    jobs = [
+        ({"estimators.rnn.neurons": f"{10**k}", "align.dt": f"0.{k}25", "data.path": f"{long}/{k}"},
+         {"boats": fleet(k + 1), "objective": k / 7, "ranked_by": "aid", "output": "average"})
+        for k in range(1, 4)
+    ]  # fmt: skip
+    lines = printed(sweep_table(jobs), width)
+    assert max(map(len, lines)) <= width and "…" not in "".join(lines)
+    words = " ".join(lines).split()
+    assert {"rnn.neurons", "align.dt", "10", "100", "1000", "0.125", "0.225", "0.325", "average", NAMES[-1]} <= set(
+        words
+    )
+    assert (f"{long}/3" in words) == (width >= 100)  # else folded
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_table_of_a_tuning_is_whole(width):
+    setting = "memory=3.16228 covariance=0.000316228 spread=12.5 rate=0.0008 pretrained=a_file_with_a_long_name"
+    rows = [("1", setting, {"mae": 0.0123456, "gain": 12.34}), ("default", "", {"mae": None, "gain": None})]
+    lines = printed(tuning_table("grid=rls: 64 evaluations", rows), width)
+    words = " ".join(lines).split()
+    assert max(map(len, lines)) <= width
+    assert {*setting.split(), "0.01235", "12.3", "diverged", "default"} <= set(words)
+
+
+@pytest.mark.parametrize("folded", [(), ("a_name_that_no_terminal_holds",)])
+def test_a_word_wider_than_the_terminal_is_folded_not_cut(folded):
+    table = Blocks("title", ["a_name_that_no_terminal_holds"], ["number_one", "number_two"], folded)
+    table.add("q" * 30, "1.25", "2.5")
+    lines = printed(table, 20)
+    assert max(map(len, lines)) <= 20 and "".join(lines).count("q") == 60  # in two blocks
+    assert {"number_one", "number_two", "1.25", "2.5"} <= set(" ".join(lines).split())
+    assert printed(Blocks("none", ["channel"], []), 20) == ["none", "", "channel", "───────", ""]
+
+
+def test_blocks_are_even():
+    table = Blocks("MAE", ["estimator"], [f"boat{k}" for k in range(8)])
+    table.add("aid", *(["0.1234"] * 8))
+    heads = [line for line in printed(table, 9 + 7 * 8) if "boat" in line]
+    assert [line.count("boat") for line in heads] == [4, 4]
+
+
+PRINT = """
+from usvlearn.report.terminal import Blocks, console
+table = Blocks("title", ["name"], [f"column{k}" for k in range(40)])
+table.add("aid", *map(str, range(40)))
+console().print(table)
+"""
+
+
+def test_a_pipe_has_no_width_and_a_terminal_has_its_own(monkeypatch):
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TERM": "xterm"}
+    del environment["COLUMNS"]
+    command = [sys.executable, "-c", PRINT]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert "column0  column1" in done.stdout and "column38  column39" in done.stdout.splitlines()[2]
+    done = subprocess.run(command, env={**environment, "COLUMNS": "60"}, capture_output=True, text=True, check=True)
+    assert max(map(len, done.stdout.splitlines())) <= 60
+    ours, theirs = pty.openpty()
+    process = subprocess.Popen(command, env={**environment, "COLUMNS": "60"}, stdout=theirs)
+    os.close(theirs)
+    text = ""
+    with open(ours, encoding="utf-8", errors="replace") as screen:
+        try:
+            while part := screen.read(1):
+                text += part
+        except OSError:  # its other end is closed
+            pass
+    assert process.wait() == 0 and "\x1b[1m" in text
+    assert max(len(re.sub(r"\x1b\[[\d;]*m", "", line)) for line in text.splitlines()) <= 60
+    monkeypatch.delenv("COLUMNS")
+    assert console(quiet=True).quiet and console().width > 10_000

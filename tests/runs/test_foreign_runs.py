@@ -1,0 +1,204 @@
+"""Files of runs and sweeps from somebody else: each is refused or passed over, and no link is followed."""
+
+import json
+import os
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.runs.test_trust import saved, tools  # noqa: F401  # a finished run
+from usvlearn import checkpoint
+from usvlearn.cli.settings import instantiate
+from usvlearn.cli.sweep import load
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.report.from_runs import read
+from usvlearn.runs.run_folder import begun
+from usvlearn.runs.saved import results, run_folders
+from usvlearn.sweeps.jobs import jobs
+from usvlearn.sweeps.leaderboard import leaderboard
+
+
+@pytest.fixture
+def copy(saved, tmp_path) -> Path:  # noqa: F811
+    return Path(shutil.copytree(saved, tmp_path / "run"))
+
+
+def sets(copy: Path) -> list[Path]:
+    return sorted(copy.glob("checkpoints/*/*.safetensors"))
+
+
+@pytest.mark.parametrize("name", ["00099_0000010", "00000_9999999", "00000_" + "9" * 200])
+def test_a_set_of_no_step_of_the_runs_is_passed_over(copy, name):
+    shutil.copy(sets(copy)[-1], sets(copy)[-1].with_stem(name))
+    with pytest.warns(UserWarning, match="is of no step of the runs"):
+        _, seasons, _ = read([copy], tools())
+    assert len(seasons[0].paths) == len(sets(copy)) - 1
+
+
+@pytest.mark.parametrize("what", ["pipe", "device", "huge"])
+def test_a_set_that_is_no_file_or_larger_than_the_memory_is_unreadable(tmp_path, what):
+    path = tmp_path / "a.safetensors"
+    match what:
+        case "pipe":
+            os.mkfifo(path)
+        case "device":
+            path.symlink_to("/dev/zero")
+        case _:
+            with path.open("wb") as file:
+                file.truncate(1 << 43)  # takes no room
+    with pytest.raises(CheckpointError, match="cannot be read"):
+        checkpoint.load(path)
+
+
+def change(path: Path, edit) -> None:
+    with np.load(path) as archive:
+        found = dict(archive)
+    edit(found)
+    np.savez(path, **found)
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        lambda x: x.update(predictions=x["predictions"].astype("U8")),
+        lambda x: x.update(predictions=x["predictions"].astype(complex)),
+        lambda x: x.update(predictions=x["predictions"][..., :1]),
+        lambda x: x.update(halfwidths=x["halfwidths"][:3]),
+        lambda x: x.update(predictions=np.array(1.0)),
+        lambda x: x.pop("predictions"),
+    ],
+)
+def test_predictions_of_another_kind_or_shape_are_damage(copy, edit):
+    path = next(copy.glob("predictions/*.npz"))
+    change(path, edit)
+    with pytest.warns(UserWarning, match="is damaged"):
+        read([copy], tools())
+
+
+def test_predictions_that_are_a_pipe_are_damage(copy):
+    path = next(copy.glob("predictions/*.npz"))
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.warns(UserWarning, match="is damaged"):
+        read([copy], tools())
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 200_000, '{"boats": {"heron": [["a", Infinity, "k"]]}}', '{"boats": {"heron": [["a", -5, "k"]]}}']
+)
+def test_a_list_of_runs_that_is_none_is_refused(copy, text):
+    (copy / "runs.json").write_text(text)
+    with pytest.raises(CheckpointError, match=r"runs\.json: is damaged"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        read([copy], tools())
+    begun(copy)  # of others that are looked through by resume=latest
+
+
+def test_results_of_many_levels_are_refused(copy):
+    (copy / "results.json").write_text("[" * 200_000)
+    with pytest.raises(CheckpointError, match=r"results\.json: is damaged"):
+        results(copy)
+
+
+def test_no_number_of_a_run_is_so_large_that_the_next_cannot_be_written(copy):
+    noted = json.loads((copy / "runs.json").read_text())
+    noted["began"]["number"] = 10**4299
+    (copy / "runs.json").write_text(json.dumps(noted))
+    assert begun(run_folders(copy)[0])[0] == 0
+
+
+@pytest.fixture
+def sweep(saved, tmp_path) -> Path:  # noqa: F811
+    """A sweep of two jobs."""
+    for job in ("0", "1"):
+        shutil.copytree(saved, tmp_path / "sweep" / job)
+        (tmp_path / "sweep" / job / ".hydra" / "overrides.yaml").write_text(f"- estimators.aid.gain={job}\n")
+    return tmp_path / "sweep"
+
+
+@pytest.mark.parametrize("row", [False, True])
+def test_a_leaderboard_removes_nothing_behind_a_link(sweep, tmp_path, row):
+    kept = tmp_path / "other" / "run" / "events.out.tfevents.1"
+    kept.parent.mkdir(parents=True)
+    kept.touch()
+    if row:
+        (sweep / "leaderboard").mkdir()
+        (sweep / "leaderboard" / "row").symlink_to(kept.parent)
+        assert leaderboard(sweep, load)
+    else:
+        (sweep / "leaderboard").symlink_to(tmp_path / "other")
+        with pytest.raises(ConfigError, match="is a link to another folder"):
+            leaderboard(sweep, load)
+    assert kept.exists()
+
+
+def test_a_leaderboard_prints_nothing_that_acts_on_a_terminal(sweep, capsys):
+    (sweep / "0" / ".hydra" / "overrides.yaml").write_text('- "estimators.aid.gain=\\e[2J"\n')
+    (sweep / "1" / "results.json").write_text('{"error": "\\u001b]0;x\\u0007"}')
+    leaderboard(sweep, load)
+    found = capsys.readouterr().out
+    assert "\x1b" not in found and "\x07" not in found and "\\x1b" in found
+
+
+@pytest.mark.parametrize(
+    "text", ["a: &a [x, x]\nb: &b [*a, *a]\n", "!!python/object/apply:os.system [true]", "5", "{", "[" * 5000]
+)
+def test_settings_of_a_job_that_are_damaged_or_unfold_are_refused(tmp_path, text):
+    path = tmp_path / "overrides.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"overrides\.yaml: is damaged"):
+        load(path)
+
+
+def forged(copy: Path, edit) -> None:
+    """Change the settings in all sets of a run; their checksums are right."""
+    for path in sets(copy):
+        leaves, facts = checkpoint.load(path)
+        edit(facts["configuration"])
+        checkpoint.save(path, leaves, **facts)
+
+
+FORGERIES = {
+    "an unknown option": lambda c: c["align"].update(evil=1),
+    "an option twice": lambda c: c["align"].update(channels={}),
+    "a list for a name": lambda c: c.update(output=["a"]),
+    "data that are none": lambda c: c.update(data={"a": 1}),
+    "an estimator for data": lambda c: c.update(
+        data={"_target_": "usvlearn.estimators.baselines.persistence.Persistence"}
+    ),
+    "one estimator for all": lambda c: c.update(estimators={"_target_": "usvlearn.estimators.aid.layer.AID"}),
+    "a size beyond all measure": lambda c: c["estimators"].update(
+        rnn={"_target_": "usvlearn.estimators.rnn.layer.RNN", "neurons": 10**9}
+    ),
+    "a grid too fine": lambda c: c["align"].update(dt=1e-9),
+    "hours without end": lambda c: c["data"].update(hours=1e300),
+}
+
+
+@pytest.mark.parametrize("edit", FORGERIES.values(), ids=FORGERIES)
+def test_settings_of_allowed_classes_that_make_no_sense_are_one_sentence(copy, edit):
+    forged(copy, edit)
+    with pytest.raises((CheckpointError, ConfigError)) as caught:
+        read([copy], tools()._replace(instantiate=instantiate))
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("results.json", {"boats": [1]}),
+        ("results.json", {"boats": {"heron": {"aid": {"mae": "low"}}}}),
+        ("job.json", {"settings": "x"}),
+    ],
+)
+def test_notes_of_a_job_that_make_no_sense_are_told_in_its_row(tmp_path, name, content):
+    job = tmp_path / "0"
+    (job / ".hydra").mkdir(parents=True)
+    (job / ".hydra" / "overrides.yaml").write_text("- estimators.aid.gain=1\n")
+    (job / ".hydra" / "config.yaml").write_text("a: 1\n")
+    (job / name).write_text(json.dumps(content))
+    (found,) = jobs(tmp_path, load)
+    assert ("is damaged" in found.results["error"]) if name == "results.json" else found.results == {}

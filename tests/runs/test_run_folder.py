@@ -1,0 +1,267 @@
+"""A run's folder: a stop between two writes, damage, strangers' files never change what a resumed run learns."""
+
+import json
+import os
+import warnings
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+
+from tests.logs.test_recordings import recording
+from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics, checkpoint
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.runs import run_folder
+from usvlearn.runs.replay import replay
+from usvlearn.runs.run_folder import RunFolder
+from usvlearn.runs.saved import configuration, run_folders
+from usvlearn.signals import named_leaves
+
+SETTINGS = {
+    "configuration": {
+        "estimators": {"aid": 1, "rls": 2}, "combiners": {}, "data": {}, "align": {"dt": 0.4}, "vehicle": {"mass": 28.0}
+    }
+}  # fmt: skip
+
+
+class Killed(Exception):
+    pass
+
+
+def model() -> Ensemble:
+    return Ensemble({"aid": AID(28.0), "rls": RLS(SurgeDynamics(28.0)), "persistence": Persistence()})
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    """Boat a has two runs, boat b one longer one."""
+    return align_fleet([recording("a", "one", 6.0), recording("a", "two", 4.0), recording("b", "one", 9.0, speed=0.3)])
+
+
+def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> RunFolder:
+    ensemble = model()
+    folder = RunFolder(folder, fleet, metadata)
+    start = folder.begin(ensemble.init((2,)), resume)
+    with folder:
+        for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
+            folder.save(chunk)
+    return folder
+
+
+def contents(folder) -> dict[str, np.ndarray]:
+    """Every leaf of every parameter set and every prediction."""
+    found = {}
+    for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
+        for name, leaf in checkpoint.load(path)[0].items():
+            found[f"{path.relative_to(folder.path)}:{name}"] = leaf
+    return found | {f"run {k}": array for k, array in enumerate(folder.published["predictions"])}
+
+
+def assert_same(found, expected) -> None:
+    found, expected = contents(found), contents(expected)
+    assert found.keys() == expected.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
+def dying(monkeypatch, after: int) -> None:
+    """The process dies at a write: the file before it is whole, this one is not there."""
+    write, count = checkpoint.write_atomically, iter(range(10_000))
+
+    def dies(path, content):
+        if next(count) == after:
+            raise Killed
+        write(path, content)
+
+    monkeypatch.setattr(checkpoint, "write_atomically", dies)
+    monkeypatch.setattr(run_folder, "write_atomically", dies)
+
+
+@pytest.mark.parametrize("warm", [False, True], ids=["from_nothing", "from_a_season_before"])
+@pytest.mark.parametrize("elsewhere", [False, True], ids=["in_place", "into_another_folder"])
+def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypatch, warm, elsewhere):
+    season = session(tmp_path / "season", align_fleet([recording("a", "x", 5.0), recording("b", "x", 5.0)]))
+    first = str(season.path) if warm else None
+    whole = session(tmp_path / "whole", fleet, first)
+    writes = sum(1 for _ in whole.path.rglob("*.*"))
+    for after in range(writes + 1):
+        folder = tmp_path / f"{after}"
+        with monkeypatch.context() as patch:
+            dying(patch, after)
+            try:
+                session(folder, fleet, first)
+            except Killed:
+                pass
+        begun = (folder / "runs.json").exists()
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # it says which set is missing
+            if elsewhere and begun:
+                again = session(tmp_path / f"{after}b", fleet, str(folder))
+            else:
+                again = session(folder, fleet, "latest" if begun else first)
+        assert_same(again, whole)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "remove", "foreign", "bomb", "header", "plain"])
+def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
+    whole, folder = session(tmp_path / "whole", fleet), session(tmp_path / "run", fleet)
+    paths = sorted((folder.path / "predictions").glob("*.npz"))
+    middle, content = paths[2], paths[2].read_bytes()
+    if damage == "cut":
+        middle.write_bytes(content[: len(content) // 2])
+    elif damage == "flip":
+        middle.write_bytes(content[:80] + bytes([content[80] ^ 255]) + content[81:])
+    elif damage == "remove":
+        middle.unlink()
+    elif damage == "bomb":  # a few kB that unpack to gigabytes, were they read
+        with (
+            zipfile.ZipFile(middle, "w", zipfile.ZIP_DEFLATED) as archive,
+            archive.open("predictions.npy", "w") as file,
+        ):
+            np.lib.format.write_array_header_2_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**7,)})
+            for _ in range(80):
+                file.write(bytes(10**6))
+    elif damage == "header":  # an array that claims to be larger than any memory
+        with zipfile.ZipFile(middle, "w") as archive, archive.open("predictions.npy", "w") as file:
+            np.lib.format.write_array_header_2_0(file, {"descr": "<f8", "fortran_order": False, "shape": (10**15,)})
+    elif damage == "plain":
+        with middle.open("wb") as file:
+            np.save(file, np.ones(3))
+    else:
+        (folder.path / "predictions" / "notes.npz").write_bytes(b"x")
+        (folder.path / "checkpoints" / "a" / "best.safetensors").write_bytes(b"x")
+    if damage == "foreign":
+        again = session(folder.path, fleet, "latest")
+        (folder.path / "checkpoints" / "a" / "best.safetensors").unlink()
+    else:
+        told = "unpacks to 80 MB, expected 0" if damage == "bomb" else "going on from before it"
+        with pytest.warns(UserWarning, match=told):
+            again = session(folder.path, fleet, "latest")
+    assert_same(again, whole)
+
+
+def test_another_interval_of_saving_resumes_too(tmp_path, fleet):
+    whole, folder = session(tmp_path / "whole", fleet), session(tmp_path / "run", fleet, save_every=10)
+    newest = max((folder.path / "checkpoints" / "a").iterdir())
+    newest.write_bytes(b"")
+    with pytest.warns(UserWarning, match="going on from before it"):
+        again = session(folder.path, fleet, "latest", save_every=4)
+    for ours, theirs in zip(*(f.published["thrusters"] for f in (again, whole)), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    once_more = session(folder.path, fleet, "latest")
+    for ours, theirs in zip(*(f.published["predictions"] for f in (once_more, whole)), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_runs_are_never_mixed(tmp_path, fleet):
+    run = session(tmp_path / "run", fleet)
+    other = align_fleet([recording("a", "one", 6.0, speed=0.5), recording("b", "one", 9.0)])
+    swapped = {"configuration": {"estimators": {"rls": 2, "aid": 1}, "combiners": {}}}
+    for wrong in ({"fleet": other}, {"fleet": fleet, "metadata": swapped}):
+        with pytest.raises(ConfigError, match=r"another hydra\.run\.dir"):
+            session(run.path, resume="latest", **wrong)
+    busy = session(tmp_path / "busy", other)
+    with pytest.raises(ConfigError, match="already holds"):
+        session(busy.path, fleet, str(run.path))
+    with pytest.raises(ConfigError, match="already holds"):
+        session(run.path, fleet)
+    with pytest.raises(CheckpointError, match="has no parameter set of c"):
+        session(tmp_path / "new", align_fleet([recording("a", "one", 4.0), recording("c", "one", 4.0)]), str(run.path))
+
+
+def test_a_new_season_starts_from_the_newest_parameters(tmp_path, fleet):
+    run = session(tmp_path / "run", fleet)
+    other = align_fleet([recording("a", "new", 6.0, speed=0.5), recording("b", "new", 9.0)])
+    folder = RunFolder(tmp_path / "next", other, SETTINGS)
+    start = folder.begin(model().init((2,)), str(run.path))
+    for lane, boat in enumerate(("a", "b")):
+        newest = checkpoint.load(checkpoint.checkpoints(run.path / "checkpoints" / boat)[-1])[0]
+        for name, leaf in named_leaves(start.state):
+            assert torch.equal(leaf[lane], torch.from_numpy(newest[name])), (boat, name)
+
+
+def test_a_set_that_tells_nothing_of_its_boat_is_a_start(tmp_path, fleet):
+    """As `Online` saves it."""
+    path = checkpoint.save(tmp_path / "a.safetensors", model().init(), estimator="Ensemble")
+    folder = RunFolder(tmp_path / "next", fleet, SETTINGS)
+    assert folder.begin(model().init((2,)), str(path)).note == f"starting from a set, {path}"
+
+
+@pytest.mark.parametrize("foreign", [{"configuration": []}, {}], ids=str)
+def test_a_set_without_a_configuration_is_passed_over(tmp_path, fleet, foreign):
+    run = session(tmp_path / "run", fleet)
+    newest = max((run.path / "checkpoints" / "a").iterdir())
+    leaves, facts = checkpoint.load(newest)
+    checkpoint.save(newest, leaves, **{key: value for key, value in facts.items() if key != "configuration"} | foreign)
+    assert configuration(run.path) == SETTINGS["configuration"]
+
+
+def shuffled(tmp_path, rng) -> None:
+    """The clock told anything while all files were written."""
+    for path in tmp_path.rglob("*"):
+        os.utime(path, (float(rng.uniform(0, 2e9)),) * 2)
+
+
+def began(folder) -> int:
+    return json.loads((folder / "runs.json").read_text())["began"]["number"]
+
+
+def test_the_latest_run_is_the_one_that_began_last_whatever_the_clock_says(tmp_path, fleet, monkeypatch):
+    rng = np.random.default_rng(0)
+    for k, name in enumerate("cab"):
+        monkeypatch.setattr(run_folder.time, "time", lambda k=k: 2e9 - 1e8 * k)  # set back before each run
+        session(tmp_path / name, fleet)
+    assert [began(tmp_path / name) for name in "cab"] == [1, 2, 3]
+    other = align_fleet([recording("a", "new", 6.0, speed=0.5), recording("b", "new", 9.0)])
+    for k in range(5):
+        shuffled(tmp_path, rng)
+        new = RunFolder(tmp_path / f"new{k}", other, SETTINGS)
+        assert new._latest() == tmp_path / ("b" if k == 0 else f"new{k - 1}")
+        new.begin(model().init((2,)), "latest")
+    assert [path.name for path in run_folders(tmp_path)] == [*"cab", "new0", "new1", "new2", "new3", "new4"]
+
+
+def test_a_run_that_went_on_is_the_latest(tmp_path, fleet):
+    for name in ("first", "second"):
+        session(tmp_path / name, fleet)
+    session(tmp_path / "first", fleet, "latest")
+    assert (began(tmp_path / "first"), began(tmp_path / "second")) == (3, 2)
+    shuffled(tmp_path, np.random.default_rng(1))
+    assert RunFolder(tmp_path / "next", fleet, SETTINGS)._latest() == tmp_path / "first"
+    elsewhere = session(tmp_path / "other" / "run", fleet, str(tmp_path / "first"))
+    assert began(elsewhere.path) == 4  # later than what it goes on from, wherever that is
+
+
+def test_runs_without_a_record_of_their_beginning(tmp_path, fleet):
+    """Those of an older version: the one with the newest set, as before, and before any that has the record."""
+    for k, name in enumerate(("old", "older")):
+        folder = session(tmp_path / name, fleet).path
+        content = json.loads((folder / "runs.json").read_text())
+        del content["began"]
+        (folder / "runs.json").write_text(json.dumps(content))
+        for path in folder.rglob("*.*"):
+            os.utime(path, (1e9 - k, 1e9 - k))
+    latest = RunFolder(tmp_path / "next", fleet, SETTINGS)._latest
+    assert latest() == tmp_path / "old"
+    for number in ("3", None, True, -1, 1e300, [1]):
+        content["began"] = {"number": number}
+        (tmp_path / "older" / "runs.json").write_text(json.dumps(content))
+        os.utime(tmp_path / "older" / "runs.json", (1e9 - 1, 1e9 - 1))
+        assert latest() == tmp_path / "old", number
+    session(tmp_path / "new", fleet)
+    shuffled(tmp_path, np.random.default_rng(2))
+    assert began(tmp_path / "new") == 1 and latest() == tmp_path / "new"
+
+
+def test_of_two_that_began_at_once_the_one_that_came_further_is_the_latest(tmp_path, fleet):
+    for name in ("z", "a"):
+        session(tmp_path / name, fleet)
+        content = json.loads((tmp_path / name / "runs.json").read_text()) | {"began": {"number": 1}}
+        (tmp_path / name / "runs.json").write_text(json.dumps(content))
+    for boat in "ab":
+        checkpoint.checkpoints(tmp_path / "z" / "checkpoints" / boat)[-1].unlink()
+    for seed in range(10):
+        shuffled(tmp_path, np.random.default_rng(seed))
+        assert RunFolder(tmp_path / "next", fleet, SETTINGS)._latest() == tmp_path / "a"

@@ -1,0 +1,68 @@
+"""A thruster that fails in the simulator: the boat before it is the same, after it the force balance is another."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hydra.utils import instantiate
+
+from tests.simulate.test_simulate_logs import same
+from tests.test_docs import ROOT
+from usvlearn.errors import ConfigError
+from usvlearn.simulate.autopilot import Autopilot
+from usvlearn.simulate.fault import Fault, faulty_vessels
+from usvlearn.simulate.fleet import fleet, sail
+from usvlearn.simulate.plants import plant
+from usvlearn.simulate.scenario import Mission
+
+SHORT = {"n": 2, "hours": 0.05, "mission_minutes": 1.5, "seed": 4, "aborted_share": 0.0, "paused_share": 0.0}
+
+
+def test_nothing_differs_before_the_fault_and_all_missions_do_after():
+    healthy, faulty = fleet(**SHORT), fleet(**SHORT, fault=Fault(minute=1.0))
+    for before, after in zip(healthy, faulty, strict=True):
+        both = [r.channels["heading"] for r in (before, after)]
+        early = both[0].time < (60.0 if before.run.startswith("001") else 0.0)
+        assert np.array_equal(both[0].time, both[1].time)
+        assert np.array_equal(both[0].value[early], both[1].value[early])
+        assert np.abs(both[0].value - both[1].value)[~early].max() > 0.1
+    assert same(healthy, fleet(**SHORT, fault=Fault(minute=60.0)))  # after the season
+    assert same(healthy, fleet(**SHORT, fault=Fault(share=1.0, minute=1.0)))
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_speed_and_turn_settle_where_the_weaker_side_balances_the_drag(side):
+    ticks = 400
+    course = Mission(np.full(ticks, np.nan), np.full(ticks, 1.0), np.zeros(ticks), np.ones(ticks))
+    zero = torch.zeros((), dtype=torch.float64)
+    later = faulty_vessels(Fault(side, 0.4, 50 / 60), plant("heron"), [ticks], 4.0)
+    assert list(later) == [200]
+    deaf = Autopilot(heading=0.0)
+    _, surge, heading, _ = sail(plant("heron"), [[course]], zero, zero, deaf, later)
+    rate = 0.6 * (0.4 - 1) * (1 if side == "left" else -1)  # one side full ahead alone: 0.6 rad/s
+    assert torch.diff(heading[-8:, 0, 0]).numpy() / (1 / 12) == pytest.approx(np.full(7, rate), abs=1e-6)
+    linear = 16.45 + 8.0 * abs(rate)  # of the drag, then the root of 2.942 v² + linear v = thrust
+    root = (-linear + math.sqrt(linear**2 + 4 * 2.942 * 1.4 * 33.6)) / (2 * 2.942)
+    assert surge[-1].item() == pytest.approx(root, rel=1e-4)
+    assert surge[590].item() == pytest.approx(2.741, abs=5e-3)  # before it the maker's top speed
+
+
+@pytest.mark.parametrize(
+    ("options", "name"), [({"side": "bow"}, "side"), ({"share": 1.5}, "share"), ({"minute": -1.0}, "minute")]
+)
+def test_a_fault_out_of_range_is_refused_by_name(options, name):
+    with pytest.raises(ConfigError, match=name):
+        Fault(**options)
+
+
+def test_the_experiment_composes_and_has_its_fault():
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        plain = compose("train")
+        cfg = compose("train", ["experiment=thruster_fault"])
+        assert compose("train", ["experiment=none"]) == plain
+    assert plain.data.fault is None
+    assert instantiate(cfg.data.fault) == Fault("left", 0.4, 10.0)
+    assert cfg.data.hours == pytest.approx(cfg.data.mission_minutes / 60)
+    assert cfg.data.mission_minutes > cfg.data.fault.minute

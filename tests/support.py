@@ -1,0 +1,67 @@
+"""What the tests share: folders, and the list of estimators that every property in test_contracts.py runs over.
+
+A new estimator is one line in that list.
+"""
+
+from pathlib import Path
+
+from usvlearn import (
+    AID,
+    BOA,
+    RLS,
+    RNN,
+    Average,
+    Bank,
+    Ensemble,
+    ExponentialWeights,
+    FixedWeights,
+    Persistence,
+    Projected,
+    QuasiStatic,
+    RecursiveWeights,
+    Robust,
+    SIFtRLS,
+    SurgeDynamics,
+    WithMemory,
+)
+
+ROOT = Path(__file__).parents[1]
+REAL_LOGS = ROOT.parent / "shared" / "data"
+
+
+def _members() -> dict:
+    return {"aid": AID(28.0), "rls": RLS(), "rnn": RNN(6)}
+
+
+ESTIMATORS = {
+    "aid": lambda: AID(28.0),
+    "aid_estimate": lambda: AID(28.0, feedback="estimate", dead_zone=0.01),
+    "rls": lambda: RLS(QuasiStatic(), forgetting=0.98),
+    "dynamic_rls": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98),
+    "dynamic_rls_estimate": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98, feedback="estimate"),
+    "sift": lambda: SIFtRLS(QuasiStatic(), memory=5.0),
+    "dynamic_sift": lambda: SIFtRLS(SurgeDynamics(28.0), memory=5.0),
+    "dynamic_sift_estimate": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5.0, feedback="estimate"),
+    "projected": lambda: Projected(SIFtRLS(SurgeDynamics(28.0), memory=5.0)),
+    "robust_aid": lambda: Robust(AID(28.0), threshold=1.345),
+    "robust_memory": lambda: Robust(
+        WithMemory(SIFtRLS(SurgeDynamics(28.0, memory=True, ambient=True), memory=5.0)), threshold=1.345, scale=0.6
+    ),
+    "memory_aid": lambda: WithMemory(AID(model=SurgeDynamics(28.0, memory=True))),
+    "rnn": lambda: RNN(6),
+    "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3, unroll=2, decay=None),
+    "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
+    "persistence": Persistence,
+    "average": lambda: Ensemble(_members()),
+    "fixed": lambda: Ensemble(_members(), {"fixed": FixedWeights({"aid": 0.5, "rls": 0.2, "rnn": 0.3})}),
+    "weighted": lambda: Ensemble(
+        _members(), {"average": Average(["aid", "rls"]), "weighted": RecursiveWeights(forgetting=0.98)}
+    ),
+    "boa": lambda: Ensemble(
+        {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "rls": RLS(), "persistence": Persistence()},
+        {"boa": BOA(prior={"rls": 0.5})},
+    ),
+    "exponential": lambda: Ensemble(
+        {"aid": AID(28.0), "sift": SIFtRLS(), "persistence": Persistence()}, {"exponential": ExponentialWeights()}
+    ),
+}

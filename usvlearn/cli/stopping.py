@@ -1,0 +1,193 @@
+"""How a process ends on SIGINT (Ctrl-C) and SIGTERM: nothing is left half-written, and a second signal ends it at once.
+
+A signal raises `Stopped` where it arrives: reading, compiling, tuning and judging hold nothing that would be lost. A
+replay is different: `until_stopped` lets it finish its chunk and save. A worker of a sweep gets its signal from the
+process that started it, and stays alive: the launcher would kill the other workers if one of them ended.
+"""
+
+from __future__ import annotations
+
+import _thread
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any, TypeVar
+
+PERIOD = 0.2  # s, after which workers are told of a signal
+DELAY = 0.02  # s, after which a signal that cannot be heeded arrives once more
+SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
+T = TypeVar("T")
+
+
+class Stopped(BaseException):
+    """A signal asked this process to end. It is no Exception, so that nothing records it as a failure.
+
+    >>> Stopped(signal.SIGTERM).code, str(Stopped(signal.SIGINT))
+    (143, 'stopped by SIGINT')
+    """
+
+    def __init__(self, number: int):
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+        self.code = 128 + number
+        self.folder: Path | None = None  # of the run that was stopped, where one had begun
+
+
+class _Process:
+    """What the handler knows; signals belong to a process, so there is one."""
+
+    received: int | None = None  # the first signal
+    delayed = False  # whether it will arrive once more
+    at_once = False  # whether it raises where it arrives
+    program = False  # whether it is the one that was started, not a worker
+
+
+def _receive(number: int, frame: FrameType | None) -> None:
+    if _Process.delayed:
+        _Process.delayed = False
+    elif _Process.received is None:
+        _Process.received = number
+    else:
+        if _Process.program:
+            _end(number)
+        return
+    if _Process.at_once and _called_by_llvm(frame):
+        _Process.delayed = True
+        threading.Timer(DELAY, _thread.interrupt_main, [number]).start()  # the same signal again
+    else:
+        check_stopped()
+
+
+def _called_by_llvm(frame: FrameType | None) -> bool:
+    """Whether this is Python code that LLVM has called: there an error is printed and lost, and compiling fails."""
+    while frame is not None and frame.f_code.co_name not in ("_raw_object_cache_notify", "_raw_object_cache_getbuffer"):
+        frame = frame.f_back
+    return frame is not None
+
+
+def _end(number: int) -> None:
+    """Leave without any more work; what is on the disk is whole, since files are replaced atomically."""
+    for worker in multiprocessing.active_children():
+        worker.kill()
+    if sys.stdout is not None and sys.stdout.isatty():
+        os.write(sys.stdout.fileno(), SHOW_CURSOR.encode())
+    os._exit(128 + number)
+
+
+def check_stopped() -> None:
+    """Raise `Stopped` if a signal has arrived and nothing defers it.
+
+    >>> check_stopped()
+    """
+    if _Process.received is not None and _Process.at_once:
+        raise Stopped(_Process.received)
+
+
+@contextmanager
+def heeded() -> Iterator[None]:
+    """Let SIGINT and SIGTERM raise `Stopped` in this block; handlers that somebody else has set are left alone.
+
+    >>> with heeded():
+    ...     signal.raise_signal(signal.SIGTERM)
+    Traceback (most recent call last):
+    usvlearn.cli.stopping.Stopped: stopped by SIGTERM
+    """
+    _Process.program, _Process.received, _Process.at_once = True, None, True
+    before = _install(_receive)
+    try:
+        yield
+    finally:
+        _Process.program, _Process.received, _Process.at_once = False, None, False
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def heeded_in_worker() -> Iterator[None]:
+    """Let the SIGTERM of the program raise `Stopped` in this block of its worker, or at its start if it came before.
+
+    A worker ignores Ctrl-C, which the program has received, too. After the block it does not end by a signal. Where the
+    launcher has a handler of its own, as Slurm's has, both signals are the launcher's.
+    """
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        _install(_receive, signal.SIG_IGN)
+    _Process.at_once = True
+    try:
+        check_stopped()
+        yield
+    finally:
+        _Process.at_once = False
+
+
+def _install(on_terminate: Any, on_interrupt: Any = None) -> dict[int, Any]:
+    """Set handlers where the defaults stand, and return those; a handler that somebody else has set stays."""
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    wanted = {signal.SIGTERM: on_terminate, signal.SIGINT: on_interrupt or on_terminate}
+    before = {number: signal.getsignal(number) for number in wanted}
+    before = {number: each for number, each in before.items() if each in (signal.SIG_DFL, signal.default_int_handler)}
+    for number in before:
+        signal.signal(number, wanted[number])
+    return before
+
+
+def in_program() -> bool:
+    """Whether this process is the one that was started, not a worker of it.
+
+    >>> in_program()
+    False
+    """
+    return _Process.program
+
+
+def hold() -> None:
+    """From now on a signal waits for `release`: workers finish what they do, and their launcher ends by itself."""
+    _Process.at_once = False
+    threading.Thread(target=_tell_workers, daemon=True).start()
+
+
+def _tell_workers() -> None:
+    """Pass a signal on to all workers as SIGTERM, also to those that start later; they heed the first."""
+    while _Process.program and not _Process.at_once:
+        time.sleep(PERIOD)
+        if _Process.received is not None:
+            for worker in multiprocessing.active_children():
+                worker.terminate()
+
+
+def release() -> None:
+    """End what `hold` began: raise `Stopped` if a signal has arrived meanwhile."""
+    _Process.at_once = True
+    check_stopped()
+
+
+def was_stopped() -> Stopped | None:
+    """What a signal that has arrived in this program raises, or None."""
+    return None if _Process.received is None else Stopped(_Process.received)
+
+
+def until_stopped(chunks: Iterable[T], save: Callable[[], object]) -> Iterator[T]:
+    """Yield chunks; once a signal arrives, finish the chunk and its use, call `save`, and raise `Stopped`.
+
+    Before the first chunk is there, code is compiled and nothing is learned: a signal then raises at once.
+
+    >>> list(until_stopped([1, 2], print))
+    [1, 2]
+    """
+    chunks, before = iter(chunks), _Process.at_once
+    try:
+        for chunk in chunks:
+            _Process.at_once = False
+            yield chunk
+            if _Process.received is not None:
+                save()
+                break
+    finally:
+        _Process.at_once = before
+    check_stopped()

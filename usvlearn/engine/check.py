@@ -1,0 +1,277 @@
+"""Is what a file says of an estimator, and of its state, legal? The kernels trust both: they check no index.
+
+A description (`Estimator.spec`) is read entry by entry, and held against what the families declare (`ranges.Family`).
+Its sizes are bounded, and held against the leaves, before anything is made of them. This is done once, where a file is
+opened; what an estimator says in this process, its own constructor has checked.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Collection, Mapping
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.engine.dispatch import ENSEMBLE_PARAMETERS, FAMILIES, WRAPPERS
+from usvlearn.engine.leaves import batch_of, leaves_of
+from usvlearn.errors import CheckpointError, ShapeError
+from usvlearn.estimators.ensemble.combiners_kernel import CONFORMAL_NUMBERS, RULES
+from usvlearn.estimators.ensemble.monitors_kernel import MONITOR_NUMBERS
+from usvlearn.estimators.least_squares.kernel import ITERATIONS
+from usvlearn.estimators.regressors.kernel import LEGAL_TERMS, parameters
+from usvlearn.family import Field, Range
+
+LARGEST = 2**20  # numbers of a lane: its state, its parameters, its table
+CELLS = 16  # of the table, of each estimator and rule, beside the members of a rule
+SETTINGS = Range(1, LARGEST)  # of a bank
+DTYPES = (np.dtype(np.float64), np.dtype(np.float32))
+
+
+class Numbers(NamedTuple):
+    """Parameters, which are checked when the batch is known."""
+
+    entry: str
+    value: Any
+    legal: Range
+    own: tuple[int, ...] = ()  # their shape without the batch: settings of a bank, length of a vector
+    vector: bool = False  # whether the last axis is that of a vector, which nothing broadcasts to
+
+
+def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
+    """Raise a CheckpointError, which names the entry, unless the kernels can go on from what a file says.
+
+    Args:
+        description: of an estimator, as `Estimator.spec` gives it, from JSON.
+        leaves: of its state, `(*batch, …)`, by dotted name.
+
+    >>> check({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
+    >>> check({"kind": "persistence", "size": 1, "numbers": {}}, {"surge": np.array(1.5)})
+    Traceback (most recent call last):
+    usvlearn.errors.CheckpointError: kernel.size: found 1, expected 0
+    """
+    reading = _Reading()
+    reading.whole(description)
+    fields = leaves_of(description)
+    total = reading.cells + sum(
+        prod(shape) for shape in (*(x.own for x in reading.numbers), *(x.shape for x in fields.values()))
+    )
+    if total > LARGEST:
+        raise CheckpointError(f"kernel: found {total} numbers in all, expected {LARGEST} at most")
+    batch, dtype = _check_state(fields, leaves)
+    for each in reading.numbers:
+        _check_numbers(each, batch, dtype)
+
+
+def _check_state(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[tuple[int, ...], np.dtype]:
+    """The batch and the dtype of a state; a CheckpointError, which names the leaf, where it is not legal."""
+    if other := sorted(fields.keys() ^ leaves.keys()):
+        found = "found no such leaf" if other[0] in fields else "found a leaf that the estimator has not"
+        raise CheckpointError(f"state.{other[0]}: {found}, expected those that the description has")
+    try:
+        batch = batch_of(fields, leaves)
+    except ShapeError as error:
+        raise CheckpointError(f"state.{error}") from error
+    dtype = next(leaves[name].dtype for name, field in fields.items() if not field.flag)
+    for name, (own, legal, flag) in fields.items():
+        leaf, shape, wanted = leaves[name], (*batch, *own), np.dtype(bool) if flag else dtype
+        if leaf.shape != shape or leaf.size == 0:
+            raise CheckpointError(f"state.{name}: found the shape {leaf.shape}, expected {shape}, none of them 0")
+        if leaf.dtype != wanted or not (flag or dtype in DTYPES):
+            raise CheckpointError(
+                f"state.{name}: found numbers of {leaf.dtype}, expected {wanted if flag else 'float64 or float32'}, "
+                "the same in all leaves"
+            )
+        if len(illegal := legal.wrong(leaf)):
+            raise CheckpointError(f"state.{name}: found {illegal[0]}, expected {legal}")
+    return batch, dtype
+
+
+def _check_numbers(numbers: Numbers, batch: tuple[int, ...], dtype: np.dtype) -> None:
+    """Raise a CheckpointError unless parameters are numbers, broadcast against the batch, and are legal in a dtype."""
+    entry, value, legal, own, vector = numbers
+    try:
+        array = np.asarray(value)
+    except ValueError:  # lists of different lengths, or nested too deep
+        array = np.asarray(None)
+    if array.dtype.kind not in "iuf":
+        raise wrong(entry, value, "a number, or lists of numbers")
+    shape = (*batch, *own)
+    behind = shape[len(shape) - array.ndim :]
+    fits = array.ndim <= len(shape) and all(x in (1, y) for x, y in zip(array.shape, behind, strict=True))
+    if not fits or (vector and array.shape[-1:] != own[-1:]):
+        raise CheckpointError(f"{entry}: found the shape {array.shape}, expected one that broadcasts against {shape}")
+    with np.errstate(over="ignore"):
+        array = array.astype(dtype)
+    if len(illegal := legal.wrong(array)):
+        raise CheckpointError(f"{entry}: found {illegal[0]}, expected {legal}")
+
+
+class _Reading:
+    """Reads a description entry by entry; a CheckpointError where one is not legal.
+
+    Attributes:
+        numbers: the parameters that were found.
+        cells: of the table that the description takes.
+    """
+
+    def __init__(self) -> None:
+        self.numbers: list[Numbers] = []
+        self.cells = CELLS
+
+    def whole(self, description: Any) -> None:
+        """An estimator or an ensemble."""
+        if _kind("kernel", description) != "ensemble":
+            self._wrapped("kernel", description, ())
+            return
+        keys = ("kind", "members", "output", "columns", "rules", "numbers", "conformal", "monitors")
+        _keys("kernel", description, keys)
+        count, rules = 0, _some("kernel.rules", description["rules"])
+        for name, member in _some("kernel.members", description["members"]).items():
+            if not name.isidentifier():  # the names of leaves are made of it
+                raise wrong("kernel.members", name, "names of letters, digits and _")
+            count += self._member(f"kernel.members.{name}", member)
+        columns = _list("kernel.columns", description["columns"], Range(count, count))
+        for k, name in enumerate(columns):
+            if not isinstance(name, str):
+                raise wrong(f"kernel.columns[{k}]", name, "a name")
+        widest = max(self._rule(f"kernel.rules.{name}", name, rule, count) for name, rule in rules.items())
+        self.cells = (count + len(rules)) * (CELLS + widest)
+        _choose("kernel.output", description["output"], list(rules))
+        self._parameters("kernel.numbers", description["numbers"], ENSEMBLE_PARAMETERS)
+        self._parameters("kernel.conformal", description["conformal"], CONFORMAL_NUMBERS)
+        if description["monitors"] is not None:
+            self._parameters("kernel.monitors", description["monitors"], MONITOR_NUMBERS)
+
+    def _member(self, entry: str, member: Any) -> int:
+        """A member of an ensemble; returns how many columns it has."""
+        if _kind(entry, member) != "bank":
+            self._wrapped(entry, member, ())
+            return 1
+        _keys(entry, member, ("kind", "inner", "count"))
+        count = _number(f"{entry}.count", member["count"], SETTINGS)
+        self._wrapped(f"{entry}.inner", member["inner"], (count,))
+        return count
+
+    def _wrapped(self, entry: str, member: Any, settings: tuple[int, ...]) -> None:
+        """An estimator and its wrappers."""
+        left = dict(WRAPPERS)
+        while (kind := _kind(entry, member)) in left:
+            _keys(entry, member, ("kind", "inner", "numbers"))
+            self._parameters(f"{entry}.numbers", member["numbers"], left.pop(kind).numbers, settings)
+            entry, member = f"{entry}.inner", member["inner"]
+        family = FAMILIES[_choose(f"{entry}.kind", kind, [*FAMILIES, *left])]
+        signs = ("signs", "iterations") if family.projects and ("signs" in member or "iterations" in member) else ()
+        terms = ("terms",) if family.size is None else ()
+        vectors = ("vectors",) if family.vectors else ()
+        _keys(entry, member, ("kind", "size", "numbers", *family.choices, *terms, *vectors, *signs))
+        for key, choices in family.choices.items():
+            _choose(f"{entry}.{key}", member[key], choices)
+        if legal := family.size:
+            size = _number(f"{entry}.size", member["size"], legal)
+        else:  # terms of memory need what the wrapper remembers
+            remembers = [each for each in LEGAL_TERMS if "memory" not in left or "memory" not in each]
+            size = parameters(_choose(f"{entry}.terms", member["terms"], remembers))
+            _number(f"{entry}.size", member["size"], Range(size, size))
+        self._parameters(f"{entry}.numbers", member["numbers"], family.numbers, settings)
+        if vectors:
+            _keys(f"{entry}.vectors", member["vectors"], family.vectors)
+        for name, (length, legal) in family.vectors.items():
+            own = (*settings, length(size))
+            self.numbers.append(Numbers(f"{entry}.vectors.{name}", member["vectors"][name], legal, own, True))
+        if signs:
+            for k, sign in enumerate(_list(f"{entry}.signs", member["signs"], Range(size, size))):
+                _choose(f"{entry}.signs[{k}]", sign, (-1, 0, 1))
+            _number(f"{entry}.iterations", member["iterations"], ITERATIONS)
+
+    def _rule(self, entry: str, name: str, rule: Any, count: int) -> int:
+        """A rule over so many columns; returns how many are its own."""
+        if not name or "." in name:
+            raise wrong("kernel.rules", name, "names without a dot")
+        family = RULES[_choose(f"{entry}.kind", _kind(entry, rule), list(RULES))]
+        _keys(entry, rule, ("kind", "columns", "numbers", *family.choices, *(("vector",) if family.vectors else ())))
+        columns = _list(f"{entry}.columns", rule["columns"], Range(1, count))
+        for k, column in enumerate(columns):
+            _number(f"{entry}.columns[{k}]", column, Range(0, count - 1))
+        if len(set(columns)) < len(columns):
+            raise wrong(f"{entry}.columns", columns, "each once")
+        for key, choices in family.choices.items():
+            _choose(f"{entry}.{key}", rule[key], choices)
+        self._parameters(f"{entry}.numbers", rule["numbers"], family.numbers)
+        lengths = [each.length(len(columns)) for each in family.vectors.values()]
+        if lengths:
+            vector = _list(f"{entry}.vector", rule["vector"], Range(sum(lengths), sum(lengths)))
+        begin = 0
+        for length, (_, legal) in zip(lengths, family.vectors.values(), strict=True):
+            part = vector[begin : begin + length]
+            self.numbers.append(Numbers(f"{entry}.vector[{begin}:]", part, legal, (length,), True))
+            begin += length
+        return len(columns)
+
+    def _parameters(self, entry: str, values: Any, legal: Mapping[str, Range], settings: tuple[int, ...] = ()) -> None:
+        """Numbers by name."""
+        _keys(entry, values, legal)
+        self.numbers += [Numbers(f"{entry}.{name}", values[name], each, settings) for name, each in legal.items()]
+
+
+def wrong(entry: str, found: Any, expected: str) -> CheckpointError:
+    """The error of an entry."""
+    return CheckpointError(f"{entry}: found {reprlib.repr(found)}, expected {expected}")
+
+
+def _some(entry: str, found: Any) -> dict[str, Any]:
+    """A dictionary in which something stands."""
+    if not isinstance(found, dict):
+        raise wrong(entry, found, "a dictionary")
+    if not found:
+        raise wrong(entry, found, "at least one")
+    return found
+
+
+def _keys(entry: str, found: Any, expected: Collection[str]) -> None:
+    """A dictionary of these keys."""
+    if not isinstance(found, dict):
+        raise wrong(entry, found, "a dictionary")
+    names = ", ".join(expected) or "nothing"
+    if other := sorted(found.keys() ^ set(expected)):
+        what = "found no" if other[0] in expected else "found"
+        raise CheckpointError(f"{entry}: {what} {reprlib.repr(other[0])}, expected {names}")
+
+
+def _kind(entry: str, found: Any) -> str:
+    """What kind an entry says it is."""
+    if not isinstance(found, dict):
+        raise wrong(entry, found, "a dictionary")
+    if "kind" not in found:
+        raise CheckpointError(f"{entry}: found no 'kind', expected the kind of an estimator or a rule")
+    if not isinstance(found["kind"], str):
+        raise wrong(f"{entry}.kind", found["kind"], "the kind of an estimator or a rule")
+    return found["kind"]
+
+
+def _number(entry: str, found: Any, legal: Range) -> int:
+    """A whole number."""
+    expected = f"{legal.least:g}" if legal.least == legal.most else str(legal)
+    if not isinstance(found, int) or isinstance(found, bool):
+        raise wrong(entry, found, f"a whole number, {expected}")
+    if not legal.least <= found <= legal.most:
+        raise wrong(entry, found, expected)
+    return found
+
+
+def _list(entry: str, found: Any, count: Range) -> list[Any]:
+    """A list of so many."""
+    if not isinstance(found, list):
+        raise wrong(entry, found, "a list")
+    if not count.least <= len(found) <= count.most:
+        expected = f"{count.least:g}" if count.least == count.most else str(count)
+        raise CheckpointError(f"{entry}: found {reprlib.repr(found)}, expected {expected} of them")
+    return found
+
+
+def _choose(entry: str, found: Any, choices: Collection[Any]) -> Any:
+    """One of these, of its very type."""
+    if not any(type(found) is type(each) and found == each for each in choices):
+        raise wrong(entry, found, f"one of {', '.join(map(repr, choices))}")
+    return found

@@ -1,0 +1,97 @@
+"""Free simulations, judged as they go: what `evaluation.crossval` adds up, without a prediction ever written down."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from usvlearn.engine.dispatch import (
+    ESTIMATORS,
+    LIMIT,
+    NAMES,
+    PREDICTIONS,
+    RULE_NUMBERS,
+    RULE_STATE,
+    mask_diverged,
+    step,
+)
+from usvlearn.engine.leaves import Description
+from usvlearn.engine.program import plan_for
+from usvlearn.engine.run import in_parallel, prepared
+from usvlearn.estimators.ensemble.combiners_kernel import combine, fill_sleeping, learn_rule
+from usvlearn.jit import announced, jit
+from usvlearn.rows import DT, LEARN, MODE, PREDICT, START, SURGE
+from usvlearn.signals import Sample
+
+
+@jit
+def add_up(prediction, surge, limit, learns, total):
+    """Add |error| and error², and note whether the simulation diverged."""
+    if not abs(prediction) < limit:
+        total[2] = 1.0
+        prediction = -limit if prediction < 0 else limit
+    if learns:
+        error = abs(prediction - surge)
+        total[0] += error
+        total[1] += error * error
+
+
+@jit
+def assess(program, states, others, q, rows, columns, learning, totals, work, first, last):
+    """Lanes first … last − 1 free through all steps; `others` hold rules that go on learning, `learning` names them.
+
+    `totals` is `(lanes, names + learning, 3)`, and is added to.
+    """
+    whole = program[0]
+    n, names, limit = whole[ESTIMATORS], whole[NAMES], q[0, whole[LIMIT]]
+    awake, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
+    for lane in range(first, last):
+        s, other, numbers, total = states[lane], others[lane], q[lane if len(q) > 1 else 0], totals[lane]
+        predictions = s[whole[PREDICTIONS] : whole[PREDICTIONS] + names]
+        for k in range(rows.shape[1]):
+            row = rows[columns[lane], k]
+            learns = row[MODE] == LEARN
+            step(program, s, numbers, row, PREDICT if learns else row[MODE], work)
+            if row[MODE] <= START:
+                continue
+            for i in range(names):
+                add_up(predictions[i], row[SURGE], limit, learns, total[i])
+            mask_diverged(predictions, limit, awake)
+            for i in range(len(learning)):
+                rule = program[1 + n + learning[i]]
+                own, c = other[rule[RULE_STATE] :], numbers[rule[RULE_NUMBERS] :]
+                asleep = fill_sleeping(rule, own, c, awake, x)
+                add_up(combine(rule, own, c, x), row[SURGE], limit, learns, total[names + i])
+                if learns:
+                    learn_rule(rule, own, c, x, asleep, row[SURGE], row[DT], rest)
+
+
+def free_totals(
+    description: Description,
+    leaves: Mapping[str, np.ndarray],
+    samples: Sample,
+    learning: Sequence[int],
+    threads: int = 1,
+) -> np.ndarray:
+    """Σ |error|, Σ error² and whether it diverged, `(*batch, methods, 3)`, of free simulations of an ensemble.
+
+    Args:
+        description, leaves, samples, threads: as of `run.roll`.
+        learning: rules that are judged once more, with weights that go on learning.
+    """
+    plan = plan_for(description, samples.surge.shape[1:], samples.surge.dtype)
+    states = plan.pack(leaves)
+    others = states.copy()
+    totals = np.zeros((plan.lanes, plan.program[0, NAMES] + len(learning), 3), plan.dtype)
+    numbers, rules = plan.numbers, np.asarray(learning, np.int64)
+
+    def some(first: int, last: int) -> None:
+        work = np.empty(plan.work, plan.dtype)
+        assess(plan.program, states, others, numbers, rows, columns, rules, totals, work, first, last)
+
+    with announced(__file__, f"kernels of free runs, {plan.dtype}"):
+        rows, columns = prepared(samples, plan)
+        some(0, 0)  # compiles
+    in_parallel(some, plan.lanes, threads)
+    return totals.reshape(*plan.batch, -1, 3)

@@ -1,0 +1,95 @@
+"""Which leaves the state of a described estimator has, in the order of the kernels, and what is legal of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.engine.dispatch import FAMILIES, WRAPPERS
+from usvlearn.errors import ShapeError
+from usvlearn.estimators.ensemble.combiners_kernel import RULES
+from usvlearn.estimators.ensemble.monitors_kernel import monitor_fields
+from usvlearn.family import ANY, NOT_NEGATIVE, POSITIVE, Field
+
+Description = Mapping[str, Any]
+
+
+class Part(NamedTuple):
+    """One estimator of a description, and what wraps it."""
+
+    own: Description  # without its wrappers
+    prefix: str  # of its leaves
+    wrappers: dict[str, tuple[Description, str]]  # by kind, from the outside in, each with the prefix of its leaves
+
+
+def unwrapped(description: Description, prefix: str = "") -> Part:
+    """An estimator apart from its wrappers; `prefix` is that of the leaves of the whole.
+
+    >>> unwrapped({"kind": "robust", "inner": {"kind": "persistence"}}).prefix
+    'inner.'
+    """
+    wrappers = {}
+    while description["kind"] in WRAPPERS:
+        wrappers[description["kind"]] = description, prefix
+        description, prefix = description["inner"], f"{prefix}inner."
+    return Part(description, prefix, wrappers)
+
+
+def leaves_of(description: Description) -> dict[str, Field]:
+    """The leaves of the state of an estimator that describes itself so.
+
+    >>> list(leaves_of({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
+    ['inner.surge', 'variance', 'run', 'clipped', 'rejected', 'escaped']
+    """
+    if description["kind"] != "ensemble":
+        return _member(description, "")
+    found = {}
+    for name, member in description["members"].items():
+        own = _member(member, f"members.{name}.")
+        found |= {name: each._replace(legal=each.legal.asleep()) for name, each in own.items()}
+    for name, rule in description["rules"].items():
+        found |= _named(RULES[rule["kind"]].fields(len(rule["columns"])), f"combiners.{name}.")
+    names = len(description["columns"]) + len(description["rules"])
+    return found | ensemble_fields(names, description["monitors"] is not None)
+
+
+def ensemble_fields(names: int, watched: bool) -> dict[str, Field]:
+    """The leaves of an ensemble's own; `names` counts its members' columns and its rules."""
+    return {
+        "conformal.halfwidth": Field((names,), POSITIVE), "conformal.count": Field((names,), NOT_NEGATIVE),
+        "predictions": Field((names,), ANY),  # NaN of who sleeps
+        "halfwidths": Field((names,), POSITIVE),
+        **(_named(monitor_fields(names), "monitors.") if watched else {}),
+    }  # fmt: skip
+
+
+def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:
+    """The batch that a state has, as its first leaf tells; a ShapeError where it is not there.
+
+    >>> batch_of({"surge": Field(())}, {"surge": np.zeros((2, 3))})
+    (2, 3)
+    """
+    name, field = next(iter(fields.items()))
+    if name not in leaves or leaves[name].ndim < len(field.shape):
+        found = f"found the shape {leaves[name].shape}" if name in leaves else "found no such leaf"
+        raise ShapeError(f"{name}: {found}, expected (*batch, {', '.join(map(str, field.shape))})")
+    return leaves[name].shape[: leaves[name].ndim - len(field.shape)]
+
+
+def _member(description: Description, prefix: str) -> dict[str, Field]:
+    """The leaves of one estimator, or of a bank's settings."""
+    if description["kind"] == "bank":
+        inner, count = _member(description["inner"], prefix), description["count"]
+        return {name: each._replace(shape=(count, *each.shape)) for name, each in inner.items()}
+    part = unwrapped(description, prefix)
+    found = _named(FAMILIES[part.own["kind"]].fields(part.own["size"]), part.prefix)
+    for kind in ("memory", "robust"):
+        if kind in part.wrappers:
+            found |= _named(WRAPPERS[kind].fields(0), part.wrappers[kind][1])
+    return found
+
+
+def _named(fields: Mapping[str, Field], prefix: str) -> dict[str, Field]:
+    return {prefix + name: each for name, each in fields.items()}

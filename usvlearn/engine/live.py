@@ -1,0 +1,131 @@
+"""One state, aboard: a step is one call of compiled code, on numbers as they come."""
+
+from __future__ import annotations
+
+import os
+import threading
+import weakref
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numba import config
+from numba.core.errors import NumbaError
+
+from usvlearn.engine import dispatch as step
+from usvlearn.engine.leaves import Description, batch_of, leaves_of
+from usvlearn.engine.program import plan_for
+from usvlearn.jit import announced
+from usvlearn.signals import Inputs, Sample, check_sample, one_number
+
+LIVE, COMPILING = step.step_once, threading.RLock()
+ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # whose steps a fork waits for
+WAITING: list[Live] = []  # those whose locks a fork holds
+
+
+class Live:
+    """Makes one estimator's steps in place.
+
+    Args:
+        description: of the estimator (`Estimator.spec`).
+        leaves: of its state, `(*batch, …)`, by dotted name; all float64 or all float32, but for those that are bool.
+
+    Raises:
+        ShapeError: the leaves are not those of such an estimator.
+
+    >>> live = Live({"kind": "persistence", "size": 0, "numbers": {}}, {"surge": np.array(1.5)})
+    >>> live.step(Sample(Inputs(0.0, 0.0, 0.0, 0.0, 0.4), surge=1.6, fresh=True, measured=True))
+    1.5
+    >>> float(live.leaves["surge"])
+    1.6
+    """
+
+    def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
+        self._description, self._lock = description, threading.RLock()  # the kernels share what they work in
+        first = next(x for x in leaves.values() if x.dtype != bool)
+        self.plan = plan_for(description, batch_of(leaves_of(description), leaves), first.dtype)
+        self.states = self.plan.pack(leaves)
+        self._spare = self.states.copy()  # in which a prediction is made
+        self._work = np.empty(self.plan.work, first.dtype)
+        self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
+        with COMPILING:
+            ALIVE.add(self)
+        if config.DISABLE_JIT:  # plain Python, for a debugger
+            return
+        with COMPILING, announced(__file__, f"kernels of single steps, {first.dtype}"):
+            rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
+            LIVE.disable_compile(False)
+            LIVE(self.plan.program, self.states[0].copy(), self.plan.numbers[0], self._work, *rest)
+            LIVE.disable_compile()  # whole numbers and the like become what it was compiled for
+
+    def __reduce__(self):  # rows are parts of `states`, a copy must make its own
+        return Live, (self._description, self.leaves)
+
+    @property
+    def leaves(self) -> dict[str, np.ndarray]:
+        """The state, copied, between two steps of any thread."""
+        with self._lock:
+            return {name: leaf.copy() for name, leaf in self.plan.unpack(self.states).items()}
+
+    @leaves.setter
+    def leaves(self, leaves: Mapping[str, np.ndarray]) -> None:
+        packed = self.plan.pack(leaves)
+        with self._lock:
+            self.states[:] = packed
+
+    def step(self, sample: Sample) -> Any:
+        """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
+        with self._lock:
+            return self._advance(self._steps, *sample)
+
+    def predict(self, inputs: Inputs) -> Any:
+        """The prediction, m/s; the state stays as it is."""
+        with self._lock:
+            np.copyto(self._spare, self.states)
+            return self._advance(self._predictions, inputs, np.nan, True, False)
+
+    def _arguments(self, states: np.ndarray) -> list[tuple]:
+        """What each lane's step is called with before the sample."""
+        numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
+        return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
+
+    def _advance(self, lanes: list[tuple], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
+        if self.plan.batch:
+            check_sample(Sample(inputs, surge, fresh, measured), self.plan.batch)
+            return self._each(lanes, (*inputs, surge), (fresh, measured))
+        left, right, heading, yaw_rate, dt = inputs
+        if type(fresh) is bool is type(measured):  # compiled code takes any number, even NaN, for a bool
+            try:
+                return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
+            except (TypeError, ValueError, OverflowError, NumbaError):  # not plain numbers
+                pass
+        check_sample(Sample(inputs, surge, fresh, measured))
+        *numbers, fresh, measured = map(one_number, (*inputs, surge, fresh, measured))
+        return LIVE(*lanes[0], *map(float, numbers), bool(fresh), bool(measured))
+
+    def _each(self, lanes: list[tuple], numbers: tuple, masks: tuple) -> np.ndarray:
+        fields = map(one_number, (*numbers, *masks))
+        wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in fields]
+        found = [
+            LIVE(*lane, *map(float, own), bool(fresh), bool(measured))
+            for lane, *own, fresh, measured in zip(lanes, *wide, strict=True)
+        ]
+        return np.array(found, self.plan.dtype).reshape(self.plan.batch)
+
+
+def _before_fork() -> None:
+    """Wait for all steps: a child must find no state in the middle of one, no lock taken by a thread that it lacks."""
+    COMPILING.acquire()
+    WAITING.extend(ALIVE)
+    for live in WAITING:
+        live._lock.acquire()
+
+
+def _after_fork() -> None:
+    while WAITING:
+        WAITING.pop()._lock.release()
+    COMPILING.release()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)

@@ -1,0 +1,94 @@
+"""What the rest of the library calls: runs of samples through kernels, many lanes at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.engine import dispatch as step
+from usvlearn.engine.leaves import Description
+from usvlearn.engine.program import Plan, plan_for
+from usvlearn.jit import announced
+from usvlearn.rows import ROW, prepare_all
+from usvlearn.signals import Sample, named_leaves, tree_map
+
+
+class Result(NamedTuple):
+    """What a run came to."""
+
+    leaves: dict[str, np.ndarray]  # of the state at the end, (*batch, …), by dotted name
+    predictions: np.ndarray  # (time, *batch) m/s
+    record: dict[str, np.ndarray]  # (time, *batch, …) by dotted name
+
+
+def roll(
+    description: Description,
+    leaves: Mapping[str, np.ndarray],
+    samples: Sample,
+    free: bool = False,
+    record: Sequence[str] = (),
+    threads: int = 1,
+) -> Result:
+    """Run an estimator over samples, predicting before learning.
+
+    Args:
+        description: of the estimator.
+        leaves: of its state, `(*batch, …)`, by dotted name.
+        samples: arrays `(time, *batch)`; axes of the batch along which they are the same may have the stride 0.
+        free: learn nothing.
+        record: names of leaves that are kept of every step.
+        threads: lanes are shared among so many.
+    """
+    steps, *batch = samples.surge.shape
+    plan = plan_for(description, batch, samples.surge.dtype)
+    states = plan.pack(leaves)
+    places = {name: plan.places(name) for name in record}
+    picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
+    predictions = np.empty((plan.lanes, steps), plan.dtype)
+    picks = np.empty((plan.lanes, steps, len(picked)), plan.dtype)
+
+    def some(first: int, last: int) -> None:
+        work = np.empty(plan.work, plan.dtype)
+        step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
+
+    with announced(__file__, f"kernels of runs, {plan.dtype}"):
+        rows, columns = prepared(samples, plan)
+        some(0, 0)  # compiles
+    in_parallel(some, plan.lanes, threads)
+    kept, begin = {}, 0
+    for name, place in places.items():
+        part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
+        kept[name] = plan.typed(name, np.ascontiguousarray(np.moveaxis(part, len(batch), 0)))
+        begin += place.size
+    together = np.ascontiguousarray(np.moveaxis(predictions.reshape(*batch, steps), -1, 0))
+    return Result(plan.unpack(states), together, kept)
+
+
+def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
+    """Samples as the kernels want them, `(columns, time, ROW)`, and whose each lane sees, `(lanes,)`.
+
+    Lanes that share their samples, along an axis of stride 0, share a column.
+    """
+    arrays = [leaf for _, leaf in named_leaves(samples)]
+    steps, *batch = arrays[0].shape
+    shared = [all(x.strides[axis + 1] == 0 for x in arrays) or length == 1 for axis, length in enumerate(batch)]
+    own = tuple(1 if same else length for same, length in zip(shared, batch, strict=True))
+    count = int(np.prod(own, dtype=int))
+    pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
+    inputs, *rest = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
+    rows = np.empty((count, steps, ROW), plan.dtype)
+    prepare_all(*inputs, *rest, plan.program[0, step.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0]), rows)
+    return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
+
+
+def in_parallel(work: Callable[[int, int], None], lanes: int, threads: int) -> None:
+    """Call `work(first, last)` over all lanes, on so many threads; kernels do not hold the GIL."""
+    if threads <= 1 or lanes == 1:
+        work(0, lanes)
+        return
+    edges = np.linspace(0, lanes, min(threads * 4, lanes) + 1).astype(int)
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, edges[:-1], edges[1:]))

@@ -1,0 +1,47 @@
+"""Persistence: the next speed is the last one. The row that every table must have."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from usvlearn.estimator import Estimator
+from usvlearn.signals import Inputs
+
+
+class PersistenceState(NamedTuple):
+    """What persistence remembers."""
+
+    surge: Tensor  # (*batch,) last measured speed, m/s
+
+
+class Persistence(Estimator):
+    """v⁺ = v.
+
+    >>> estimator = Persistence()
+    >>> state = estimator.start(estimator.init(), torch.tensor(1.5))
+    >>> estimator.predict(state, None)[1]
+    tensor(1.5000)
+    """
+
+    def __init__(self):
+        super().__init__()
+        self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
+
+    def spec(self) -> dict[str, Any]:
+        return {"kind": "persistence", "size": 0, "numbers": {}}
+
+    def init(self, batch: Sequence[int] = ()) -> PersistenceState:
+        return PersistenceState(self.rest.expand(tuple(batch)).clone())
+
+    def predict(self, state: PersistenceState, inputs: Inputs) -> tuple[PersistenceState, Tensor]:
+        return state, state.surge
+
+    def update(self, state: PersistenceState, inputs: Inputs, surge: Tensor) -> PersistenceState:
+        return PersistenceState(surge)
+
+    def start(self, state: PersistenceState, surge: Tensor) -> PersistenceState:
+        return PersistenceState(surge)

@@ -1,0 +1,1 @@
+"""The ensemble: its rules, its intervals, its monitors."""

@@ -1,0 +1,359 @@
+"""Rules that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
+
+A member whose prediction is NaN sleeps: the others share its weight, and it is neither praised nor blamed. Where all
+sleep the prediction is NaN, and nothing is learned from the step.
+
+BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
+has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size
+to choose. With a loss ℓ, its slope g = ℓ'(ŷ − y), priors w0, and per member the linearised loss l, its range E and its
+learning rate η:
+
+    l_k = g (x_k − ŷ),   E_k ← max(κ E_k, E₀, |l_k|)                                           (1)
+    L_k ← κ L_k + ½ [ l_k (1 + η_k l_k) + E_k 1(η_k l_k > ½) ]                                  (2)
+    V_k ← κ V_k + l_k²,   η_k ← min( 1/E_k, √(log(1/w0_k)/V_k) )                                (3)
+    w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
+
+κ = exp(−dt/memory) forgets, and the bound with it: the best member in calm water is not the best in a turn, and one
+outlier would hold the rates down for ever. κ = 1 is the published rule, but for η in (2), which knows the new E. A
+small share of the weight is spread by the priors.
+"""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
+from usvlearn.estimators.least_squares.rls import rls_step
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
+
+TINY = 1e-12  # weight by which the awake share, should all that they have be 0
+
+
+def fill_sleeping(predictions: Tensor, weights: Tensor) -> Tensor:
+    """Predictions in which whoever sleeps (NaN) says what the awake say together, `(*batch, members)`.
+
+    >>> fill_sleeping(torch.tensor([1.0, 2.0, torch.nan]), torch.tensor([0.5, 0.25, 0.25]))
+    tensor([1.0000, 2.0000, 1.3333])
+    """
+    awake = ~predictions.isnan()
+    present = torch.where(awake, predictions, 0.0)
+    shares = awake * (weights + TINY)
+    total = shares.sum(-1, keepdim=True)
+    together = (shares * present).sum(-1, keepdim=True) / torch.where(total > 0, total, 1.0)
+    return torch.where(awake, present, torch.where(total > 0, together, torch.nan))
+
+
+def members_or_target(predictions: Tensor, weights: Tensor, surge: Tensor) -> Tensor:
+    """What `fill_sleeping` says; where all sleep, `surge`, m/s, `(*batch,)`: then nobody was wrong."""
+    x = fill_sleeping(predictions, weights)
+    return torch.where(x.isnan(), surge[..., None], x)
+
+
+class Combiner(nn.Module, abc.ABC):
+    """A rule; `members` names those that count, all by default.
+
+    An `Ensemble` binds it to the names of its members. `predictions` are m/s, `(*batch, its members)`, NaN where a
+    member sleeps.
+    """
+
+    def __init__(self, members: str | Sequence[str] | None = None):
+        super().__init__()
+        self.members = [members] if isinstance(members, str) else members
+        self.names: tuple[str, ...] = ()
+
+    def bind(self, names: Sequence[str]) -> None:
+        """Say whom it combines."""
+        self.names = tuple(names)
+
+    def init(self, batch: Sequence[int], like: Tensor) -> Any:
+        """The state before the first sample."""
+        return {}
+
+    @abc.abstractmethod
+    def combine(self, state: Any, predictions: Tensor) -> Tensor:
+        """The prediction, m/s, `(*batch,)`."""
+
+    def learn(self, state: Any, predictions: Tensor, surge: Tensor, dt: Tensor) -> Any:
+        """The state after `surge`, m/s, was measured."""
+        return state
+
+    def spec(self) -> dict[str, Any] | None:
+        """As `Estimator.spec`, of the rule."""
+        return None
+
+    def monitor(self, state: Any) -> dict[str, Tensor]:
+        """What a person wants to see of the state."""
+        return {}
+
+    def _weights(self, weights: Tensor) -> dict[str, Tensor]:
+        return dict(zip([f"weight_{name}" for name in self.names], weights.unbind(-1), strict=True))
+
+
+class Average(Combiner):
+    """AVE: the mean of the predictions (paper, section V)."""
+
+    def combine(self, state: Any, predictions: Tensor) -> Tensor:
+        return fill_sleeping(predictions, torch.ones_like(predictions)).mean(-1)
+
+    def spec(self) -> dict[str, Any]:
+        return {"kind": "average", "numbers": numbers(tiny=TINY)}
+
+
+class FixedWeights(Combiner):
+    """Σ c_i v̂_i with given c, one weight per member named in `weights`.
+
+    >>> FixedWeights({"aid": 0.7, "rls": 0.3}).combine({}, torch.tensor([1.0, 2.0], dtype=torch.float64))
+    tensor(1.3000, dtype=torch.float64)
+    """
+
+    def __init__(self, weights: Mapping[str, float]):
+        super().__init__(tuple(weights))
+        self.register_buffer("weights", as_tensor(list(weights.values())))
+
+    def bind(self, names: Sequence[str]) -> None:
+        if len(names) != len(self.weights):
+            raise ConfigError(
+                f"weights: found {len(self.weights)} of them, expected one for each of {', '.join(names)}: name the "
+                "columns of a bank, not the bank"
+            )
+        super().bind(names)
+
+    def combine(self, state: Any, predictions: Tensor) -> Tensor:
+        return (self.weights * fill_sleeping(predictions, self.weights.abs())).sum(-1)
+
+    def spec(self) -> dict[str, Any]:
+        return {"kind": "fixed", "numbers": numbers(tiny=TINY), "vector": self.weights.tolist()}
+
+
+class WeightsState(NamedTuple):
+    """What `RecursiveWeights` identifies."""
+
+    weights: Tensor  # (*batch, members)
+    factor: Tensor  # (*batch, members, members) Cholesky factor of their covariance
+
+
+class RecursiveWeights(Combiner):
+    """WE: Σ c_i v̂_i with c by recursive least squares, starting from equal weights (paper, section VI-B).
+
+    The members' predictions are almost collinear, so c is poorly determined: it may leave [0, 1], and the sum
+    can be worse than its members. The covariance is kept in bounds as in `rls`.
+
+    Args:
+        members: names of those that count, all by default.
+        forgetting: λ; broadcasts against the batch.
+        covariance: initial variance of each weight; broadcasts against the batch.
+        trace_max: limit on the covariance's trace above which nothing is forgotten.
+        surge_max: physical limit of the prediction, m/s.
+    """
+
+    def __init__(
+        self,
+        members: Sequence[str] | None = None,
+        forgetting=0.999,
+        covariance=1.0,
+        trace_max: float = 1e4,
+        surge_max: float = 10.0,
+    ):
+        super().__init__(members)
+        self.trace_max, self.surge_max = check_positive("trace_max", trace_max), check_positive("surge_max", surge_max)
+        self.forgetting, self.covariance = UnitInterval(forgetting, "forgetting"), Positive(covariance, "covariance")
+
+    def init(self, batch: Sequence[int], like: Tensor) -> WeightsState:
+        check_broadcast(self, tuple(batch))
+        count = len(self.names)
+        eye = torch.eye(count, dtype=like.dtype, device=like.device)
+        factor = (self.covariance().sqrt()[..., None, None] * eye).expand(*batch, count, count)
+        return WeightsState(like.new_full((*batch, count), 1.0 / count), factor)
+
+    def combine(self, state: WeightsState, predictions: Tensor) -> Tensor:
+        awake = fill_sleeping(predictions, torch.ones_like(predictions))
+        return (state.weights * awake).sum(-1).clamp(-self.surge_max, self.surge_max)
+
+    def learn(self, state: WeightsState, predictions: Tensor, surge: Tensor, dt: Tensor) -> WeightsState:
+        asleep = predictions.isnan().all(-1)
+        x = torch.where(asleep[..., None], 0.0, fill_sleeping(predictions, torch.ones_like(predictions)))
+        forgetting = torch.where(asleep, 1.0, self.forgetting())
+        innovation = surge - (state.weights * x).sum(-1)
+        return WeightsState(*rls_step(state.weights, state.factor, x, innovation, forgetting, self.trace_max))
+
+    def spec(self) -> dict[str, Any]:
+        values = numbers(
+            tiny=TINY, forgetting=self.forgetting, trace_max=self.trace_max, surge_max=self.surge_max
+        )  # fmt: skip
+        return {"kind": "recursive", "numbers": values}
+
+    def monitor(self, state: WeightsState) -> dict[str, Tensor]:
+        return {**self._weights(state.weights), "covariance_trace": (state.factor**2).sum((-2, -1))}
+
+
+class Prior(Combiner):
+    """A rule with a prior weight for each member; what a kind does with it is its own.
+
+    Args:
+        members: names of those that count, all by default.
+        memory: s, over which losses are forgotten; None never forgets; broadcasts against the batch.
+        loss: "absolute", which MAE measures, or "square".
+        prior: weights at the start by member, relative to 1 of those not named.
+    """
+
+    def __init__(self, members, memory, loss: str, prior: Mapping[str, float] | None):
+        super().__init__(members)
+        self.memory = None if memory is None else Positive(memory, "memory")
+        self.loss = check_choice("loss", loss, ("absolute", "square"))
+        self.prior = {name: check_positive(f"prior.{name}", weight) for name, weight in (prior or {}).items()}
+
+    def bind(self, names: Sequence[str]) -> None:
+        super().bind(names)
+        if unknown := sorted(set(self.prior) - set(names)):
+            raise ConfigError(
+                f"prior: found {', '.join(unknown)}, expected some of {', '.join(names)}: take out the rest"
+            )
+        prior = as_tensor([self.prior.get(name, 1.0) for name in names])
+        self.register_buffer("log_prior", (prior / prior.sum()).log(), persistent=False)
+
+    def _kernel(self, kind: str, **own: Any) -> dict[str, Any]:
+        values = numbers(tiny=TINY, memory=math.inf if self.memory is None else self.memory, **own)
+        return {"kind": kind, "loss": self.loss, "numbers": values, "vector": self.log_prior.exp().tolist()}
+
+    def _kept(self, dt: Tensor) -> Tensor | float:
+        """κ, `(*batch, 1)`."""
+        return 1.0 if self.memory is None else (-dt / self.memory()).exp()[..., None]
+
+
+class ExponentialState(NamedTuple):
+    """What `ExponentialWeights` has seen of its members."""
+
+    weights: Tensor  # (*batch, members)
+    losses: Tensor  # (*batch, members) sum of the losses that are not forgotten
+
+
+class ExponentialWeights(Prior):
+    """w_k ∝ w0_k exp(−rate · Σ κ^(t−s) loss_k(s)): Vovk's and Littlestone & Warmuth's rule.
+
+    It finds the best member, not the best mixture, and its rate has to be chosen; BOA needs neither.
+
+    Args:
+        members, memory, loss, prior: see `Prior`.
+        rate: per unit of the loss; broadcasts against the batch.
+
+    >>> rule = ExponentialWeights(rate=10.0, memory=None)
+    >>> rule.bind(["aid", "rls"])
+    >>> state = rule.init((), torch.zeros(()).double())
+    >>> x = torch.tensor([1.0, 1.2]).double()
+    >>> rule.learn(state, x, torch.tensor(1.0).double(), torch.tensor(0.4).double()).weights  # 1 : e⁻²
+    tensor([0.8808, 0.1192], dtype=torch.float64, grad_fn=<SoftmaxBackward0>)
+    """
+
+    def __init__(
+        self,
+        members: str | Sequence[str] | None = None,
+        rate=20.0,
+        memory=20.0,
+        loss: str = "absolute",
+        prior: Mapping[str, float] | None = None,
+    ):
+        super().__init__(members, memory, loss, prior)
+        self.rate = Positive(rate, "rate")
+
+    def init(self, batch: Sequence[int], like: Tensor) -> ExponentialState:
+        check_broadcast(self, tuple(batch))
+        zeros = like.new_zeros((*batch, len(self.names)))
+        return ExponentialState(self.log_prior.exp().expand_as(zeros), zeros)
+
+    def combine(self, state: ExponentialState, predictions: Tensor) -> Tensor:
+        return (state.weights * fill_sleeping(predictions, state.weights)).sum(-1)
+
+    def learn(self, state: ExponentialState, predictions: Tensor, surge: Tensor, dt: Tensor) -> ExponentialState:
+        error = members_or_target(predictions, state.weights, surge) - surge[..., None]
+        losses = self._kept(dt) * state.losses + (error.abs() if self.loss == "absolute" else error * error)
+        return ExponentialState((self.log_prior - self.rate()[..., None] * losses).softmax(-1), losses)
+
+    def spec(self) -> dict[str, Any]:
+        return self._kernel("exponential", rate=self.rate)
+
+    def monitor(self, state: ExponentialState) -> dict[str, Tensor]:
+        return self._weights(state.weights)
+
+
+class BOAState(NamedTuple):
+    """What `BOA` has seen of its members; all `(*batch, members)`."""
+
+    weights: Tensor
+    losses: Tensor  # L of (2), in units of the loss
+    squares: Tensor  # V of (3)
+    ranges: Tensor  # E of (1)
+
+
+class BOA(Prior):
+    """Bernstein online aggregation: the weights go to whoever helps the mixture.
+
+    Args:
+        members, memory, loss, prior: see `Prior`.
+        scale: E₀, least range of the losses, m/s (m²/s² of the square): how far predictions lie apart, roughly.
+        share: of the weight that goes to the members by the priors at every step, 0 … 1.
+
+    >>> boa = BOA(prior={"rnn": 0.1})
+    >>> boa.bind(["aid", "rls", "rnn"])
+    >>> boa.init((), torch.zeros(()).double()).weights
+    tensor([0.4762, 0.4762, 0.0476], dtype=torch.float64)
+    """
+
+    def __init__(
+        self,
+        members: str | Sequence[str] | None = None,
+        memory=30.0,
+        loss: str = "absolute",
+        scale: float = 0.01,
+        share: float = 0.01,
+        prior: Mapping[str, float] | None = None,
+    ):
+        super().__init__(members, memory, loss, prior)
+        self.scale, self.share = check_positive("scale", scale, "of m/s"), check_not_negative("share", share)
+        if share > 1:
+            raise ConfigError(f"share: found {share}, expected a number between 0 and 1")
+
+    def init(self, batch: Sequence[int], like: Tensor) -> BOAState:
+        check_broadcast(self, tuple(batch))
+        zeros = like.new_zeros((*batch, len(self.names)))
+        return BOAState(self.log_prior.exp().expand_as(zeros), zeros, zeros, zeros + self.scale)
+
+    def combine(self, state: BOAState, predictions: Tensor) -> Tensor:
+        return (state.weights * fill_sleeping(predictions, state.weights)).sum(-1)
+
+    def learn(self, state: BOAState, predictions: Tensor, surge: Tensor, dt: Tensor) -> BOAState:
+        x = members_or_target(predictions, state.weights, surge)
+        combined = (state.weights * x).sum(-1, keepdim=True)
+        error = combined - surge[..., None]
+        loss = (error.sign() if self.loss == "absolute" else 2 * error) * (x - combined)
+        kept = self._kept(dt)
+        ranges = torch.maximum((kept * state.ranges).clamp(min=self.scale), loss.abs())  # (1)
+        surprising = self._rates(ranges, state.squares) * loss
+        surcharge = torch.where(surprising > 0.5, ranges, 0.0)
+        losses = kept * state.losses + 0.5 * (loss * (1 + surprising) + surcharge)  # (2)
+        squares = kept * state.squares + loss * loss
+        rates = self._rates(ranges, squares)  # (3)
+        weights = (self.log_prior + rates.log() - rates * losses).softmax(-1)  # (4)
+        weights = torch.lerp(weights, self.log_prior.exp(), self.share)
+        return BOAState(weights, losses, squares, ranges)
+
+    def spec(self) -> dict[str, Any]:
+        found = self._kernel("boa", scale=self.scale, share=self.share)
+        return found | {"vector": [*found["vector"], *self._costs().tolist()]}
+
+    def monitor(self, state: BOAState) -> dict[str, Tensor]:
+        return self._weights(state.weights)
+
+    def _costs(self) -> Tensor:
+        """c = log(1/w0) of (3), `(members,)`."""
+        return (-self.log_prior).clamp(min=TINY)
+
+    def _rates(self, ranges: Tensor, squares: Tensor) -> Tensor:
+        """η of (3) as √(c / max(V, c E²)), whose slope is finite where V = 0; c > 0 though there be one member only."""
+        c = self._costs()
+        return (c / torch.maximum(squares, c * ranges * ranges)).sqrt()

@@ -1,0 +1,256 @@
+"""An ensemble: estimators side by side, rules that combine their predictions, an interval for each, and monitors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.errors import ConfigError, check_positive, under
+from usvlearn.estimator import Estimator, check_estimator, spec_of
+from usvlearn.estimators.ensemble import monitors
+from usvlearn.estimators.ensemble.combiners import Average, Combiner
+from usvlearn.estimators.ensemble.conformal import ConformalState, conformal_kernel, conformal_start, conformal_step
+from usvlearn.signals import Inputs, named_leaves
+
+
+class EnsembleState(NamedTuple):
+    """The members' states, the rules' states, and what was predicted last."""
+
+    members: dict[str, Any]
+    combiners: dict[str, Any]
+    conformal: ConformalState  # of the next predictions, in the order of `Ensemble.names`
+    predictions: Tensor  # (*batch, columns + combiners) m/s, in the order of `Ensemble.names`
+    halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s
+    monitors: Any  # of the innovations of `Ensemble.names` and of the thrusters, or {}
+
+
+class Bank(nn.Module):
+    """One estimator with several settings, as lanes: a member of an ensemble with a column of its own for each.
+
+    Args:
+        estimator: some hyperparameters of which have the shape `(settings,)`; what differs by boat is `(boats, 1)`.
+        labels: of the settings, in that order: the columns are NAME_LABEL.
+
+    >>> from usvlearn import AID
+    >>> Ensemble({"aid": Bank(AID(gain=[0.3, 1.0, 3.0]), ["slow", "middle", "fast"])}).columns
+    ('aid_slow', 'aid_middle', 'aid_fast')
+    """
+
+    def __init__(self, estimator: Estimator, labels: Sequence[str]):
+        super().__init__()
+        self.estimator = check_estimator("estimator of Bank", estimator)
+        if isinstance(labels, str) or not labels:
+            raise ConfigError(f"labels: found {labels!r}, expected a list of names, one for each setting")
+        self.labels = tuple(labels)
+
+    def init(self, batch: Sequence[int]) -> Any:
+        return self.estimator.init((*batch, len(self.labels)))
+
+    def predict(self, state: Any, inputs: Inputs) -> tuple[Any, Tensor]:
+        """As `Estimator.predict`; the predictions are `(*batch, settings)`."""
+        return self.estimator.predict(state, Inputs(*map(self._wide, inputs)))
+
+    def learn(self, state: Any, inputs: Inputs, surge: Tensor) -> tuple[Any, Tensor]:
+        return self.estimator.learn(state, Inputs(*map(self._wide, inputs)), self._wide(surge))
+
+    def start(self, state: Any, surge: Tensor) -> Any:
+        return self.estimator.start(state, self._wide(surge))
+
+    def inflate_covariance(self, state: Any, factor: Tensor) -> Any:
+        return self.estimator.inflate_covariance(state, self._wide(factor))
+
+    def spec(self) -> dict[str, Any] | None:
+        inner = spec_of(self.estimator)
+        return inner and {"kind": "bank", "inner": inner, "count": len(self.labels)}
+
+    def monitor(self, state: Any) -> dict[str, Tensor]:
+        return self.estimator.monitor(state)
+
+    def _wide(self, x: Tensor) -> Tensor:
+        return x[..., None].expand(*x.shape, len(self.labels))
+
+
+class Ensemble(Estimator):
+    """Estimators side by side; predicts by one of its combiners and publishes every prediction in its state.
+
+    A member whose prediction is not finite, or at `surge_max` and beyond, sleeps: the combiners do without it.
+
+    Args:
+        members: estimators, or banks of them, by name.
+        combiners: rules by name, `{"average": Average()}` by default.
+        output: the combiner whose prediction is the ensemble's own; the last by default.
+        coverage: share of the measurements that the intervals are to cover, 0 … 1.
+        surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
+        watched: whether whiteness and the thrusters are watched (`monitors`).
+
+    Attributes:
+        columns: names of the members' predictions; a bank has several.
+        names: those and the combiners'.
+
+    Raises:
+        ConfigError: no members, a name that is used twice, or a combiner of members that do not exist.
+
+    >>> from usvlearn import AID, Persistence
+    >>> ensemble = Ensemble({"aid": AID(), "persistence": Persistence()})
+    >>> ensemble.names
+    ('aid', 'persistence', 'average')
+    """
+
+    def __init__(
+        self,
+        members: Mapping[str, Estimator | Bank],
+        combiners: Mapping[str, Combiner] | None = None,
+        output: str | None = None,
+        coverage: float = 0.9,
+        surge_max: float = 10.0,
+        watched: bool = True,
+    ):
+        super().__init__()
+        combiners = {"average": Average()} if combiners is None else dict(combiners)
+        if not members or not combiners:
+            raise ConfigError(f"ensemble: found {len(members)} members, expected at least one, and one combiner")
+        self._columns: dict[str, list[str]] = {}  # member -> its columns
+        for name, member in members.items():
+            if not isinstance(member, Estimator | Bank):
+                raise ConfigError(f"estimators.{name}: found {member!r}, expected an estimator")
+            if not name.isidentifier() or hasattr(nn.ModuleDict, name):
+                raise ConfigError(
+                    f"estimators: found the name {name!r}, expected a plain name of letters, digits and _"
+                )
+            self._columns[name] = [f"{name}_{x}" for x in member.labels] if isinstance(member, Bank) else [name]
+        self.columns = tuple(column for columns in self._columns.values() for column in columns)
+        self.names = (*self.columns, *combiners)
+        if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
+            raise ConfigError(f"ensemble: {', '.join(twice)} names two members, or a member and a combiner")
+        self.output = list(combiners)[-1] if output is None else output
+        if self.output not in combiners:
+            raise ConfigError(f"output: found {output!r}, expected one of {', '.join(combiners)}")
+        self.watched, self.coverage = watched, coverage
+        self.surge_max = check_positive("surge_max", surge_max, "of m/s")
+        self.surge_limit = min(self.surge_limit, self.surge_max)
+        if not 0 < coverage < 1:
+            raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
+        self.members, self.combiners = nn.ModuleDict(members), nn.ModuleDict(combiners)
+        self._places: dict[str, list[int]] = {}  # combiner -> places of its members
+        for name, combiner in combiners.items():
+            chosen = self._named(combiner.members, name)
+            self._places[name] = [self.columns.index(column) for column in chosen]
+            with under(f"combiners.{name}"):
+                combiner.bind(chosen)
+
+    def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
+        """The columns that a combiner means; the name of a bank stands for all of its own."""
+        known = {column: [column] for column in self.columns} | self._columns
+        chosen = list(self._columns) if members is None else list(members)
+        if not chosen or (unknown := sorted(set(chosen) - set(known))):
+            raise ConfigError(
+                f"combiners.{combiner}.members: found {', '.join(chosen) or 'none'}, "
+                f"expected some of {', '.join(known)}"
+                + (f" (unknown: {', '.join(unknown)}): correct the members of {combiner}" if chosen else "")
+            )
+        columns = [column for name in chosen for column in known[name]]
+        if len(set(columns)) < len(columns):
+            raise ConfigError(f"combiners.{combiner}.members: found {', '.join(chosen)}, expected each member once")
+        return columns
+
+    def columns_of(self, member: str) -> list[str]:
+        """The names of a member's predictions."""
+        return list(self._columns[member])
+
+    def init(self, batch: Sequence[int] = ()) -> EnsembleState:
+        batch = tuple(batch)
+        members = {}
+        for name, member in self.members.items():
+            with under(f"estimators.{name}"):
+                members[name] = member.init(batch)
+        like = next(leaf for _, leaf in named_leaves(members) if leaf.is_floating_point())
+        combiners = {}
+        for name, combiner in self.combiners.items():
+            with under(f"combiners.{name}"):
+                combiners[name] = combiner.init(batch, like)
+        conformal = conformal_start(batch, len(self.names), like)
+        watched = monitors.init(batch, len(self.names), like) if self.watched else {}
+        width = conformal.halfwidth
+        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched)
+
+    def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
+        coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
+        published, _, output = self._publish(state, {name: surge for name, (_, surge) in coasted.items()})
+        members = {name: new for name, (new, _) in coasted.items()}
+        return state._replace(members=members, predictions=published, halfwidths=state.conformal.halfwidth), output
+
+    def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> tuple[EnsembleState, Tensor]:
+        learned = {name: member.learn(state.members[name], inputs, surge) for name, member in self.members.items()}
+        published, seen, output = self._publish(state, {name: predicted for name, (_, predicted) in learned.items()})
+        combiners = self.reweigh(state.combiners, seen, surge, inputs.dt)
+        innovations = surge[..., None] - published
+        conformal = conformal_step(state.conformal, innovations, self.coverage)
+        watched = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
+        members = {name: new for name, (new, _) in learned.items()}
+        return EnsembleState(members, combiners, conformal, published, state.conformal.halfwidth, watched), output
+
+    def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
+        members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
+        return state._replace(members=members)
+
+    def inflate_covariance(self, state: EnsembleState, factor: Tensor) -> EnsembleState:
+        members = {
+            name: member.inflate_covariance(state.members[name], factor) for name, member in self.members.items()
+        }
+        return state._replace(members=members)
+
+    def spec(self) -> dict[str, Any] | None:
+        members = {name: spec_of(member) for name, member in self.members.items()}
+        rules = {name: spec_of(rule) for name, rule in self.combiners.items()}
+        if None in (*members.values(), *rules.values()):
+            return None
+        return {
+            "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
+            "rules": {name: {**rule, "columns": self._places[name]} for name, rule in rules.items()},
+            "numbers": {"surge_max": self.surge_max}, "conformal": conformal_kernel(self.coverage),
+            "monitors": monitors.spec() if self.watched else None,
+        }  # fmt: skip
+
+    def monitor(self, state: EnsembleState) -> dict[str, Tensor]:
+        """The members' and combiners' numbers, as `name/number`; whiteness and thrusters as `monitors/number`."""
+        shown = {}
+        for name, member in self.members.items():
+            for key, value in member.monitor(state.members[name]).items():
+                lanes = value.unbind(-1) if isinstance(member, Bank) else [value]
+                shown |= {f"{column}/{key}": lane for column, lane in zip(self._columns[name], lanes, strict=True)}
+        for name, combiner in self.combiners.items():
+            shown |= {f"{name}/{key}": value for key, value in combiner.monitor(state.combiners[name]).items()}
+        if self.watched:
+            report = monitors.monitor_report(state.monitors, self.names)
+            shown |= {f"monitors/{key}": value for key, value in report.items()}
+        return shown
+
+    def seen(self, predictions: Tensor) -> dict[str, Tensor]:
+        """What each rule sees of the members' predictions, m/s, `(*batch, columns)`: its own, NaN where they sleep."""
+        awake = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
+        every = list(range(len(self.columns)))
+        return {name: awake if places == every else awake[..., places] for name, places in self._places.items()}
+
+    def combine(self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """What each rule makes of what it has seen, m/s, `(*batch,)`."""
+        return {name: rule.combine(combiners[name], seen[name]) for name, rule in self.combiners.items()}
+
+    def reweigh(
+        self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor], surge: Tensor, dt: Tensor
+    ) -> dict[str, Any]:
+        """The rules' states after `surge`, m/s, was measured, `dt` s after the measurement before."""
+        return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}
+
+    def _publish(self, state: EnsembleState, surges: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor], Tensor]:
+        """All predictions, `(*batch, names)`; what each rule has seen of them; the ensemble's own."""
+        parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
+        single = torch.cat(parts, -1)
+        seen = self.seen(single)
+        combined = self.combine(state.combiners, seen)
+        return torch.cat([single, torch.stack(list(combined.values()), -1)], -1), seen, combined[self.output]

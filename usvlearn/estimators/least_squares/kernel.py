@@ -1,0 +1,259 @@
+"""Recursive least squares, SIFt-RLS and the projection onto signs: the steps of `estimators.rls`, `sift`, `projected`.
+
+S is lower triangular. S T, T as in equation (2) of `rls`, is made in place along each row from its end: with the sums
+w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What stands at its beginning is (S x)_i.
+"""
+
+import numpy as np
+
+from usvlearn.arrays import clamp, copy, dot, fill
+from usvlearn.estimators.regressors.kernel import FEEDBACK
+from usvlearn.family import (
+    FACTOR,
+    MODEST,
+    NOT_NEGATIVE,
+    POSITIVE,
+    TRIANGLE,
+    UNIT,
+    Family,
+    Field,
+    Range,
+)
+from usvlearn.jit import jit
+
+RLS_NUMBERS = {
+    "scale": MODEST, "surge_max": POSITIVE, "prior": POSITIVE, "loosest": NOT_NEGATIVE, "noise_share": UNIT,
+    "noise_least": POSITIVE, "forgetting": FACTOR, "trace_max": NOT_NEGATIVE, "memory": POSITIVE,
+    "longest": Range(0.0, 80.0),  # the exponent of 1/λ
+    "floor": NOT_NEGATIVE,
+}  # fmt: skip
+SCALE, SURGE_MAX, PRIOR, LOOSEST, NOISE_SHARE, NOISE_LEAST, FORGETTING, TRACE_MAX, TAU, LONGEST, FLOOR = range(11)
+
+
+def rls_fields(p):
+    """The leaves of `RLSState`."""
+    return {
+        "theta": Field((p,)), "factor": Field((p, p), TRIANGLE), "surge": Field(()), "noise": Field((), POSITIVE),
+        "deviation": Field((), NOT_NEGATIVE),
+    }  # fmt: skip
+
+
+LEAST_SQUARES = Family(rls_fields, RLS_NUMBERS, choices={"feedback": FEEDBACK}, size=None, projects=True)
+ITERATIONS = Range(0, 1000)  # of the projection onto signs
+
+
+@jit
+def rotated(S, phi, f):
+    """f = Sᵀφ; returns fᵀf."""
+    fill(f, 0.0)
+    for i in range(len(phi)):
+        for j in range(i + 1):
+            f[j] += S[i, j] * phi[i]
+    return dot(f, f)
+
+
+@jit
+def measurement(f, lam, diagonal, below):
+    """T of a measurement update, equation (2) of `rls`: its diagonal, and what stands below it over f_i; returns s."""
+    alpha = lam
+    for j in range(len(f) - 1, -1, -1):
+        after = alpha
+        alpha += f[j] * f[j]
+        inverse = 1.0 / np.sqrt(alpha * after)
+        diagonal[j] = after * inverse
+        below[j] = -f[j] * inverse
+    return alpha
+
+
+@jit
+def forget(theta, S, f, innovation, lam, trace_max, diagonal, below):
+    """One step of exponential forgetting, (1) and (2) of `rls`, with f = Sᵀφ."""
+    p = len(theta)
+    gain = innovation / measurement(f, lam, diagonal, below)
+    trace = 0.0
+    for i in range(p):
+        w = 0.0
+        for j in range(i, -1, -1):
+            old = S[i, j]
+            new = old * diagonal[j] + below[j] * w
+            w += old * f[j]
+            S[i, j] = new
+            trace += new * new
+        theta[i] += gain * w
+    if trace < trace_max * lam:
+        growth = 1.0 / np.sqrt(lam)
+        for i in range(p):
+            for j in range(i + 1):
+                S[i, j] *= growth
+
+
+@jit
+def sift(theta, S, phi, f, innovation, lam, x, opens, opens_below, diagonal, below):
+    """One step of SIFt-RLS, (1) and (2) of `sift`, with f = Sᵀφ, which it changes; both updates in one pass over S."""
+    p = len(theta)
+    q = 0.0
+    for i in range(p):
+        rest = phi[i]
+        for j in range(i):
+            rest -= S[i, j] * x[j]
+        rest /= S[i, i]
+        x[i] = rest
+        q += rest * rest
+    c = (1.0 / lam - 1.0) / q
+    t = 1.0
+    for j in range(p):
+        before = t
+        t += c * x[j] * x[j]
+        inverse = 1.0 / np.sqrt(t * before)
+        opens[j] = t * inverse
+        opens_below[j] = c * x[j] * inverse
+    w = 0.0
+    for j in range(p - 1, -1, -1):  # f of the opened factor: S̄ᵀφ = Tᵀf
+        old = f[j]
+        f[j] = opens[j] * old + opens_below[j] * w
+        w += x[j] * old
+    gain = innovation / measurement(f, 1.0, diagonal, below)
+    for i in range(p):
+        w = 0.0
+        v = 0.0
+        for j in range(i, -1, -1):
+            old = S[i, j]
+            opened = old * opens[j] + opens_below[j] * w
+            w += old * x[j]
+            S[i, j] = opened * diagonal[j] + below[j] * v
+            v += opened * f[j]
+        theta[i] += gain * v
+
+
+@jit
+def learn_least_squares(block, q, forgets, phi, estimate, target, dt, feedback, work):
+    """`LeastSquares.learn` on the leaves in `block`; `forgets` exponentially, or by what it learns anew."""
+    p = len(phi)
+    theta, S = block[:p], block[p : p + p * p].reshape(p, p)
+    f, x = work[:p], work[p : 2 * p]
+    innovation = target - estimate
+    s = 1.0 + rotated(S, phi, f)
+    noise = block[p + p * p + 1]
+    if forgets:
+        forget(theta, S, f, innovation, q[FORGETTING], q[TRACE_MAX], work[2 * p : 3 * p], work[3 * p : 4 * p])
+    else:
+        squared = dot(phi, phi) * q[SCALE] ** 2
+        if squared >= q[FLOOR] and squared > 0:
+            lam = np.exp(-min(dt / q[TAU], q[LONGEST]))
+            sift(theta, S, phi, f, innovation, lam, x, work[2 * p : 3 * p], work[3 * p : 4 * p], work[4 * p : 5 * p],
+                 work[5 * p : 6 * p])  # fmt: skip
+    seen = innovation * innovation / s
+    if not seen <= 16 * noise:  # NaN is passed on, as torch.minimum does
+        seen = 16 * noise if seen > 16 * noise else seen
+    learned = noise + q[NOISE_SHARE] * (seen - noise)
+    block[p + p * p] = clamp(estimate, q[SURGE_MAX]) if feedback else target
+    block[p + p * p + 1] = q[NOISE_LEAST] if learned < q[NOISE_LEAST] else learned
+    block[p + p * p + 2] = np.sqrt(noise * s)
+
+
+@jit
+def coast_least_squares(block, phi, surge, work):
+    """`LeastSquares.predict`: the speed, and the deviation of its prediction."""
+    p = len(phi)
+    s = 1.0 + rotated(block[p : p + p * p].reshape(p, p), phi, work[:p])
+    block[p + p * p] = surge
+    block[p + p * p + 2] = np.sqrt(block[p + p * p + 1] * s)
+
+
+@jit
+def inflate_least_squares(block, p, q, factor):
+    """`LeastSquares.inflate_covariance`: P times `factor`, up to its limit."""
+    S = block[p : p + p * p]
+    limit = q[LOOSEST] * q[PRIOR] / dot(S, S)
+    limit = 1.0 if limit < 1.0 else limit
+    growth = np.sqrt(limit if factor > limit else factor)
+    for i in range(len(S)):
+        S[i] *= growth
+
+
+@jit
+def solve(A, b, n):
+    """b ← A⁻¹ b of the leading n × n block, by elimination with pivots; A is destroyed."""
+    for k in range(n):
+        pivot = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        for j in range(k, n):
+            A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+        b[k], b[pivot] = b[pivot], b[k]
+        for i in range(k + 1, n):
+            share = A[i, k] / A[k, k]
+            for j in range(k + 1, n):
+                A[i, j] -= share * A[k, j]
+            b[i] -= share * b[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            b[k] -= A[k, j] * b[j]
+        b[k] /= A[k, k]
+
+
+@jit
+def active_sets(Q, z, iterations, t, mu, A, b, active):
+    """Rounds of (2) of `projected`: μ and t; returns whether they settled on the solution."""
+    k, largest = len(z), 0.0
+    for a in range(k):
+        t[a], mu[a] = z[a], 0.0
+        largest = max(largest, abs(z[a]))
+    for _ in range(iterations):
+        n = 0
+        for a in range(k):
+            if mu[a] > t[a] / Q[a, a]:
+                active[n] = a
+                n += 1
+        for a in range(n):
+            b[a] = -z[int(active[a])]
+            for c in range(n):
+                A[a, c] = Q[int(active[a]), int(active[c])]
+        solve(A, b, n)
+        fill(mu, 0.0)
+        for a in range(n):
+            mu[int(active[a])] = b[a]
+        for a in range(k):
+            t[a] = z[a] + dot(Q[a], mu)
+        for a in range(n):
+            t[int(active[a])] = 0.0
+    solved = True
+    for a in range(k):
+        solved = solved and t[a] >= -1e-6 * largest and mu[a] * Q[a, a] >= -1e-6 * largest
+    return solved
+
+
+@jit
+def project_signs(theta, S, signs, iterations, work):
+    """`projected.project_signs`: θ becomes the nearest with these signs in the metric of P."""
+    p, k, inside = len(theta), 0, True
+    place, z = work[:p], work[p : 2 * p]
+    for i in range(p):
+        if signs[i] != 0:
+            place[k], z[k] = i, signs[i] * theta[i]
+            inside = inside and z[k] >= 0
+            k += 1
+    if inside:
+        return
+    z, t, mu, b = z[:k], work[2 * p : 2 * p + k], work[3 * p : 3 * p + k], work[4 * p : 4 * p + k]
+    active, pull, squares = work[5 * p : 5 * p + k], work[6 * p : 7 * p], work[7 * p :]
+    Q, A = squares[: k * k].reshape(k, k), squares[k * k : 2 * k * k].reshape(k, k)
+    for a in range(k):
+        for c in range(a + 1):
+            i, j = int(place[a]), int(place[c])
+            Q[a, c] = Q[c, a] = signs[i] * signs[j] * dot(S[i], S[j])
+    if active_sets(Q, z, iterations, t, mu, A, b, active):
+        fill(pull, 0.0)
+        for a in range(k):
+            i = int(place[a])
+            for j in range(i + 1):
+                pull[j] += S[i, j] * (signs[i] * mu[a])
+        for i in range(p):
+            for j in range(i + 1):
+                theta[i] += S[i, j] * pull[j]
+    else:
+        copy(t, z)
+    for a in range(k):
+        i = int(place[a])
+        theta[i] = signs[i] * (0.0 if t[a] < 0 else t[a])

@@ -1,0 +1,122 @@
+"""Least squares with the signs that physics gives the parameters: drag slows a boat, a thruster pushes it.
+
+After each update the parameters go to the nearest that have their signs, in the metric of the information R = P⁻¹, in
+which the cost of moving is what the samples say it is:
+
+    min (θ − z)ᵀ P⁻¹ (θ − z)   such that   s_i θ_i ≥ 0                                      (1)
+
+With t = Sθ of the constrained parameters, S = diag(s), Q = S P S and multipliers μ ≥ 0 the solution is θ = z + P S μ,
+with μ_i t_i = 0. The primal-dual active set method (Hintermüller, Ito & Kunisch 2003) guesses which are held at 0,
+
+    A = { i : μ_i > t_i/Q_ii },   Q_AA μ_A = −(S z)_A,   μ = 0 elsewhere,   t = S z + Q μ          (2)
+
+and is exact once A repeats, as a rule after two or three rounds; where parameters are scaled very differently it may
+not, and θ is clipped. To clip θ alone would be no projection: parameters
+that are told apart poorly balance each other, and each that is clipped leaves its partner unbalanced (on recorded logs
+that is far worse than no prediction at all).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from usvlearn.errors import ConfigError
+from usvlearn.estimator import Estimator, spec_of
+from usvlearn.estimators.least_squares.rls import LeastSquares, RLSState
+from usvlearn.signals import Inputs
+
+ROUNDS = 1000  # at most; as a rule two or three are enough
+
+
+def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iterations: int = 4) -> Tensor:
+    """The solution of (1) after so many rounds of (2); the clipped θ where they did not suffice.
+
+    >>> theta, factor = torch.tensor([1.0, -1.0]), torch.tensor([[1.0, 0.0], [0.5, 1.0]])
+    >>> project_signs(theta, factor, (1, 1))  # the first moves along: it is told apart from the second poorly
+    tensor([1.4000, 0.0000])
+    """
+    held = [i for i, sign in enumerate(signs) if sign]
+    if not held:
+        return theta
+    S = theta.new_tensor([signs[i] for i in held])
+    rows = S[:, None] * factor[..., held, :]
+    Q, z = rows @ rows.mT, S * theta[..., held]
+    diagonal = Q.diagonal(dim1=-2, dim2=-1)
+    t, multipliers = z, torch.zeros_like(z)
+    for _ in range(iterations):
+        active = multipliers > t / diagonal  # (2)
+        both = active[..., None] & active[..., None, :]
+        system = torch.where(both, Q, torch.diag_embed(diagonal))
+        multipliers = torch.linalg.solve_ex(system, torch.where(active, -z, 0.0)[..., None])[0].squeeze(-1)
+        t = torch.where(active, 0.0, z + (Q @ multipliers[..., None]).squeeze(-1))
+    moved = theta + (factor @ (rows.mT @ multipliers[..., None])).squeeze(-1)
+    tolerance = 1e-6 * z.abs().amax(-1, keepdim=True)
+    solved = (t >= -tolerance).all(-1) & (multipliers * diagonal >= -tolerance).all(-1)
+    moved, t = torch.where(solved[..., None], moved, theta), torch.where(solved[..., None], t, z)
+    columns = list(moved.unbind(-1))
+    for place, i in enumerate(held):
+        columns[i] = (S * t.clamp(min=0))[..., place]
+    return torch.stack(columns, -1)
+
+
+class Projected(Estimator):
+    """RLS or SIFtRLS whose parameters keep their signs.
+
+    Args:
+        estimator: RLS or SIFtRLS.
+        signs: −1, 0 (free) or 1 for each parameter; those of the estimator's model by default.
+        iterations: rounds of (2) after each update, 1000 at most.
+
+    >>> from usvlearn import SIFtRLS, SurgeDynamics
+    >>> Projected(SIFtRLS(SurgeDynamics(28.0))).signs
+    (-1, -1, -1, 1, 1, -1, 1, 1, -1)
+    """
+
+    def __init__(self, estimator: LeastSquares, signs: Sequence[int] | None = None, iterations: int = 4):
+        super().__init__()
+        if not isinstance(estimator, LeastSquares):
+            raise ConfigError(f"estimator: found {type(estimator).__name__}, expected RLS or SIFtRLS itself")
+        self.estimator = estimator
+        self.signs = tuple(estimator.model.signs if signs is None else signs)
+        if len(self.signs) != len(estimator.model.names) or not set(self.signs) <= {-1, 0, 1}:
+            raise ConfigError(
+                f"signs: found {list(self.signs)}, expected -1, 0 or 1 for each of the "
+                f"{len(estimator.model.names)} parameters"
+            )
+        if not (isinstance(iterations, int) and 1 <= iterations <= ROUNDS):
+            raise ConfigError(f"iterations: found {iterations!r}, expected a whole number, 1 … {ROUNDS}")
+        self.iterations = iterations
+
+    def init(self, batch: Sequence[int] = ()) -> RLSState:
+        return self.estimator.init(batch)
+
+    def predict(self, state: RLSState, inputs: Inputs) -> tuple[RLSState, Tensor]:
+        return self.estimator.predict(state, inputs)
+
+    def update(self, state: RLSState, inputs: Inputs, surge: Tensor) -> RLSState:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: RLSState, inputs: Inputs, surge: Tensor) -> tuple[RLSState, Tensor]:
+        state, predicted = self.estimator.learn(state, inputs, surge)
+        return state._replace(theta=project_signs(state.theta, state.factor, self.signs, self.iterations)), predicted
+
+    def start(self, state: RLSState, surge: Tensor) -> RLSState:
+        return self.estimator.start(state, surge)
+
+    def inflate_covariance(self, state: RLSState, factor: Tensor) -> RLSState:
+        return self.estimator.inflate_covariance(state, factor)
+
+    def spec(self) -> dict[str, Any] | None:
+        inner = spec_of(self.estimator)
+        return inner and {
+            **inner,
+            "signs": list(map(int, self.signs)),
+            "iterations": int(self.iterations) if any(self.signs) else 0,
+        }
+
+    def monitor(self, state: RLSState) -> dict[str, Tensor]:
+        return self.estimator.monitor(state)

@@ -1,0 +1,238 @@
+"""Recursive least squares with exponential forgetting, for any model that is linear in its parameters.
+
+With y the part of the speed that φᵀθ explains, and λ the forgetting factor (Plackett 1950; paper, section IV-D):
+
+    s = λ + φᵀPφ,   K = Pφ/s,   θ⁺ = θ + K (y − φᵀθ),   P⁺ = (P − Pφ φᵀP/s)/λ        (1)
+
+which minimises Σ λ^(k−j) (y_j − φ_jᵀθ)² + λ^k θᵀP₀⁻¹θ. Computed with the Cholesky factor S of P = S Sᵀ, lower
+triangular (Carlson 1973): with f = Sᵀφ, P⁺ = S (I − f fᵀ/s) Sᵀ/λ, and the matrix between has a factor T in closed form,
+
+    α_j = λ + Σ_{i>j} f_i²,   T_jj = √(α_j/α_{j−1}),   T_ij = −f_i f_j/√(α_{j−1} α_j)  for i > j,   S⁺ = S T/√λ     (2)
+
+in which nothing cancels, and which costs p² operations where one goes along the rows of S from their ends. The
+textbook's P − K (φᵀP) multiplies its rounding asymmetry by 1/λ at every step and diverges within minutes; S Sᵀ is
+symmetric and positive by construction. Where data stop informing a direction, P grows there without bound: forgetting
+pauses wherever it would lift the trace of P over a limit. `SIFtRLS` forgets only what it learns anew, and needs none.
+
+P is in units of the noise's variance σ², which the innovations tell: a prediction's variance is σ² (1 + φᵀPφ)   (3).
+"""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.errors import check_choice, check_positive
+from usvlearn.estimator import Estimator, spec_of
+from usvlearn.estimators.ensemble.monitors import excitation_report
+from usvlearn.estimators.regressors.layer import QuasiStatic
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
+from usvlearn.signals import Inputs
+
+NOISE = 0.05  # m/s, σ before the first innovation
+LOOSEST = 100.0  # times P₀'s trace
+NOISE_SHARE = 0.02  # of a new innovation in σ²
+NOISE_LEAST = 1e-3  # m/s; hours of exact predictions at rest must not make σ so small that it never comes back
+
+
+class RLSState(NamedTuple):
+    """What recursive least squares identifies."""
+
+    theta: Tensor  # (*batch, p) parameters
+    factor: Tensor  # (*batch, p, p) S, the Cholesky factor of the covariance, lower triangular
+    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
+    noise: Tensor  # (*batch,) σ², m²/s²
+    deviation: Tensor  # (*batch,) standard deviation of the last prediction by (3), m/s
+
+    @property
+    def covariance(self) -> Tensor:
+        """P = S Sᵀ, `(*batch, p, p)`, in units of the measurement noise's variance."""
+        return self.factor @ self.factor.mT
+
+
+def triangle(
+    x: Tensor,  # (*batch, p)
+    y: Tensor,  # (*batch, p)
+    before: Tensor,  # (*batch, p)
+    after: Tensor,  # (*batch, p)
+) -> Tensor:
+    """T of (2), `(*batch, p, p)`: √(after/before) on the diagonal, x_i y_j/√(before_j after_j) below it."""
+    below = x[..., :, None] * (y / (before * after).sqrt())[..., None, :]
+    return below.tril(-1) + torch.diag_embed((after / before).sqrt())
+
+
+def measured(
+    theta: Tensor,  # (*batch, p)
+    factor: Tensor,  # (*batch, p, p)
+    phi: Tensor,  # (*batch, p)
+    innovation: Tensor,  # (*batch,) y − φᵀθ
+    lam: Tensor | float = 1.0,  # (*batch,) or ()
+) -> tuple[Tensor, Tensor]:
+    """One measurement update of (θ, S): equations (1) and (2), without the division by √λ.
+
+    >>> theta, factor = measured(torch.zeros(1), torch.eye(1) * 1e3, torch.ones(1), torch.tensor(2.0))
+    >>> round(float(theta), 3)
+    2.0
+    """
+    f = (factor * phi[..., None]).sum(-2)  # Sᵀφ
+    lam = torch.as_tensor(lam, dtype=phi.dtype, device=phi.device)[..., None]
+    before = lam + (f * f).flip(-1).cumsum(-1).flip(-1)  # α_{j−1}
+    after = torch.cat([before[..., 1:], lam.expand_as(before[..., :1])], -1)  # α_j
+    theta = theta + (factor * f[..., None, :]).sum(-1) * (innovation[..., None] / before[..., :1])
+    return theta, factor @ triangle(f, -f, before, after)
+
+
+def rls_step(
+    theta: Tensor,  # (*batch, p)
+    factor: Tensor,  # (*batch, p, p)
+    phi: Tensor,  # (*batch, p)
+    innovation: Tensor,  # (*batch,) y − φᵀθ
+    forgetting: Tensor,  # (*batch,) or ()
+    trace_max: float | Tensor = torch.inf,
+) -> tuple[Tensor, Tensor]:
+    """One measurement update of (θ, S) with forgetting, which pauses at `trace_max`.
+
+    >>> theta, factor = torch.zeros(1), torch.eye(1) * 1e3
+    >>> theta, factor = rls_step(theta, factor, torch.ones(1), torch.tensor(2.0), torch.tensor(1.0))
+    >>> round(float(theta), 3)
+    2.0
+    """
+    theta, factor = measured(theta, factor, phi, innovation, forgetting)
+    trace = (factor * factor).sum((-2, -1))
+    growth = torch.where(trace < trace_max * forgetting, forgetting, 1.0).rsqrt()
+    return theta, factor * growth[..., None, None]
+
+
+class LeastSquares(Estimator):
+    """What all recursive least squares share; a kind says in `_step` how it forgets.
+
+    Args:
+        model: `QuasiStatic()` predicts the speed itself (the paper's RLS); `SurgeDynamics(mass)` its increment.
+        covariance: P₀ = covariance·scale²·I, where scale is the model's (1, or the mass); broadcasts against the batch.
+        feedback: "measured" predicts from the last measured speed, "estimate" from the estimator's own.
+        surge_max: physical limit of the prediction, m/s.
+    """
+
+    def __init__(self, model: nn.Module | None, covariance, feedback: str, surge_max: float):
+        super().__init__()
+        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
+        self.surge_max = check_positive("surge_max", surge_max, "of m/s")
+        self.model = QuasiStatic() if model is None else model
+        self.covariance = Positive(covariance, "covariance")
+
+    @abc.abstractmethod
+    def _step(
+        self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """One measurement update of (θ, S)."""
+
+    def init(self, batch: Sequence[int] = ()) -> RLSState:
+        check_broadcast(self, tuple(batch))
+        p, like = len(self.model.names), self.covariance.log
+        eye = torch.eye(p, dtype=like.dtype, device=like.device)
+        root = self.covariance().sqrt() * self.model.scale
+        factor = (root[..., None, None] * eye).expand(*batch, p, p)
+        zero, noise = like.new_zeros(tuple(batch)), like.new_full(tuple(batch), NOISE**2)
+        return RLSState(like.new_zeros((*batch, p)), factor, zero, noise, zero)
+
+    def predict(self, state: RLSState, inputs: Inputs) -> tuple[RLSState, Tensor]:
+        base, phi = self.model(state.surge, inputs)
+        surge = self._limit(base + (phi * state.theta).sum(-1))
+        return state._replace(surge=surge, deviation=(state.noise * spread(state.factor, phi)).sqrt()), surge
+
+    def update(self, state: RLSState, inputs: Inputs, surge: Tensor) -> RLSState:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: RLSState, inputs: Inputs, surge: Tensor) -> tuple[RLSState, Tensor]:
+        base, phi = self.model(state.surge, inputs)
+        estimate = base + (phi * state.theta).sum(-1)
+        innovation, s = surge - estimate, spread(state.factor, phi)
+        theta, factor = self._step(state.theta, state.factor, phi, innovation, inputs.dt)
+        # One outlier counts as four deviations, so that it cannot blow σ up.
+        seen = torch.minimum(innovation * innovation / s, 16 * state.noise)
+        noise = torch.lerp(state.noise, seen, NOISE_SHARE).clamp(min=NOISE_LEAST**2)
+        predicted, deviation = self._limit(estimate), (state.noise * s).sqrt()
+        departs = predicted if self.feedback == "estimate" else surge
+        return RLSState(theta, factor, departs, noise, deviation), predicted
+
+    def start(self, state: RLSState, surge: Tensor) -> RLSState:
+        return state._replace(surge=surge)
+
+    def inflate_covariance(self, state: RLSState, factor: Tensor) -> RLSState:
+        """P times `factor`, up to `LOOSEST` times P₀: a direction that is not shown never tightens again."""
+        prior = len(self.model.names) * self.covariance() * self.model.scale**2
+        trace = (state.factor * state.factor).sum((-2, -1))
+        factor = torch.minimum(factor, (LOOSEST * prior / trace).clamp(min=1))
+        return state._replace(factor=state.factor * factor.sqrt()[..., None, None])
+
+    def _kernel(self, kind: str, **own: Any) -> dict[str, Any] | None:
+        """`kernel` of a kind, whose numbers are `own`."""
+        if (terms := spec_of(self.model)) is None:
+            return None
+        scale, limits = (
+            self.model.scale,
+            {"loosest": LOOSEST, "noise_share": NOISE_SHARE, "noise_least": NOISE_LEAST**2},
+        )
+        prior = len(self.model.names) * self.covariance() * scale**2
+        none = {"forgetting": 1.0, "trace_max": 0.0, "memory": 1.0, "longest": 0.0, "floor": 0.0}
+        values = numbers(scale=scale, surge_max=self.surge_max, prior=prior, **limits, **(none | own))
+        return {
+            "kind": kind, "size": len(self.model.names), "terms": terms, "feedback": self.feedback, "numbers": values,
+        }  # fmt: skip
+
+    def monitor(self, state: RLSState) -> dict[str, Tensor]:
+        parameters = dict(zip(self.model.names, state.theta.unbind(-1), strict=True))
+        trace = (state.factor**2).sum((-2, -1))
+        prior = (self.covariance() * self.model.scale**2)[..., None]
+        informed = excitation_report(self.model.names, state.factor, prior)
+        return {**parameters, **informed, "covariance_trace": trace, "deviation": state.deviation}
+
+    def _limit(self, surge: Tensor) -> Tensor:
+        return surge.clamp(-self.surge_max, self.surge_max)
+
+
+def spread(factor: Tensor, phi: Tensor) -> Tensor:
+    """1 + φᵀPφ, `(*batch,)`."""
+    f = (factor * phi[..., None]).sum(-2)
+    return 1 + (f * f).sum(-1)
+
+
+class RLS(LeastSquares):
+    """Recursive least squares with exponential forgetting: the quasi-static thruster map, or the surge dynamics.
+
+    Args:
+        model, covariance, feedback, surge_max: see `LeastSquares`.
+        forgetting: λ, between 0 and 1; broadcasts against the batch.
+        trace_growth: nothing is forgotten that would lift the trace of P above so many times its first value.
+
+    >>> from usvlearn.estimators.regressors.layer import SurgeDynamics
+    >>> dynamic = RLS(SurgeDynamics(mass=28.0), forgetting=0.995, covariance=10.0)
+    >>> dynamic.init((3,)).covariance.shape
+    torch.Size([3, 9, 9])
+    """
+
+    def __init__(
+        self,
+        model: nn.Module | None = None,
+        forgetting=0.995,
+        covariance=10.0,
+        trace_growth: float = 100.0,
+        feedback: str = "measured",
+        surge_max: float = 10.0,
+    ):
+        super().__init__(model, covariance, feedback, surge_max)
+        self.forgetting = UnitInterval(forgetting, "forgetting")
+        growth = check_positive("trace_growth", trace_growth) * len(self.model.names)
+        self.register_buffer("trace_max", growth * as_tensor(covariance) * self.model.scale**2)
+
+    def spec(self) -> dict[str, Any] | None:
+        return self._kernel("rls", forgetting=self.forgetting, trace_max=self.trace_max)
+
+    def _step(
+        self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        return rls_step(theta, factor, phi, innovation, self.forgetting(), self.trace_max)

@@ -1,0 +1,162 @@
+"""Models that are linear in their parameters: v⁺ = base + φᵀθ (paper, sections IV-A, IV-C, IV-D).
+
+Commands and speeds are signed, so that boats may back up: ξ|ξ| stands for ξ² and ξ|v| for ξv. Where ξ ≥ 0 and
+v ≥ 0 these are the paper's own terms.
+
+Beyond the paper the surge dynamics may have terms for what it leaves out: *memory* (thrusters that lag, water that
+swings along: the last acceleration and the commands one step before) and *ambient* (wind and current: a force that is
+constant in the earth's frame, so that it depends on the heading, and a bias).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.hyper import as_tensor
+from usvlearn.signals import Inputs
+
+
+class MemoryInputs(NamedTuple):
+    """`Inputs`, and what `WithMemory` remembers of the step before. Leaves are `(*batch,)`."""
+
+    command_left: Tensor
+    command_right: Tensor
+    heading: Tensor
+    yaw_rate: Tensor
+    dt: Tensor
+    surge_dot: Tensor  # m/s², over the last step
+    command_left_before: Tensor
+    command_right_before: Tensor
+
+
+def surge_regressor(surge: Tensor, inputs: Inputs) -> Tensor:
+    """W of m·surge_dot = Wᵀθ: [|v|v, v, |r|v, ξ_L, ξ_L|ξ_L|, ξ_L|v|, ξ_R, ξ_R|ξ_R|, ξ_R|v|], shape `(*batch, 9)`.
+
+    The paper's |r v| is written |r|v, so that a turn slows a boat that backs up too.
+    """
+    speed = surge.abs()
+    drag = torch.stack([speed * surge, surge, inputs.yaw_rate.abs() * surge], -1)  # (*batch, 3)
+    xi = torch.stack([inputs.command_left, inputs.command_right], -1)  # (*batch, 2)
+    thrust = torch.stack([xi, xi * xi.abs(), xi * speed[..., None]], -1)  # (*batch, 2, 3)
+    return torch.cat([drag, thrust.flatten(-2)], -1)
+
+
+def quasi_static_regressor(inputs: Inputs) -> Tensor:
+    """Φ of v ≈ Φᵀζ: [ξ_R, ξ_R|ξ_R|, ξ_R³, ξ_L, ξ_L|ξ_L|, ξ_L³, sin θ, cos θ, |r|], shape `(*batch, 9)`."""
+    xi = torch.stack([inputs.command_right, inputs.command_left], -1)  # (*batch, 2)
+    thrust = torch.stack([xi, xi * xi.abs(), xi * xi * xi], -1)  # (*batch, 2, 3)
+    heading = inputs.heading
+    rest = torch.stack([heading.sin(), heading.cos(), inputs.yaw_rate.abs()], -1)
+    return torch.cat([thrust.flatten(-2), rest], -1)
+
+
+SURGE = {  # parameter: its sign by physics
+    "drag_quadratic": -1,  # c_q, kg/m
+    "drag_linear": -1,  # c_l, kg/s
+    "drag_cross": -1,  # c_θ̇, kg/rad
+    "thrust_linear_left": 1,  # α_L, N
+    "thrust_quadratic_left": 1,  # β_L, N
+    "thrust_speed_left": -1,  # γ_L, N s/m
+    "thrust_linear_right": 1,
+    "thrust_quadratic_right": 1,
+    "thrust_speed_right": -1,
+}
+MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
+AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
+
+
+UNITS = {
+    "drag_quadratic": "kg/m", "drag_linear": "kg/s", "drag_cross": "kg/rad",
+    **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
+       for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},
+    "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
+}  # fmt: skip
+
+
+class SurgeDynamics(nn.Module):
+    """One step of the surge dynamics, m·surge_dot = Wᵀθ: v⁺ = v + φᵀθ with φ = dt·W/m.
+
+    Args:
+        mass: m, kg, added mass included; broadcasts against the batch.
+        memory: adds the last acceleration and the last commands; wants `WithMemory` around the estimator.
+        ambient: adds a force from a compass direction, N, and a bias.
+
+    Attributes:
+        names: of the parameters.
+        signs: of the parameters by physics; 0 where physics gives none.
+
+    >>> model = SurgeDynamics(28.0, ambient=True)
+    >>> [name for name in model.names if "ambient" in name]
+    ['ambient_bias', 'ambient_sin', 'ambient_cos']
+    """
+
+    def __init__(self, mass=36.0, memory: bool = False, ambient: bool = False):
+        super().__init__()
+        self.memory, self.ambient = memory, ambient
+        parts = SURGE | (MEMORY if memory else {}) | (AMBIENT if ambient else {})
+        self.names, self.signs = tuple(parts), tuple(parts.values())
+        mass = as_tensor(mass, "mass")
+        if not bool(((mass > 0) & mass.isfinite()).all()):
+            raise ConfigError(f"mass: found {mass.tolist()}, expected a positive number of kg")
+        self.register_buffer("mass", mass)
+
+    def spec(self) -> list[str]:
+        """Its terms, by name."""
+        return ["dynamics", *(["memory"] if self.memory else []), *(["ambient"] if self.ambient else [])]
+
+    @property
+    def scale(self) -> Tensor:
+        """The size of the parameters, which are proportional to the mass."""
+        return self.mass
+
+    def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`."""
+        W = surge_regressor(surge, inputs)
+        extra = []
+        if self.memory:
+            if not hasattr(inputs, "surge_dot"):
+                raise ShapeError(
+                    "SurgeDynamics(memory=True): the inputs have no last acceleration and commands: wrap the "
+                    "estimator, as in WithMemory(AID(model=SurgeDynamics(memory=True)))"
+                )
+            extra = [inputs.surge_dot, inputs.command_left_before, inputs.command_right_before]
+        if self.ambient:
+            heading = inputs.heading
+            extra = [*extra, torch.ones_like(heading), heading.sin(), heading.cos()]
+        if extra:
+            W = torch.cat([W, torch.stack(extra, -1)], -1)
+        return surge, (inputs.dt / self.mass)[..., None] * W
+
+
+class QuasiStatic(nn.Module):
+    """The thruster map v = Φᵀζ, which has no memory of speed; parameters in m/s.
+
+    >>> QuasiStatic().names[0]
+    'zeta_right_linear'
+    """
+
+    names = (
+        "zeta_right_linear",
+        "zeta_right_quadratic",
+        "zeta_right_cubic",
+        "zeta_left_linear",
+        "zeta_left_quadratic",
+        "zeta_left_cubic",
+        "zeta_heading_sin",
+        "zeta_heading_cos",
+        "zeta_yaw_rate",  # m/rad
+    )
+    signs = (0,) * 9  # physics gives none: the map is not a force
+    scale = 1.0
+
+    def spec(self) -> list[str]:
+        """It has none of the terms of the dynamics."""
+        return []
+
+    def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """The base of the prediction, 0 m/s, `(*batch,)`, and Φ, `(*batch, 9)`."""
+        return torch.zeros_like(surge), quasi_static_regressor(inputs)

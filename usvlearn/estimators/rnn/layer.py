@@ -1,0 +1,336 @@
+"""A shallow ReLU recurrent network with one state, learned online by Adam (paper, section IV-B).
+
+With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ_R]:
+
+    z = w₁ x + W₂ u + b,   x⁺ = aᵀ relu(z)                                        (1)
+    L = ½ (x⁺ − x_meas)² + η/2 Σ ψ_i (a_i² + w_{1i}²),                            (2)
+    ψ_i = 1 where |a_i| + |w_{1i}|/(n+1) > 1/(n+1), else 0
+
+The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing. Projection does:
+after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
+`certify.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then approach
+each other by the factor κ at every step. With `feedback: estimate` the weights follow the state, and two starts learn
+different weights. For differences Δ_k of x and Δθ_k of the weights (`certify/README.md`)
+
+    |Δ_k| ≤ κᵏ |Δ_0| + L_θ sup_{j<k} ‖Δθ_j‖/(1 − κ),   L_θ² = Σ relu(z_i)² + (1 + x² + |u|²) Σ a_i²,
+
+with L_θ² at its largest, for all states, inputs and weights that occur and the weights between.
+
+The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂ = f(f(x₋, u₋), u), and the gradient runs
+through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
+
+    ∂L/∂a = e (relu(z) + s relu(z₋)),   ∂L/∂z = e a d,   ∂L/∂z₋ = e s a d₋         (3)
+
+Speeds change little from step to step, so the network starts as persistence at the rate κ, and learns the rest:
+
+    x⁺ = κ/2 relu(2x + 1) − κ/2 relu(1) = κ x   where x > −½, that is v > −v_max               (4)
+
+with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes without its running mean of the gradient
+(β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
+clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from certify.conditions import CONDITIONS, rate
+from certify.equilibria import CLASSES, equilibria
+from certify.projections import GAUGES, project
+from certify.weights import ShallowWeights
+from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
+from usvlearn.estimator import Estimator
+from usvlearn.estimators.rnn.initial import initial_weights, pretrained_weights
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
+from usvlearn.signals import Inputs
+
+BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
+MOST_NEURONS = 10_000  # more can be no boat, but fill the memory
+
+
+class RNNState(NamedTuple):
+    """What the network learned, Adam's memory, and the step before for the unrolled loss."""
+
+    weights: ShallowWeights  # a, w1, b (*batch, n), W2 (*batch, n, 4)
+    moment1: Tensor  # (*batch, 7n) Adam's mean gradient, in the order a, w1, W2 (row by row), b
+    moment2: Tensor  # (*batch, 7n) Adam's mean squared gradient
+    updates: Tensor  # (*batch,) count of updates
+    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
+    surge_before: Tensor  # (*batch,) speed one step earlier, m/s
+    inputs_before: Tensor  # (*batch, 4) u of that step
+    dt: Tensor  # (*batch,) s, of that step
+    unbroken: Tensor  # (*batch,) bool: that step led to `surge`
+
+
+def network_inputs(inputs: Inputs) -> Tensor:
+    """u of (1), `(*batch, 4)`."""
+    heading = inputs.heading
+    return torch.stack(
+        [0.5 + 0.5 * heading.sin(), 0.5 + 0.5 * heading.cos(), inputs.command_left, inputs.command_right], -1
+    )
+
+
+def network(weights: ShallowWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """x⁺ of (1), `(*batch,)`, and z, `(*batch, n)`.
+
+    >>> one = torch.ones(1)
+    >>> network(ShallowWeights(one, one, torch.zeros(1, 4), one), torch.tensor(0.25), torch.zeros(4))[0]
+    tensor(1.2500)
+    """
+    a, w1, W2, b = weights
+    z = w1 * x[..., None] + (W2 * u[..., None, :]).sum(-1) + b
+    return (a * z.relu()).sum(-1), z
+
+
+def gradient(
+    weights: ShallowWeights,
+    x: Tensor,  # (*batch,) scaled speed from which the last step departs
+    u: Tensor,  # (*batch, 4)
+    target: Tensor,  # (*batch,) scaled measurement
+    penalty: Tensor | None = None,  # η, broadcasts against (*batch,)
+    before: tuple[Tensor, Tensor, Tensor] | None = None,  # x₋, u₋, unbroken, for the unrolled loss
+) -> Tensor:
+    """The gradient of (2) with respect to the weights, `(*batch, 7n)` in the order a, w1, W2, b."""
+    a, w1 = weights.a, weights.w1
+    if before is not None:
+        x_before, u_before, unbroken = before
+        x_between, z_before = network(weights, x_before, u_before)
+        x = torch.where(unbroken, x_between, x)
+    predicted, z = network(weights, x, u)
+    e = (predicted - target)[..., None]
+    grad_a = z.relu() * e
+    slope = a * (z > 0)
+    grad_z = slope * e
+    grad_w1 = grad_z * x[..., None]
+    grad_W2 = grad_z[..., None] * u[..., None, :]
+    grad_b = grad_z
+    if before is not None:  # (3)
+        through = e * ((slope * w1).sum(-1) * unbroken)[..., None]  # e s
+        grad_z_before = through * a * (z_before > 0)
+        grad_a = grad_a + through * z_before.relu()
+        grad_w1 = grad_w1 + grad_z_before * x_before[..., None]
+        grad_W2 = grad_W2 + grad_z_before[..., None] * u_before[..., None, :]
+        grad_b = grad_b + grad_z_before
+    if penalty is not None:
+        bound = 1.0 / (a.shape[-1] + 1)
+        shrink = penalty[..., None] * (a.abs() + bound * w1.abs() > bound)  # η ψ
+        grad_a, grad_w1 = grad_a + shrink * a, grad_w1 + shrink * w1
+    return torch.cat([grad_a, grad_w1, grad_W2.flatten(-2), grad_b], -1)
+
+
+def clipped(grad: Tensor, c: float) -> Tensor:
+    """Each lane's gradient g, `(*batch, 7n)`, as g/√(1 + ‖g‖²/c²): no longer than c, and hardly changed where short.
+
+    >>> clipped(torch.tensor([[3.0, 4.0], [0.03, 0.04]]), 1.0)
+    tensor([[0.5883, 0.7845],
+            [0.0300, 0.0400]])
+    """
+    grad = grad.clamp(-1e15, 1e15)  # so that no square overflows, not even in float32
+    return grad * (1 + (grad * grad).sum(-1, keepdim=True) / c**2).rsqrt()
+
+
+def lane_weights(state: RNNState, lane: int | tuple[int, ...]) -> ShallowWeights:
+    """The weights of one lane as float64 arrays, for `certify`."""
+    return ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.weights))
+
+
+class RNN(Estimator):
+    """Shallow ReLU network, n = 20 neurons and 140 weights by default, one Adam step a sample.
+
+    The paper's own: `initial="random" rate=5e-4 rate_ratio=(1, 1, 1, 1, 1) momentum=0.9 clip=None stability="penalty"
+    penalty=0.1 unroll=2`.
+
+    Args:
+        neurons: n.
+        surge_max: v_max, m/s, which scales the speed onto [0, 0.5].
+        initial: "persistence", equation (4), or "random" weights.
+        pretrained: initial weights in place of these: a checkpoint, .npz or .pt (see `certify.weights.load`), or one of
+            several in it, `FILE:members.rnn.weights`. They suit the `surge_max` and dt with which they were learned.
+        rate: Adam's learning rate at the first update; broadcasts against the batch.
+        rate_ratio: relative rates of a, w₁, the columns of W₂ for the heading and for the commands, and b; those of
+            w₁ and W₂ also scale the neurons of "persistence".
+        decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
+        momentum: Adam's β₁, in [0, 1).
+        clip: c, the norm that no lane's gradient exceeds; None or infinity for no limit.
+        stability: "project" onto `condition` after every update, "penalty" (the paper's), or "none".
+        condition: simple, gershgorin, lmi, tight (all activation patterns, the weakest that (a, w₁) alone can tell), or
+            interval (the same for |x| ≤ 1, where a speed that coasts is kept, and commands of up to 1.2).
+        contraction_rate: κ of the projection; broadcasts against the batch.
+        gauge: "literal", or "best": simple and gershgorin of the equal network that holds them most easily.
+        penalty: η of the paper's penalty; broadcasts against the batch.
+        unroll: steps through which the loss is taken, 1 or 2.
+        feedback: "measured" predicts from the last measured speed, "estimate" from the network's own.
+        seed: of the initial weights.
+
+    >>> rnn = RNN(surge_max=2.74)
+    >>> sum(w.numel() for w in rnn.init().weights)
+    140
+    """
+
+    def __init__(
+        self,
+        neurons: int = 20,
+        surge_max: float = 3.0,
+        initial: str = "persistence",
+        pretrained: str | Path | None = None,
+        rate=8e-4,
+        rate_ratio: Sequence[float] = (1.0, 2.0, 0.3, 1.5, 0.5),
+        decay: int | None = 1000,
+        momentum: float = 0.0,
+        clip: float | None = 0.1,
+        stability: str = "project",
+        condition: str = "tight",
+        contraction_rate=0.999,
+        gauge: str = "literal",
+        penalty=1e-4,
+        unroll: int = 1,
+        feedback: str = "measured",
+        seed: int = 0,
+    ):
+        super().__init__()
+        if unroll not in (1, 2):
+            raise ConfigError(f"unroll: found {unroll!r}, expected 1 or 2")
+        check_choice("initial", initial, ("persistence", "random"))
+        self.balanced = pretrained is None and initial == "persistence"
+        if not (isinstance(neurons, int) and self.balanced < neurons <= MOST_NEURONS):  # the balanced pair takes two
+            expected = f"a whole number, {1 + self.balanced} … {MOST_NEURONS}"
+            raise ConfigError(f"neurons: found {neurons!r}, expected {expected}")
+        if check_not_negative("momentum", momentum) >= 1:
+            raise ConfigError(f"momentum: found {momentum!r}, expected a number below 1")
+        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
+        self.surge_max = check_positive("surge_max", surge_max, "of m/s")
+        self.decay = None if decay is None else check_positive("decay", decay, "of updates")
+        self.clip = None if clip in (None, math.inf) else check_positive("clip", clip, ", or null for no limit")
+        self.scale, self.unroll, self.momentum = 0.5 / surge_max, unroll, momentum
+        check_choice("stability", stability, ("none", "penalty", "project"))
+        self.condition = check_choice("condition", condition, (*CONDITIONS, "interval"))
+        self.gauge = check_choice("gauge", gauge, GAUGES)
+        self.rate, penalty = Positive(rate, "rate"), Positive(penalty, "penalty")
+        contraction_rate = UnitInterval(contraction_rate, "contraction_rate")
+        self.penalty = penalty if stability == "penalty" else None
+        self.contraction_rate = contraction_rate if stability == "project" else None
+        self.initial_rate = float(contraction_rate().detach().min())  # of (4) where nothing is projected
+        self.register_buffer("bounds", as_tensor([[-1.0, 0.0, 0.0, -1.2, -1.2], [1.0, 1.0, 1.0, 1.2, 1.2]]))
+        ratio = as_tensor(list(rate_ratio), "rate_ratio")
+        if ratio.shape != (5,) or not bool(((ratio >= 0) & ratio.isfinite()).all()):
+            raise ConfigError(f"rate_ratio: found {list(rate_ratio)}, expected five numbers of 0 or more")
+        a, w1, heading, command, b = (each.expand(neurons) for each in ratio)
+        W2 = torch.stack([heading, heading, command, command], -1).flatten()
+        self.register_buffer("rate_ratio", torch.cat([a, w1, W2, b]))  # in the order of the gradient
+        if not isinstance(seed, int):
+            raise ConfigError(f"seed: found {seed!r}, expected a whole number")
+        if pretrained is None:
+            weights = initial_weights(neurons, initial, ratio.tolist(), torch.Generator().manual_seed(seed))
+        else:
+            weights = pretrained_weights(str(pretrained), neurons)
+        self.a, self.w1, self.W2, self.b = map(nn.Parameter, weights)
+
+    def init(self, batch: Sequence[int] = ()) -> RNNState:
+        batch, n = tuple(batch), len(self.a)
+        check_broadcast(self, batch)
+        weights = ShallowWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
+        if self.balanced:  # the room of 1e-12 keeps `project` away, through which no gradient comes from the edge
+            kappa = self.a.new_tensor(self.initial_rate) if self.contraction_rate is None else self.contraction_rate()
+            weights = self._stable(weights._replace(a=weights.a * ((1 - 1e-12) * kappa)[..., None]))
+            a, b = weights.a, weights.b
+            constant = -(a * b)[..., :1] / b[..., 1:2]  # what a condition below `tight` left of the first neuron's
+            weights = weights._replace(a=torch.cat([a[..., :1], constant, a[..., 2:]], -1))
+        weights = self._stable(weights)
+        zero = self.a.new_zeros
+        unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)
+        moments = zero((*batch, 7 * n)), zero((*batch, 7 * n))
+        return RNNState(weights, *moments, *(zero(batch) for _ in range(3)), zero((*batch, 4)), zero(batch), unbroken)
+
+    def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
+        x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
+        surge = x / self.scale
+        coasted = surge.clamp(-2 * self.surge_max, 2 * self.surge_max)  # what it may depart from when it coasts
+        return state._replace(surge=coasted, unbroken=torch.zeros_like(state.unbroken)), surge
+
+    def update(self, state: RNNState, inputs: Inputs, surge: Tensor) -> RNNState:
+        u, x = network_inputs(inputs), self.scale * state.surge
+        before = None
+        if self.unroll == 2:
+            before = self.scale * state.surge_before, state.inputs_before, state.unbroken
+        penalty = None if self.penalty is None else self.penalty()
+        grad = gradient(state.weights, x, u, self.scale * surge, penalty, before)
+        weights, moment1, moment2 = self._adam(state, grad)
+        if self.feedback == "estimate":
+            estimate = network(state.weights, x, u)[0] / self.scale
+            surge = estimate.clamp(-2 * self.surge_max, 2 * self.surge_max)
+        unbroken = torch.ones_like(state.unbroken)
+        return RNNState(
+            self._stable(weights), moment1, moment2, state.updates + 1, surge, state.surge, u, inputs.dt, unbroken
+        )
+
+    def start(self, state: RNNState, surge: Tensor) -> RNNState:
+        return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
+
+    def spec(self) -> dict[str, Any]:
+        never = math.inf
+        values = numbers(
+            scale=self.scale, surge_max=self.surge_max, rate=self.rate, momentum=self.momentum,
+            decay=never if self.decay is None else self.decay, clip=never if self.clip is None else self.clip,
+            contraction_rate=1.0 if self.contraction_rate is None else self.contraction_rate,
+            penalty=0.0 if self.penalty is None else self.penalty, share2=1 - BETA2,
+            log_beta2=math.log(BETA2), epsilon=EPSILON,
+            tiny=torch.finfo(self.a.dtype).tiny,
+        )  # fmt: skip
+        return {
+            "kind": "rnn", "size": len(self.a), "feedback": self.feedback, "unroll": int(self.unroll),
+            "condition": "none" if self.contraction_rate is None else self.condition, "best": self.gauge == "best",
+            "numbers": values, "vectors": numbers(bounds=self.bounds.flatten(), rate_ratio=self.rate_ratio),
+        }  # fmt: skip
+
+    def monitor(self, state: RNNState) -> dict[str, Tensor]:
+        a, w1 = state.weights.a, state.weights.w1
+        margins = {f"margin_{name}": condition(a, w1).margin for name, condition in CONDITIONS.items()}
+        K = rate(a, w1)
+        time_constant = torch.where(K < 1, -state.dt / K.log(), torch.nan)
+        return {**margins, "contraction_rate": K, "time_constant": time_constant, **self._at_rest(state)}
+
+    def _at_rest(self, state: RNNState) -> dict[str, Tensor]:
+        """The equilibrium without thrust, at the last heading, that is nearest to the speed: its place and class."""
+        rest = state.inputs_before * state.inputs_before.new_tensor([1.0, 1.0, 0.0, 0.0])
+        found = torch.full((*state.surge.shape, 3), torch.nan, dtype=torch.float64)
+        for lane in np.ndindex(*state.surge.shape):
+            weights = lane_weights(state, lane)
+            x = float(self.scale * state.surge[lane])
+            if not all(np.isfinite(w).all() for w in weights):
+                continue
+            every = equilibria(weights, rest[lane].tolist(), -1.0, 1.0)
+            found[(*lane, 0)] = len(every)
+            if every:
+                nearest = min(every, key=lambda each, x=x: abs(each.x - x))
+                found[(*lane, 1)], found[(*lane, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
+        return dict(zip(("equilibria", "equilibrium", "equilibrium_class"), found.unbind(-1), strict=True))
+
+    def _stable(self, weights: ShallowWeights) -> ShallowWeights:
+        if self.contraction_rate is None:
+            return weights
+        return project(weights, self.condition, self.contraction_rate(), self.gauge, (self.bounds[0], self.bounds[1]))
+
+    def _adam(self, state: RNNState, grad: Tensor) -> tuple[ShallowWeights, Tensor, Tensor]:
+        """One step of Adam (Kingma & Ba 2015, algorithm 1)."""
+        rate, count = self.rate(), state.updates + 1
+        if self.decay is not None:
+            rate = rate * (1 + (state.updates / self.decay).floor()).rsqrt()
+        if self.clip is not None:
+            grad = clipped(grad, self.clip)
+        m = state.moment1.lerp(grad, 1 - self.momentum) if self.momentum else grad
+        v = state.moment2.lerp(grad * grad, 1 - BETA2)
+        step_size = (rate / (1 - self.momentum**count) if self.momentum else rate)[..., None] * self.rate_ratio
+        v_hat = v / (1 - BETA2**count)[..., None]
+        # Clamped because the slope of the root at 0 is infinite: it must not reach the gradients.
+        step = step_size * m / (v_hat.clamp(min=torch.finfo(v.dtype).tiny).sqrt() + EPSILON)
+        n = state.weights.a.shape[-1]
+        da, dw1, dW2, db = step.split((n, n, 4 * n, n), -1)
+        a, w1, W2, b = state.weights
+        return ShallowWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, 4)), b - db), m, v

@@ -1,0 +1,106 @@
+"""What the step before tells: the last acceleration and the last commands, for a model that uses them.
+
+A thruster takes a moment to spin up, and the water around a hull swings along: the next increment depends on the last
+one. `SurgeDynamics(memory=True)` has terms for it, and this wrapper hands them over.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from usvlearn.errors import check_positive
+from usvlearn.estimator import Estimator, check_estimator, spec_of
+from usvlearn.estimators.regressors.layer import MemoryInputs
+from usvlearn.hyper import numbers
+from usvlearn.signals import Inputs, named_leaves
+
+
+class MemoryState(NamedTuple):
+    """The estimator's state, and the step before."""
+
+    inner: Any
+    surge_dot: Tensor  # (*batch,) m/s², between the last two measured speeds; of the last step where it coasts
+    surge: Tensor  # (*batch,) last measured speed, m/s
+    since: Tensor  # (*batch,) s since then
+    estimate: Tensor  # (*batch,) speed from which the next step departs, m/s
+    command_left: Tensor  # (*batch,) of the last step
+    command_right: Tensor  # (*batch,)
+    known: Tensor  # (*batch,) bool: the segment has had a step
+
+
+class WithMemory(Estimator):
+    """An estimator whose model has memory terms.
+
+    Where a segment starts, the acceleration counts as 0 and the commands before as those now. Where it coasts, the
+    acceleration is that of its own estimate.
+
+    Args:
+        estimator: AID, RLS or SIFtRLS over `SurgeDynamics(memory=True)`.
+        surge_dot_max: physical limit of the acceleration, m/s².
+
+    >>> from usvlearn import AID, SurgeDynamics
+    >>> estimator = WithMemory(AID(model=SurgeDynamics(28.0, memory=True)))
+    >>> estimator.init((3,)).inner.theta.shape
+    torch.Size([3, 12])
+    """
+
+    def __init__(self, estimator: Estimator, surge_dot_max: float = 2.0):
+        super().__init__()
+        self.estimator = check_estimator("estimator of WithMemory", estimator)
+        self.surge_dot_max = check_positive("surge_dot_max", surge_dot_max, "of m/s²")
+
+    def init(self, batch: Sequence[int] = ()) -> MemoryState:
+        inner = self.estimator.init(batch)
+        zero = next(leaf for _, leaf in named_leaves(inner)).new_zeros(tuple(batch))
+        return MemoryState(inner, *(zero,) * 6, torch.zeros_like(zero, dtype=torch.bool))
+
+    def predict(self, state: MemoryState, inputs: Inputs) -> tuple[MemoryState, Tensor]:
+        inner, surge = self.estimator.predict(state.inner, self._with_memory(state, inputs))
+        surge_dot = self._limited(surge - state.estimate, inputs.dt)
+        return self._stepped(state, inputs)._replace(inner=inner, surge_dot=surge_dot, estimate=surge), surge
+
+    def update(self, state: MemoryState, inputs: Inputs, surge: Tensor) -> MemoryState:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: MemoryState, inputs: Inputs, surge: Tensor) -> tuple[MemoryState, Tensor]:
+        inner, predicted = self.estimator.learn(state.inner, self._with_memory(state, inputs), surge)
+        stepped = self._stepped(state, inputs)
+        surge_dot = self._limited(surge - state.surge, stepped.since)
+        since = torch.zeros_like(surge)
+        return stepped._replace(inner=inner, surge_dot=surge_dot, surge=surge, since=since, estimate=surge), predicted
+
+    def start(self, state: MemoryState, surge: Tensor) -> MemoryState:
+        zero = torch.zeros_like(surge)
+        known = torch.zeros_like(state.known)
+        inner = self.estimator.start(state.inner, surge)
+        return state._replace(inner=inner, surge_dot=zero, surge=surge, since=zero, estimate=surge, known=known)
+
+    def inflate_covariance(self, state: MemoryState, factor: Tensor) -> MemoryState:
+        return state._replace(inner=self.estimator.inflate_covariance(state.inner, factor))
+
+    def spec(self) -> dict[str, Any] | None:
+        inner = spec_of(self.estimator)
+        return inner and {"kind": "memory", "inner": inner, "numbers": numbers(surge_dot_max=self.surge_dot_max)}
+
+    def monitor(self, state: MemoryState) -> dict[str, Tensor]:
+        return self.estimator.monitor(state.inner)
+
+    def _with_memory(self, state: MemoryState, inputs: Inputs) -> MemoryInputs:
+        left = torch.where(state.known, state.command_left, inputs.command_left)
+        right = torch.where(state.known, state.command_right, inputs.command_right)
+        return MemoryInputs(*inputs, state.surge_dot, left, right)
+
+    def _limited(self, change: Tensor, dt: Tensor) -> Tensor:
+        return (change / torch.where(dt > 0, dt, 1.0)).clamp(-self.surge_dot_max, self.surge_dot_max)
+
+    def _stepped(self, state: MemoryState, inputs: Inputs) -> MemoryState:
+        return state._replace(
+            since=state.since + inputs.dt,
+            command_left=inputs.command_left,
+            command_right=inputs.command_right,
+            known=torch.ones_like(state.known),
+        )

@@ -1,0 +1,167 @@
+"""How functions are compiled by numba, and where the machine code is kept.
+
+Numba looks at one file when it asks whether what it kept is still good, not at those whose functions that file calls.
+So each state of all compiled sources of a package has a folder of its own. Each file in it ends with its sha256: a
+power cut or a bad disk can damage a file, and machine code must not be run on trust.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache, partial
+from pathlib import Path
+
+import numba
+from llvmlite.binding import get_host_cpu_name
+from numba.core.caching import IndexDataCacheFile
+
+HERE = Path(__file__).parent
+DIGEST = hashlib.sha256().digest_size
+
+
+@cache
+def folder(package: Path) -> Path:
+    """Where the machine code of a package is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
+    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(package)
+    digest = hashlib.sha256("\n".join(machine).encode())
+    for path in sorted({*HERE.rglob("*.py"), *package.glob("*.py")}):
+        content = path.read_bytes()
+        if b"\n@jit" in content or path.parent == HERE:
+            digest.update(content)
+    name = f"kernels-{digest.hexdigest()[:12]}"
+    try:
+        base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+        found = Path(base) / "usvlearn" / name
+        found.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=found):
+            return found
+    except (OSError, RuntimeError):  # no home, or none that can be written to
+        return _temporary() / name
+
+
+@cache
+def _temporary() -> Path:
+    """A folder of this user's alone among temporary files: what lies there is run."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    own = Path(tempfile.gettempdir()) / f"usvlearn-{user}"
+    try:
+        own.mkdir(mode=0o700, exist_ok=True)
+        state = own.lstat()
+        if stat.S_ISDIR(state.st_mode) and (not user or state.st_uid == user) and not state.st_mode & 0o022:
+            return own
+    except OSError:
+        pass
+    return Path(tempfile.mkdtemp(prefix="usvlearn-"))
+
+
+def jit(function: Callable | None = None, *, reorder: bool = False, memory: bool = False) -> Callable:
+    """Compile a function when it is first called; without the GIL, and with division as NumPy's.
+
+    Args:
+        function: of numbers and arrays.
+        reorder: whether sums may be taken several terms at a time: for long ones.
+        memory: whether it may make arrays. Without, an array or a part of one is handed on without counting references
+            to it, which takes longer than most of what is done here with one.
+    """
+    if function is None:
+        return partial(jit, reorder=reorder, memory=memory)
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder(Path(function.__code__.co_filename).parent))
+    fastmath = {"contract", "reassoc"} if reorder else {"contract"}
+    options = {"nogil": True, "error_model": "numpy", "fastmath": not memory and fastmath, "_nrt": memory}
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    finally:
+        numba.config.CACHE_DIR = before
+    if (kept := getattr(compiled, "_cache", None)) is not None:  # None where numba is told not to compile
+        kept._cache_file = CheckedFiles(kept._cache_file)
+    return compiled
+
+
+class CheckedFiles(IndexDataCacheFile):
+    """Numba's files of one function, each with its sha256 at the end: a damaged one is removed, and compiled anew.
+
+    Args:
+        plain: the files as numba has them.
+    """
+
+    def __init__(self, plain: IndexDataCacheFile):
+        vars(self).update(vars(plain))
+
+    def load(self, key: object) -> object:
+        """What is kept under a key, None where nothing is, or where it is damaged."""
+        index = Path(self._index_path)
+        if not index.exists():
+            return None
+        if whole(index):
+            if (name := self._load_index().get(key)) is None:
+                return None
+            if whole(Path(self._data_path(name))):
+                return self._load_data(name)
+        index.unlink(missing_ok=True)  # without it numba asks for no other file
+        _say_damaged(index.parent)
+        return None
+
+    def save(self, key: object, data: object) -> None:
+        """Keep what is compiled; where the disk is full, say so, and go on without."""
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _say_unkept(Path(self._index_path).parent, error.strerror)
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        with super()._open_for_write(filepath) as file:
+            content = io.BytesIO()
+            yield content
+            file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
+
+
+def whole(path: Path) -> bool:
+    """Whether a file ends with the sha256 of all before."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    return hashlib.sha256(content[:-DIGEST]).digest() == content[-DIGEST:]
+
+
+@cache
+def _say_damaged(folder: Path) -> None:
+    print(f"usvlearn: compiled code in {folder} is damaged; it is compiled anew, in a minute or so", file=sys.stderr)
+
+
+@cache
+def _say_unkept(folder: Path, cause: str) -> None:
+    print(
+        f"usvlearn: compiled code cannot be kept in {folder} ({cause}); the next start compiles it anew",
+        file=sys.stderr,
+    )
+
+
+@contextmanager
+def announced(package: str, what: str) -> Iterator[None]:
+    """Say on stderr that a part of a package compiles, and how long it took, where that was never done here before."""
+    mark = folder(Path(package).parent) / what.replace(" ", "-")
+    if numba.config.DISABLE_JIT or mark.exists():
+        yield
+        return
+    print(f"usvlearn: compiling the {what}, once on this machine …", end="", file=sys.stderr, flush=True)
+    began = time.perf_counter()
+    try:
+        yield
+    except BaseException:
+        print(file=sys.stderr)  # what comes next has a line of its own
+        raise
+    print(f" {time.perf_counter() - began:.0f} s; kept in {mark.parent}", file=sys.stderr)
+    try:
+        mark.touch()
+    except OSError:
+        pass

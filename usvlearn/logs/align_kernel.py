@@ -1,0 +1,321 @@
+"""Messages to steps of the grid, compiled by numba: what `usvlearn.logs.align.Aligner` does with each message.
+
+Channels are numbered in the order of `CHANNELS`, causes of a rejection in that of `CAUSES`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from usvlearn.jit import jit
+from usvlearn.logs.channel import CHANNELS
+
+EPSILON = 1e-6  # s, below which two stamps are one
+SLACK = 1.0  # s, by which a channel may lag behind the newest message of any other
+LATEST = 1e12  # s, beyond which a stamp is none: the next step would be at the same time
+RESETS = 3  # messages in a row, of several channels, that far behind are a clock that was set back
+TURN = 2 * math.pi
+LEFT, RIGHT, HEADING, YAW_RATE, SURGE = range(5)
+CAUSES = ("not_a_number", "out_of_range", "backwards", "ahead", "duplicate", "repeated", "stale")
+NOT_A_NUMBER, OUT_OF_RANGE, BACKWARDS, AHEAD, DUPLICATE, REPEATED, STALE = range(7)
+INPUTS = ("mean", "last", "next")
+MEAN, LAST, NEXT = range(3)
+DROP, TAKE, ANEW = range(3)  # what becomes of a message
+COLUMNS = 9  # of a row: time, command left and right, heading, yaw rate, dt, surge, fresh, measured
+
+
+# Records, not tuples of arrays: compiled code counts references to an array whenever it hands one on.
+SETTINGS = np.dtype(
+    [
+        ("dt", "f8"),  # s
+        ("inputs", "i8"),  # MEAN, LAST or NEXT
+        ("patience", "f8"),  # s
+        ("outage", "f8"),  # s
+        ("limit", "f8", len(CHANNELS)),  # largest magnitude of a value
+        ("logged", "i8", len(CHANNELS)),  # whether there is such a channel
+        ("held", "i8", len(CHANNELS)),
+        ("window", "f8", len(CHANNELS)),  # s
+        ("delay", "f8", len(CHANNELS)),  # s
+    ]
+)
+MEMORY = np.dtype(
+    [
+        ("newest", "f8"),  # s, newest stamp of any channel
+        ("ahead", "f8"),  # s, stamp of the last message that lay beyond an outage
+        ("heard", "f8"),  # s, grid time of the last measured speed
+        ("tick", "f8"),  # s, the grid time that was emitted last; NaN before the first
+        ("known", "i8"),  # whether an estimator knows the speed at that time
+        ("behind", "i8"),  # how many messages in a row lie far behind the newest
+        ("voices", "i8"),  # and a bit for each of their channels
+        ("count", "i8", len(CHANNELS)),  # recent messages of each channel
+        ("rejected", "i8", (len(CHANNELS), len(CAUSES))),  # counts
+    ]
+)
+
+
+def new_settings(**values) -> np.ndarray:
+    """A record of `SETTINGS`, `(1,)`.
+
+    >>> new_settings(dt=0.4, held=[1, 1, 0, 0, 0])["held"].tolist()
+    [[1, 1, 0, 0, 0]]
+    """
+    settings = np.zeros(1, dtype=SETTINGS)
+    for name, value in values.items():
+        settings[name] = value
+    return settings
+
+
+def new_memory() -> np.ndarray:
+    """A record of `MEMORY` before the first message, `(1,)`.
+
+    >>> new_memory()["newest"].tolist()
+    [-inf]
+    """
+    memory = np.zeros(1, dtype=MEMORY)
+    for name in ("newest", "ahead", "heard"):
+        memory[name] = -math.inf
+    memory["tick"] = math.nan
+    return memory
+
+
+@jit(memory=True)
+def feed(settings, memory, times, values, channels, stamps, numbers, flush):
+    """Take messages in the order in which they came; returns a row for each step that they complete.
+
+    Args:
+        settings, memory: records, `(1,)`: see `SETTINGS`, `MEMORY`.
+        times, values: `(channels, room)`, the recent messages, oldest first; a time is when the value takes effect, s.
+        channels, stamps, numbers: `(messages,)`, the new ones, in s and SI units; there must be room for them.
+        flush: whether to go on to the newest message, without waiting for stragglers.
+    """
+    settings, memory = settings[0], memory[0]
+    rows, count = np.empty((len(stamps) // 4 + 16, COLUMNS)), 0
+    for k in range(len(stamps)):
+        channel, time, value = channels[k], stamps[k], numbers[k]
+        heard = _hear(settings, memory, channel, time, value)
+        if heard == DROP:
+            continue
+        if heard == ANEW:
+            rows, count = _advance(settings, memory, times, values, memory.newest, rows, count)
+            _restart(settings, memory, times, values)
+        if not _keep(settings, memory, times, values, channel, time, value):
+            continue
+        if channel == SURGE and math.isnan(memory.tick):
+            memory.tick, memory.heard, memory.known = time, time, True
+            rows = _room(rows, count)
+            _write(rows[count], time, 0.0, value)
+            count += 1
+        elif memory.newest > memory.tick + settings.dt + settings.patience:  # false before the first tick, which is NaN
+            rows, count = _advance(settings, memory, times, values, memory.newest - settings.patience, rows, count)
+    if flush:
+        rows, count = _advance(settings, memory, times, values, memory.newest, rows, count)
+    return rows[:count]
+
+
+@jit(memory=True)
+def forget(settings, memory, times, values):
+    """Drop what is not needed to know any signal from a step before the one that was emitted last."""
+    settings, memory = settings[0], memory[0]
+    if math.isnan(memory.tick):
+        return
+    for c in range(len(memory.count)):
+        last = at(times[c, : memory.count[c]], memory.tick - settings.dt)
+        keep = at(times[c, : memory.count[c]], times[c, last] - settings.dt) if last > 0 else 0
+        if keep > 0:
+            memory.count[c] -= keep
+            for k in range(memory.count[c]):
+                times[c, k], values[c, k] = times[c, k + keep], values[c, k + keep]
+
+
+@jit(memory=True)
+def at(times, time):
+    """Index of the last message stamped at or before `time`; -1 where there is none."""
+    return _below(times, time + EPSILON, True)
+
+
+@jit(memory=True)
+def before(times, time):
+    """Index of the last message stamped before `time`; -1 where there is none."""
+    return _below(times, time - EPSILON, False)
+
+
+@jit(memory=True)
+def _below(times, time, equal):
+    low, high = 0, len(times)
+    while low < high:
+        middle = (low + high) // 2
+        if times[middle] < time or (equal and times[middle] == time):
+            low = middle + 1
+        else:
+            high = middle
+    return low - 1
+
+
+@jit(memory=True)
+def mean(times, values, start, end):
+    """Time-weighted mean of the held signal over [start, end); NaN where it had no value yet."""
+    j, last = at(times, start), before(times, end)
+    if last < 0:
+        return math.nan
+    if j < 0:
+        j, start = 0, times[0]
+    if j == last:
+        return values[j]
+    total, since = 0.0, start
+    for i in range(j, last):
+        total += values[i] * (times[i + 1] - since)
+        since = times[i + 1]
+    return (total + values[last] * (end - since)) / (end - start)
+
+
+@jit(memory=True)
+def _hear(settings, memory, channel, time, value):
+    """Whether a message is to be dropped, taken, or taken as the first of a new segment."""
+    limit = settings.limit[channel]
+    if not (math.isfinite(value) and abs(time) < LATEST):
+        memory.rejected[channel, NOT_A_NUMBER] += 1
+        return DROP
+    if not -limit <= value <= limit:
+        memory.rejected[channel, OUT_OF_RANGE] += 1
+        return DROP
+    heard = TAKE
+    if time < memory.newest - SLACK:
+        memory.behind += 1
+        memory.voices |= 1 << channel
+        if memory.behind < RESETS or memory.voices == 1 << channel:
+            memory.rejected[channel, BACKWARDS] += 1
+            return DROP
+        heard = ANEW  # the clock was set back
+    elif time > memory.newest + settings.outage and memory.newest > -math.inf:
+        stray = abs(time - memory.ahead) > settings.outage
+        memory.ahead = time
+        if stray:  # unless the next message confirms it
+            memory.rejected[channel, AHEAD] += 1
+            return DROP
+        heard = ANEW
+    memory.behind, memory.voices = 0, 0
+    return heard
+
+
+@jit(memory=True)
+def _keep(settings, memory, times, values, channel, time, value):
+    """Remember a message; returns whether it is a new one of its channel."""
+    n = memory.count[channel]
+    if channel == HEADING and n > 0:
+        value += TURN * np.rint((values[channel, n - 1] - value) / TURN)
+    effect = time + settings.delay[channel]
+    if n > 0 and effect <= times[channel, n - 1]:
+        if effect < times[channel, n - 1]:
+            memory.rejected[channel, BACKWARDS] += 1
+        elif value == values[channel, n - 1]:
+            memory.rejected[channel, DUPLICATE] += 1
+        else:
+            memory.rejected[channel, REPEATED] += 1
+            values[channel, n - 1] = value
+        return False
+    times[channel, n], values[channel, n] = effect, value
+    memory.count[channel] = n + 1
+    memory.newest = max(memory.newest, time)
+    return True
+
+
+@jit(memory=True)
+def _restart(settings, memory, times, values):
+    for c in range(len(memory.count)):
+        n = memory.count[c]
+        memory.count[c] = 0
+        if settings.held[c] and n > 0:  # what is held stands, however old
+            times[c, 0], values[c, 0], memory.count[c] = -math.inf, values[c, n - 1], 1
+    memory.newest, memory.tick, memory.known = -math.inf, math.nan, False
+
+
+@jit(memory=True)
+def _room(rows, count):
+    return rows if count < len(rows) else np.concatenate((rows, np.empty_like(rows)))
+
+
+@jit(memory=True)
+def _write(row, time, dt, surge):
+    """A step that cannot be made: of `dt` 0 where the speed tells from where the next one departs."""
+    row[:] = 0.0
+    row[0], row[5], row[6] = time, dt, surge
+
+
+@jit(memory=True)
+def _advance(settings, memory, times, values, until, rows, count):
+    while memory.tick + settings.dt <= until + EPSILON:
+        rows = _room(rows, count)
+        _step(settings, memory, times, values, memory.tick, memory.tick + settings.dt, rows[count])
+        memory.tick, count = memory.tick + settings.dt, count + 1
+    return rows, count
+
+
+@jit(memory=True)
+def _step(settings, memory, times, values, start, end, row):
+    """The row of the step from `start` to `end`."""
+    speeds, window = times[SURGE, : memory.count[SURGE]], settings.window[SURGE]
+    i = at(speeds, end)
+    measured = i >= 0 and speeds[i] > start + EPSILON and end - speeds[i] <= window + EPSILON
+    surge = values[SURGE, i] if measured else math.nan
+    if not measured:
+        memory.rejected[SURGE, STALE] += 1
+    else:
+        if end - memory.heard > settings.outage:
+            memory.known = False  # too long ago for the way from there to be one step
+        memory.heard = end
+    cut = speeds[i] if measured else end  # [start, cut): what a prediction may see under MEAN
+    fresh = True
+    for c in (LEFT, RIGHT, HEADING, YAW_RATE):
+        if settings.logged[c]:
+            row[1 + c] = _input(settings, memory, times, values, c, start, cut, end)
+        else:
+            row[1 + c] = _heading_slope(settings, memory, times, values, start, cut, end)
+        fresh = fresh and not math.isnan(row[1 + c])
+    if not (fresh and memory.known):
+        memory.known = measured
+        _write(row, end, 0.0 if measured else settings.dt, surge)
+        return
+    row[0], row[3], row[5], row[6], row[7], row[8] = end, row[3] % TURN, settings.dt, surge, 1.0, measured
+
+
+@jit(memory=True)
+def _input(settings, memory, times, values, channel, start, cut, end):
+    """The value of one input, NaN where it is stale."""
+    n = memory.count[channel]
+    times, values = times[channel, :n], values[channel, :n]
+    if settings.inputs == MEAN:
+        when, i = cut, before(times, cut)
+    else:
+        when = start if settings.inputs == LAST else end
+        i = at(times, when)
+    if i < 0 or not (settings.held[channel] or when - times[i] <= settings.window[channel] + EPSILON):
+        memory.rejected[channel, STALE] += 1
+        return math.nan
+    return mean(times, values, start, cut) if settings.inputs == MEAN else values[i]
+
+
+@jit(memory=True)
+def _heading_slope(settings, memory, times, values, start, cut, end):
+    """Yaw rate, rad/s, from the unwrapped heading over about one step; NaN where unknown or impossible."""
+    n = memory.count[HEADING]
+    times, values = times[HEADING, :n], values[HEADING, :n]
+    longest = 2 * settings.dt + settings.window[HEADING]
+    if settings.inputs == MEAN:
+        j = before(times, cut)
+    else:
+        j = at(times, start if settings.inputs == LAST else end)
+    if j < 0:
+        return math.nan  # counted as a stale heading
+    i = at(times, times[j] - settings.dt / 2)
+    if settings.held[HEADING] and cut - times[j] > longest:
+        return 0.0  # it is held: the boat keeps its heading
+    if i < 0 or times[j] - times[i] > longest:
+        memory.rejected[YAW_RATE, STALE] += 1
+        return math.nan
+    slope = (values[j] - values[i]) / (times[j] - times[i])
+    if abs(slope) > settings.limit[YAW_RATE]:
+        memory.rejected[YAW_RATE, OUT_OF_RANGE] += 1
+        return math.nan
+    return slope

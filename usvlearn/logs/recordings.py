@@ -1,0 +1,91 @@
+"""Recordings to a `Fleet`: every boat a lane, its runs one after the other."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, LogFormatError, under
+from usvlearn.logs.align import Aligned, align
+from usvlearn.logs.channel import Recording
+from usvlearn.signals import Fleet, Inputs, Run, Sample, tree_map
+
+SHORTEST = 3  # samples that make a run
+
+
+def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
+    """Align recordings and set the boats side by side; the k-th run of every boat shares the k-th batch.
+
+    Args:
+        recordings: of one or several boats, each boat's in the order in which they are replayed.
+        **options: of `usvlearn.logs.align.Aligner`.
+
+    Raises:
+        LogFormatError: no run has three samples. A shorter run beside longer ones is left out with a warning.
+    """
+    boats: dict[str, list[tuple[str, Aligned]]] = {}
+    rejected: dict[str, dict[str, dict[str, int]]] = {}
+    short = []
+    for recording in recordings:
+        if recording.boat in ("", ".", "..") or set(recording.boat) & set("/\\"):
+            raise ConfigError(f"data.boat: found the name {recording.boat!r}, expected one that can name a folder")
+        with under("align", options):
+            aligned = align(recording.channels, **options)
+        counts = rejected.setdefault(recording.boat, {})
+        found = [
+            (channel, cause, count)
+            for source in (recording.dropped, aligned.rejected)
+            for channel, causes in source.items()
+            for cause, count in causes.items()
+        ]
+        for channel, cause, count in found:
+            if count:
+                total = counts.setdefault(channel, {})
+                total[cause] = total.get(cause, 0) + count
+        steps = int(aligned.samples.measured.sum())
+        if steps < SHORTEST:
+            short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
+        else:
+            boats.setdefault(recording.boat, []).append((recording.run, aligned))
+    if not boats:
+        raise LogFormatError(
+            f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
+            "give a longer log, or fix what was rejected (window, held, unit of channels; limits, patience of align)"
+        )
+    for text in short:
+        warnings.warn(f"run left out, expected at least {SHORTEST} measured steps: {text}", stacklevel=2)
+    runs = [_side_by_side([boats[boat][k] if k < len(boats[boat]) else None for boat in boats])
+            for k in range(max(map(len, boats.values())))]  # fmt: skip
+    return Fleet(tuple(boats), tuple(runs), rejected)
+
+
+def _side_by_side(lanes: list[tuple[str, Aligned] | None]) -> Run:
+    """One run per boat, padded to the longest with samples that are neither fresh nor measured."""
+    lengths = [0 if lane is None else len(lane[1].time) for lane in lanes]
+    longest = lanes[int(np.argmax(lengths))][1]
+    shape = (max(lengths), len(lanes))
+
+    def empty(fill) -> np.ndarray:
+        return np.full(shape, fill, dtype=type(fill))
+
+    dt = float(longest.samples.inputs.dt.max())
+    padded = Sample(
+        Inputs(empty(0.0), empty(0.0), empty(0.0), empty(0.0), empty(dt)),
+        empty(np.nan),
+        empty(False),
+        empty(False),
+    )
+    time = empty(np.nan)
+    for lane, one in enumerate(lanes):
+        if one is not None:
+            (_, aligned), part = one, (slice(lengths[lane]), lane)
+            time[part] = aligned.time - aligned.time[0]
+            tree_map(lambda whole, x, part=part: whole.__setitem__(part, x), padded, aligned.samples)
+    return Run(time, padded, tuple("" if lane is None else lane[0] for lane in lanes), tuple(lengths))
+
+
+def _causes(rejected: dict[str, dict[str, int]]) -> str:
+    found = [f"{channel} {cause} {n}" for channel, causes in rejected.items() for cause, n in causes.items()]
+    return ", ".join(found) or "nothing"

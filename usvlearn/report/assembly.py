@@ -1,0 +1,123 @@
+"""All sections of a report from what a season has left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.evaluation.crossval import FreeErrors, cross_validate
+from usvlearn.evaluation.members import explained, remarks
+from usvlearn.evaluation.season import Season
+from usvlearn.report.section import Section
+from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
+from usvlearn.report.sections.cost import cost_section
+from usvlearn.report.sections.cross import cross_section
+from usvlearn.report.sections.network import network_section
+from usvlearn.report.sections.online import online_section
+from usvlearn.report.sections.parameters import Truth, parameters_section
+from usvlearn.rollouts import stack
+from usvlearn.signals import tree_map
+
+
+def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
+    """Steps that `assemble` simulates: of every set on every run of its boat, and of a set per boat on all runs."""
+    steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
+    matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
+    return sum(len(season.own) * steps[season.boat] for season in seasons) + matrices
+
+
+def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
+    """On what a report rests, a sentence each."""
+    runs = [run for season in seasons for run in season.runs]
+    hours = sum(float(run.samples.inputs.dt[run.steps].sum()) for run in runs) / 3600
+    sets = sum(len(season.own) for season in seasons)
+    boats = "1 boat" if len(seasons) == 1 else f"{len(seasons)} boats"
+    return [
+        f"{boats}, {len(runs)} runs, {hours:.1f} h measured, {sets} parameter sets, of {', '.join(map(str, folders))}."
+    ]
+
+
+def assemble(
+    ensemble: Ensemble,
+    seasons: Sequence[Season],
+    truth: Truth,
+    advance: Callable[[int], object] = lambda steps: None,
+) -> tuple[list[Section], dict[str, FreeErrors]]:
+    """Simulate, compare and draw.
+
+    Args:
+        ensemble: to which all sets belong.
+        seasons: of all boats.
+        truth: true parameters of simulated boats (see `usvlearn.simulate.truth`), else empty.
+        advance: is told of steps simulated, for a progress bar.
+
+    Returns:
+        The sections in the paper's order, and the errors of every boat's cross-validation.
+    """
+    errors = {
+        season.boat: cross_validate(ensemble, season.state, [run.samples for run in season.runs], advance=advance)
+        for season in seasons
+    }
+    beside = remarks(ensemble)
+    sections = [
+        online_section(seasons, ensemble.names, beside, explained(ensemble)),
+        cross_section(seasons, errors, beside),
+    ]
+    if len(seasons) > 1:
+        sections.append(_between(ensemble, seasons, errors, advance))
+    # Runs of a simulated season are called after their mission: 001_convoy is its first.
+    mission = {
+        season.boat: np.array([int(run.name.partition("_")[0]) - 1 for run in season.runs])
+        for season in seasons
+        if season.boat in truth
+    }
+    sections += [network_section(seasons, ensemble), parameters_section(seasons, ensemble, truth, mission)]
+    return [section for section in (*sections, cost_section(ensemble)) if section is not None], errors
+
+
+def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
+    """Of the boats' last sets the one whose free runs on all boats' runs have the least MSE.
+
+    Args:
+        ensemble: to which the sets belong.
+        seasons: of all boats.
+    """
+    last = [len(season.own) - 1 for season in seasons]
+    method = _compared(ensemble)[0]
+    matrix = fleet_matrices(seasons, _each_on_all(ensemble, seasons, last), [method])[method]
+    best = int(np.nanargmin(matrix.mean(1)))
+    return seasons[best].paths[-1]
+
+
+def _compared(ensemble: Ensemble) -> list[str]:
+    """The methods by which boats are compared: the paper's, if it is there, and the ensemble's own."""
+    return list(dict.fromkeys(name for name in ("average", ensemble.output) if name in ensemble.names))
+
+
+def _each_on_all(
+    ensemble: Ensemble,
+    seasons: Sequence[Season],
+    chosen: Sequence[int],
+    advance: Callable[[int], object] = lambda steps: None,
+) -> dict[str, FreeErrors]:
+    """The errors of one set of each boat on all runs of each boat."""
+    states = [tree_map(lambda x, k=k: x[k], season.state) for season, k in zip(seasons, chosen, strict=True)]
+    return {
+        season.boat: cross_validate(ensemble, stack(states), [run.samples for run in season.runs], advance=advance)
+        for season in seasons
+    }
+
+
+def _between(
+    ensemble: Ensemble, seasons: Sequence[Season], errors: Mapping[str, FreeErrors], advance: Callable[[int], object]
+) -> Section:
+    matrices, best = {}, {}
+    for method in _compared(ensemble):
+        chosen = best_sets(seasons, errors, method)
+        between = _each_on_all(ensemble, seasons, chosen, advance)
+        matrices |= fleet_matrices(seasons, between, [method])
+        best[method] = [float(season.hours[k]) for season, k in zip(seasons, chosen, strict=True)]
+    return fleet_section(seasons, matrices, best)

@@ -1,0 +1,106 @@
+"""Parameters and time per sample of each method on this machine (paper, table I)."""
+
+from __future__ import annotations
+
+import platform
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+
+from usvlearn.estimator import Estimator
+from usvlearn.estimators.aid.layer import AID
+from usvlearn.estimators.ensemble.layer import Bank, Ensemble
+from usvlearn.estimators.least_squares.rls import RLS
+from usvlearn.estimators.least_squares.sift import SIFtRLS
+from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.evaluation.members import unwrapped
+from usvlearn.online import Online
+from usvlearn.report.result_table import ResultTable
+from usvlearn.report.section import Section
+from usvlearn.rollouts import rollout
+from usvlearn.signals import Inputs, Sample, named_leaves
+
+SAID = (
+    "AID: 9 parameters, O(p) to predict and to learn. RNN: n = 20, m = 4, 140 weights, O(n (m + 1)) both. RLS: 9 "
+    "parameters, O(p) and O(p²). No times are given; it ran on a Raspberry Pi 4."
+)
+ORDERS = {  # to predict, to learn
+    AID: ("p", "p"), RNN: ("n (m + 1)", "n (m + 1), rounds of n to project"), RLS: ("p", "p²"), SIFtRLS: ("p", "p²"),
+}  # fmt: skip
+STEPS, EAGER, PASSES, MANY = 400, 20, 5, 1000
+
+
+def cost_section(ensemble: Ensemble) -> Section:
+    """One boat, one sample at a time, as aboard: median over passes.
+
+    Args:
+        ensemble: whose members and rules are timed.
+    """
+    sample = Sample(Inputs(0.5, 0.4, 1.0, 0.05, 0.4), 0.8, True, True)
+    rows = []
+    for name, member in ensemble.members.items():
+        inner, core = unwrapped(member, member.init(()))
+        orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
+        lanes = len(member.labels) if isinstance(member, Bank) else 1
+        kind = f"{type(inner).__name__}, {lanes} settings" if lanes > 1 else type(inner).__name__
+        alone = Ensemble({name: member}, watched=False) if lanes > 1 else member
+        rows.append((name, kind, _parameters(core), *(f"O({o})" for o in orders), *_times(alone, sample)))
+    whole = _times(ensemble, sample)
+    rows.append(("all together", "Ensemble", sum(row[2] for row in rows), "–", "–", *whole))
+    wide = _many(ensemble, sample)
+    columns = (
+        "method",
+        "kind",
+        "parameters",
+        "to predict",
+        "to learn",
+        "predict, µs",
+        "predict and learn, µs",
+        "by torch, µs",
+    )
+    machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
+    here = [
+        f"Measured on {machine}: one boat, one sample at a time from Python, the median of {PASSES} passes.",
+        f"As lanes of one batch {MANY} boats take {wide / MANY:.2g} µs each for a step of all together.",
+    ]
+    return Section("cost", "Parameters and time per sample", SAID, here, (), [ResultTable("cost", columns, rows)])
+
+
+def _times(estimator: Estimator, sample: Sample) -> tuple[float, float, float]:
+    """µs to predict, to predict and learn, and the latter by torch."""
+    boat, plain = Online(estimator), Online(estimator, backend="torch")
+    return (
+        _median(lambda: boat.predict(sample.inputs)), _median(lambda: boat.step(sample)),
+        _median(lambda: plain.step(sample), EAGER),
+    )  # fmt: skip
+
+
+def _many(ensemble: Ensemble, sample: Sample) -> float:
+    """µs a step of MANY lanes."""
+    dtype, shape = ensemble.init(()).predictions.dtype, (EAGER, MANY)
+    inputs = Inputs(*(torch.full(shape, x, dtype=dtype) for x in sample.inputs))
+    yes = torch.ones(shape, dtype=torch.bool)
+    samples, state = Sample(inputs, torch.full(shape, sample.surge, dtype=dtype), yes, yes), ensemble.init((MANY,))
+    with torch.no_grad():
+        return _median(lambda: rollout(ensemble, state, samples), 1) / EAGER
+
+
+def _parameters(state: Any) -> int:
+    """What the method identifies: θ, or the network's weights."""
+    identified = [leaf for name, leaf in named_leaves(state) if name == "theta" or name.startswith("weights.")]
+    return sum(leaf.numel() for leaf in identified)
+
+
+def _median(work: Callable[[], object], steps: int = STEPS) -> float:
+    """µs a call."""
+    work()
+    passes = []
+    for _ in range(PASSES):
+        start = time.perf_counter()
+        for _ in range(steps):
+            work()
+        passes.append((time.perf_counter() - start) / steps)
+    return 1e6 * statistics.median(passes)

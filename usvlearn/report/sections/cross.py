@@ -1,0 +1,111 @@
+"""Cross-validation of every saved set on every other run of its boat (paper, figure 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from usvlearn.evaluation.crossval import FreeErrors
+from usvlearn.evaluation.metrics import by_error
+from usvlearn.evaluation.season import Season
+from usvlearn.figures import PAPER
+from usvlearn.report.result_table import ResultTable
+from usvlearn.report.season_figures import Box, box, boxes_figure
+from usvlearn.report.section import Drawn, Section, mean_errors, on, summary, tally
+
+SAID = (
+    "43 to 82 saved sets per boat. AID had the lowest error on seven of eight boats and the smallest range on six; "
+    "RNN and RLS had many outliers; AVE was no better than AID; the RLS-weighted ensemble, whose weights were learned "
+    "offline, step by step as if online, was better than all of them."
+)
+
+SEES = "sees the speed"  # of NAME+
+
+
+def cross_section(
+    seasons: Sequence[Season], errors: Mapping[str, FreeErrors], remarks: Mapping[str, str] | None = None
+) -> Section:
+    """The distribution of the free-run MAE over (set, other run), per boat and method.
+
+    Args:
+        seasons: of all boats.
+        errors: of the sets of each boat on all of its runs.
+        remarks: on methods; see `usvlearn.evaluation.members.remarks`.
+    """
+    boxes: dict[str, dict[str, Box | None]] = {}
+    subtitles, rows, remarks = {}, [], dict(remarks or {})
+    remarks |= {name: SEES for name in errors[seasons[0].boat].methods if name.endswith("+")}
+    for season in seasons:
+        found, others = errors[season.boat], season.others & (errors[season.boat].steps > 0)
+        boxes[season.boat] = {
+            name: box(found.mae[..., k][others], int(found.diverged[..., k][others].sum()))
+            for k, name in enumerate(found.methods)
+        }
+        subtitles[season.boat] = f"{len(season.own)} sets × {len(season.runs)} runs"
+        for name in by_error({name: each and each.mean for name, each in boxes[season.boat].items()}):
+            if (each := boxes[season.boat][name]) is not None:
+                later = found.mae[..., found.methods.index(name)][season.later & (found.steps > 0)]
+                rows.append((season.boat, name, each.median, each.mean, each.lower, each.upper, each.low, each.high,
+                             each.outliers, each.diverged, each.count,
+                             float(np.median(later)) if len(later) else None,
+                             remarks.get(name, "")))  # fmt: skip
+    if not rows:
+        here = ["There is no other run to simulate: each boat has one, from which all of its sets came."]
+        return Section("crossval", "Cross-validation", SAID, here)
+    columns = ("boat", "method", "median MAE, m/s", "mean, m/s", "lower quartile, m/s", "upper quartile, m/s",
+               "5 %, m/s", "95 %, m/s", "outliers", "diverged", "simulations",
+               "median over later runs, m/s", "remark")  # fmt: skip
+    caption = (
+        "Every saved set on every run of its boat but the one that it was saved in, from the inputs and the speed at "
+        "which a stretch without a gap begins; what a set has learned from is among them, and the table has the median "
+        "over later runs alone, too; the lowest mean over boats first. Box: quartiles of the MAE; line: 5 to "
+        "95 %; diamond: mean; dots: beyond; div.: simulations that left the physical limit, which count with the error "
+        "of the limit. NAME+ (hollow) weighs the free members by what was measured so far: it sees the speed. "
+        "Outliers of the table lie 1.5 quartile distances above the box."
+    )
+    known = {boat: row for boat, row in boxes.items() if all(each is not None for each in row.values())}
+    means = {boat: {name: each.mean for name, each in row.items()} for boat, row in known.items()}
+    order = by_error(mean_errors(means))  # of all panels
+    boxes = {boat: {name: row[name] for name in order} for boat, row in boxes.items()}
+    return Section(
+        "crossval",
+        "Cross-validation: free runs of every saved set",
+        SAID,
+        _findings(known),
+        [Drawn("crossval", boxes_figure(boxes, subtitles, "MAE of a free run, m/s"), caption)],
+        [summary("crossval_fleet", means, "MAE of a free run, m/s", remarks), ResultTable("crossval", columns, rows)],
+    )
+
+
+def _findings(boats: Mapping[str, Mapping[str, Box]]) -> list[str]:
+    names, count = list(next(iter(boats.values()))), len(boats)
+    three = [name for name in PAPER if name in names]
+    told = []
+    if len(three) > 1:
+        best = [min(three, key=lambda name, row=row: row[name].mean) for row in boats.values()]
+        told.append(tally("lowest mean", three, best))
+        best = [min(three, key=lambda name, row=row: row[name].high - row[name].low) for row in boats.values()]
+        told.append(tally("smallest range (5 to 95 %)", three, best))
+    if {"average", "aid"} <= set(names):
+        told.append(f"The average beats AID {on(_less(boats, 'average', ['aid']), count)}.")
+    for name in ("weighted", "weighted+"):
+        if name in names and three:
+            how = "that go on learning from the measured speed" if name.endswith("+") else "as they were saved"
+            told.append(
+                f"The RLS-weighted ensemble, with weights {how}, beats all of {', '.join(three)} "
+                f"{on(_less(boats, name, three), count)}."
+            )
+    free = [name for name in names if not name.endswith("+")]
+    means = {name: float(np.mean([row[name].mean for row in boats.values()])) for name in free}
+    best = sorted(means, key=means.__getitem__)[:3]
+    told.append("Lowest of all free runs, mean over boats: " + ", ".join(f"{n} {means[n]:.3f} m/s" for n in best) + ".")
+    diverged = {name: sum(row[name].diverged for row in boats.values()) for name in names}
+    total = sum(row[names[0]].count for row in boats.values())
+    bad = ", ".join(f"{name} {number}" for name, number in diverged.items() if number)
+    told.append(f"Diverged, of {total} simulations per method: {bad or 'none'}.")
+    return told
+
+
+def _less(boats: Mapping[str, Mapping[str, Box]], name: str, others: Sequence[str]) -> int:
+    return sum(all(row[name].mean < row[other].mean for other in others) for row in boats.values())

@@ -1,0 +1,105 @@
+"""The recurrent network over the season: certificates, and equilibria (paper, figure 2)."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from certify import exact
+from certify.equilibria import surge_inputs, sweep
+from certify.figures import equilibria_figure
+from certify.rounding import above, below, float_above, float_below
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.rnn.layer import RNN, lane_weights
+from usvlearn.evaluation.season import Season
+from usvlearn.report.result_table import ResultTable
+from usvlearn.report.season_figures import certificates_figure
+from usvlearn.report.section import Drawn, Section
+
+SAID = (
+    "The contraction condition was a cost in training, and the app told whether it held; the share of time at which it "
+    "did is not reported. A hypothetical network illustrates the equilibria; a contracting network has one."
+)
+DRAWN = (-0.1, 0.5)  # of x, the speeds at which boats run
+HEADINGS = 24  # at which equilibria are looked for
+
+
+def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
+    """Margins at every saved set, in rational arithmetic, and the equilibria of each boat's last network.
+
+    None where the ensemble has no network.
+
+    Args:
+        seasons: of all boats.
+        ensemble: to which the sets belong; its first RNN is looked at.
+    """
+    name = next((name for name, member in ensemble.members.items() if isinstance(member, RNN)), None)
+    if name is None:
+        return None
+    surge_max = 0.5 / ensemble.members[name].scale
+    networks = {s.boat: [lane_weights(s.state.members[name], k) for k in range(len(s.own))] for s in seasons}
+    margins: dict[str, dict[str, np.ndarray]] = {}
+    for boat, some in networks.items():
+        found = [exact.conditions(weights.a, weights.w1) for weights in some]
+        for condition in found[0]:
+            margins.setdefault(condition, {})[boat] = np.array([float_below(each[condition].margin) for each in found])
+    held = {condition: sum(int((m > 0).sum()) for m in boats.values()) for condition, boats in margins.items()}
+    rates = {
+        boat: np.array([float_above(max(exact.extreme_slopes(w.a, w.w1))) for w in some])
+        for boat, some in networks.items()
+    }
+    headings = np.linspace(0, 2 * np.pi, HEADINGS, endpoint=False)
+    inputs = surge_inputs(headings)
+    rows, single = [], True
+    for season in seasons:
+        found = sweep(networks[season.boat][-1], inputs, -1.0, 1.0)
+        single, rest = single and all(len(some) == 1 for some in found), [each for some in found for each in some]
+        places = [2 * surge_max * each.x for each in rest]
+        kinds = ", ".join(f"{kind} {n}" for kind, n in Counter(each.kind for each in rest).items())
+        rows.append((season.boat, above(rates[season.boat][-1], 4), len(rest) / HEADINGS, min(places, default=None),
+                     max(places, default=None), kinds or "none"))  # fmt: skip
+    steps = sum(len(boats) for boats in rates.values())
+    told = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
+    told.append(
+        "A network that holds the paper's condition (K < ¼) has a time constant under 0.72 steps, and no hull is so "
+        "quick; tight (K < 1) is what all activation patterns together need."
+    )
+    counts = "one equilibrium at each" if single else "none or several at some"
+    told.append(f"Without thrust the last networks have {counts} of {HEADINGS} headings.")
+    first = seasons[0].boat
+    drawn = [
+        Drawn(
+            "certificates",
+            certificates_figure({s.boat: s.hours for s in seasons}, {**margins, "rate": rates}),
+            "Margins of the conditions at every saved set, computed in rational arithmetic: certified above the red "
+            "line; and the exact rate over all activation patterns, certified below it.",
+        ),
+        Drawn(
+            "equilibria",
+            equilibria_figure(networks[first][-1], inputs, f"{first}: {name} at rest", *DRAWN, headings),
+            f"The map of the last network of {first} without thrust, at {HEADINGS} headings; x = v / {2 * surge_max:g} "
+            "m/s.",
+        ),
+    ]
+    columns = (
+        "boat",
+        "K of the last set, per step",
+        "equilibria per heading",
+        "least, m/s",
+        "greatest, m/s",
+        "classes",
+    )
+    conditions = [
+        (boat, condition, int((m > 0).sum()), len(m), below(m.min(), 4), below(m.max(), 4))
+        for condition, boats in margins.items()
+        for boat, m in boats.items()
+    ]
+    sheets = [
+        ResultTable("equilibria", columns, rows),
+        ResultTable(
+            "certificates", ("boat", "condition", "sets certified", "sets", "least margin", "greatest"), conditions
+        ),
+    ]
+    return Section("network", "The network: certificates and equilibria", SAID, told, drawn, sheets)

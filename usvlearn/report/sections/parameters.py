@@ -1,0 +1,190 @@
+"""What was identified over the season, in physical units, beside the truth where it is known.
+
+The band of least squares is what the noise of the samples leaves open. It is no interval that holds the true value: the
+model's bias is not in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.regressors.layer import UNITS
+from usvlearn.evaluation.members import physical_members, unwrapped
+from usvlearn.evaluation.season import Season
+from usvlearn.report.result_table import ResultTable
+from usvlearn.report.season_figures import Course, parameters_figure
+from usvlearn.report.section import Drawn, Section
+
+SAID = (
+    "No parameters are shown; the mass is taken as known. Some boats have a noticeable thruster bias, as the errors "
+    "between boats confirm, and others have none."
+)
+NOISE = (
+    "the band and the ± (1.645 standard deviations by least squares' own covariance) cover 90 % of what the noise of "
+    "the samples does, and nothing of the bias of the model (current, lags, a dead band, noise in the speed)"
+)
+BAND = "Band: 90 % of what the noise of the samples does, and nothing of the bias of the model."
+SHOWN = ("aid", "steady_rls", "dynamic_rls")  # of many members, those that are for reading, the first two of them
+Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
+
+
+def functionals(names: Sequence[str], speed: float, command: float) -> dict[str, tuple[str, np.ndarray]]:
+    """Sums wᵀθ that can be read: each parameter; at a speed the drag, and the thrust of each side at a command.
+
+    Single parameters are hard to tell apart on a boat that seldom changes speed; what they add up to where it runs is
+    not.
+
+    >>> functionals(["drag_quadratic", "drag_linear"], 2.0, 0.5)["drag at 2 m/s"]
+    ('N', array([4., 2.]))
+    """
+    found = {name: (UNITS[name], np.eye(len(names))[k]) for k, name in enumerate(names)}
+    terms = {f"drag at {speed:.3g} m/s": {"drag_quadratic": speed * speed, "drag_linear": speed}}
+    for side in ("left", "right"):
+        if f"thrust_linear_{side}" in names:
+            terms[f"thrust {side} at {100 * command:.0f} %, {speed:.3g} m/s"] = {
+                f"thrust_linear_{side}": command,
+                f"thrust_quadratic_{side}": command * command,
+                f"thrust_speed_{side}": command * speed,
+            }
+    for label, weights in terms.items():
+        found[label] = ("N", np.array([weights.get(name, 0.0) for name in names]))
+    return found
+
+
+def course(hours: np.ndarray, state: Any, weights: np.ndarray) -> Course:
+    """wᵀθ over the sets and, where the state has a covariance, its deviation √(σ² wᵀPw).
+
+    Args:
+        hours: `(sets,)`.
+        state: with `theta` `(sets, p)`, and for least squares `factor` and `noise`.
+        weights: w, `(p,)`.
+    """
+    w = torch.as_tensor(weights, dtype=state.theta.dtype)
+    deviation = None
+    if hasattr(state, "factor"):
+        through: Tensor = (state.factor * w[:, None]).sum(-2)
+        deviation = (state.noise * (through * through).sum(-1)).sqrt().numpy()
+    return Course(hours, (state.theta @ w).numpy(), deviation)
+
+
+def parameters_section(
+    seasons: Sequence[Season], ensemble: Ensemble, truth: Truth, mission: Mapping[str, np.ndarray]
+) -> Section | None:
+    """A figure per boat; a table of what was identified at the end, and of the truth.
+
+    None where no member identifies the surge dynamics.
+
+    Args:
+        seasons: of all boats.
+        ensemble: to which the sets belong.
+        truth: of simulated boats, else empty.
+        mission: of each boat with a truth, the mission of each of its runs.
+    """
+    every = physical_members(ensemble)
+    shown = [name for name in (*SHOWN, *every) if name in every]
+    shown = list(dict.fromkeys(shown))[:2]
+    if not shown:
+        return None
+    drawn, rows, sides = [], [], []
+    for season in seasons:
+        speed, command = _usual(season)
+        members = {name: unwrapped(ensemble.members[name], season.state.members[name]) for name in shown}
+        names = members[shown[0]][0].model.names
+        sums = functionals(names, speed, command)
+        courses = {
+            label: {name: course(season.hours, state, w) for name, (_, state) in members.items()}
+            for label, (_, w) in sums.items()
+        }
+        units = {label: unit for label, (unit, _) in sums.items()}
+        known: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+        if season.boat in truth:
+            theta = np.stack([truth[season.boat][name] for name in names], -1)[mission[season.boat]]  # (runs, p)
+            known = {label: (_ends(season), (theta @ w).repeat(2)) for label, (_, w) in sums.items()}
+        title = f"{season.boat}: identified surge dynamics"
+        drawn.append(Drawn(f"parameters_{season.boat}", parameters_figure(courses, units, known, title), ""))
+        for label, row in courses.items():
+            true = float(known[label][1][-1]) if label in known else None
+            for name, (_, value, deviation) in row.items():
+                wide = None if deviation is None else 1.645 * float(deviation[-1])
+                rows.append((season.boat, label, units[label], name, float(value[-1]), wide, true))
+        left, right = (label for label in sums if label.startswith("thrust ") and " at " in label)
+        sides.append([
+            [float(courses[side][name].value[-1]) for side in (left, right)] for name in shown
+        ] + ([[float(known[side][1][-1]) for side in (left, right)]] if known else []))  # fmt: skip
+    banded = any(wide is not None for *_, wide, _ in rows)
+    drawn = [each._replace(caption=BAND if banded else "") for each in drawn]
+    caption = "What was identified over the season" + (f"; {NOISE}" if banded else "")
+    if truth:
+        caption += (
+            "; dashed: the truth of each mission, scaled by declared over true mass, since surge data tell the "
+            "parameters over the mass alone"
+        )
+    drawn[0] = drawn[0]._replace(caption=f"{caption}.")
+    columns = ("boat", "quantity", "unit", "method", "at the end", "±, of the noise alone (90 %)", "truth")
+    return Section(
+        "parameters", "Parameters over the season", SAID, _findings(shown, np.array(sides), rows),
+        drawn, [ResultTable("parameters", columns, rows)],
+    )  # fmt: skip
+
+
+def _usual(season: Season) -> tuple[float, float]:
+    """The mean speed, m/s, and the mean command while under way."""
+    surge = np.concatenate([run.samples.surge[run.steps] for run in season.runs])
+    sides = [run.samples.inputs[k][run.steps] for run in season.runs for k in (0, 1)]
+    commands = np.abs(np.concatenate(sides))
+    under_way = commands[commands > 0]
+    return round(float(np.abs(surge).mean()), 2), round(float(under_way.mean()), 2) if len(under_way) else 0.5
+
+
+def _ends(season: Season) -> np.ndarray:
+    """Hours at which each run began and ended, `(2 * runs,)`."""
+    ends = (
+        np.cumsum([0.0, *(len(run.samples.surge) * float(run.samples.inputs.dt.max()) for run in season.runs)]) / 3600
+    )
+    return np.stack([ends[:-1], ends[1:]], -1).ravel()
+
+
+def _findings(shown: Sequence[str], sides: np.ndarray, rows: Sequence[tuple]) -> list[str]:
+    """Sentences; sides is `(boats, methods and truth, 2)`, N."""
+    told = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bias = np.log(sides[..., 0] / sides[..., 1])  # (boats, methods and truth)
+    if sides.shape[1] > len(shown):
+        true = bias[:, -1]
+        told.append(
+            f"True bias of the thrusters (left over right at the usual command): {np.exp(true.min()):.2f} to "
+            f"{np.exp(true.max()):.2f}."
+        )
+        medians = []
+        for k, name in enumerate(shown):
+            ok = np.isfinite(bias[:, k]).all() and len(bias) > 2 and bias[:, k].std() > 0 and true.std() > 0
+            ratio = f"; correlation with the truth over boats {np.corrcoef(bias[:, k], true)[0, 1]:.2f}" if ok else ""
+            wrong = [row[4] / row[6] - 1 for row in rows if row[3] == name and " at " in row[1] and row[6]]
+            medians.append(float(np.median(wrong)))
+            told.append(f"{name}: drag and thrust differ from the truth by {100 * medians[-1]:+.0f} %, median{ratio}.")
+        if max(medians) < 0:
+            told.append("All too small: noise in a regressor, here in the speed, attenuates what it weighs.")
+    else:
+        for k, name in enumerate(shown):
+            some = ", ".join(f"{np.exp(b):.2f}" for b in bias[:, k])
+            told.append(f"{name}: thrust left over right: {some}.")
+    return [*told, *_covered(rows)]
+
+
+def _covered(rows: Sequence[tuple]) -> list[str]:
+    """What the ± covers and what not, where there is one."""
+    known = [(value, wide, true) for *_, value, wide, true in rows if wide is not None]
+    inside = [abs(value - true) <= wide for value, wide, true in known if true is not None]
+    if not known:
+        return []
+    if inside:
+        held = f"here they hold {100 * np.mean(inside):.0f} % of the truths at the end"
+    else:
+        held = "no truth is known here, and on a simulated fleet they held few of the truths (benchmarks/study.md)"
+    return [f"{NOISE[0].upper()}{NOISE[1:]}: {held}."]

@@ -1,0 +1,173 @@
+"""Tables for the terminal."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from rich.console import Group
+from rich.text import Text
+
+from usvlearn.evaluation.metrics import by_error, mean_mae
+from usvlearn.evaluation.ranking import differing, own_columns, ranked
+from usvlearn.report.terminal import Blocks
+
+MOST_COLUMNS = 5  # of estimators, beside the settings of a sweep
+COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",
+           "steps": "steps"}  # fmt: skip
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    return "–" if value is None or value != value else f"{value:.{digits}f}"
+
+
+def _cell(column: str, row: Mapping) -> str:
+    value = row.get(column)
+    if column == "steps":
+        return str(value)
+    if column == "coverage":
+        return "–" if value is None else f"{value:.1%}"
+    return _number(value, 3 if column in ("skill", "halfwidth") else 4)
+
+
+def _name(name: str, remarks: Mapping[str, str] | None) -> str:
+    return f"{name}, {remarks[name]}" if remarks and name in remarks else name
+
+
+def score_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None) -> Blocks:
+    """One row per boat and estimator, the best of each boat first: errors in m/s, skill, the interval, steps.
+
+    Args:
+        boats: scores by boat and estimator; see `usvlearn.evaluation.metrics.fleet_scores`.
+        remarks: what stands beside the names of estimators; see `usvlearn.evaluation.members.remarks`.
+    """
+    failed = any(row.get("diverged") for rows in boats.values() for row in rows.values())
+    columns = [*COLUMNS, *(["diverged"] if failed else [])]
+    heads = [COLUMNS.get(column, column) for column in columns]
+    table = Blocks("One-step prediction of surge, errors in m/s, by MAE", ["estimator"], heads)
+    for boat, rows in boats.items():
+        table.group(boat)
+        for k, name in enumerate(by_error({name: row["mae"] for name, row in rows.items()})):
+            row = rows[name]
+            cells = [str(row["diverged"]) if column == "diverged" else _cell(column, row) for column in columns]
+            table.add(_name(name, remarks), *cells, style="bold" if k == 0 and row["mae"] is not None else "")
+    return table
+
+
+def fleet_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None) -> Blocks:
+    """One row per estimator, by the mean MAE over boats, and one column per boat, in m/s; the best of each is bold.
+
+    Args:
+        boats, remarks: as of `score_table`.
+    """
+    columns = {"mean": mean_mae(boats)}
+    columns |= {boat: {name: row["mae"] for name, row in scores.items()} for boat, scores in boats.items()}
+    best = {column: by_error(maes)[0] for column, maes in columns.items()}
+    table = Blocks("The fleet: MAE in m/s", ["estimator"], list(columns))
+    for name in by_error(columns["mean"]):
+        cells = (Text(_number(maes.get(name)), "bold" if name == best[each] else "") for each, maes in columns.items())
+        table.add(_name(name, remarks), *cells)
+    return table
+
+
+def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> Blocks | None:
+    """One row per boat and channel, with the counts by cause; None where nothing was rejected."""
+    table = Blocks("Rejected: messages by cause, and stale steps", ["channel", "causes"], folded=["causes"])
+    for boat, channels in rejected.items():
+        if channels:
+            table.group(boat)
+        for channel, causes in channels.items():
+            table.add(channel, ", ".join(f"{cause} {n}" for cause, n in causes.items()))
+    return table if table.rows else None
+
+
+def report(
+    boats: Mapping[str, Mapping[str, Mapping]],
+    rejected: Mapping,
+    alarms: Mapping[str, Sequence],
+    remarks: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
+) -> Group:
+    """All tables of a run, for the console, notes to them, and a line for each alarm."""
+    fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
+    tables = [rejection_table(rejected), score_table(boats, remarks), fleet]
+    told = [
+        Text(f"alarm: {boat}, run {each['run']}, {each['time']:.0f} s: the {each['side']} thruster has lost thrust")
+        for boat, raised in alarms.items()
+        for each in raised
+    ]
+    return Group(*filter(None, tables), *map(Text, notes), *told)
+
+
+def told(settings: Mapping[str, str], keys: Sequence[str]) -> str:
+    """What a job sets, of `keys` or else of all, in short.
+
+    >>> told({"estimators.aid.gain": "3", "align.dt": "0.4"}, ["estimators.aid.gain"])
+    'aid.gain=3'
+    """
+    shown = {key: settings[key] for key in keys if key in settings} or settings
+    return " ".join(f"{_short(key)}={value}" if value else _short(key) for key, value in shown.items())
+
+
+def _short(key: str) -> str:
+    return ".".join(key.split(".")[-2:])
+
+
+def summary_lines(results: Mapping, folder: Path) -> list[str]:
+    """The last lines of a run: what it came to, and how to look at it.
+
+    >>> summary_lines({"seconds": 2.0, "output": "ensemble", "objective": 0.05}, Path("run"))[1]
+    'To look at the run: tensorboard --logdir run'
+    """
+    found = f"{results['seconds']:.1f} s; MAE of {results['output']}: {results['objective']:.4f} m/s"
+    look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"
+    return [f"{found}; results and parameter sets: {folder}", look]
+
+
+def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
+    """One row per job of a sweep, the best first: what differs in its settings, and MAE, mean over boats.
+
+    Shown are the errors of what the jobs are ranked by and of the ensemble, then those of the estimators whose error
+    differs between jobs, where they are few, and each job's best.
+
+    Args:
+        jobs: settings by key, and results as of `usvlearn.evaluation.ranking.scored`; `{"error": …}` of a job that
+            failed, {} of one that did not finish.
+    """
+    done = [(settings, result) for settings, result in ranked(jobs) if "boats" in result]
+    keys = differing([settings for settings, _ in jobs])
+    means = [mean_mae(result["boats"]) for _, result in done]
+    names = list(dict.fromkeys(name for maes in means for name in maes))
+    by = list(dict.fromkeys(result.get("ranked_by", "") for _, result in done))
+    first = dict.fromkeys(column for each in by for column in own_columns(each, names))
+    first |= dict.fromkeys(name for _, result in done if (name := result.get("output")) in names)
+    moved = [name for name in names if len({maes.get(name) for maes in means}) > 1 and name not in first]
+    shown = [*first, *(moved if len(first) + len(moved) <= MOST_COLUMNS else [])] or names[-1:]
+    title = "Sweep: MAE in m/s, mean over boats" + (f", ranked by {' or '.join(by)}" if any(by) else "")
+    heads = [_short(key) for key in keys]
+    table = Blocks(title, heads, [*shown, "best", "its MAE"], folded=heads)
+    for (settings, _), maes in zip(done, means, strict=True):
+        best = next((name for name in by_error(maes) if maes[name] == maes[name]), "–")
+        cells = [*(_number(maes.get(name)) for name in shown), best, _number(maes.get(best))]
+        table.add(*(settings.get(key, "") for key in keys), *cells)
+    failed = [
+        Text(f"failed: {told(settings, keys)}: {result.get('error', 'did not finish')}")
+        for settings, result in jobs
+        if "boats" not in result
+    ]
+    return Group(*([table] if done else []), *failed)
+
+
+def tuning_table(title: str, rows: Sequence[tuple[str, str, Mapping]]) -> Blocks:
+    """One row per setting: its rank or name, the setting, MAE in m/s, mean over boats, and the gain over the default.
+
+    Args:
+        title: of the table.
+        rows: rank, setting in words, and `mae` and `gain` (percent), None where it diverged.
+    """
+    table = Blocks(title, ["", "setting"], ["MAE, m/s", "gain, %"], folded=["setting"])
+    for k, (rank, setting, row) in enumerate(rows):
+        mae = "diverged" if row["mae"] is None else f"{row['mae']:.5f}"
+        table.add(rank, setting, mae, _number(row.get("gain"), 1), style="" if k else "bold")
+    return table

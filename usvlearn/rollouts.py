@@ -1,0 +1,323 @@
+"""Who makes the steps of a run: torch, or, where no gradient is asked for, the compiled kernels."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.forward_ad import unpack_dual
+
+from usvlearn.engine import compilable
+from usvlearn.errors import ConfigError, ShapeError, check_choice
+from usvlearn.estimator import Estimator, Kinds, State, Step, advance, clean, spec_of
+from usvlearn.signals import Inputs, Sample, check_inputs, check_sample, named_leaves, one_number, rebuild, tree_map
+
+BACKENDS = ("auto", "torch", "kernel")
+CHUNK = 256  # steps whose whole states are held at a time, for a record that wants to see them,
+CELLS = 2**24  # and numbers in these
+Record = Callable[[Any], Any] | Sequence[str]
+
+
+def rollout(
+    estimator: Estimator,
+    state: State,
+    samples: Sample,
+    record: Record | None = None,
+    detach_every: int | None = None,
+    backend: str = "auto",
+) -> tuple[State, Tensor, Any]:
+    """Run an estimator over samples, predicting before learning.
+
+    Args:
+        estimator: any `Estimator`.
+        state: the state to start from, leaves `(*batch, ...)`.
+        samples: leaves `(time, *batch)`, of the estimator's dtype.
+        record: names of leaves of the state (`named_leaves`), or a function that picks a tree of tensors from each new
+            state.
+        detach_every: truncates back-propagation every so many steps.
+        backend: "kernel" makes the steps by compiled code, which has no gradients; "torch" by torch; "auto" by
+            compiled code where no gradient is asked for, all is on the CPU, and the estimator has a kernel.
+
+    Returns:
+        The last state; the predictions, m/s, `(time, *batch)`; what `record` names or picked, stacked over time (or
+        None).
+
+    Raises:
+        ShapeError: the samples' dtype or batch does not fit the state.
+        ConfigError: `backend="kernel"` where that cannot be.
+
+    >>> from usvlearn import AID, Inputs, Sample
+    >>> t = torch.ones(50, dtype=torch.float64)
+    >>> samples = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t, t > 0, t > 0)
+    >>> aid = AID(mass=28.0)
+    >>> state, surge, _ = rollout(aid, aid.init(), samples)
+    >>> abs(float(surge[-1].detach()) - 1.5) < 0.01
+    True
+    """
+    _check(state, samples)
+    pick = _picking(record, state)
+    if (description := choose(estimator, state, samples, backend)) is not None:
+        return run(description, state, samples, record, free=False)
+    return _run(estimator, state, clean(samples, estimator.surge_limit), pick, detach_every)
+
+
+def simulate(
+    estimator: Estimator, state: State, samples: Sample, record: Record | None = None, backend: str = "auto"
+) -> tuple[State, Tensor, Any]:
+    """Run an estimator free: from the inputs alone, learning nothing; the speed is told where a segment starts.
+
+    Args:
+        estimator, state, samples, record, backend: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
+
+    Returns:
+        As `rollout`. What `record` picks of a step that was not made is of the step before.
+
+    Raises:
+        ShapeError, ConfigError: as `rollout`.
+
+    >>> from usvlearn import AID, Inputs, Sample
+    >>> t = torch.ones(50, dtype=torch.float64)
+    >>> samples = Sample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t, t > 0, t > 0)
+    >>> aid = AID(mass=28.0)
+    >>> float(simulate(aid, aid.init(), samples)[1][-1])  # it has learned nothing, whatever was measured
+    0.0
+    """
+    _check(state, samples)
+    pick = _picking(record, state)
+    if (description := choose(estimator, state, samples, backend)) is not None:
+        return run(description, state, samples, record, free=True)
+    steps = clean(samples, estimator.surge_limit)
+    return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
+
+
+def _run(estimator: Estimator, state: State, steps: Step, pick: Callable | None, detach_every: int | None = None):
+    """All steps by torch; leaves of `steps` are `(time, *batch)`."""
+    holds = ~(steps.steps | steps.starts)
+    kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
+    some = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1).tolist()
+    predictions, records = [], []
+    for k, step in enumerate(_unbind(steps)):
+        if detach_every and k % detach_every == 0:
+            state = tree_map(Tensor.detach, state)
+        state, surge = advance(estimator, state, step, Kinds(*some[k]))
+        predictions.append(surge)
+        if pick is not None:
+            records.append(pick(state))
+    return state, torch.stack(predictions), (stack(records) if records else None)
+
+
+def _picking(record: Record | None, state: State) -> Callable[[State], Any] | None:
+    """What `record` names or picks, as a function of the state."""
+    if record is None or callable(record):
+        return record
+    leaves = dict(named_leaves(state))
+    if unknown := [name for name in record if name not in leaves]:
+        raise ConfigError(f"record: found {unknown[0]!r}, expected names of the state's leaves: {', '.join(leaves)}")
+    names = tuple(record)
+    return lambda state: {name: leaf for name, leaf in named_leaves(state) if name in names}
+
+
+def _unbind(steps: Step) -> Iterator[Step]:
+    """What belongs to each time, one after the other."""
+    inputs = zip(*(x.unbind(0) for x in steps.inputs), strict=True)
+    for x, *y in zip(inputs, *(y.unbind(0) for y in steps[1:]), strict=True):
+        yield Step(Inputs(*x), *y)
+
+
+def _check(state: State, samples: Sample) -> None:
+    """Raise a ShapeError unless the samples fit each other and the state."""
+    expected, dtype = samples.surge.shape, getattr(samples.surge, "dtype", None)
+    for name, leaf in named_leaves(samples):
+        if not isinstance(leaf, Tensor):
+            raise ShapeError(f"samples: {name} is {type(leaf).__name__}, expected a torch tensor: use torch.as_tensor")
+        if leaf.shape != expected or len(expected) == 0 or len(leaf) == 0:
+            raise ShapeError(
+                f"samples: {name} has the shape {tuple(leaf.shape)}, surge {tuple(expected)}: expected (time, "
+                "*batch), of at least one step, the same for all"
+            )
+        wanted = torch.bool if name in ("fresh", "measured") else dtype
+        if leaf.dtype != wanted:
+            raise ShapeError(f"samples: {name} is {leaf.dtype}, expected {wanted}: convert it with .to({wanted})")
+    batch = tuple(expected[1:])
+    for name, leaf in named_leaves(state):
+        if leaf.is_floating_point() and leaf.dtype != dtype:
+            raise ShapeError(
+                f"samples are {dtype}, the state's {name} is {leaf.dtype}: convert the estimator with .to({dtype}) "
+                "before init, or the samples"
+            )
+        if tuple(leaf.shape[: len(batch)]) != batch:
+            raise ShapeError(
+                f"samples have the batch {batch}, the state's {name} has the shape {tuple(leaf.shape)}: "
+                f"make the state with estimator.init({batch})"
+            )
+
+
+def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> dict[str, Any] | None:
+    """What the kernels are to run (`Estimator.spec`), or None where torch makes the steps.
+
+    Raises:
+        ConfigError: an unknown backend, or `kernel` where the kernels cannot.
+    """
+    if check_choice("backend", backend, BACKENDS) == "torch":
+        return None
+    own = [*estimator.parameters(), *estimator.buffers()]
+    tensors = [*_leaves(state), *_leaves(samples), *own]
+    obstacle = _out_of_reach(tensors) or _derivative(tensors)
+    if not obstacle and samples.surge.numel() == 0:
+        obstacle = "there are no lanes"
+    return _description(estimator, obstacle, backend)
+
+
+def run(
+    description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool
+) -> tuple[Any, Tensor, Any]:
+    """`rollout`, or `simulate` (`free`), by the kernels."""
+    from usvlearn.engine.run import roll
+
+    leaves, arrays = _arrays(state), tree_map(_array, samples)
+    threads = torch.get_num_threads()
+    if not callable(record):
+        leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
+        named = {name: torch.from_numpy(x) for name, x in kept.items()}
+        return _tree(state, leaves), torch.from_numpy(predictions), None if record is None else named
+    parts, records = [], []
+    steps = max(1, min(CHUNK, CELLS // sum(x.size for x in leaves.values())))
+    for begin in range(0, len(arrays.surge), steps):
+        part = tree_map(lambda x, b=begin: x[b : b + steps], arrays)
+        leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads)
+        parts.append(torch.from_numpy(predictions))
+        for k in range(len(predictions)):
+            records.append(record(_tree(state, {name: x[k] for name, x in kept.items()})))
+    return _tree(state, leaves), torch.cat(parts), stack(records)
+
+
+def stack(trees: Sequence[Any]) -> Any:
+    """Trees of tensors as one, with a first axis that counts them.
+
+    >>> stack([{"theta": torch.zeros(2)}, {"theta": torch.ones(2)}])["theta"].shape
+    torch.Size([2, 2])
+    """
+    return tree_map(lambda *leaves: torch.stack(leaves), *trees)
+
+
+def free_totals(description: dict[str, Any], state: Any, samples: Sample, learning: Sequence[int]) -> np.ndarray:
+    """`kernels.cross.free_totals` of tensors."""
+    from usvlearn.engine import free_runs as cross
+
+    return cross.free_totals(description, _arrays(state), tree_map(_array, samples), learning, torch.get_num_threads())
+
+
+def _array(x: Tensor) -> np.ndarray:
+    """A tensor as an array that shares its memory where it can."""
+    return x.numpy(force=True)
+
+
+def _arrays(state: Any) -> dict[str, np.ndarray]:
+    """A state's leaves as arrays, by dotted name."""
+    return {name: _array(leaf) for name, leaf in named_leaves(state)}
+
+
+def _tree(template: Any, leaves: dict[str, np.ndarray], device: torch.device | None = None) -> Any:
+    """A state like the template, from leaves by dotted name."""
+    return rebuild(template, {name: torch.as_tensor(leaf, device=device) for name, leaf in leaves.items()})
+
+
+def _description(estimator: Estimator, obstacle: str | None, backend: str) -> dict[str, Any] | None:
+    """What the kernels are to run; None, or a ConfigError, where something stands in their way."""
+    if not obstacle and importlib.util.find_spec("numba") is None:
+        obstacle = "numba is not installed (pip install numba)"
+    description = None if obstacle else spec_of(estimator)
+    if not obstacle and not compilable(description):
+        obstacle = f"{type(estimator).__name__}, or a part of it, has no compiled kernel"
+    if backend == "kernel" and obstacle:
+        raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
+    return None if obstacle else description
+
+
+def _out_of_reach(tensors: Sequence[Tensor]) -> str | None:
+    """Why the kernels cannot read these numbers, if they cannot."""
+    if torch.compiler.is_compiling() or any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors)):
+        return "torch transforms this function"
+    if any(x.device.type != "cpu" for x in tensors):
+        return "not all tensors are on the CPU"
+    dtypes = {x.dtype for x in tensors if x.is_floating_point()}
+    if dtypes not in ({torch.float64}, {torch.float32}):
+        return f"the numbers are {' and '.join(sorted(map(str, dtypes)))}"
+    return None
+
+
+def _derivative(tensors: Sequence[Tensor]) -> str | None:
+    """Why torch has to make the steps, if a derivative is asked for."""
+    if torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
+        return "a gradient is asked for (inside torch.no_grad() none is)"
+    if any(x.is_floating_point() and unpack_dual(x).tangent is not None for x in tensors):
+        return "a forward derivative is asked for"
+    return None
+
+
+class Stepper:
+    """The steps of one state by torch, without gradients, on numbers as they come; as `kernels.live.Live`."""
+
+    def __init__(self, estimator: Estimator, batch: Sequence[int]):
+        self.estimator, self.batch = estimator, tuple(batch)
+        self.state = tree_map(Tensor.detach, estimator.init(batch))
+        self._like = next(leaf for leaf in _leaves(self.state) if leaf.is_floating_point())
+
+    @property
+    def leaves(self) -> dict[str, np.ndarray]:
+        return _arrays(self.state)
+
+    @leaves.setter
+    def leaves(self, leaves: dict[str, np.ndarray]) -> None:
+        self.state = self.tree(leaves)
+
+    def tree(self, leaves: dict[str, np.ndarray]) -> Any:
+        """A state like its own, from leaves by dotted name."""
+        return _tree(self.state, leaves, self._like.device)
+
+    @torch.no_grad()
+    def predict(self, inputs: Inputs) -> float | np.ndarray:
+        check_inputs(inputs, self.batch)
+        return _plain(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[1])
+
+    @torch.no_grad()
+    def step(self, sample: Sample) -> float | np.ndarray:
+        check_sample(sample, self.batch)
+        inputs, surge, fresh, measured = sample
+        sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
+        self.state, predicted = self.estimator(self.state, sample)
+        return _plain(predicted)
+
+    def _float(self, value: Any) -> Tensor:
+        return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device)
+
+    def _bool(self, value: Any) -> Tensor:
+        return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device)
+
+
+def live(estimator: Estimator, state: Any, backend: str) -> Any:
+    """A `kernels.live.Live` of a state, or None where torch has to make the steps.
+
+    Raises:
+        ConfigError: as `choose`.
+    """
+    if check_choice("backend", backend, BACKENDS) == "torch":
+        return None
+    obstacle = _out_of_reach([*_leaves(state), *estimator.parameters(), *estimator.buffers()])
+    if (description := _description(estimator, obstacle, backend)) is None:
+        return None
+    from usvlearn.engine.live import Live
+
+    return Live(description, _arrays(state))
+
+
+def _plain(predicted: Tensor) -> float | np.ndarray:
+    return _array(predicted) if predicted.ndim else predicted.item()
+
+
+def _leaves(tree: Any) -> Iterator[Tensor]:
+    return (leaf for _, leaf in named_leaves(tree))

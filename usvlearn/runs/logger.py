@@ -1,0 +1,182 @@
+"""What is shown of a replay while it runs, at a bounded cost."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from usvlearn.errors import MissingExtraError
+from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+from usvlearn.estimators.ensemble.monitors import THRESHOLD
+from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.evaluation.metrics import PERSISTENCE, mean_mae
+from usvlearn.figures import PAPER, prediction_figure
+from usvlearn.rollouts import stack
+from usvlearn.runs.fault_figure import fault_figure
+from usvlearn.runs.replay import Chunk
+from usvlearn.signals import Fleet
+from usvlearn.tensorboard import TensorBoardWriter
+
+WINDOW = 750  # steps over which errors are averaged
+STEPS_PER_POINT = 100  # and boat: a point of all curves costs about what so many compiled steps cost
+MOST_POINTS = 500  # of a curve: two or three from one parameter set to the next, over a season
+BATCH = 32  # points, or
+PATIENCE = 2.0  # s, after which they are written: what is shown of many states costs little more than of one
+STEPS_PER_FIGURE = 2500  # of the run: a figure costs what some hundred steps cost
+FIGURE_STEPS = 450  # shown in the figure of predictions
+
+
+class TensorBoardLogger:
+    """Draws a replay's chunks in TensorBoard.
+
+    Args:
+        folder: of the TensorBoard files.
+        fleet: what is replayed.
+        ensemble: what learns.
+    """
+
+    def __init__(self, folder: str | Path, fleet: Fleet, ensemble: Ensemble):
+        self.board, self.fleet, self.ensemble = TensorBoardWriter(folder), fleet, ensemble
+        self.every = max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))  # steps between points
+        self._points: list[tuple[int, np.ndarray, EnsembleState]] = []  # step, MAE (boats, estimators), state
+        self._written = time.monotonic()
+        self._errors: deque[np.ndarray] = deque()  # (time, boats, estimators), the last WINDOW steps or a little more
+        charts = {
+            boat: {
+                f"{number}, {unit}": [f"online/{number}/{boat}/{name}" for name in ensemble.names]
+                for number, unit in {"mae": "m/s", "skill": "against persistence"}.items()
+            }
+            for boat in fleet.boats
+        }
+        for boat in fleet.boats:
+            charts[boat][f"weights of {ensemble.output}"] = [f"state/{boat}/{ensemble.output}/weight_.*"]
+            if ensemble.watched:
+                charts[boat]["thrusters: evidence of a loss, alarm"] = [f"state/{boat}/monitors/(evidence_.*|alarm)"]
+        for name, member in ensemble.members.items():
+            if isinstance(member, RNN):
+                for boat in fleet.boats:
+                    charts[boat][f"{name}: margins, contracting where > 0"] = [f"state/{boat}/{name}/margin_.*"]
+                    charts[boat][f"{name}: contraction rate"] = [f"state/{boat}/{name}/contraction_rate"]
+        self.board.charts(charts)
+
+    def __enter__(self) -> TensorBoardLogger:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._write()
+        self.board.close()
+
+    def show(self, chunk: Chunk) -> None:
+        """One point of every curve, written before long."""
+        samples = self.fleet.runs[chunk.end.run].samples
+        part = slice(chunk.begin.step, chunk.end.step)
+        surge = np.where(samples.measured[part], samples.surge[part], np.nan)
+        self._errors.append(np.abs(chunk.predictions - surge[..., None]))
+        while sum(map(len, self._errors)) - len(self._errors[0]) >= WINDOW:
+            self._errors.popleft()
+        errors = np.concatenate(self._errors)
+        seen = np.isfinite(errors)
+        counts = np.where(seen.any(0), seen.sum(0), np.nan)
+        mae = np.where(seen, errors, 0.0).sum(0) / counts
+        self._points.append((self.fleet.steps_before(*chunk.end), mae, chunk.state))
+        if len(self._points) == BATCH or time.monotonic() - self._written > PATIENCE:
+            self._write()
+
+    def _write(self) -> None:
+        """Write the points that are due, of boats whose speed was measured."""
+        if self._points:
+            names = self.ensemble.names
+            with torch.no_grad():
+                found = self.ensemble.monitor(stack([state for _, _, state in self._points]))
+                state = torch.stack([x.double() for x in found.values()], -1).tolist()  # points, boats, numbers
+            for k, (step, mae, _) in enumerate(self._points):
+                for lane, boat in enumerate(self.fleet.boats):
+                    if np.isfinite(mae[lane]).any():
+                        row = dict(zip(names, mae[lane].tolist(), strict=True))
+                        self.board.scalars(f"online/mae/{boat}", row, step)
+                        if base := row.get(PERSISTENCE):
+                            skill = {name: 1 - x / base for name, x in row.items()}
+                            self.board.scalars(f"online/skill/{boat}", skill, step)
+                        self.board.scalars(f"state/{boat}", dict(zip(found, state[k][lane], strict=True)), step)
+        self._points.clear()
+        self._written = time.monotonic()
+
+    def finish(
+        self,
+        settings: Mapping,
+        boats: Mapping[str, Mapping[str, Mapping]],
+        published: Mapping[str, Sequence[np.ndarray]],
+        alarms: Mapping[str, Sequence[Mapping]],
+    ) -> None:
+        """The record of the run, the counts of what was rejected, a figure of the end of each boat's last run.
+
+        A boat that raised an alarm has a figure of that run, too.
+
+        A short run of a large fleet has figures of its first boats alone. Without matplotlib there is none, and a
+        warning says so.
+
+        Args:
+            settings: the run's configuration.
+            boats: scores of the estimators; see `usvlearn.evaluation.metrics.fleet_scores`.
+            published: what `usvlearn.runs.replay.PUBLISHED` says, an array per run.
+            alarms: per boat; see `usvlearn.evaluation.metrics.alarms`.
+        """
+        self._write()
+        step = self.fleet.steps
+        tuned = {**settings["estimators"], **settings["combiners"], "align": settings["align"]}
+        self.board.hparams(tuned, {f"total/mae/{name}": mae for name, mae in mean_mae(boats).items()})
+        for boat, channels in self.fleet.rejected.items():
+            for channel, causes in channels.items():
+                self.board.scalars(f"rejected/{boat}/{channel}", causes, step)
+        try:
+            for lane in range(min(len(self.fleet.boats), max(1, step // STEPS_PER_FIGURE))):
+                self._draw(lane, published, step)
+            for lane, boat in enumerate(self.fleet.boats):
+                if alarms[boat]:
+                    self._draw_alarm(lane, published, alarms[boat], settings["data"], step)
+        except MissingExtraError as error:
+            warnings.warn(f"no figure of the predictions: {error}", stacklevel=2)
+
+    def _draw_alarm(self, lane: int, published: Mapping, alarms: Sequence[Mapping], data: Mapping, step: int) -> None:
+        """The run of the first alarm; where the log is simulated, with the fault."""
+        boat = self.fleet.boats[lane]
+        index = next(k for k, run in enumerate(self.fleet.runs) if run.names[lane] == alarms[0]["run"])
+        run, health = self.fleet.runs[index], published["thrusters"][index][:, lane]
+        part = slice(0, run.lengths[lane])
+        shown = [name for name in (self.ensemble.output, "aid") if name in self.ensemble.names]
+        predictions = published["predictions"][index][part, lane]
+        fault = data.get("fault")
+        figure = fault_figure(
+            run.time[part, lane],
+            health[part, :2],
+            np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan),
+            {name: predictions[:, self.ensemble.names.index(name)] for name in shown},
+            health[part, 2:4],
+            THRESHOLD,
+            None if fault is None else 60 * (fault["minute"] - index * data["mission_minutes"]),
+            [each["time"] for each in alarms if each["run"] == run.names[lane]],
+            f"{boat}, {run.names[lane]}",
+        )
+        self.board.figure(f"thrusters/{boat}", figure, step)
+
+    def _draw(self, lane: int, published: Mapping[str, Sequence[np.ndarray]], step: int) -> None:
+        """The ensemble's own prediction and interval, beside the paper's three estimators, or the first three."""
+        index = max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane])
+        run, boat = self.fleet.runs[index], self.fleet.boats[lane]
+        part = slice(max(0, run.lengths[lane] - FIGURE_STEPS), run.lengths[lane])
+        surge = np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan)
+        title = f"{boat}, {run.names[lane]}"
+        names = self.ensemble.names
+        shown = [name for name in (*PAPER, *names) if name in names and name != self.ensemble.output]
+        shown = [*list(dict.fromkeys(shown))[:3], self.ensemble.output]
+        places = [names.index(name) for name in shown]
+        predictions, halfwidths = (published[key][index][part, lane] for key in ("predictions", "halfwidths"))
+        time, own = run.time[part, lane], halfwidths[:, places[-1]]
+        figure = prediction_figure(time, surge, predictions[:, places], shown, title, own)
+        self.board.figure(f"prediction/{boat}", figure, step)

@@ -1,0 +1,393 @@
+"""A run's folder: parameter sets and predictions as they come, and how a run goes on from them."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import time
+import warnings
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+import usvlearn
+from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
+from usvlearn.checkpoint import save as save_checkpoint
+from usvlearn.engine import of_lane
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
+from usvlearn.rollouts import stack
+from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
+from usvlearn.runs.replay import BEGIN, PUBLISHED, Chunk, Position
+from usvlearn.signals import Fleet, Run, named_leaves, tree_map
+
+# what a damaged .npz raises
+DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
+
+
+class Start(NamedTuple):
+    """Where a run begins."""
+
+    state: EnsembleState  # leaves (boats, ...)
+    position: Position
+    note: str  # for the person who started it
+
+
+class Set(NamedTuple):
+    """A parameter set on its way to the disk."""
+
+    path: Path
+    state: Any  # a tree of arrays, a copy
+    facts: dict[str, Any]
+
+
+class RunFolder:
+    """Saves a replay as it goes, and finds where to go on. As a context, it ends when all is written.
+
+    Args:
+        path: the folder.
+        fleet: what is replayed.
+        metadata: JSON values that every checkpoint carries (configuration; `kernel`, how the ensemble is
+            built, of all boats).
+    """
+
+    def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any]):
+        self.path, self.fleet, self.metadata = Path(path), fleet, {"version": usvlearn.__version__, **metadata}
+        self._chunks: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]  # what was published, per run
+        self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
+        self._saved = self._reached = BEGIN
+        self._writer = ThreadPoolExecutor(1)
+        self._writing: Future | None = None  # one place behind the replay, at most
+        self.state: EnsembleState | None = None  # the newest, leaves (boats, ...)
+
+    @property
+    def published(self) -> dict[str, list[np.ndarray]]:
+        """What was published so far, by `replay.PUBLISHED`, an array per run; earlier sessions included."""
+        self._chunks = [[_joined(chunks)] if chunks else [] for chunks in self._chunks]  # in place of their parts
+        runs = [run for chunks in self._chunks for run in chunks]
+        return {name: [run[name] for run in runs] for name in (runs[0] if runs else {})}
+
+    def begin(self, state: EnsembleState, resume: str | None) -> Start:
+        """Where to start from: `state`, or what `resume` ("latest", a run's folder or a checkpoint) has saved.
+
+        Over the same samples, with the same ensemble, a folder is gone on from where it stopped, bit for bit; else its
+        newest parameter sets are what learning starts from, in another folder.
+
+        Raises:
+            ConfigError: the folder already holds parameter sets that this run would mix with its own.
+            CheckpointError: nothing readable is found to resume from, or it does not fit.
+        """
+        start, continued = Start(state, BEGIN, "learning from the start"), False
+        if resume is not None:
+            source = self._latest() if resume == "latest" else Path(str(resume))
+            if source.is_file():
+                start = self._from_file(source, start)
+            elif source.is_dir():
+                continued = self._is_this_run(source)
+                if not continued and source.resolve() == self.path.resolve():
+                    raise ConfigError(
+                        f"{source}: holds a run over other samples or with another ensemble: to start from its "
+                        f"parameters, give resume={source} and another hydra.run.dir"
+                    )
+                start = start if continued else self._from_newest(source, start)
+            else:
+                raise CheckpointError(f"resume: {source} does not exist: give a run's folder, a checkpoint or latest")
+        if _has_sets(self.path) and not (continued and source.resolve() == self.path.resolve()):
+            raise ConfigError(
+                f"{self.path}: already holds the parameter sets of a run: go on from them with resume=latest, "
+                "or choose another hydra.run.dir"
+            )
+        if continued:
+            start = self._continued(source, start)
+        elif resume is not None:  # kept, should the run stop before its first set
+            for lane, boat in enumerate(self.fleet.boats):
+                first = self._lane_set(start.state, lane, boat, BEGIN)
+                save_checkpoint(first.path, first.state, **first.facts)
+        self._saved = self._reached = start.position
+        self.state = start.state
+        self._forget(start.position)
+        others = [*self.path.parent.glob("*"), *([] if resume is None else [source])]
+        number = 1 + max(map(_number, others), default=0)
+        noted = self._runs | {"began": {"number": number, "time": time.strftime("%FT%TZ", time.gmtime(time.time()))}}
+        write_atomically(self.path / RUNS, json.dumps(noted, indent=2).encode())
+        return start
+
+    def save(self, chunk: Chunk) -> None:
+        """Write what a chunk makes due: predictions first, since a state is gone on from only with them."""
+        self.state, self._reached = chunk.state, chunk.end
+        self._chunks[chunk.end.run].append(chunk.published)
+        self._pending.append(chunk.published)
+        if chunk.save:
+            self._hand_on()
+
+    def _hand_on(self) -> None:
+        """Have all that is pending written, and every boat's parameter set."""
+        self._wait()
+        index, step = self._reached
+        run, before = self.fleet.runs[index], self._saved.step if self._saved.run == index else 0
+        sets = [
+            self._lane_set(self.state, lane, boat, Position(index, min(step, run.lengths[lane])))
+            for lane, boat in enumerate(self.fleet.boats)
+            if run.lengths[lane] > before
+        ]
+        self._writing = self._writer.submit(self._write, self._reached, self._pending, sets)
+        self._pending, self._saved = [], self._reached
+
+    def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
+        """Predictions and sets of one place; a disk is slow, so that the replay goes on meanwhile."""
+        content = io.BytesIO()
+        np.savez_compressed(content, **_joined(published))
+        folder = self.path / PREDICTIONS
+        folder.mkdir(exist_ok=True)
+        write_atomically(folder / f"{_stem(place)}.npz", content.getvalue())
+        for each in sets:
+            save_checkpoint(each.path, each.state, **each.facts)
+
+    def _wait(self) -> None:
+        """Until what was handed on is written; raises what went wrong with it."""
+        if self._writing is not None:
+            writing, self._writing = self._writing, None
+            writing.result()
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._wait()
+
+    def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
+        """Judge all that was published; returns what stands in `results.json`: scores, alarms, the objective."""
+        found = self._judged(ensemble, seconds)
+        save_results(self.path, found)
+        return found
+
+    def stop(self, ensemble: Ensemble, seconds: float) -> None:
+        """Save a replay that ends early, so that it can go on; its results so far are marked as partial."""
+        if self._pending:
+            self._hand_on()
+        steps = {"steps": self.fleet.steps_before(*self._reached), "of": self.fleet.steps}
+        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, seconds)}})
+
+    def _judged(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
+        self._wait()
+        published = self.published
+        boats = fleet_scores(self.fleet, published, ensemble.names)
+        found = {"boats": boats, "alarms": alarms(self.fleet, published), "rejected": self.fleet.rejected}
+        return found | {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
+
+    def _lane_set(self, state: EnsembleState, lane: int, boat: str, place: Position) -> Set:
+        run = self.fleet.runs[place.run]
+        time = float(run.time[place.step - 1, lane]) if place.step else 0.0
+        facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[lane], "step": place.step, "time": time}
+        copied = tree_map(lambda leaf: leaf[lane].detach().numpy().copy(), state)
+        built = {"kernel": of_lane(self.metadata.get("kernel"), len(self.fleet.boats), lane)}
+        return Set(_set(self.path, boat, place), copied, facts | self.metadata | built)
+
+    @cached_property
+    def _runs(self) -> dict[str, Any]:
+        """What makes this run the one it is: per boat, name, length and samples of each run; and the ensemble."""
+        configuration = self.metadata.get("configuration", {})
+        ensemble = json.dumps([configuration.get("estimators"), configuration.get("combiners")])
+        boats = {
+            boat: [[run.names[lane], run.lengths[lane], digest(run, lane)] for run in self.fleet.runs]
+            for lane, boat in enumerate(self.fleet.boats)
+        }
+        return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
+
+    def _latest(self) -> Path:
+        """The run that began last, or went on: this one if it began here, else a sibling with parameter sets."""
+        if (self.path / RUNS).exists():
+            return self.path
+        found = [path.parent for path in self.path.parent.glob(f"*/{RUNS}")]
+        found = [folder for folder in found if any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))]
+        if not found:
+            raise CheckpointError(
+                f"resume=latest: no run with parameter sets in {self.path.parent}: give a run's folder, or leave it out"
+            )
+        return max(found, key=begun)
+
+    def _is_this_run(self, source: Path) -> bool:
+        """Whether a folder was made from these samples, or from the first of these runs, by this ensemble."""
+        try:
+            old, new = json.loads((source / RUNS).read_text()), self._runs
+            same = old["ensemble"] == new["ensemble"] and list(old["boats"]) == list(new["boats"])
+            return same and all(new["boats"][boat][: len(runs)] == runs for boat, runs in old["boats"].items())
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return False
+
+    def _from_file(self, source: Path, start: Start) -> Start:
+        """Every boat starts from one parameter set; what is watched, such as the thrusters, is watched anew."""
+        state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
+        state = stack([state] * len(self.fleet.boats))._replace(monitors=start.state.monitors)
+        of = ", run ".join(str(facts[name]) for name in ("boat", "run") if name in facts)
+        return start._replace(state=state, note=f"starting from {of or 'a set'}, {source}")
+
+    def _from_newest(self, source: Path, start: Start) -> Start:
+        """Every boat starts from its newest readable parameter set; the runs are new to it."""
+        lanes = []
+        for lane, boat in enumerate(self.fleet.boats):
+            folder = source / CHECKPOINTS / boat
+            if not checkpoints(folder):
+                boats = ", ".join(sorted(path.name for path in (source / CHECKPOINTS).glob("*"))) or "none"
+                raise CheckpointError(
+                    f"{source}: has no parameter set of {boat} (it has: {boats}): give the checkpoint to start from"
+                )
+            lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
+        note = f"starting from the newest parameter sets of {source}, from the first run on"
+        return start._replace(state=stack(lanes), note=note)
+
+    def _continued(self, source: Path, start: Start) -> Start:
+        """Go on from the newest place at which every boat and all predictions can be read."""
+        places = sorted(filter(None, map(position, (source / PREDICTIONS).glob("*.npz"))))
+        readable: list[tuple[Position, dict[str, np.ndarray]]] = []
+        for place in places:
+            path, before = source / PREDICTIONS / f"{_stem(place)}.npz", readable[-1][0] if readable else BEGIN
+            if before.run < place.run and before.step in (0, len(self.fleet.runs[before.run].time)):
+                before = Position(before.run + (before.step > 0), 0)
+            steps, boats = place.step - before.step, len(self.fleet.boats)
+            try:
+                published = read_published(path, steps, boats, start.state.predictions.shape[-1])
+                found = len(published["predictions"])
+                if place.run != before.run or found != steps:
+                    raise ValueError(f"it holds {found} steps, expected {steps}")
+            except DAMAGE as error:
+                warnings.warn(f"{path}: is damaged ({error}); going on from before it", stacklevel=2)
+                break
+            readable.append((place, published))
+        paths: list[Path] = []
+        while readable:
+            place = readable[-1][0]
+            paths = [_set(source, boat, self._own(lane, place)) for lane, boat in enumerate(self.fleet.boats)]
+            try:
+                for path in paths:
+                    verify(path)
+                break
+            except CheckpointError as error:
+                warnings.warn(f"{error}; going on from before it", stacklevel=2)
+                readable.pop()
+        if not readable:
+            place, note = BEGIN, "learning from the start"
+            paths = [_set(source, boat, BEGIN) for boat in self.fleet.boats]
+            if not all(path.exists() for path in paths):  # it began from nothing
+                self._bring(source, BEGIN)
+                return start
+        else:
+            note = f"going on after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
+        lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
+        for (run, _), published in readable:
+            self._chunks[run].append(published)
+        self._bring(source, place)
+        return Start(stack(lanes), place, note)
+
+    def _own(self, lane: int, place: Position) -> Position:
+        """Where a boat stood when the fleet stood at `place`: its runs may be shorter, or fewer."""
+        for run in range(place.run, -1, -1):
+            if length := self.fleet.runs[run].lengths[lane]:
+                return Position(run, min(length, place.step) if run == place.run else length)
+        raise AssertionError(f"{self.fleet.boats[lane]} has no run up to {place}")
+
+    def _bring(self, source: Path, place: Position) -> None:
+        """Copy what a resumed run rests on, so that its folder is complete."""
+        if source.resolve() == self.path.resolve():
+            return
+        for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
+            if (found := position(old)) is not None and found <= place:
+                new = self.path / old.relative_to(source)
+                new.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(new, old.read_bytes())
+
+    def _forget(self, place: Position) -> None:
+        """Remove the predictions beyond `place`, the last first, and results: they are made anew."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        (self.path / RESULTS).unlink(missing_ok=True)
+        for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
+            if (found := position(old)) is None or found > place:
+                old.unlink()
+
+
+def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Stretches of what was published, one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def read_published(path: Path, steps: int, boats: int, columns: int) -> dict[str, np.ndarray]:
+    """The arrays of a file of predictions, by PUBLISHED; one of DAMAGE where it cannot be read.
+
+    Args:
+        path: of the file.
+        steps, boats, columns: how large the predictions can be. A file with much more is not unpacked, and one of other
+            boats or columns is damaged.
+    """
+    most = (1 << 16) + 4 * 8 * max(0, steps) * boats * (2 * columns + 5)
+    if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
+        raise ValueError("it is no archive of arrays")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
+            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
+        found = {name: archive[name] for name in PUBLISHED if name in archive}
+    shape = found["predictions"].shape
+    for name, array in found.items():
+        width = 5 if name == "thrusters" else columns
+        if array.dtype.kind != "f" or array.shape != (shape[0], boats, width):
+            raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of (time, {boats}, {width})")
+    return found
+
+
+def begun(folder: Path) -> tuple[int, int, Position, str]:
+    """A key that sorts the runs in one folder by when they began, or last went on.
+
+    Clocks are set back, so that runs are numbered as they begin. Of equal numbers the run that came further is the
+    later. Runs of older versions have no number: they are before the others, and sorted by the time of their files.
+    """
+    sets, number = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), _number(folder)
+    stamp = 0 if number else max(path.stat().st_mtime_ns for path in [*sets, folder / RUNS])
+    return number, stamp, max(filter(None, map(position, sets)), default=BEGIN), folder.name
+
+
+def _number(folder: Path) -> int:
+    """How many runs had begun beside a folder's run, itself counted; 0 where that is not noted."""
+    try:
+        number = json.loads((folder / RUNS).read_text())["began"]["number"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return 0
+    return number if type(number) is int and 0 < number < 2**53 else 0
+
+
+def position(path: Path) -> Position | None:
+    """What a file's name says, None where it is none of ours."""
+    run, _, step = path.stem.partition("_")
+    return Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
+
+
+def _stem(place: Position) -> str:
+    return f"{place.run:05d}_{place.step:07d}"
+
+
+def _set(folder: Path, boat: str, place: Position) -> Path:
+    return folder / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}"
+
+
+def digest(run: Run, lane: int) -> str:
+    """A sha256 of one boat's samples."""
+    total = hashlib.sha256()
+    for name, leaf in named_leaves(run.samples):
+        total.update(name.encode() + leaf[: run.lengths[lane], lane].tobytes())
+    return total.hexdigest()
+
+
+def _has_sets(folder: Path) -> bool:
+    """Whether a folder holds parameter sets that are worth keeping, not just those from which a run was to start."""
+    sets = [position(path) for path in (folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")]
+    return any(at is None or at > BEGIN for at in sets) or (bool(sets) and (folder / RUNS).exists())
+
+
+def _lane(state: EnsembleState, lane: int) -> EnsembleState:
+    return tree_map(lambda x: x[lane], state)

@@ -1,0 +1,232 @@
+"""Reads what runs have saved: folders as `run_folder` writes them, and the samples that they are judged on."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.checkpoint import checkpoints, load, restore
+from usvlearn.errors import CheckpointError, ConfigError, check_positive
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.rollouts import stack
+from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
+from usvlearn.runs.legacy import current
+from usvlearn.runs.run_folder import DAMAGE, begun, digest, position, read_published
+from usvlearn.runs.trust import check_settings
+from usvlearn.signals import Fleet, tree_map
+
+SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a saved configuration must hold
+
+
+def run_folders(folder: str | Path) -> list[Path]:
+    """A folder that a run was saved in, or all of those below one, the oldest first.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    folder = Path(folder)
+    found = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
+    if not found:
+        what = "a tuning alone in" if (folder / TUNING).exists() else "no run below"
+        raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which train.py has made a run")
+    if len({path.parent for path in found}) == 1:
+        return sorted(found, key=begun)
+    return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are those of one folder
+
+
+def is_sweep(folder: Path) -> bool:
+    """Whether the runs below a folder are to be compared, not pooled: jobs of a sweep, or of several ensembles.
+
+    Raises:
+        ConfigError: they are of several ensembles, and their commands are not known, as in a study's folder.
+    """
+    if (folder / "multirun.yaml").exists():
+        return True
+    folders = [path.parent for path in sorted(folder.glob(f"**/{RUNS}"))]
+    if len({_runs_file(each)["ensemble"] for each in folders}) < 2:
+        return False
+    if not any(folder.glob("**/.hydra")):
+        names = ", ".join(map(str, folders))
+        raise ConfigError(f"runs: found runs of several ensembles below {folder}, expected one: name one of {names}")
+    return True
+
+
+def configuration(folder: Path, trust: str | Sequence[str] | None = None) -> dict[str, Any]:
+    """The settings that a run was made with, from its newest readable parameter set; they can be instantiated.
+
+    Args:
+        folder: of the run.
+        trust: see `usvlearn.runs.trust.check_settings`.
+
+    Raises:
+        CheckpointError: it has no parameter set, none can be read, or its settings name code that is not trusted.
+    """
+    path, found = _configuration(folder)
+    check_settings(str(path), found, trust)
+    check_positive(f"{path}: align.dt", found["align"].get("dt"), "of s")
+    check_positive(f"{path}: vehicle.mass", found["vehicle"].get("mass"), "of kg")
+    return found
+
+
+def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
+    """The newest readable parameter set, and the settings in it."""
+    paths = [path for boat in sorted((folder / CHECKPOINTS).glob("*")) for path in reversed(checkpoints(boat))]
+    for path in paths:
+        try:
+            found = load(path)[1].get("configuration")
+            if not (isinstance(found, dict) and all(isinstance(found.get(key), dict) for key in SETTINGS)):
+                raise CheckpointError(f"{path}: found no configuration with {', '.join(SETTINGS)}")
+            return path, current(found)
+        except CheckpointError as error:
+            last = error
+    if paths:
+        cause = f"none of its {len(paths)} parameter sets can be read ({last})"
+        raise CheckpointError(f"{folder}: {cause}: make the run anew")
+    raise CheckpointError(
+        f"{folder}: has no parameter sets ({CHECKPOINTS}/BOAT/*.safetensors): let train.py finish a run there"
+    )
+
+
+def results(folder: Path) -> dict[str, Any]:
+    """What a run has found, {} where it is not finished.
+
+    Raises:
+        CheckpointError: the file is damaged.
+    """
+    path = folder / RESULTS
+    try:
+        found = json.loads(path.read_text()) if path.exists() else {}
+        if not isinstance(found, dict):
+            raise ValueError(f"found {type(found).__name__}, expected a dictionary")
+        return {} if "partial" in found else found
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(
+            f"{path}: is damaged ({error}): run train.py with resume={folder} hydra.run.dir={folder} to write it anew"
+        ) from error
+
+
+def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[Fleet]) -> list[Season]:
+    """Every boat's parameter sets of all folders, and its runs of all fleets.
+
+    A damaged set, or file of predictions, is passed over with a warning.
+
+    Args:
+        folders: of the runs, the oldest first.
+        ensemble: to which all sets belong.
+        fleets: what the sets are judged on; a run that stands in several counts once.
+
+    Raises:
+        CheckpointError: a boat has no readable set; sets of another ensemble or schema.
+        ConfigError: the folders hold no set of a boat of the fleets.
+    """
+    runs: dict[str, dict[str, SeasonRun]] = {}
+    for fleet in fleets:
+        for lane, boat in enumerate(fleet.boats):
+            for run in fleet.runs:
+                if length := run.lengths[lane]:
+                    samples = tree_map(lambda x, n=length, k=lane: x[:n, k], run.samples)
+                    key = digest(run, lane)
+                    runs.setdefault(boat, {}).setdefault(key, SeasonRun(run.names[lane], key, samples, {}))
+    known = sorted({path.name for folder in folders for path in (folder / CHECKPOINTS).glob("*")})
+    if missing := [boat for boat in runs if boat not in known]:
+        raise ConfigError(
+            f"data: found the boat {', '.join(missing)}, of which the runs hold no parameter set (they have "
+            f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
+        )
+    lengths = {key: len(run.samples.surge) for found in runs.values() for key, run in found.items()}
+    read = [_read(folder, lengths, len(ensemble.names)) for folder in folders]
+    return [_season(boat, list(found.values()), read, ensemble) for boat, found in runs.items()]
+
+
+class _Folder(NamedTuple):
+    """What a run's folder holds of all boats."""
+
+    path: Path
+    dt: float  # s, of its grid
+    learned: dict[str, list[tuple[str, int, str]]]  # boat -> name, steps and key of each of its runs
+    published: dict[int, list[dict[str, np.ndarray]]]  # index of the run -> stretches, (time, boats, …)
+
+
+def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
+    """What stands in a folder; predictions only of the runs whose lengths are given by key."""
+    learned, dt = _runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
+    published: dict[int, list[dict[str, np.ndarray]]] = {}
+    for path in sorted((folder / PREDICTIONS).glob("*.npz")):
+        at = position(path)
+        keys = [runs[at.run][2] for runs in learned.values() if at is not None and at.run < len(runs)]
+        if not (steps := max((lengths.get(key, 0) for key in keys), default=0)):
+            continue
+        try:
+            part = read_published(path, steps, len(learned), columns)
+        except DAMAGE as error:
+            warnings.warn(f"{path}: is damaged ({error}); its run goes without predictions", stacklevel=3)
+            continue
+        published.setdefault(at.run, []).append(part)
+    return _Folder(folder, dt, learned, published)
+
+
+def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemble: Ensemble) -> Season:
+    template = tree_map(lambda x: x[0], ensemble.init((1,)))
+    keys = [run.key for run in runs]
+    sets, paths, own, hours, before = [], [], [], [], 0.0
+    for folder in folders:
+        learned = folder.learned.get(boat, [])
+        ends = np.cumsum([0, *(length for _, length, _ in learned)]) * folder.dt / 3600
+        for path in checkpoints(folder.path / CHECKPOINTS / boat):
+            at = position(path)
+            if at is None or at.step == 0:  # what it started from
+                continue
+            if at.run >= len(learned) or at.step > learned[at.run][1]:
+                warnings.warn(f"{path}: is of no step of the runs in {RUNS}; going on without it", stacklevel=2)
+                continue
+            try:
+                sets.append(restore(path, template, ESTIMATOR)[0])
+            except CheckpointError as error:
+                if "damaged" not in str(error) and "cannot be read" not in str(error):
+                    raise
+                warnings.warn(f"{error}; going on without it", stacklevel=2)
+                continue
+            key = learned[at.run][2]
+            paths.append(path)
+            own.append(keys.index(key) if key in keys else -1)
+            hours.append(before + ends[at.run] + at.step * folder.dt / 3600)
+        before += ends[-1]
+        runs = _with_predictions(folder, boat, runs)
+    if not sets:
+        raise CheckpointError(
+            f"{', '.join(str(each.path) for each in folders)}: no parameter set of {boat} can be read"
+        )
+    return Season(boat, tuple(runs), stack(sets), tuple(paths), np.array(own), np.array(hours))
+
+
+def _runs_file(folder: Path) -> dict[str, Any]:
+    path = folder / RUNS
+    try:
+        found = json.loads(path.read_text())
+        boats = {
+            boat: [(str(name), int(length), str(key)) for name, length, key in runs]
+            for boat, runs in found["boats"].items()
+        }
+        if any(length < 0 for runs in boats.values() for _, length, _ in runs):
+            raise ValueError("a run has fewer than 0 steps")
+        return {"boats": boats, "ensemble": str(found["ensemble"])}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise CheckpointError(f"{path}: is damaged ({error}): make the run anew") from error
+
+
+def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list[SeasonRun]:
+    """The runs with what was published of them in a folder, where its predictions are complete."""
+    complete = {}
+    lane = list(folder.learned).index(boat) if boat in folder.learned else 0
+    for index, (_, length, key) in enumerate(folder.learned.get(boat, [])):
+        some = folder.published.get(index, [])
+        if some and sum(len(part["predictions"]) for part in some) >= length:
+            names = [name for name in some[0] if all(name in part for part in some)]
+            complete[key] = {name: np.concatenate([part[name][:, lane] for part in some])[:length] for name in names}
+    return [run._replace(published=complete.get(run.key, run.published)) for run in runs]

@@ -1,0 +1,136 @@
+"""Which saved settings may be instantiated. A run may come from anybody, and each `_target_` in its settings is called.
+
+Allowed are the public classes of usvlearn, those that a module below PACKAGES defines itself, and FUNCTIONS: they
+compute or read, and call nothing that they are given. A re-exported name (`usvlearn.estimators.rnn.layer.torch`) or an
+attribute of a class is refused. The user can allow modules of his own by `trust`. No module is imported before its name
+is allowed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Iterator, Sequence
+from types import FunctionType
+from typing import Any
+
+import usvlearn
+from usvlearn.errors import CheckpointError, ConfigError
+
+PACKAGES = ("usvlearn.estimators", "usvlearn.logs", "usvlearn.simulate")
+FUNCTIONS = ("usvlearn.logs.read.read_recordings", "usvlearn.simulate.fleet.fleet")
+DEEPEST = 50  # levels of settings
+
+
+def check_settings(where: str, settings: Any, trust: str | Sequence[str] | None = None) -> None:
+    """Raise unless settings are plain data, and each `_target_` in them may be called.
+
+    Args:
+        where: the file that they were read from, for the error.
+        settings: dictionaries, lists and scalars, as JSON has them.
+        trust: modules of the user whose classes and functions are allowed, too, with those of their submodules.
+
+    Raises:
+        CheckpointError: a target is not allowed, or settings hold an interpolation or too many levels.
+        ConfigError: `trust` is no name of a module, or a list of such names.
+
+    >>> check_settings("a", {"estimators": {"rls": {"_target_": "usvlearn.estimators.least_squares.rls.RLS"}}})
+    >>> check_settings("a.safetensors", {"estimators": [{"_target_": "os.system", "command": "reboot"}]})
+    Traceback (most recent call last):
+    usvlearn.errors.CheckpointError: a.safetensors: estimators.0._target_: found 'os.system', expected a class below \
+usvlearn.estimators, usvlearn.logs or usvlearn.simulate: if you know that module and trust its code, add trust=MODULE
+    """
+    trusted = [trust] if isinstance(trust, str) else list(trust or ())
+    for module in trusted:
+        if not (isinstance(module, str) and all(part.isidentifier() for part in module.split("."))):
+            raise ConfigError(f"trust: found {module!r}, expected the name of a module, such as boats.estimators")
+    for keys, value in _leaves(where, settings):
+        if keys and keys[-1] == "_target_":
+            if not _allowed(value, trusted):
+                raise CheckpointError(
+                    f"{where}: {_path(keys)}: found {_short(value)}, expected a class below {', '.join(PACKAGES[:-1])} "
+                    f"or {PACKAGES[-1]}: if you know that module and trust its code, add trust=MODULE"
+                )
+        elif any(isinstance(each, str) and ("${" in each or each == "???") for each in (*keys, value)):
+            raise CheckpointError(
+                f"{where}: {_path(keys)}: found {_short(value)}, expected plain data without interpolations: "
+                "make the run anew with train.py"
+            )
+
+
+def check_setting(where: str, setting: Any) -> dict[str, float]:
+    """Return a tuned setting if it holds finite numbers by dotted paths, so that it can name no code; else raise.
+
+    Args:
+        where: the file that it was read from, for the error.
+        setting: as the file has it.
+
+    Raises:
+        ConfigError: it holds something else.
+
+    >>> check_setting("tuning.json", {"estimator.memory": 3.0})
+    {'estimator.memory': 3.0}
+    """
+    if not isinstance(setting, dict):
+        raise ConfigError(f"{where}: found the setting {_short(setting)}, expected numbers by name: remove that file")
+    for path, value in setting.items():
+        named = all(part.isidentifier() and not part.startswith("_") for part in path.split("."))
+        if not (named and type(value) in (int, float) and math.isfinite(value)):
+            raise ConfigError(
+                f"{where}: found the setting {_short(path)}: {_short(value)}, expected a hyperparameter and a finite "
+                "number: remove that file"
+            )
+    return setting
+
+
+def _leaves(where: str, settings: Any) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """The keys and the value of each scalar, and of whatever stands below a `_target_`."""
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), settings)]
+    while waiting:
+        keys, value = waiting.pop()
+        if len(keys) > DEEPEST:
+            raise CheckpointError(f"{where}: {_path(keys)}: found more than {DEEPEST} levels: make the run anew")
+        if keys[-1:] == ("_target_",) or not isinstance(value, dict | list):
+            yield keys, value
+        else:
+            items = value.items() if isinstance(value, dict) else enumerate(value)
+            waiting += [((*keys, str(key)), each) for key, each in items]
+
+
+def _allowed(target: Any, trusted: Sequence[str]) -> bool:
+    """Whether a target is a class of ours, one of FUNCTIONS, or what a trusted module defines."""
+    if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
+        return False
+    module, _, name = target.rpartition(".")
+    if module == "usvlearn":  # its public names
+        return name in usvlearn.__all__ and isinstance(getattr(usvlearn, name), type)
+    own, theirs = _within(module, PACKAGES) and "._" not in target, _within(module, trusted)
+    if not (own or theirs):
+        return False
+    try:
+        found = getattr(importlib.import_module(module), name, None)
+    except ImportError as error:
+        if theirs:
+            raise ConfigError(f"trust: {module} cannot be imported ({error}): add its folder to PYTHONPATH") from error
+        return False
+    if not isinstance(found, type | FunctionType):
+        return False
+    if theirs and _within(found.__module__, trusted):
+        return True
+    ours = isinstance(found, type) or target in FUNCTIONS
+    return own and ours and (found.__module__, found.__qualname__) == (module, name)
+
+
+def _within(module: str, packages: Sequence[str]) -> bool:
+    return any(module == each or module.startswith(f"{each}.") for each in packages)
+
+
+def _path(keys: Sequence[str]) -> str:
+    """A dotted path that can be printed on one line."""
+    path = ".".join(keys)
+    return path if path.isprintable() and len(path) <= 80 else _short(path)
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

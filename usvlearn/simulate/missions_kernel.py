@@ -1,0 +1,160 @@
+"""All missions with the autopilot in the loop, compiled by numba: `autopilot` and `vessel.step`, lane by lane.
+
+The motion is computed as `vessel.step` does it, operation by operation, so that both give the same bits. What does not
+change from step to step is computed once, by torch, whose exponential is not that of the C library.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usvlearn.jit import jit
+from usvlearn.simulate.autopilot import Autopilot
+from usvlearn.simulate.vessel import Vessel
+
+
+class Known(NamedTuple):
+    """What steering and stepping need besides the vessel's parameters. Leaves are `(lanes,)`."""
+
+    decay: np.ndarray  # of a thruster's lag over a step
+    lag: np.ndarray  # of a thruster, in steps
+    yaw_decay: np.ndarray  # of the yaw lag over a step
+    top: np.ndarray  # m/s, top speed
+    current: np.ndarray  # m/s
+    direction: np.ndarray  # rad, where the current flows to
+
+
+def known(
+    vessel: Vessel, batch: tuple[int, ...], dt: float, top: Tensor, current: Tensor, direction: Tensor
+) -> tuple[Vessel, Known]:
+    """The vessel as arrays `(lanes, …)`, and what follows from it.
+
+    Args:
+        vessel: leaves broadcast against `(*batch, …)`, as do `top`, `current` and `direction`.
+        dt: step, s.
+
+    >>> from usvlearn.simulate.plants import heron
+    >>> one = torch.ones(())
+    >>> known(heron(), (3, 2), 0.1, one, one, one)[0].thrust_table.shape
+    (6, 2, 11)
+    """
+
+    def lanes(leaf: Tensor, *last: int) -> np.ndarray:
+        return leaf.expand(*batch, *last).reshape(-1, *last).contiguous().numpy()
+
+    last = dict.fromkeys(("thrust_linear", "thrust_quadratic", "thrust_speed"), (2,))
+    last["thrust_table"] = tuple(vessel.thrust_table.shape[-2:])
+    leaves = torch.exp(-dt / vessel.lag), vessel.lag / dt, torch.exp(-dt / vessel.yaw_lag), top, current, direction
+    arrays = Vessel(*(lanes(leaf, *last.get(name, ())) for name, leaf in vessel._asdict().items()))
+    return arrays, Known(*map(lanes, leaves))
+
+
+def gains(autopilot: Autopilot) -> tuple[float, ...]:
+    """The autopilot's numbers as `steer` takes them.
+
+    >>> gains(Autopilot())
+    (0.6, 0.075, 0.6, 0.35, 0.0, 0.01)
+    """
+    a = autopilot
+    numbers = a.proportional, a.integral / a.hz, a.heading, a.turn_max, a.lowest, a.resolution
+    return tuple(map(float, numbers))
+
+
+@jit(memory=True)
+def clip(x: float, low: float, high: float) -> float:
+    """x within low … high."""
+    return min(max(x, low), high)
+
+
+@jit(memory=True)
+def steer(gains, integral, surge_reference, throttle, heading_reference, power, surge, heading):
+    """The next integral and the commands left and right, see `usvlearn.simulate.autopilot`.
+
+    >>> steer(gains(Autopilot()), 0.0, math.nan, 0.5, 0.0, 1.0, 0.0, 0.0)
+    (0.5, 0.5, 0.5)
+    """
+    k_p, k_i, k_h, turn_max, lowest, resolution = gains
+    error = 0.0
+    if math.isnan(surge_reference):
+        integral = throttle
+    else:
+        error = surge_reference - surge  # 1.
+        integral = clip(integral + k_i * error, lowest, 1.0)  # 2.
+    throttle = clip(integral + k_p * error, lowest, 1.0)
+    away = (heading_reference - heading + math.pi) % (2 * math.pi) - math.pi
+    turn = clip(k_h * away, -turn_max, turn_max)  # 3.
+    left = np.rint(clip(throttle + turn, lowest, 1.0) * power / resolution) * resolution  # 4.
+    right = np.rint(clip(throttle - turn, lowest, 1.0) * power / resolution) * resolution
+    return integral, left, right
+
+
+@jit(memory=True)
+def surge_dot(vessel, n, surge, cross, static, lift):
+    """Equation (1) of `vessel` for lane n, m/s²: the thrust is static + lift |v|, N."""
+    speed = abs(surge)
+    if speed > vessel.knee[n]:
+        quadratic, linear = vessel.drag_quadratic_fast[n], vessel.drag_linear_fast[n]
+    else:
+        quadratic, linear = vessel.drag_quadratic[n], vessel.drag_linear[n]
+    return ((quadratic * speed + (linear + cross)) * surge + (static + lift * speed)) / vessel.mass[n]
+
+
+@jit(memory=True)
+def sail_on(gains, reference, vessel, known, dt, substeps, integral, state, surge, heading, commands):
+    """Steer and step all lanes over all ticks of the reference.
+
+    Args:
+        gains: see `gains`.
+        reference: leaves `(ticks, lanes)`.
+        vessel, known: see `known`.
+        dt: step, s.
+        substeps: steps of a tick.
+        integral, state: of the autopilot, `(lanes,)`, and the vessel, leaves `(lanes, …)`; left as they are at the end.
+        surge, heading: filled in, through the water, m/s, and rad, `(ticks · substeps, lanes)`.
+        commands: filled in, `(ticks, lanes, 2)`.
+    """
+    nodes = vessel.thrust_table.shape[-1]
+    static, lift = np.empty(2), np.empty(2)
+    for k in range(len(commands)):
+        for n in range(len(integral)):
+            flow = known.current[n] * math.cos(known.direction[n] - state.heading[n])
+            integral[n], commands[k, n, 0], commands[k, n, 1] = steer(
+                gains, integral[n], reference.surge[k, n], reference.throttle[k, n], reference.heading[k, n],
+                reference.power[k, n], (state.surge[n] + flow) / known.top[n], state.heading[n],
+            )  # fmt: skip
+        for at in range(k * substeps, (k + 1) * substeps):
+            for n in range(len(integral)):
+                v = state.surge[n]
+                surge[at, n], heading[at, n] = v, state.heading[n]
+                for i in range(2):
+                    command = clip(commands[k, n, i], -1.0, 1.0)
+                    gap = state.shaft[n, i] - command
+                    left = gap * known.decay[n]
+                    state.shaft[n, i] = command + left  # (3)
+                    mean = command + (gap - left) * known.lag[n]
+                    shaft = clip(mean, -1.0, 1.0)
+                    place = (shaft + 1) * ((nodes - 1) / 2)
+                    below = min(int(place), nodes - 2)
+                    low, high = vessel.thrust_table[n, i, below], vessel.thrust_table[n, i, below + 1]
+                    slope = vessel.thrust_linear[n, i] + vessel.thrust_quadratic[n, i] * abs(shaft)
+                    static[i] = low + (high - low) * (place - below) + slope * shaft
+                    lift[i] = vessel.thrust_speed[n, i] * mean
+
+                settled = vessel.yaw_gain[n] * ((static[0] + lift[0] * abs(v)) - (static[1] + lift[1] * abs(v)))  # (2)
+                gap = state.yaw_rate[n] - settled
+                left = gap * known.yaw_decay[n]
+                state.yaw_rate[n] = settled + left  # (4)
+                turned = settled * dt + (gap - left) * vessel.yaw_lag[n]
+                state.heading[n] += turned
+
+                both, rise, cross = static[0] + static[1], lift[0] + lift[1], vessel.drag_cross[n] * abs(turned / dt)
+                k1 = surge_dot(vessel, n, v, cross, both, rise)  # (1)
+                k2 = surge_dot(vessel, n, v + dt / 2 * k1, cross, both, rise)
+                k3 = surge_dot(vessel, n, v + dt / 2 * k2, cross, both, rise)
+                k4 = surge_dot(vessel, n, v + dt * k3, cross, both, rise)
+                state.surge[n] = v + dt / 6 * (k1 + 2 * (k2 + k3) + k4)

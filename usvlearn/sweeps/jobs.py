@@ -1,0 +1,210 @@
+"""The jobs of a sweep: each is known by its settings, skipped once it is finished, gone on with, recorded if it fails.
+
+job.json         the settings whose job the folder is, and how the command put them
+results.json     what it found, or {"error": reason}
+traceback.txt    of an error that nobody foresaw
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shlex
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from usvlearn.checkpoint import write_atomically
+from usvlearn.errors import ConfigError, UsvlearnError, bad_input, printable
+from usvlearn.evaluation.ranking import differing, ranked_by, scored
+from usvlearn.lock import Lock
+from usvlearn.report.tables import told
+from usvlearn.runs.layout import RESULTS, RUNS, save_results
+
+JOB, TRACEBACK = "job.json", "traceback.txt"
+
+
+class Job(NamedTuple):
+    """A run among others."""
+
+    folder: Path
+    settings: dict[str, str]  # what its command set, by key
+    results: dict[str, Any]  # of results.json; {"error": reason} where it failed, {} where it did not finish
+
+
+def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, Any]) -> None:
+    """Raise where a folder holds the jobs of another sweep, before its notes are written over.
+
+    Args:
+        folder: of the sweep.
+        load: reads a YAML file.
+        hydra: the configuration of Hydra itself, as `multirun.yaml` keeps it of the sweep before.
+
+    Raises:
+        ConfigError: the command, or what its sweep sets, is not the one that began there.
+    """
+    held = folder / "multirun.yaml"
+    if not (held.exists() and any(folder.glob(f"*/{JOB}"))):
+        return
+    old = load(held)["hydra"]
+    asked = [[sorted(each["overrides"]["task"]), each["sweeper"].get("params")] for each in (old, hydra)]
+    if asked[0] != asked[1]:
+        raise ConfigError(
+            f"{folder}: holds the jobs of another sweep, {shlex.join(old['overrides']['task'])}: repeat that command, "
+            "or choose another hydra.sweep.dir"
+        )
+
+
+def digest(settings: Mapping) -> str:
+    """By which a job is known: a sha256 of all its settings, in their order, which is that of the members.
+
+    >>> digest({"dt": 0.4})[:8]
+    'e33f88fb'
+    """
+    return hashlib.sha256(json.dumps(settings).encode()).hexdigest()
+
+
+def run_job(
+    folder: Path,
+    settings: Mapping,
+    overrides: Sequence[str],
+    work: Callable[[str | None], float],
+    swept: Sequence[str] = (),
+) -> float:
+    """Do one job of a sweep: nothing if it is finished, the rest if it was begun, all if it failed before.
+
+    A folder that holds the job of other settings, or in which another process is at work, is left as it is. No error
+    leaves this function: the other jobs go on.
+
+    Args:
+        folder: the job's own.
+        settings: all of them; another value of any is another job.
+        overrides: what the command set, for the person who meets the folder.
+        work: does it, resuming from a folder or as its settings say (None); returns its own objective.
+        swept: the keys to which the sweep gives several values.
+
+    Returns:
+        The error that ranks the job in the leaderboard, NaN where it failed.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     run_job(Path(folder), {"dt": 0.4}, ["dt=0.4"], lambda resume: 0.03)
+    0.03
+    """
+    if settings.get("resume") == "latest":
+        print("error: resume=latest: a sweep goes on from where it stopped by itself: leave it out", file=sys.stderr)
+        return float("nan")
+    try:
+        lock = Lock(folder, "hydra.sweep.dir")
+    except (UsvlearnError, OSError) as error:
+        print(f"error: {bad_input(error) or error}", file=sys.stderr)
+        return float("nan")
+    with lock:
+        return _run_job(folder, settings, overrides, work, swept)
+
+
+def _run_job(
+    folder: Path,
+    settings: Mapping,
+    overrides: Sequence[str],
+    work: Callable[[str | None], float],
+    swept: Sequence[str],
+) -> float:
+    """`run_job` in a folder that is locked."""
+    known, held, results = digest(settings), _read(folder / JOB), _read(folder / RESULTS)
+    begun, done = (folder / RUNS).exists(), "boats" in results
+    if held.get("settings", known) != known and (begun or done):
+        print(f"error: {_foreign(folder, held, overrides)}", file=sys.stderr)
+        return float("nan")
+    if "settings" in held and done:
+        print(f"finished before: {folder}")
+        return _objective(results, overrides, swept)
+    try:
+        for old in (RESULTS, TRACEBACK):
+            (folder / old).unlink(missing_ok=True)
+        note = {"settings": known, "overrides": list(overrides)}
+        write_atomically(folder / JOB, json.dumps(note, indent=2).encode())
+        made = work(str(folder) if begun else None)
+        return _objective({"objective": made, **_read(folder / RESULTS)}, overrides, swept)
+    except Exception as error:
+        cause, told = bad_input(error), traceback.format_exc()
+        with suppress(OSError):  # a folder that nobody can write to is known by what it lacks
+            if cause is None:
+                cause = f"{type(error).__name__}: {error} (see {folder / TRACEBACK})"
+                write_atomically(folder / TRACEBACK, told.encode())
+            save_results(folder, {"error": cause})
+        print(f"error: {cause}", file=sys.stderr)
+        return float("nan")
+
+
+def _objective(results: Mapping[str, Any], overrides: Sequence[str], swept: Sequence[str]) -> float:
+    found = scored(results, ranked_by(swept, [_by_key(overrides)], [results])).get("objective")
+    return float("nan") if found is None else found
+
+
+def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
+    """The runs below a folder, in the order of their names.
+
+    Args:
+        folder: of a sweep, or any that runs were written to.
+        load: reads the YAML files that each run keeps of its configuration, as lists and dictionaries.
+
+    Raises:
+        ConfigError: there is none.
+
+    >>> jobs(Path("nowhere"), json.loads)
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: runs: found no run below 'nowhere', expected a folder that train.py has written
+    """
+    paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
+    if not paths:
+        raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
+    found = []
+    for path in sorted(paths, key=lambda path: (path.parent, len(path.name), path.name)):  # 2 before 10
+        overrides = load(path / ".hydra" / "overrides.yaml")
+        results, held = _read(path / RESULTS), _read(path / JOB)
+        if "settings" in held and held["settings"] != digest(load(path / ".hydra" / "config.yaml")):
+            results = {"error": _foreign(path, held, overrides)}  # Hydra has written its notes before anyone could look
+        found.append(Job(path, _by_key(overrides), results))
+    return found
+
+
+def _by_key(overrides: Sequence[str]) -> dict[str, str]:
+    return dict(printable(str(text)).partition("=")[::2] for text in overrides)
+
+
+def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
+    """That a folder holds another job, and by what that one differs."""
+    old, new = _by_key(held["overrides"]), _by_key(overrides)
+    keys = differing([old, new])
+    other = told(old, keys) if keys else "of configuration files that were another then"
+    return f"{folder} holds another job, {other}: repeat the command that made it, or choose another hydra.sweep.dir"
+
+
+def _are_scores(boats: Any) -> bool:
+    """Whether these are numbers, or null, by boat, method and score."""
+    tables = list(boats.values()) if isinstance(boats, dict) else [None]
+    rows = [row for table in tables for row in (table.values() if isinstance(table, dict) else [None])]
+    return all(
+        isinstance(row, dict) and all(x is None or isinstance(x, int | float) for x in row.values()) for row in rows
+    )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A JSON file; {} where there is none, {"error": …} where it is damaged."""
+    try:
+        found = json.loads(path.read_text())
+        if not isinstance(found, dict):
+            raise ValueError(f"found {type(found).__name__}, expected a dictionary")
+        if "boats" in found and not _are_scores(found["boats"]):
+            raise ValueError("boats: expected numbers by boat, method and score")
+        if "settings" in found and not isinstance(found.get("overrides"), list):
+            raise ValueError("overrides: expected a list")
+        return found | {"error": printable(str(found["error"]))} if "error" in found else found
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, RecursionError) as error:
+        return {"error": f"{path} is damaged ({error}): run the same command again to have it made anew"}

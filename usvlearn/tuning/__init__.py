@@ -1,0 +1,1 @@
+"""Hyperparameters: by grid, by gradient, by Optuna."""

@@ -1,0 +1,224 @@
+"""Settings of one estimator as lanes of one batch: what each is worth over a fleet's runs.
+
+A setting's lanes are the boats: state and samples are `(settings, boats)`, the samples as views of the fleet's own.
+What is judged is the MAE one step ahead over all measured steps, predicted before learning, mean over boats.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.errors import ConfigError
+from usvlearn.estimator import Estimator, check_estimator, clean
+from usvlearn.estimators.ensemble.layer import Bank
+from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.hyper import Positive, UnitInterval, as_tensor
+from usvlearn.rollouts import rollout
+from usvlearn.runs.replay import tensors
+from usvlearn.signals import Fleet, tree_map
+
+Setting = dict[str, float]  # dotted path -> value
+Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
+LANES = 4096  # settings × boats in one batch, at most
+CHUNK_STEPS, CHUNK_CELLS = 500, 2**20  # steps, and steps × lanes, after which errors are added up: memory is bounded
+
+
+class Hyperparameter(NamedTuple):
+    """A number that is tuned, and where."""
+
+    path: str  # inside the estimator and its configuration
+    kind: type[nn.Module]  # Positive: lives on the logarithm; UnitInterval: on the logit; RNN: its initial weights
+    default: float
+    low: float
+    high: float
+
+    def to_scale(self, value: float) -> float:
+        """
+        >>> round(Hyperparameter("forgetting", UnitInterval, 0.99, 0.5, 0.999).to_scale(0.5), 6)
+        0.0
+        """
+        return math.log(value) if self.kind is Positive else math.log(value) - math.log1p(-value)
+
+    def from_scale(self, x: float) -> float:
+        """The legal value at a place on the scale, of four digits: what is judged is what a person reads.
+
+        >>> gain = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
+        >>> gain.from_scale(0.5), gain.from_scale(99.0)
+        (1.649, 100.0)
+        """
+        if self.kind is Positive:
+            value = float(f"{math.exp(min(x, 700.0)):.4g}")
+        elif x < 0:
+            value = float(f"{math.exp(x) / (1 + math.exp(x)):.4g}")
+        else:  # four digits of what lacks to 1
+            value = round(1 - float(f"{math.exp(-x) / (1 + math.exp(-x)):.4g}"), 15)
+        return min(max(value, self.low), self.high)
+
+    def spaced(self, low: float, high: float, count: int) -> list[float]:
+        """Values at equal distances on the scale, from `low` to `high`, both on the scale; of one, the middle."""
+        places = [(low + high) / 2] if count == 1 else [low + (high - low) * k / (count - 1) for k in range(count)]
+        return [self.from_scale(x) for x in places]
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The range on the scale."""
+        return self.to_scale(self.low), self.to_scale(self.high)
+
+
+class Evaluation(NamedTuple):
+    """A setting, judged."""
+
+    setting: Mapping[str, Any]
+    maes: tuple[float, ...]  # m/s, one for each boat; infinite where a prediction was not finite
+
+    @property
+    def mae(self) -> float:
+        """m/s, mean over boats.
+
+        >>> Evaluation({"gain": 1.0}, (0.25, 0.75)).mae
+        0.5
+        """
+        return sum(self.maes) / len(self.maes)
+
+
+def hyperparameter(
+    estimator: Estimator, path: str, low: float | None = None, high: float | None = None, key: str | None = None
+) -> Hyperparameter:
+    """What stands at a path of an estimator, with the range in which it is tuned.
+
+    Args:
+        estimator: with the default settings.
+        path: dotted, as in its configuration; `initial` of an RNN means its initial weights.
+        low, high: the range; by default the default alone.
+        key: what it is called in an error; by default the path.
+
+    Raises:
+        ConfigError: no number that is tuned stands there, or the range is not legal.
+
+    >>> from usvlearn import AID
+    >>> hyperparameter(AID(), "gain", 0.1, 10).span[0] < 0
+    True
+    """
+    key, known = key or path, hyperparameters(estimator)
+    if path not in known:
+        raise ConfigError(
+            f"{key}: is no hyperparameter that can be tuned, expected one of {', '.join(known) or 'none'}"
+        )
+    part = known[path]
+    if isinstance(part, RNN):
+        default, kind, check = math.nan, RNN, as_tensor
+    else:
+        values = part().detach().reshape(-1)
+        if len(values) != 1:
+            raise ConfigError(f"{key}: found {len(values)} values, expected one: a range is searched around one")
+        # Through the logarithm and back a number loses its last digits: 0.3 is meant, not 0.30000000000000004.
+        default, kind, check = float(f"{values.item():.12g}"), type(part), type(part)
+    low, high = (default if x is None else x for x in (low, high))
+    for value in (low, high):
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigError(f"{key}: found {value!r}, expected a number")
+        check(value, key)
+    if low > high:
+        raise ConfigError(f"{key}: found the range [{low}, {high}], expected the lower bound first")
+    return Hyperparameter(path, kind, default, float(low), float(high))
+
+
+def hyperparameters(estimator: Estimator) -> dict[str, nn.Module]:
+    """All numbers of an estimator that can be tuned, by path, and the networks whose initial weights can be learned.
+
+    >>> from usvlearn import Robust, SIFtRLS
+    >>> sorted(hyperparameters(Robust(SIFtRLS())))
+    ['estimator.covariance', 'estimator.memory', 'inflation', 'scale']
+    """
+    found = {}
+    for path, part in estimator.named_modules():
+        if isinstance(part, Positive | UnitInterval):
+            found[path] = part
+        elif isinstance(part, RNN):
+            found[".".join(filter(None, (path, "initial")))] = part
+    return found
+
+
+def check_one_estimator(name: str, value: Any) -> Estimator:
+    """Return `value` if it is an estimator that can be tuned, else raise a ConfigError."""
+    if isinstance(value, Bank):
+        raise ConfigError(f"{name}: is a bank of settings already, expected one estimator: tune one of its kind, alone")
+    return check_estimator(name, value)
+
+
+def fleet_mae(
+    estimator: Estimator,
+    fleet: Fleet,
+    settings: Sequence[int] = (),
+    advance: Callable[[float], None] = lambda share: None,
+    at_run: Callable[[Any], None] = lambda state: None,
+) -> Tensor:
+    """MAE of each setting and boat, m/s, `(*settings, boats)`; the state is carried from run to run.
+
+    Args:
+        estimator: whose hyperparameters broadcast against the batch `(*settings, boats)`.
+        fleet: aligned runs.
+        settings: the batch before the boats.
+        advance: is told the share that was done since it was told last.
+        at_run: is told the state at the start of each run.
+
+    Returns:
+        Infinite where a prediction was not finite: a lane must not win by the steps that it survived.
+    """
+    batch = (*settings, len(fleet.boats))
+    length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
+    with torch.no_grad():
+        state = estimator.init(batch)
+        dtype = next(estimator.parameters(), torch.zeros((), dtype=torch.float64)).dtype
+        total, count = torch.zeros(batch, dtype=dtype), torch.zeros(len(fleet.boats), dtype=dtype)
+        for run in fleet.runs:
+            at_run(state)
+            samples = tensors(run.samples, dtype)
+            for begin in range(0, len(run.time), length):
+                part = tree_map(lambda x, a=begin: x[a : a + length], samples)
+                step = clean(part, estimator.surge_limit)
+                wide = tree_map(lambda x: x.reshape(len(x), *(1 for _ in settings), -1).expand(len(x), *batch), part)
+                state, predicted, _ = rollout(estimator, state, wide)
+                learns, surge = (x.reshape(len(x), *(1 for _ in settings), -1) for x in (step.learns, step.surge))
+                total += torch.where(learns, (predicted - surge).abs(), 0.0).sum(0)
+                count += step.learns.sum(0)
+                advance(len(step.surge) / fleet.steps)
+    mae = total / count
+    return torch.where(mae.isfinite(), mae, math.inf)
+
+
+class Objective:
+    """Judges settings of one estimator over a fleet, as lanes.
+
+    Args:
+        build: makes the estimator.
+        fleet: aligned runs.
+        advance: is told how many evaluations' worth of work was done.
+        lanes: settings × boats in one batch, at most.
+    """
+
+    def __init__(
+        self,
+        build: Build,
+        fleet: Fleet,
+        advance: Callable[[float], None] = lambda evaluations: None,
+        lanes: int = LANES,
+    ):
+        self.build, self.fleet, self.advance = build, fleet, advance
+        self.batch = max(1, lanes // len(fleet.boats))  # settings
+
+    def __call__(self, settings: Sequence[Setting]) -> list[Evaluation]:
+        """Each setting's MAE per boat."""
+        found = []
+        for begin in range(0, len(settings), self.batch):
+            part = settings[begin : begin + self.batch]
+            estimator = self.build({path: [[setting[path]] for setting in part] for path in part[0]})
+            worth = len(part)
+            maes = fleet_mae(estimator, self.fleet, (worth,), lambda x, n=worth: self.advance(n * x))
+            found += [Evaluation(setting, tuple(row)) for setting, row in zip(part, maes.tolist(), strict=True)]
+        return found

@@ -1,0 +1,198 @@
+"""Search of hyperparameters by Optuna: a journal in the folder, resumable, several processes at one budget.
+
+Each process takes trials by the batch and judges them as lanes. Trials are numbered over all processes, and one counts
+as long as fewer than the budget have been taken before it and not given back; what a killed process has left unfinished
+is given back once its sign of life, a file that it touches while it works, has grown old.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from usvlearn.errors import ConfigError, MissingExtraError
+from usvlearn.runs.layout import JOURNAL
+from usvlearn.runs.trust import check_setting
+from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective
+
+WORKERS = "workers"
+STALE = 60.0  # s without a sign of life after which a process counts as dead: a chunk of steps takes a few
+STUDY = "tuning"
+
+
+class _Worker:
+    """One process at work on a folder: its number, and its sign of life."""
+
+    def __init__(self, folder: Path):
+        self.folder, self.number = folder, 0
+        folder.mkdir(parents=True, exist_ok=True)
+        while True:
+            with contextlib.suppress(FileExistsError):
+                (folder / str(self.number)).touch(exist_ok=False)
+                return
+            self.number += 1
+
+    def live(self) -> None:
+        (self.folder / str(self.number)).touch()
+
+    def dead(self, number: int) -> bool:
+        """Whether another process has shown no sign of life for long."""
+        try:
+            return time.time() - (self.folder / str(number)).stat().st_mtime > STALE
+        except FileNotFoundError:
+            return True
+
+    def end(self) -> None:
+        """Look dead at once, should anything be left unfinished."""
+        os.utime(self.folder / str(self.number), (0, 0))
+
+
+def search(
+    objective: Objective,
+    parameters: Sequence[Hyperparameter],
+    evaluations: int,
+    folder: str | Path,
+    facts: Mapping[str, Any],
+    batch: int = 16,
+    seed: int = 0,
+) -> tuple[list[Evaluation], int]:
+    """Trials of a tree-structured Parzen estimator until so many are complete, of all processes together.
+
+    Args:
+        objective: judges settings.
+        parameters: what is searched.
+        evaluations: the budget.
+        folder: of the journal.
+        facts: JSON values that say what is searched; another search must not go on in the same folder.
+        batch: trials that are judged as lanes of one batch.
+        seed: of the sampler, the same for every process.
+
+    Returns:
+        All evaluations, the default first; and how many they were without it.
+
+    Raises:
+        MissingExtraError: Optuna is not installed.
+        ConfigError: the folder holds another search.
+    """
+    optuna = _optuna()
+    batch = max(1, min(batch, objective.batch - 1))
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    journal = optuna.storages.journal
+    _cut_unfinished(folder / JOURNAL, journal.JournalFileSymlinkLock(str(folder / JOURNAL)))
+    storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(folder / JOURNAL)))
+    study = optuna.create_study(storage=storage, study_name=STUDY, load_if_exists=True)
+    told = json.dumps(dict(facts), sort_keys=True)
+    if study.user_attrs.get("facts", told) != told:
+        raise ConfigError(
+            f"{folder}: holds another estimator's, range's or fleet's search: choose another hydra.run.dir"
+        )
+    study.set_user_attr("facts", told)
+    worker, advance = _Worker(folder / WORKERS), objective.advance
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)  # of constant_liar, that parts a batch
+        study.sampler = optuna.samplers.TPESampler(seed=seed + worker.number, constant_liar=True)
+
+    def alive(work: float) -> None:
+        worker.live()
+        advance(work)
+
+    objective.advance = alive
+    default = {each.path: each.default for each in parameters}
+    found: list[Evaluation] = []
+    done = len(_complete(study))
+    advance(done)
+    try:
+        while done < evaluations or not found:
+            trials = list(_taken(study, parameters, worker, evaluations, batch))
+            if not trials and found:  # others have the rest in hand, or have died with it
+                time.sleep(0.2)
+                _give_back(study, worker)
+                done = len(_complete(study))
+                continue
+            settings = [trial.user_attrs["setting"] for trial in trials]
+            judged = objective([*settings, *([] if found else [default])])
+            found, judged = found or judged[-1:], judged[: len(trials)]
+            for trial, evaluation in zip(trials, judged, strict=True):
+                maes = [mae if math.isfinite(mae) else None for mae in evaluation.maes]
+                with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):  # it was given back meanwhile
+                    trial.set_user_attr("maes", maes)
+                    study.tell(trial.number, evaluation.mae, skip_if_finished=True)
+            done = len(_complete(study))
+    finally:
+        objective.advance = advance
+        worker.end()
+    for trial in _complete(study)[:evaluations]:
+        maes = tuple(math.inf if mae is None else mae for mae in trial.user_attrs["maes"])
+        found.append(Evaluation(check_setting(str(folder / JOURNAL), trial.user_attrs["setting"]), maes))
+    return found, len(found) - 1
+
+
+def _cut_unfinished(path: Path, lock: Any) -> None:
+    """Remove the part of a line that a full disk has left at the journal's end: Optuna reads nothing beyond it."""
+    lock.acquire()
+    try:
+        content = path.read_bytes() if path.exists() else b""
+        if (whole := content.rfind(b"\n") + 1) < len(content):
+            os.truncate(path, whole)
+    finally:
+        lock.release()
+
+
+def _taken(
+    study: Any, parameters: Sequence[Hyperparameter], worker: _Worker, evaluations: int, most: int
+) -> Iterator[Any]:
+    """Trials that are within the budget, whoever else takes some at the same time."""
+    from optuna.trial import TrialState
+
+    for _ in range(most):
+        if _counted(study) >= evaluations:
+            return
+        trial = study.ask()
+        trial.set_user_attr("worker", worker.number)
+        if _counted(study, trial.number) >= evaluations:
+            study.tell(trial.number, state=TrialState.FAIL)
+            return
+        places = {each.path: trial.suggest_float(f"{each.kind.__name__}({each.path})", *each.span)
+                  for each in parameters}  # fmt: skip
+        setting = {each.path: each.from_scale(places[each.path]) for each in parameters}
+        trial.set_user_attr("setting", setting)
+        yield trial
+
+
+def _counted(study: Any, before: float = math.inf) -> int:
+    """Trials that are complete or in hand, of those with a lower number."""
+    trials = study.get_trials(deepcopy=False)
+    return sum(trial.number < before and trial.state.name in ("RUNNING", "COMPLETE") for trial in trials)
+
+
+def _complete(study: Any) -> list[Any]:
+    return [trial for trial in study.get_trials(deepcopy=False) if trial.state.name == "COMPLETE"]
+
+
+def _give_back(study: Any, worker: _Worker) -> None:
+    """Fail what dead processes have left."""
+    from optuna.trial import TrialState
+
+    for trial in study.get_trials(deepcopy=False):
+        number = trial.user_attrs.get("worker")  # None for a moment after it was taken
+        unsigned = number is None and time.time() - trial.datetime_start.timestamp() > STALE
+        if trial.state.name == "RUNNING" and (unsigned or (number is not None and worker.dead(number))):
+            with contextlib.suppress(ValueError, RuntimeError):  # another process was faster
+                study.tell(trial.number, state=TrialState.FAIL)
+
+
+def _optuna() -> Any:
+    try:
+        import optuna
+    except ImportError as error:
+        raise MissingExtraError("optuna", "tune", "search") from error
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    return optuna

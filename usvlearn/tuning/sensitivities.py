@@ -1,0 +1,210 @@
+"""Hyperparameters by the exact gradient: sensitivities carried forward along all runs, nothing cut.
+
+With the state s_k, the step s_{k+1} = f(s_k, z_k, x) and hyperparameters x on the scale on which they live, the
+sensitivity S_k = ds_k/dx follows the run beside the state (Williams & Zipser 1989):
+
+    S_{k+1} = ∂f/∂s S_k + ∂f/∂x,   dL/dx = Σ_k w_k sgn(v̂_k − v_k) dv̂_k/dx                (1)
+
+It goes from step to step and from run to run with the state, so that memory does not grow and what a gain does many
+minutes later counts. A back-propagation that is cut does not see that, and is biased where the memory is long.
+
+Dual numbers carry it: each of the p hyperparameters is a lane of one batch, with tangent 1 in its own lane. A pass is
+then one evaluation and its gradient, and does the arithmetic of `COST` evaluations for each hyperparameter: a product
+has two more products for its tangent. With few boats, where the calls of operations take the time and not the
+arithmetic, it takes that of four to seven single replays.
+
+The descent is a quasi-Newton one (BFGS) inside the ranges, damped (Nocedal & Wright 2006, procedure 18.2), with a
+bound on the step. The first step is of the same length along each scale, whatever the size of the gradient there:
+hyperparameters differ by orders of magnitude in what they do. A step counts only if the error falls.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.autograd.forward_ad import dual_level, make_dual, unpack_dual
+from torch.overrides import TorchFunctionMode
+
+from usvlearn.errors import ConfigError, check_choice
+from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.tuning.backprop import STARTS, Fitted
+from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting, fleet_mae
+
+COST = 3  # evaluations for each hyperparameter and pass
+FIRST = 1.0  # length of the first step, along each scale
+GROW, SHRINK = 2.0, 0.5  # of the bound: after a step that reached it; after one that failed, of that step
+FLAT = 0.01  # of the largest slope: what a smaller one counts as in the first step
+CURVATURE = 0.2  # of what was expected: the least that a step may teach
+LEAST = 1e-7  # of the error: a step that promises less is not made
+
+MIXING = {"minimum", "maximum", "linalg_solve_ex", "__radd__", "__rsub__", "__rmul__", "__rdiv__", "__rtruediv__"}
+MIXING |= {name for each in ("add", "sub", "mul", "div", "truediv") for name in (each, f"__{each}__")} | {"rsub"}
+
+
+class _Judge(nn.Module):
+    """`fleet_mae` as a module's forward, so that dual numbers can take the place of its parameters."""
+
+    def __init__(self, estimator: nn.Module):
+        super().__init__()
+        self.estimator = estimator
+
+    def forward(self, *arguments) -> Tensor:
+        return fleet_mae(self.estimator, *arguments)
+
+
+class _AllDual(TorchFunctionMode):
+    """Makes constants dual numbers, too, where they meet one: mixed, torch takes a hundred times as long."""
+
+    def __init__(self):
+        super().__init__()
+        self.constants: dict[float, Tensor] = {}
+
+    def __torch_function__(self, function, types, arguments=(), named=None):
+        if getattr(function, "__name__", "") in MIXING and len(arguments) > 1:
+            dual = next((x for x in arguments if is_dual(x)), None)
+            if dual is not None:
+                arguments = [self._lifted(x, dual) for x in arguments]
+        return function(*arguments, **(named or {}))
+
+    def _lifted(self, x: Any, like: Tensor) -> Tensor:
+        if is_dual(x):
+            return x
+        if isinstance(x, Tensor):
+            x = x.to(like.dtype).contiguous()
+            return make_dual(x, torch.zeros_like(x))
+        if x not in self.constants:
+            self.constants[x] = make_dual(like.new_tensor(x), like.new_zeros(()))
+        return self.constants[x]
+
+
+def is_dual(x: Any) -> bool:
+    """Whether it carries a tangent.
+
+    >>> is_dual(torch.ones(2))
+    False
+    """
+    return isinstance(x, Tensor) and x.is_floating_point() and unpack_dual(x).tangent is not None
+
+
+def sensitivity(
+    objective: Objective, parameters: Sequence[Hyperparameter], setting: Setting
+) -> tuple[Evaluation, Tensor]:
+    """A setting, judged, and the gradient of its MAE with respect to each hyperparameter on its scale, m/s, `(p,)`.
+
+    Raises:
+        ConfigError: an operation of the estimator has no forward derivative.
+    """
+    p = len(parameters)
+    judge = _Judge(objective.build({path: [[value]] * p for path, value in setting.items()}))
+    leaves = dict(judge.named_parameters())
+    with torch.no_grad(), dual_level():
+        with warnings.catch_warnings():  # torch's, of its own loading of derivatives
+            warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
+            duals = {}
+            for each, own in zip(parameters, torch.eye(p), strict=True):
+                name = next(name for name in leaves if name.startswith(f"estimator.{each.path}."))
+                duals[name] = make_dual(leaves[name], own[:, None].to(leaves[name].dtype))
+        arguments = objective.fleet, (p,), lambda share: objective.advance(COST * p * share)
+        try:
+            with _AllDual():
+                maes = torch.func.functional_call(judge, duals, arguments)
+        except NotImplementedError as error:
+            raise ConfigError(
+                f"tuning.window: found null, which this estimator cannot do ({str(error).partition('.')[0]}): set the "
+                "steps after which the gradient is cut, as 100"
+            ) from error
+        maes, gradient = unpack_dual(maes)
+        gradient = torch.zeros_like(maes) if gradient is None else gradient
+    return Evaluation(setting, tuple(maes[0].tolist())), gradient.mean(-1)
+
+
+def descend(
+    objective: Objective, parameters: Sequence[Hyperparameter], evaluations: int, start: str = "default"
+) -> Fitted:
+    """Learn hyperparameters by the exact gradient, starting from the default, or from the middle of the ranges.
+
+    It ends within the budget, or sooner where no step promises anything.
+
+    Args:
+        objective: judges, and makes the estimator.
+        parameters: what is learned, numbers alone.
+        evaluations: the budget.
+        start: "default" or "middle".
+
+    Returns:
+        The evaluations, the default first, then those of the passes; the curve has a point for each pass.
+
+    Raises:
+        ConfigError: fewer evaluations than two passes cost, initial weights, or an unknown start.
+    """
+    check_choice("tuning.start", start, STARTS)
+    if weights := [each.path for each in parameters if each.kind is RNN]:
+        raise ConfigError(
+            f"tuning.window: found null, and {weights[0]} in the ranges, expected a number of steps, as 100: initial "
+            "weights are too many to carry the sensitivity of each"
+        )
+    cost = COST * len(parameters)
+    if evaluations < 2 * cost:
+        raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {2 * cost} or more: what learn costs")
+    low, high = torch.tensor([each.span for each in parameters], dtype=torch.float64).T
+    default = {each.path: each.default for each in parameters}
+    found: list[Evaluation] = []
+    curve: list[dict[str, float]] = []
+
+    def judged(place: Tensor) -> tuple[Tensor, float, Tensor]:
+        """Where it was judged, rounded as it is written down; the error; the gradient."""
+        setting = {each.path: each.from_scale(x) for each, x in zip(parameters, place.tolist(), strict=True)}
+        if not found and setting != default:
+            found.extend(objective([default]))
+        evaluation, gradient = sensitivity(objective, parameters, setting)
+        found.append(evaluation)
+        if finite := bool(gradient.isfinite().all()):
+            curve.append({"loss": evaluation.mae, **setting})
+        place = place.new_tensor([each.to_scale(setting[each.path]) for each in parameters])
+        return place, evaluation.mae if finite else torch.inf, gradient
+
+    given = [sum(each.span) / 2 if start == "middle" else each.to_scale(each.default) for each in parameters]
+    place, error, gradient = judged(low.new_tensor(given).clamp(low, high))
+    curvature = gradient.abs().clamp(min=FLAT * gradient.abs().max()).diag() / FIRST
+    passes, bound = 1, FIRST
+    while (passes + 1) * cost <= evaluations and error < torch.inf:
+        # A range's end holds what would go beyond it.
+        free = ~(((place <= low) & (gradient > 0)) | ((place >= high) & (gradient < 0))) & (curvature.diag() > 0)
+        step = torch.zeros_like(place)
+        step[free] = torch.linalg.solve(curvature[free][:, free], -gradient[free])
+        step = step * min(1.0, bound / max(float(step.abs().max()), 1e-300))
+        step = (place + step).clamp(low, high) - place
+        promise = -float(gradient @ step + step @ curvature @ step / 2)
+        if not promise > LEAST * error:
+            break
+        tried, tried_error, tried_gradient = judged(place + step)
+        passes += 1
+        step = tried - place
+        if tried_error < torch.inf and step.any():
+            curvature = updated(curvature, step, tried_gradient - gradient)
+        longest = float(step.abs().max())
+        if tried_error < error:
+            place, error, gradient = tried, tried_error, tried_gradient
+            bound *= GROW if longest > 0.99 * bound else 1.0
+        else:
+            bound = SHRINK * longest
+    return Fitted(found, passes * cost, curve)
+
+
+def updated(curvature: Tensor, step: Tensor, change: Tensor) -> Tensor:
+    """The damped BFGS update of a second derivative, `(p, p)`: it stays positive where the error is not convex.
+
+    >>> updated(torch.eye(2), torch.tensor([1.0, 0.0]), torch.tensor([3.0, 0.0]))
+    tensor([[3., 0.],
+            [0., 1.]])
+    """
+    expected = curvature @ step
+    whole, seen = step @ expected, step @ change
+    if seen < CURVATURE * whole:
+        share = (1 - CURVATURE) * whole / (whole - seen)
+        change = share * change + (1 - share) * expected
+    return curvature - expected.outer(expected) / whole + change.outer(change) / (step @ change)

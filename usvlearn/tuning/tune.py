@@ -1,0 +1,247 @@
+"""Tuning one estimator of an ensemble: three ways at one budget."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import shlex
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+from rich.progress import Progress
+
+from usvlearn.errors import ConfigError, under
+from usvlearn.estimators.baselines.persistence import Persistence
+from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.runs.layout import CHECKPOINTS, TUNING
+from usvlearn.runs.run_folder import digest
+from usvlearn.signals import Fleet
+from usvlearn.sweeps.launchers import set_threads
+from usvlearn.tuning.backprop import Fitted, fit
+from usvlearn.tuning.grid import grid, product
+from usvlearn.tuning.lanes import (
+    Build,
+    Hyperparameter,
+    Objective,
+    check_one_estimator,
+    hyperparameter,
+    hyperparameters,
+)
+from usvlearn.tuning.search import search
+from usvlearn.tuning.sensitivities import descend
+from usvlearn.tuning.winners import EXPERIMENT, record, report, write
+
+WAYS = ("grid", "learn", "search")
+
+
+class Request(NamedTuple):
+    """What is to be tuned, checked."""
+
+    way: str  # one of WAYS
+    member: str
+    parameters: list[Hyperparameter]
+    values: dict[str, list[float]] | None  # of an explicit grid
+    evaluations: int  # the budget; of an explicit grid what it takes
+    options: Mapping[str, Any]  # `tuning` of the configuration
+    node: Mapping[str, Any]  # the member's configuration
+    build: Build
+
+    @property
+    def ranges(self) -> dict[str, list[float]]:
+        return {each.path: [each.low, each.high] for each in self.parameters}
+
+
+def asked(configuration: Mapping[str, Any]) -> str | None:
+    """The way that a configuration asks for, or None.
+
+    Raises:
+        ConfigError: it asks for several, or for a study.
+
+    >>> asked({"grid": "aid", "learn": None, "search": None})
+    'grid'
+    """
+    if "study" in configuration:
+        raise ConfigError("experiment: found a study, expected settings: run `python evaluate.py experiment=…`")
+    found = [way for way in WAYS if configuration.get(way) is not None]
+    if len(found) > 1:
+        raise ConfigError(f"{' and '.join(found)}: found {len(found)} ways to tune, expected one: leave out the others")
+    return found[0] if found else None
+
+
+def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any]) -> Request:
+    """What a configuration asks for.
+
+    Args:
+        configuration: with `estimators`, `tuning`, and one of WAYS set.
+        instantiate: makes the object that a node of the configuration describes.
+
+    Raises:
+        ConfigError: something is not legal.
+    """
+    way = asked(configuration)
+    given, options, members = configuration[way], configuration["tuning"], configuration["estimators"]
+    for key in ("evaluations", "rounds", "trials"):
+        if isinstance(options[key], bool) or not isinstance(options[key], int) or options[key] < 1:
+            raise ConfigError(f"tuning.{key}: found {options[key]!r}, expected a whole number, 1 or more")
+    if isinstance(options["seed"], bool) or not isinstance(options["seed"], int) or options["seed"] < 0:
+        raise ConfigError(f"tuning.seed: found {options['seed']!r}, expected a whole number, 0 or more")
+    if options["rounds"] > options["evaluations"]:
+        raise ConfigError(f"tuning.rounds: found {options['rounds']}, expected at most tuning.evaluations")
+    explicit = way == "grid" and isinstance(given, Mapping)
+    names = list(dict.fromkeys(str(key).partition(".")[0] for key in given)) if explicit else [given]
+    if len(names) != 1:
+        raise ConfigError(f"grid: found {', '.join(names) or 'no values'}, expected values of one member, MEMBER.PATH")
+    (member,) = names
+    if not isinstance(member, str) or member not in members:
+        raise ConfigError(f"{way}: found {member!r}, expected one of the members {', '.join(members)}")
+
+    def build(values: Mapping[str, Any]) -> Any:
+        with under(f"estimators.{member}", members[member]):
+            return instantiate(_changed(members[member], values))
+
+    estimator = check_one_estimator(f"{way}={member}", build({}))
+    if explicit:
+        values = {str(key).partition(".")[2]: _listed(key, each) for key, each in given.items()}
+        parameters = [
+            hyperparameter(estimator, path, min(each), max(each), f"{member}.{path}") for path, each in values.items()
+        ]
+        options = {**options, "evaluations": math.prod(map(len, values.values()))}
+    else:
+        if not isinstance(options["ranges"], Mapping):
+            raise ConfigError(f"tuning.ranges: found {options['ranges']!r}, expected {{MEMBER: {{PATH: [LOW, HIGH]}}}}")
+        values, ranges = None, options["ranges"].get(member)
+        if not ranges:
+            raise ConfigError(
+                f"{way}={member}: has no range to tune in: add '+tuning.ranges.{member}={{PATH: [LOW, HIGH]}}'; it has "
+                f"{', '.join(hyperparameters(estimator)) or 'no hyperparameter that could be tuned'}"
+            )
+        parameters = [hyperparameter(estimator, path, *_bounds(f"tuning.ranges.{member}.{path}", each),
+                                     f"tuning.ranges.{member}.{path}") for path, each in ranges.items()]  # fmt: skip
+    if way != "learn" and any(each.kind is RNN for each in parameters):
+        raise ConfigError(f"{way}={member}: initial weights are learned by gradient alone: use learn={member}")
+    return Request(way, member, parameters, values, options["evaluations"], options, members[member], build)
+
+
+def _changed(node: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """A constructor's configuration with other values at dotted paths; lists stay lists."""
+    changed = {**copy.deepcopy(node), "_convert_": "all"}
+    for path, value in values.items():
+        *parents, last = path.split(".")
+        place = changed
+        for parent in parents:
+            place = place[parent]
+        place[last] = value
+    return changed
+
+
+def _bounds(key: str, given: Any) -> Sequence[float]:
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+        raise ConfigError(f"{key}: found {given!r}, expected a range [LOW, HIGH]")
+    return given
+
+
+def _listed(key: str, given: Any) -> list[float]:
+    values = given if isinstance(given, list) else [given]
+    if not values:
+        raise ConfigError(f"grid: found no values of {key}, expected a list of one or more")
+    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in values):
+        raise ConfigError(f"grid: found {given!r} for {key}, expected numbers")
+    return [float(x) for x in dict.fromkeys(values)]
+
+
+def check_folder(folder: Path, way: str, member: str) -> None:
+    """Raise a ConfigError where a folder holds something else already."""
+    if (folder / CHECKPOINTS).exists():
+        raise ConfigError(f"{folder}: already holds the parameter sets of a run: choose another hydra.run.dir")
+    try:
+        old = json.loads((folder / TUNING).read_text())
+    except (OSError, ValueError):
+        return
+    if way != "search" or (old.get("way"), old.get("member")) != (way, member):  # which alone goes on
+        raise ConfigError(f"{folder}: already holds {old.get('way')}={old.get('member')}: choose another hydra.run.dir")
+
+
+def tune(
+    configuration: Mapping[str, Any],
+    folder: Path,
+    instantiate: Callable[[Any], Any],
+    align: Callable[..., Fleet],
+    overrides: Sequence[str] = (),
+    console: Console | None = None,
+) -> float:
+    """Tune what a configuration asks for, and write what was found into the folder.
+
+    Args:
+        configuration: as `request` has it, with `data`, `align` and `threads`.
+        folder: of the results.
+        instantiate: makes the object that a node of the configuration describes.
+        align: makes a fleet of recordings, with the options of `align`.
+        overrides: of the command line, for the record.
+        console: on which the winners are shown.
+
+    Returns:
+        The best MAE, m/s, mean over boats; infinite where all settings diverge.
+    """
+    set_threads(configuration["threads"])
+    asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
+    if configuration.get("resume") is not None:
+        found = configuration["resume"]
+        raise ConfigError(f"resume: found {found!r} beside {asked_for.way}, which starts anew: leave it out")
+    check_folder(folder, asked_for.way, asked_for.member)
+    with console.status("reading and aligning"), under("data", configuration["data"]):
+        fleet = align(instantiate(configuration["data"]), **configuration["align"])
+    began = time.perf_counter()
+    with Progress(console=console) as progress:
+        bar = progress.add_task(f"{asked_for.way}={asked_for.member}", total=asked_for.evaluations)
+        found, used, curve = run(asked_for, fleet, folder, lambda done: progress.advance(bar, done))
+        progress.update(bar, completed=asked_for.evaluations)
+    (persistence,) = Objective(lambda _: Persistence(), fleet)([{}])
+    facts = {
+        "member": asked_for.member,
+        "way": asked_for.way,
+        "command": shlex.join(["python", "train.py", *overrides]),
+        "evaluations": used,
+        "ranges": asked_for.ranges,
+        "seconds": time.perf_counter() - began,
+    }
+    made = record(facts, fleet.boats, found, persistence)
+    write(folder, made, curve)
+    console.print(report(made))
+    console.print(f"The best setting, for configs/experiment: {folder / EXPERIMENT}", soft_wrap=True)
+    return math.inf if made["best"]["mae"] is None else made["best"]["mae"]
+
+
+def run(
+    request: Request, fleet: Fleet, folder: Path, advance: Callable[[float], None] = lambda evaluations: None
+) -> Fitted:
+    """The search itself.
+
+    Args:
+        request: see `request`.
+        fleet: aligned runs.
+        folder: for what the way itself keeps.
+        advance: is told how many evaluations' worth of work was done.
+
+    Returns:
+        The evaluations, the default first; how many they were without it; of `learn` the curve.
+    """
+    objective, options, parameters = Objective(request.build, fleet, advance), request.options, request.parameters
+    if request.values is not None:
+        default = {each.path: each.default for each in parameters}
+        settings = [setting for setting in product(request.values) if setting != default]
+        return Fitted(objective([default, *settings]), len(settings), [])
+    if request.way == "grid":
+        return Fitted(*grid(objective, parameters, request.evaluations, options["rounds"]), [])
+    if request.way == "learn":
+        if options["window"] is None:
+            return descend(objective, parameters, request.evaluations, options["start"])
+        initial = folder / "initial"
+        return fit(objective, parameters, request.evaluations, options["window"], options["start"], initial)
+    samples = [digest(run, lane) for run in fleet.runs for lane in range(len(fleet.boats))]
+    facts = {"member": request.member, "configuration": request.node, "ranges": request.ranges, "samples": samples}
+    trials, seed = options["trials"], options["seed"]
+    return Fitted(*search(objective, parameters, request.evaluations, folder, facts, trials, seed), [])
