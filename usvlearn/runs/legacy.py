@@ -18,19 +18,33 @@ TARGETS = {
 ARGUMENTS = {"usvlearn.simulate.fleet.fleet": {"hulls": "fleet_seed"}}
 
 
-def current(settings: Any, levels: int = 100) -> Any:
-    """Saved settings with the names of this version, down to so many levels.
+def first_named(settings: Any) -> Any:
+    """Settings with the names of the first version: by these a run is known, so that it is known to all versions.
+
+    >>> first_named({"aid": {"_target_": "usvlearn.AID", "gain": 1.0}})
+    {'aid': {'_target_': 'usvlearn.estimators.aid.AID', 'gain': 1.0}}
+    """
+    return _renamed(settings, {new: old for old, new in TARGETS.items()}, {})
+
+
+def current(settings: Any) -> Any:
+    """Saved settings with the names of this version.
 
     >>> current({"aid": {"_target_": "usvlearn.estimators.aid.AID", "gain": 1.0}})
     {'aid': {'_target_': 'usvlearn.AID', 'gain': 1.0}}
     """
-    if isinstance(settings, list) and levels:
-        return [current(each, levels - 1) for each in settings]
-    if not isinstance(settings, dict) or not levels:
+    return _renamed(settings, TARGETS, ARGUMENTS)
+
+
+def _renamed(settings: Any, targets: dict[str, str], arguments: dict[str, dict[str, str]], levels: int = 100) -> Any:
+    """Settings with other targets, and other names of arguments; deeper than `levels` they stay as they are."""
+    if not isinstance(settings, dict | list) or not levels:
         return settings
+    if isinstance(settings, list):
+        return [_renamed(each, targets, arguments, levels - 1) for each in settings]
     target = settings.get("_target_")
-    if not isinstance(target, str):
-        return {key: current(value, levels - 1) for key, value in settings.items()}
-    renamed = ARGUMENTS.get(target, {})
-    rest = {renamed.get(key, key): current(value, levels - 1) for key, value in settings.items()}
-    return rest | {"_target_": TARGETS.get(target, target)}
+    names = arguments.get(target, {}) if isinstance(target, str) else {}
+    found = {names.get(key, key): _renamed(value, targets, arguments, levels - 1) for key, value in settings.items()}
+    if isinstance(target, str):
+        found["_target_"] = targets.get(target, target)
+    return found

@@ -26,6 +26,7 @@ from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.rollouts import stack
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
+from usvlearn.runs.legacy import first_named
 from usvlearn.runs.replay import BEGIN, PUBLISHED, Chunk, Position
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
@@ -195,7 +196,7 @@ class RunFolder:
     def _runs(self) -> dict[str, Any]:
         """What makes this run the one it is: per boat, name, length and samples of each run; and the ensemble."""
         configuration = self.metadata.get("configuration", {})
-        ensemble = json.dumps([configuration.get("estimators"), configuration.get("combiners")])
+        ensemble = json.dumps(first_named([configuration.get("estimators"), configuration.get("combiners")]))
         boats = {
             boat: [[run.names[lane], run.lengths[lane], digest(run, lane)] for run in self.fleet.runs]
             for lane, boat in enumerate(self.fleet.boats)

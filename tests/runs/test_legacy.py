@@ -1,0 +1,74 @@
+"""A run of version 0.1, whose settings name modules that have moved since: it is opened, judged and gone on from.
+
+It was made by version 0.1.0 with these settings:
+
+    data.hours=0.03 data.mission_minutes=1 data.seed=3 data.hulls=7 save_minutes=0.5 estimators.rnn.neurons=3
+    ~estimators.memory_aid ~estimators.memory_rls ~estimators.steady_rls ~combiners.weighted
+    ~combiners.ensemble.prior.memory_rls
+"""
+
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from rich.console import Console
+
+from tests.support import ROOT
+from train import train
+from usvlearn import AID, Inputs, Online, Robust, Sample, checkpoint
+from usvlearn.cli.settings import instantiate
+from usvlearn.runs.legacy import TARGETS, current
+from usvlearn.runs.saved import configuration
+
+RUN = ROOT / "tests" / "data" / "run_of_version_0_1"
+NEWEST = RUN / "checkpoints" / "heron" / "00001_0000120.safetensors"
+FOUND = [0.6336783731641761, 1.2476286769282514, 1.2902282720963953, 1.2279661703830946]  # by version 0.1.0
+
+
+def samples():
+    return [Sample(Inputs(0.5, 0.4, 0.1 * k, 0.01, 0.4), 1 + 0.01 * k, True, True) for k in range(4)]
+
+
+def test_its_parameter_set_goes_on_aboard():
+    boat = Online.open(NEWEST)
+    np.testing.assert_allclose([boat.step(sample) for sample in samples()], FOUND, rtol=1e-12)
+
+
+def test_its_settings_make_the_same_estimators():
+    settings = configuration(RUN)
+    estimators = instantiate(settings["estimators"])
+    assert isinstance(estimators["aid"], AID) and isinstance(estimators["dynamic_rls"], Robust)
+    assert settings["data"]["fleet_seed"] == 7 and "hulls" not in settings["data"]
+
+
+@pytest.mark.parametrize("old, new", TARGETS.items())
+def test_every_target_of_before_has_a_name_of_today(old, new):
+    module, _, name = new.rpartition(".")
+    assert getattr(__import__(module, fromlist=[name]), name).__name__ == name == old.rpartition(".")[2]
+    assert current([{"_target_": old, "inner": {"_target_": old}}]) == [{"_target_": new, "inner": {"_target_": new}}]
+
+
+def test_it_is_judged(tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(RUN, folder)
+    done = subprocess.run([sys.executable, ROOT / "evaluate.py", f"runs={folder}"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (folder / "report" / "index.html").exists()
+
+
+def test_it_goes_on_where_it_was_killed(tmp_path):
+    """By its own settings, under the names of today; it ends as it ended in version 0.1."""
+    folder = tmp_path / "run"
+    shutil.copytree(RUN, folder)
+    for lost in ("results.json", "predictions/00001_0000120.npz", "checkpoints/heron/00001_0000120.safetensors"):
+        (folder / lost).unlink()
+    console = Console(record=True, width=200)
+    train(OmegaConf.create(configuration(RUN)), folder, console, str(folder))
+    assert "going on after step 75 of run 2 of 2" in console.export_text()
+    found, expected = (checkpoint.load(each / NEWEST.relative_to(RUN))[0] for each in (folder, RUN))
+    assert found.keys() == expected.keys()
+    for name, leaf in expected.items():
+        np.testing.assert_allclose(found[name], leaf, rtol=1e-9, atol=1e-12, err_msg=name)
