@@ -18,7 +18,6 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from tests.support import ROOT
 from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
 from usvlearn.estimators.baselines.persistence import PersistenceState
 from usvlearn.evaluation.metrics import scores
@@ -26,6 +25,8 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.rollouts import simulate
 from usvlearn.runs.replay import replay
 from usvlearn.signals import Fleet, Sample, tree_map
+
+ROOT = Path(__file__).parents[1]
 
 REAL = ("blueboat", "vtec", "dalian", "pearl")
 PLANTS = ("heron", "kingfisher", "vtec", "otter")

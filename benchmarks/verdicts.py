@@ -21,7 +21,8 @@ from certify.families import initial_networks, random_networks
 from certify.lmi import LMI
 from certify.projections import project, project_jointly, retract
 from certify.weights import ShallowWeights
-from tests.support import ROOT
+
+ROOT = Path(__file__).parents[1]
 
 
 def seconds(work: Callable[[], object], times: int = 30) -> float:

@@ -1,22 +1,30 @@
 """Properties that every estimator has, whatever it learns."""
 
+import inspect
 import io
 import itertools
 import math
+import re
+import sys
+import types
 
 import numpy as np
 import pytest
 import torch
 
-from tests.conftest import random_samples
-from tests.support import ESTIMATORS
+from tests.support import ESTIMATORS, ROOT, over, random_samples
 from usvlearn import Inputs, Online, Sample, rollout
 from usvlearn.errors import ShapeError
 from usvlearn.signals import named_leaves, tree_map
 
 BATCHES = [(), (3,), (2, 3)]
 each_estimator = pytest.mark.parametrize("name", ESTIMATORS)
-each_batch = pytest.mark.parametrize("batch", BATCHES, ids=str)
+each_batch = over("batch", BATCHES)
+BAD_INPUTS = [
+    ("command_left", math.nan), ("command_right", math.inf), ("heading", -math.inf), ("yaw_rate", math.nan),
+    ("dt", math.nan), ("dt", math.inf), ("dt", -0.4),
+]  # fmt: skip
+COMPILED = ["aid_estimate", "projected", "robust_memory", "rnn_penalty", "weighted", "boa"]  # of each family one
 
 
 def leaves(tree):
@@ -49,7 +57,7 @@ def troubled(*batch):
 
 @each_estimator
 @each_batch
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
+@over("dtype", [torch.float64, torch.float32])
 def test_shapes_and_dtypes(name, batch, dtype):
     estimator = ESTIMATORS[name]().to(dtype)
     state = estimator.init(batch)
@@ -62,7 +70,7 @@ def test_shapes_and_dtypes(name, batch, dtype):
 
 
 @each_estimator
-@each_batch
+@over("batch", BATCHES[1:])
 def test_lanes_equal_single_runs(name, batch):
     estimator, samples = ESTIMATORS[name](), random_samples(15, *batch)
     end, surge, _ = rollout(estimator, estimator.init(batch), samples)
@@ -117,19 +125,15 @@ def test_bad_samples_are_masked(name, batch):
 
 
 @each_estimator
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("command_left", math.nan), ("command_right", math.inf), ("heading", -math.inf), ("yaw_rate", math.nan),
-     ("dt", math.nan), ("dt", math.inf), ("dt", -0.4)],
-)  # fmt: skip
-def test_an_input_that_is_no_number_leaves_the_state_as_it_was(name, field, value):
+@over("bad", BAD_INPUTS)
+def test_an_input_that_is_no_number_leaves_the_state_as_it_was(name, bad):
     """Even where the sample claims to be fresh and measured."""
-    estimator, samples = ESTIMATORS[name](), random_samples(4, 2)
+    (field, value), estimator, samples = bad, ESTIMATORS[name](), random_samples(4, 2)
     state, _, _ = rollout(estimator, estimator.init((2,)), samples)
     sample = at(samples, 2)
-    bad = getattr(sample.inputs, field).clone()
-    bad[0] = value
-    after, surge = estimator(state, sample._replace(inputs=sample.inputs._replace(**{field: bad})))
+    values = getattr(sample.inputs, field).clone()
+    values[0] = value
+    after, surge = estimator(state, sample._replace(inputs=sample.inputs._replace(**{field: values})))
     expected, _ = estimator(state, sample)
     assert surge[0].isnan() and surge[1].isfinite()
     for key, leaf in leaves(after).items():
@@ -235,11 +239,10 @@ def test_steps_are_pure(name, batch):
     assert after.getvalue() == parameters.getvalue()
 
 
-@each_estimator
-@each_batch
-def test_compiles_without_graph_breaks(name, batch):
-    estimator, samples = ESTIMATORS[name](), random_samples(1, *batch)
-    state = tree_map(torch.Tensor.detach, estimator.init(batch))
+@pytest.mark.parametrize("name", COMPILED)
+def test_compiles_without_graph_breaks(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(1, 3)
+    state = tree_map(torch.Tensor.detach, estimator.init((3,)))
     torch.compiler.reset()
     compiled = torch.compile(estimator, backend="eager", fullgraph=True)(state, at(samples, 0))
     plain = estimator(state, at(samples, 0))
@@ -286,3 +289,20 @@ def test_monitor_names_numbers_per_lane(name):
     estimator = ESTIMATORS[name]()
     numbers = estimator.monitor(estimator.init((2, 3)))
     assert all(value.shape == (2, 3) and value.isfinite().all() for value in numbers.values())
+
+
+def test_a_new_estimator_passes_every_contract(monkeypatch, tmp_path):
+    """CONTRIBUTING's example, put on the list, has all the properties."""
+    text = re.search(r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.DOTALL).group(1)
+    assert len(text.splitlines()) <= 40
+    module = types.ModuleType("smoothing")
+    monkeypatch.setitem(sys.modules, "smoothing", module)
+    exec(compile(text, "smoothing.py", "exec"), module.__dict__)
+    monkeypatch.setitem(ESTIMATORS, "smoothing", module.Smoothing)
+    given, ran = {"name": "smoothing", "tmp_path": tmp_path}, 0
+    for name, test in globals().items():
+        arguments = inspect.signature(test).parameters if name.startswith("test_") else {}
+        if "name" in arguments:
+            test(**{argument: given[argument] for argument in arguments})
+            ran += 1
+    assert ran >= 15

@@ -2,11 +2,9 @@
 
 import pytest
 import torch
-from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 
-from tests.support import ROOT
-from usvlearn import Ensemble, ExponentialWeights, FixedWeights, Inputs, Sample, rollout
+from tests.support.configured import default_ensemble
+from usvlearn import ExponentialWeights, FixedWeights, Inputs, Sample, rollout
 from usvlearn.estimators.regressors.layer import surge_regressor
 from usvlearn.signals import named_leaves, tree_map
 
@@ -40,14 +38,6 @@ def field_day(excited: int, idle: int, cruise: int) -> Sample:
     return Sample(
         Inputs(left, right, heading, yaw_rate, torch.full_like(left, 0.4)), surge + noise * (surge > 0), yes, yes
     )
-
-
-def default_ensemble(dtype: torch.dtype, **more_rules) -> Ensemble:
-    """The ensemble of `train.py`, as it is by default."""
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        cfg = compose("train", [f"vehicle.mass={MASS}"])
-    rules = instantiate(cfg.combiners, _convert_="all") | more_rules
-    return Ensemble(instantiate(cfg.estimators), rules, cfg.output).to(dtype)
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])

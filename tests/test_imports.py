@@ -3,6 +3,8 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -84,30 +86,70 @@ def within(name: str, allowed) -> bool:
     return any(name == prefix or name.startswith(prefix + ".") for prefix in allowed)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_modules_import_only_what_their_layer_may(path):
+def refused(path: Path) -> Iterator[str]:
+    """What a module imports that its layer may not."""
     name = name_of(path)
     if name == "usvlearn":
         return  # its lazy imports are tested below
     layer = max((prefix for prefix in OURS if within(name, [prefix])), key=len)
-    allowed = OURS[layer] | {layer}
     for found in imports(path):
-        if within(found, ["usvlearn", "certify"]):
+        package = found.split(".")[0]
+        if package in ("usvlearn", "certify"):
             # "from usvlearn import checkpoint" names the package too
-            assert found == "usvlearn" or within(found, allowed), f"{name} imports {found}"
-        if not within(name, ["usvlearn.cli"]):
-            assert found.split(".")[0] not in CONFIGURATION, f"{name} imports {found}"
+            if found != "usvlearn" and not within(found, OURS[layer] | {layer}):
+                yield found
+        elif package in CONFIGURATION and not within(name, ["usvlearn.cli"]):
+            yield found
     if within(name, NO_TORCH) and not within(name, TORCH):
-        assert not any(within(found, ["torch"]) for found in imports(path, top_level=True)), f"{name} imports torch"
+        yield from (found for found in imports(path, top_level=True) if within(found, ["torch"]))
 
 
-@pytest.mark.parametrize("path", [path for path in MODULES if within(name_of(path), ["certify"])], ids=name_of)
-def test_certify_is_a_leaf_of_few_packages(path):
+def refused_in_certify(path: Path) -> Iterator[str]:
+    """What a module of certify imports that is no package of its own, or imports before it is used."""
     for found in {name.split(".")[0] for name in imports(path)} - set(sys.stdlib_module_names) - {"certify"}:
-        assert found in THIRD_PARTY, f"{name_of(path)} imports {found}"
-        assert found not in CERTIFY or name_of(path) in CERTIFY[found], f"{name_of(path)} imports {found}"
-    heavy = {name.split(".")[0] for name in imports(path, top_level=True)} & {"scipy", "cvxpy", "matplotlib"}
-    assert not heavy, f"{name_of(path)} imports {heavy} before it is used"
+        if found not in THIRD_PARTY or name_of(path) not in CERTIFY.get(found, {name_of(path)}):
+            yield found
+    yield from {name.split(".")[0] for name in imports(path, top_level=True)} & {"scipy", "cvxpy", "matplotlib"}
+
+
+def test_modules_import_only_what_their_layer_may():
+    assert [f"{name_of(path)} imports {found}" for path in MODULES for found in refused(path)] == []
+
+
+def test_certify_is_a_leaf_of_few_packages():
+    modules = [path for path in MODULES if within(name_of(path), ["certify"])]
+    assert [f"{name_of(path)} imports {found}" for path in modules for found in refused_in_certify(path)] == []
+
+
+def test_no_test_module_imports_another():
+    """What two of them need lies in tests/support."""
+    files = [path for folder in ("tests", "benchmarks") for path in (ROOT / folder).rglob("*.py")]
+    shared = {"tests", "tests.support"}
+    found = [
+        f"{path.relative_to(ROOT)} imports {name}"
+        for path in files
+        for name in imports(path)
+        if (within(name, ["tests"]) and not within(name, ["tests.support"]) and name not in shared)
+        or any(part.startswith(("test_", "conftest")) for part in name.split("."))
+        or (path.parts[-2] == "benchmarks" and within(name, ["tests"]))
+    ]
+    assert found == []
+
+
+SAME_EVERYWHERE = {"__init__", "__main__", "state", "layer", "kernel", "errors", "figures"}
+
+
+def test_no_two_modules_of_one_name_mean_different_things():
+    """The names that mean the same in each folder may repeat."""
+    names = Counter(path.stem for path in MODULES if path.stem not in SAME_EVERYWHERE)
+    names.update(path.name for path in {path.parent for path in MODULES} if path.name not in ("usvlearn", "certify"))
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+def test_tests_lie_where_the_package_has_their_module():
+    folders = {path.parent.relative_to(ROOT / "tests").as_posix() for path in (ROOT / "tests").rglob("test_*.py")}
+    assert [folder for folder in folders - {".", "fuzz", "benchmarks", "certify"}
+            if not (ROOT / "usvlearn" / folder).is_dir()] == []  # fmt: skip
 
 
 def test_every_module_has_a_layer():

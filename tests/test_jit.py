@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numba.core import caching
 
-from tests.conftest import python
+from tests.support.commands import python
 from usvlearn import jit as compiled
 
 PREPARE = """

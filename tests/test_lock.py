@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_train import ENVIRONMENT, SMALL, command, results, run
-from tests.report.test_study import Recorder, made
-from tests.runs.test_trust import tools
-from tests.tuning.test_search import SMALL as SEARCH
+from tests.support.commands import ENVIRONMENT, SMALL, command, results, run
+from tests.support.configured import TWO_BOATS
+from tests.support.runs import tools
+from tests.support.studies import Recorder, made
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.lock import NAME, Lock
 from usvlearn.report.from_runs import evaluate
@@ -164,6 +164,6 @@ def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
 def test_processes_that_search_together_share_the_folder(tmp_path):
     pytest.importorskip("optuna", reason="needs the package optuna")
     process = holder(tmp_path / "run", "shared")
-    done = run(*SEARCH, "search=aid", "tuning.evaluations=2", "hydra.run.dir=run", folder=tmp_path)
+    done = run(*TWO_BOATS, "search=aid", "tuning.evaluations=2", "hydra.run.dir=run", folder=tmp_path)
     assert done.returncode == 0, done.stderr
     ended(process)

@@ -11,9 +11,9 @@ import pytest
 import torch
 from torch.autograd import forward_ad
 
-from tests.conftest import python, random_samples
-from tests.kernel_cases import difference, mission
-from tests.support import ESTIMATORS
+from tests.support import ESTIMATORS, random_samples
+from tests.support.commands import python
+from tests.support.kernel_cases import difference, mission
 from usvlearn import (
     AID,
     RLS,
@@ -193,7 +193,7 @@ def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
 PLAIN = """
 import torch
 from tests.support import ESTIMATORS
-from tests.kernel_cases import difference, mission
+from tests.support.kernel_cases import difference, mission
 from usvlearn import Online, rollout
 from usvlearn.signals import tree_map
 torch.set_grad_enabled(False)

@@ -9,19 +9,13 @@ import pytest
 from scipy.optimize import linprog
 
 from certify import box_milp
-from certify.box import Box, box, certify, invariance, operating_box, output_range, rate
+from certify.box import box, certify, invariance, operating_box, output_range, rate
 from certify.box_planes import planes, slope_at, value_at
 from certify.box_proof import proves, proves_range
 from certify.errors import CertifyError
 from certify.rounding import float_below
 from certify.weights import ShallowWeights
-
-
-def network(n: int, m: int, seed: int) -> ShallowWeights:
-    """As two torch layers begin: uniform ±1/√fan-in."""
-    rng, k = np.random.default_rng(seed), 1 / np.sqrt(1 + m)
-    a = rng.uniform(-1, 1, n) / np.sqrt(n)
-    return ShallowWeights(a, rng.uniform(-k, k, n), rng.uniform(-k, k, (n, m)), rng.uniform(-k, k, n))
+from tests.support.networks import network, star
 
 
 def degenerate(seed: int) -> ShallowWeights:
@@ -36,12 +30,6 @@ def degenerate(seed: int) -> ShallowWeights:
         point = np.r_[rng.choice([0.0, 0.5, 1.0]), rng.choice([-1.0, 0.0, 0.5], m)]
         rows[:, -1] = -rows[:, :-1] @ point
     return ShallowWeights(rng.integers(-3, 4, n) / 8, rows[:, 0], rows[:, 1:-1], rows[:, -1])
-
-
-def star() -> tuple[ShallowWeights, Box]:
-    """Three lines through (0.3, 0); their three neurons are never active together, so that K = 0.8, though σ = 1.2."""
-    x, u = np.array([1.0, 1.0, -1.0]), np.array([[1.0], [-1.0], [0.0]])
-    return ShallowWeights(np.array([0.4, 0.4, -0.4]), x, u, -0.3 * x), operating_box(1)
 
 
 def cells(weights: ShallowWeights, over, matters: np.ndarray) -> list[tuple]:

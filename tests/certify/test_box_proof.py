@@ -10,7 +10,7 @@ import pytest
 from certify.box import certify, operating_box, rate
 from certify.box_proof import proves, proves_range
 from certify.weights import ShallowWeights
-from tests.certify.test_box import network, star
+from tests.support.networks import network, star
 
 
 def test_a_proof_about_a_common_point_is_exact_and_a_tampered_one_is_refused():

@@ -8,7 +8,8 @@ import pytest
 
 import evaluate
 import train
-from tests.cli.test_train import ENVIRONMENT, GOOD, ROOT, complaints
+from tests.support import ROOT
+from tests.support.commands import ENVIRONMENT, GOOD, complaints
 from usvlearn.cli.command import parse
 from usvlearn.cli.settings import instantiate
 from usvlearn.errors import ConfigError

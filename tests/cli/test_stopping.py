@@ -14,8 +14,8 @@ import pytest
 
 import evaluate
 import train
-from tests.cli.test_train import ENVIRONMENT, ROOT, command, complaints, predictions, results
-from tests.sweeps.test_sweep import QUICK
+from tests.support import ROOT
+from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results
 from usvlearn import checkpoint
 from usvlearn.cli.stopping import Stopped, check_stopped, heeded, heeded_in_worker, until_stopped
 from usvlearn.runs.logger import TensorBoardLogger
@@ -24,17 +24,6 @@ from usvlearn.tuning.lanes import Objective
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 RUN = [*QUICK, "hydra.run.dir=run"]
-
-
-def called(main, arguments, monkeypatch, capsys) -> tuple[int, str]:
-    """A command in this process: its exit code, and what it says on stderr."""
-    monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
-    code = 0
-    try:
-        main()
-    except SystemExit as end:
-        code = end.code
-    return code, complaints(capsys.readouterr().err)
 
 
 def signalled(monkeypatch, owner, name: str, number: int, after: int = 0) -> None:

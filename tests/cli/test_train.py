@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -14,31 +13,14 @@ from hydra import compose, initialize_config_dir
 
 import train
 from tests.support import ROOT
+from tests.support.commands import ENVIRONMENT, GOOD, SMALL, assert_equal_runs, command, predictions, results, run
 from usvlearn import checkpoint
 from usvlearn.errors import bad_input
 
-ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
-SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
 NAMES = {
     "aid", "sift_map", "rnn", "dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls_short",
     "ambient_rls_long", "persistence", "average", "weighted", "ensemble",
 }  # fmt: skip
-
-
-def command(*arguments: str, script: str = "train.py") -> list[str]:
-    return [sys.executable, str(ROOT / script), *arguments]
-
-
-def run(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
-        timeout=300,
-    )  # fmt: skip
-
-
-def complaints(stderr: str) -> str:
-    """What a command says on stderr, without what is said where code was never compiled before."""
-    return "".join(line for line in stderr.splitlines(True) if not line.startswith("usvlearn: compiling"))
 
 
 @pytest.fixture(scope="module")
@@ -49,14 +31,6 @@ def whole(tmp_path_factory) -> Path:
     assert done.returncode == 0, done.stderr
     (folder / "output.txt").write_text(done.stdout)
     return folder / "run"
-
-
-def results(folder: Path) -> dict:
-    return json.loads((folder / "results.json").read_text())
-
-
-def predictions(folder: Path) -> list[np.ndarray]:
-    return [np.load(path)["predictions"] for path in sorted((folder / "predictions").glob("*.npz"))]
 
 
 def test_results(whole):
@@ -136,19 +110,6 @@ def killed_after(sets: int, folder: Path, *arguments: str) -> None:
     process.wait()
 
 
-def assert_equal_runs(found: Path, expected: Path) -> None:
-    """Every saved state and prediction, bit for bit, and the same results."""
-    for name in ("checkpoints", "predictions"):
-        ours, theirs = (sorted(p.relative_to(f) for p in (f / name).rglob("*.*")) for f in (found, expected))
-        assert ours == theirs
-    for path in sorted((expected / "checkpoints").rglob("*.safetensors")):
-        ours, theirs = (checkpoint.load(f)[0] for f in (found / path.relative_to(expected), path))
-        assert all(np.array_equal(ours[name], theirs[name]) for name in theirs), path.name
-    for ours, theirs in zip(predictions(found), predictions(expected), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
-    assert results(found)["boats"] == results(expected)["boats"]
-
-
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 @pytest.mark.parametrize("sets", [1, 4])
 def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
@@ -198,7 +159,6 @@ def test_other_samples_or_another_ensemble_are_never_mixed_in(whole, tmp_path):
     assert results(tmp_path / "run")["boats"]["heron1"]["persistence"]["mae"] > 0.2  # of the noise, not the old one
 
 
-GOOD = "time,L,R,heading,speed\n" + "".join(f"{0.1 * k},0.5,0.5,90,{0.01 * k}\n" for k in range(100))
 CSV = ["data=csv", "data.channels.command_left.name=L", "data.channels.command_right.name=R",
        "data.channels.surge.name=speed"]  # fmt: skip
 

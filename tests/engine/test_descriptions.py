@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.kernel_cases import LONG, VARIANTS, mission
 from tests.support import ESTIMATORS
+from tests.support.kernel_cases import LONG, VARIANTS, mission
 from usvlearn import (
     AID,
     BOA,

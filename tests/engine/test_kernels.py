@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
 from tests.support import ESTIMATORS
+from tests.support.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
 from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
 from usvlearn.estimators.ensemble.conformal import LEAST
 from usvlearn.estimators.ensemble.monitors import THRESHOLD

@@ -9,8 +9,8 @@ import pytest
 import torch
 from hypothesis import given, settings
 
-from tests.kernel_cases import VARIANTS, difference, mission
 from tests.support import ESTIMATORS
+from tests.support.kernel_cases import VARIANTS, difference, mission
 from usvlearn import Inputs, Sample, rollout
 from usvlearn.estimator import clean
 from usvlearn.rollouts import simulate

@@ -8,7 +8,7 @@ import torch
 from scipy.integrate import solve_ivp
 from torch import nn
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import AID, Inputs, Sample, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.aid.layer import AIDState

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import (
     AID,
     BOA,

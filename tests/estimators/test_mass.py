@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, Sample, SurgeDynamics, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.mass import NAMES, null_vector, recover_mass

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import RLS, Inputs, SurgeDynamics, rollout
 from usvlearn import rows as samples
 from usvlearn.estimators.ensemble import monitors

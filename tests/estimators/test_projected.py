@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.optimize import nnls
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import AID, RLS, Projected, QuasiStatic, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.least_squares.projected import project_signs

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import QuasiStatic, SurgeDynamics
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.regressors.layer import MemoryInputs, quasi_static_regressor, surge_regressor

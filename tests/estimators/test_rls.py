@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import RLS, QuasiStatic, SIFtRLS, SurgeDynamics, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.least_squares.rls import NOISE, NOISE_LEAST, NOISE_SHARE, RLSState, rls_step, spread

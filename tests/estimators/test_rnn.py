@@ -11,7 +11,7 @@ from torch.func import grad
 from certify import exact
 from certify.box_planes import Box, interval_rate
 from certify.weights import ShallowWeights
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import AID, RNN, Ensemble, Inputs, Sample, rollout
 from usvlearn.checkpoint import save
 from usvlearn.errors import ConfigError

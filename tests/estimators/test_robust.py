@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy import integrate, stats
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, QuasiStatic, Robust, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.wrappers.robust import clipped_moment, finite

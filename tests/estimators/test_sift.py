@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.conftest import random_samples
+from tests.support import random_samples
 from usvlearn import Inputs, QuasiStatic, SIFtRLS, SurgeDynamics, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.least_squares.rls import rls_step

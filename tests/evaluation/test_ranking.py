@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.sweeps.test_sweep import hparams, load, never, table
+from tests.support.commands import hparams, load, never, table
 from usvlearn.cli.sweep import swept as swept_keys
 from usvlearn.evaluation.ranking import ranked_by
 from usvlearn.sweeps.jobs import run_job

@@ -6,7 +6,7 @@ import pytest
 from certify.box import certify, operating_box, rate
 from certify.box_proof import proves
 from certify.weights import ShallowWeights
-from tests.fuzz.exact_cells import exact_rate
+from tests.support.exact_cells import exact_rate
 
 FAMILIES = ("integers", "halves", "duplicates", "bias-free", "common point", "float32", "zero weights", "dead neurons")
 SECONDS = 60.0  # the search ends long before, also on a busy machine

@@ -15,7 +15,7 @@ from certify.box_planes import Box, planes
 from certify.box_proof import proves
 from certify.errors import CertifyError
 from certify.weights import ShallowWeights
-from tests.fuzz.exact_cells import exact_rate
+from tests.support.exact_cells import exact_rate
 
 TOKENS = (
     "x",

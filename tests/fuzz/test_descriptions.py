@@ -11,8 +11,8 @@ import accuracy
 import numpy as np
 import pytest
 
-from tests.kernel_cases import mission
 from tests.support import ESTIMATORS
+from tests.support.kernel_cases import mission
 from usvlearn import Inputs, Online, Sample, checkpoint
 from usvlearn.errors import CheckpointError
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from tests.logs.test_rosbag_scan import NS, START, STEPS, unindexed, write_bag
+from tests.support.bags import NS, START, STEPS, unindexed, write_bag
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.alog import Alog
 from usvlearn.logs.csv_table import Table

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.test_endurance import default_ensemble
+from tests.support.configured import default_ensemble
 from usvlearn import AID, Ensemble, Inputs, Online, Persistence, Sample, rollout
 from usvlearn.errors import ShapeError
 from usvlearn.signals import named_leaves, tree_map

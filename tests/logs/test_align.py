@@ -7,38 +7,11 @@ import pickle
 import numpy as np
 import pytest
 
+from tests.support.recordings import channel, in_order, log
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.align import REQUIRED, Aligner, align
 from usvlearn.logs.align_kernel import mean
 from usvlearn.logs.channel import CHANNELS, Channel, Source
-
-
-def channel(time, value, order=None, **how) -> Channel:
-    time = np.asarray(time, dtype=np.float64)
-    value = np.broadcast_to(np.asarray(value, dtype=np.float64), time.shape)
-    return Channel(time, value, np.arange(len(time)) if order is None else np.asarray(order), **how)
-
-
-def log(seconds: float = 4.0, hz: float = 10.0, **changes) -> dict[str, Channel]:
-    """Four channels at one rate, interleaved by time; speed rises by 0.1 m/s a second, the boat turns at 0.2 rad/s."""
-    time = np.arange(round(seconds * hz) + 1) / hz
-    channels = {
-        "command_left": channel(time, 0.5),
-        "command_right": channel(time, 0.4),
-        "heading": channel(time, 0.2 * time % (2 * math.pi)),
-        "surge": channel(time, 0.1 * time),
-    }
-    channels |= changes
-    return in_order(channels)
-
-
-def in_order(channels):
-    """Give messages the order of their stamps, inputs before the speed of the same stamp."""
-    stamps = np.concatenate([c.time for c in channels.values()])
-    rank = np.empty(len(stamps), dtype=np.int64)
-    rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
-    pieces = np.split(rank, np.cumsum([len(c.time) for c in channels.values()])[:-1])
-    return {name: c._replace(order=r) for (name, c), r in zip(channels.items(), pieces, strict=True)}
 
 
 def test_grid_of_a_clean_log():

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
-from tests.logs.test_rosbag_scan import NS, SOURCES, START, unindexed, write_bag
+from tests.support.bags import NS, SOURCES, START, unindexed, write_bag
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channel import Source
 from usvlearn.logs.decompress import MB, MOST, Total, unpack

@@ -4,22 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.logs.test_align import log
+from tests.support.recordings import recording
 from usvlearn import AID, RLS, RNN, Average, Ensemble, Persistence, RecursiveWeights, SurgeDynamics
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.channel import Recording
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.replay import Position, replay
 from usvlearn.signals import named_leaves, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
-
-
-def recording(boat, run, seconds, speed=0.1):
-    channels = log(seconds)
-    surge = channels["surge"]
-    return Recording(
-        boat, run, {**channels, "surge": surge._replace(value=speed + surge.value)}, {"surge": {"empty": 2}}
-    )
 
 
 def ensemble():

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.evaluation.test_crossval import boats
+from tests.support.seasons import boats
 from usvlearn import AID, RLS, RNN, Ensemble, Robust, SIFtRLS, SurgeDynamics
 from usvlearn.evaluation.members import physical_members
 from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import box
 from usvlearn.report.sections.cost import cost_section
-from usvlearn.report.sections.online import online_section
+from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import course
 from usvlearn.report.sections.tuning_gain import tuning_section
 from usvlearn.simulate.fleet import fleet_vessels

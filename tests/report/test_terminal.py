@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tests.cli.test_train import ROOT
+from tests.support import ROOT
 from usvlearn.evaluation.metrics import scores
 from usvlearn.report.tables import report, sweep_table, tuning_table
 from usvlearn.report.terminal import Blocks, console

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.runs.test_trust import saved, tools  # noqa: F401  # a finished run
+from tests.support.runs import tools
 from usvlearn import checkpoint
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
@@ -22,7 +22,7 @@ from usvlearn.sweeps.leaderboard import leaderboard
 
 
 @pytest.fixture
-def copy(saved, tmp_path) -> Path:  # noqa: F811
+def copy(saved, tmp_path) -> Path:
     return Path(shutil.copytree(saved, tmp_path / "run"))
 
 
@@ -111,7 +111,7 @@ def test_no_number_of_a_run_is_so_large_that_the_next_cannot_be_written(copy):
 
 
 @pytest.fixture
-def sweep(saved, tmp_path) -> Path:  # noqa: F811
+def sweep(saved, tmp_path) -> Path:
     """A sweep of two jobs."""
     for job in ("0", "1"):
         shutil.copytree(saved, tmp_path / "sweep" / job)

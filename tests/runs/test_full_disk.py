@@ -11,15 +11,12 @@ import warnings
 import pytest
 
 import train
-from tests.cli.test_stopping import called
-from tests.cli.test_train import ENVIRONMENT, ROOT, command, complaints
-from tests.runs.test_run_folder import assert_same, fleet, session
-from tests.sweeps.test_sweep import QUICK
+from tests.support import ROOT
+from tests.support.commands import ENVIRONMENT, QUICK, called, command, complaints
+from tests.support.runs import assert_same, session
 from usvlearn import checkpoint
 from usvlearn.errors import bad_input
 from usvlearn.tensorboard import TensorBoardWriter
-
-__all__ = ["fleet"]  # the fixture
 
 
 class FullDisk:

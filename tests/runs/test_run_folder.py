@@ -9,61 +9,19 @@ import numpy as np
 import pytest
 import torch
 
-from tests.logs.test_recordings import recording
-from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics, checkpoint
+from tests.support.recordings import recording
+from tests.support.runs import SETTINGS, assert_same, model, session
+from usvlearn import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs import run_folder
-from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.runs.saved import configuration, run_folders
 from usvlearn.signals import named_leaves
 
-SETTINGS = {
-    "configuration": {
-        "estimators": {"aid": 1, "rls": 2}, "combiners": {}, "data": {}, "align": {"dt": 0.4}, "vehicle": {"mass": 28.0}
-    }
-}  # fmt: skip
-
 
 class Killed(Exception):
     pass
-
-
-def model() -> Ensemble:
-    return Ensemble({"aid": AID(28.0), "rls": RLS(SurgeDynamics(28.0)), "persistence": Persistence()})
-
-
-@pytest.fixture(scope="module")
-def fleet():
-    """Boat a has two runs, boat b one longer one."""
-    return align_fleet([recording("a", "one", 6.0), recording("a", "two", 4.0), recording("b", "one", 9.0, speed=0.3)])
-
-
-def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> RunFolder:
-    ensemble = model()
-    folder = RunFolder(folder, fleet, metadata)
-    start = folder.begin(ensemble.init((2,)), resume)
-    with folder:
-        for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
-            folder.save(chunk)
-    return folder
-
-
-def contents(folder) -> dict[str, np.ndarray]:
-    """Every leaf of every parameter set and every prediction."""
-    found = {}
-    for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
-        for name, leaf in checkpoint.load(path)[0].items():
-            found[f"{path.relative_to(folder.path)}:{name}"] = leaf
-    return found | {f"run {k}": array for k, array in enumerate(folder.published["predictions"])}
-
-
-def assert_same(found, expected) -> None:
-    found, expected = contents(found), contents(expected)
-    assert found.keys() == expected.keys()
-    for name, array in expected.items():
-        np.testing.assert_array_equal(found[name], array, err_msg=name)
 
 
 def dying(monkeypatch, after: int) -> None:

@@ -8,37 +8,19 @@ from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
-from hydra.utils import instantiate
 from omegaconf import OmegaConf
-from rich.console import Console
 
-from tests.cli.test_train import run
 from tests.support import ROOT
+from tests.support.commands import run
+from tests.support.runs import tools
 from usvlearn import Persistence, checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.from_runs import Tools, read
+from usvlearn.report.from_runs import read
 from usvlearn.runs.saved import configuration
 from usvlearn.runs.trust import PACKAGES, check_setting, check_settings
-from usvlearn.simulate.truth import truth_of
 
 DATA = ("data", "experiment", "estimator", "combiner")
-SMALL = [
-    "~estimators.rnn", "~estimators.dynamic_rls", "~estimators.steady_rls", "~estimators.memory_aid",
-    "~estimators.memory_rls", "~estimators.ambient_rls",
-    "~combiners.ensemble", "~combiners.weighted", "output=average", "combiners.average.members=[aid,sift_map]",
-    "data.hours=0.05", "data.mission_minutes=1.5", "data.n=1",
-]  # fmt: skip
 CODE = "__import__('pathlib').Path({!r}).touch()"
-
-
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory) -> Path:
-    """A finished run of one boat through three members."""
-    folder = tmp_path_factory.mktemp("trust")
-    done = run(*SMALL, f"hydra.run.dir={folder}/run", folder=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "run"
 
 
 def forged(saved: Path, folder: Path, change) -> Path:
@@ -54,10 +36,6 @@ def forged(saved: Path, folder: Path, change) -> Path:
         facts.pop("schema")
         checkpoint.save(path, leaves, **facts)
     return folder
-
-
-def tools(trust=None) -> Tools:
-    return Tools(instantiate, align_fleet, truth_of, Console(quiet=True), trust)
 
 
 HARM = {  # what a foreign configuration may ask for, `touched` being a file that must not appear

@@ -9,13 +9,11 @@ import time
 import numpy as np
 import pytest
 
-from tests.cli.test_train import ENVIRONMENT, command
-from tests.tuning.test_tuning import SMALL, fleet, replayed, request
+from tests.support.commands import ENVIRONMENT, command
+from tests.support.configured import TWO_BOATS, replayed, request
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.tuning import search
 from usvlearn.tuning.lanes import Objective
-
-__all__ = ["fleet"]  # the fixture
 
 
 def searched(fleet, folder, evaluations, asked=None, **options):
@@ -76,7 +74,7 @@ def test_what_a_killed_process_left_is_given_back(fleet, tmp_path):
 
 
 def test_two_processes_share_the_budget(tmp_path):
-    arguments = command(*SMALL, "search=aid", "tuning.evaluations=24", "tuning.trials=2", "hydra.run.dir=run")
+    arguments = command(*TWO_BOATS, "search=aid", "tuning.evaluations=24", "tuning.trials=2", "hydra.run.dir=run")
     both = [subprocess.Popen(arguments, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL) for _ in range(2)]
     assert [process.wait(120) for process in both] == [0, 0]
     found = json.loads((tmp_path / "run" / "tuning.json").read_text())

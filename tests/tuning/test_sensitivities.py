@@ -8,8 +8,8 @@ import pytest
 import torch
 from hydra.utils import instantiate
 
-from tests.cli.test_train import results
-from tests.tuning.test_tuning import configured, replayed, request
+from tests.support.commands import results
+from tests.support.configured import configured, replayed, request
 from usvlearn import Persistence, Positive
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet

@@ -16,7 +16,7 @@ from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_sect
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
 from usvlearn.report.sections.network import network_section
-from usvlearn.report.sections.online import online_section
+from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import Truth, parameters_section
 from usvlearn.rollouts import stack
 from usvlearn.signals import tree_map

@@ -11,47 +11,20 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
-from tests.cli.test_train import ENVIRONMENT, command, results
 from tests.support import ROOT
-from usvlearn import RNN, Ensemble, Estimator, Persistence, Positive, UnitInterval, UsvlearnError
+from tests.support.commands import ENVIRONMENT, command, results
+from tests.support.configured import TWO_BOATS, configured, replayed, request
+from usvlearn import RNN, Estimator, Persistence, Positive, UnitInterval, UsvlearnError
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.runs.replay import replay
 from usvlearn.tuning import backprop as fit
 from usvlearn.tuning import lanes, winners
 from usvlearn.tuning import tune as tuning
 from usvlearn.tuning.grid import counts, grid
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae, hyperparameter
 
-SMALL = ["data.n=2", "data.hours=0.05", "data.mission_minutes=1.5", "data.seed=7", "estimators.rnn.neurons=4"]
 GAIN = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
-
-
-def configured(*overrides: str) -> dict:
-    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        return OmegaConf.to_container(compose("train", [*SMALL, *overrides]), resolve=True)
-
-
-def request(*overrides: str) -> tuning.Request:
-    return tuning.request(configured(*overrides), instantiate)
-
-
-@pytest.fixture(scope="module")
-def fleet():
-    """Two boats, two missions each."""
-    cfg = configured()
-    return align_fleet(instantiate(cfg["data"]), **cfg["align"])
-
-
-def replayed(fleet, estimator: Estimator) -> list[float]:
-    """MAE of each boat, by the main job's own replay and scores."""
-    ensemble = Ensemble({"one": estimator, "persistence": Persistence()})
-    chunks = list(replay(ensemble, fleet, ensemble.init((len(fleet.boats),))))
-    scores = fleet_scores(fleet, {"predictions": [chunk.predictions for chunk in chunks]}, ensemble.names)
-    return [scores[boat]["one"]["mae"] for boat in fleet.boats]
 
 
 SETTINGS = {
@@ -232,7 +205,7 @@ def test_initial_weights_are_learned_and_can_be_read_back(fleet, tmp_path):
 def test_every_file(tmp_path):
     """A sweep over two members: its table, each job's files, and the experiment that each gives."""
     ranges = "tuning.ranges.dynamic_rls={estimator.memory: [1, 30]}"
-    arguments = [*SMALL, "grid=aid,dynamic_rls", "tuning.evaluations=12", ranges, "hydra.sweep.dir=sweep"]
+    arguments = [*TWO_BOATS, "grid=aid,dynamic_rls", "tuning.evaluations=12", ranges, "hydra.sweep.dir=sweep"]
     done = subprocess.run(
         command("-m", *arguments), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=120
     )

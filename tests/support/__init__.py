@@ -1,9 +1,14 @@
-"""What the tests share: folders, and the list of estimators that every property in test_contracts.py runs over.
+"""What tests share: folders, random samples, and the estimators over which each property in test_contracts.py runs.
 
-A new estimator is one line in that list.
+A new estimator is one line in that list. Each module of this package holds one kind of thing that several tests need.
 """
 
+import functools
+import inspect
+from collections.abc import Callable, Iterable
 from pathlib import Path
+
+import torch
 
 from usvlearn import (
     AID,
@@ -15,17 +20,19 @@ from usvlearn import (
     Ensemble,
     ExponentialWeights,
     FixedWeights,
+    Inputs,
     Persistence,
     Projected,
     QuasiStatic,
     RecursiveWeights,
     Robust,
+    Sample,
     SIFtRLS,
     SurgeDynamics,
     WithMemory,
 )
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 REAL_LOGS = ROOT.parent / "shared" / "data"
 
 
@@ -65,3 +72,37 @@ ESTIMATORS = {
         {"aid": AID(28.0), "sift": SIFtRLS(), "persistence": Persistence()}, {"exponential": ExponentialWeights()}
     ),
 }
+
+
+def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) -> Sample:
+    """Random inputs and speeds, all fresh and measured."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform() -> torch.Tensor:
+        return torch.rand(steps, *batch, generator=generator, dtype=dtype)
+
+    yes = torch.ones(steps, *batch, dtype=torch.bool)
+    inputs = Inputs(uniform(), uniform(), 6 * uniform(), uniform() - 0.5, torch.full((steps, *batch), 0.4, dtype=dtype))
+    return Sample(inputs, 2 * uniform(), yes, yes)
+
+
+def over(argument: str, values: Iterable) -> Callable:
+    """Makes one test that goes through all values of an argument; a failure names the value."""
+    values = list(values)
+
+    def decorate(test):
+        @functools.wraps(test)
+        def each(**others):
+            for value in values:
+                try:
+                    test(**others, **{argument: value})
+                except BaseException as error:
+                    error.add_note(f"where {argument} is {value!r}")
+                    raise
+
+        signature = inspect.signature(test)
+        left = [parameter for name, parameter in signature.parameters.items() if name != argument]
+        each.__signature__ = signature.replace(parameters=left)
+        return each
+
+    return decorate

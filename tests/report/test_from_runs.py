@@ -16,8 +16,8 @@ import pytest
 from hydra.utils import instantiate
 from rich.console import Console
 
-from tests.cli.test_train import SMALL, run
-from tests.evaluation.test_crossval import boats
+from tests.support.commands import SMALL, run
+from tests.support.seasons import boats
 from usvlearn import AID, Ensemble
 from usvlearn.checkpoint import checkpoints, load
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError

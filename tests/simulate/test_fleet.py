@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support.recordings import same
 from usvlearn.errors import ConfigError
 from usvlearn.logs.align import align
 from usvlearn.simulate.autopilot import Autopilot
@@ -25,16 +26,6 @@ PERFECT = {"jitter": 0.0, "latency": 0.0, "lost_share": 0.0, "outages_per_hour":
 
 def tensor(x):
     return torch.tensor(x, dtype=torch.float64)
-
-
-def same(x, y):
-    """Whether two lists of recordings hold the same bits."""
-    return [(r.boat, r.run, r.dropped) for r in x] == [(r.boat, r.run, r.dropped) for r in y] and all(
-        np.array_equal(p, q)
-        for r, s in zip(x, y, strict=True)
-        for name in r.channels
-        for p, q in zip(r.channels[name][:3], s.channels[name][:3], strict=True)
-    )
 
 
 def still_truth(minutes=60.0, speed=1.0, dt=0.1):

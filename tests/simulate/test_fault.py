@@ -8,8 +8,8 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from tests.simulate.test_simulate_logs import same
-from tests.test_docs import ROOT
+from tests.support import ROOT
+from tests.support.recordings import same
 from usvlearn.errors import ConfigError
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fault import Fault, faulty_vessels

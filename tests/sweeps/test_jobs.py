@@ -1,6 +1,5 @@
 """Sweeps: jobs known by their settings, killed ones that go on, failures that are told, launchers, the leaderboard."""
 
-import csv
 import json
 import math
 import os
@@ -18,7 +17,19 @@ from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from tests.cli.test_train import ENVIRONMENT, ROOT, assert_equal_runs, command, results, run
+from tests.support import ROOT
+from tests.support.commands import (
+    ENVIRONMENT,
+    QUICK,
+    assert_equal_runs,
+    command,
+    hparams,
+    load,
+    never,
+    results,
+    run,
+    table,
+)
 from usvlearn import Ensemble
 from usvlearn.errors import ConfigError, MissingExtraError, bad_input
 from usvlearn.evaluation.metrics import scores
@@ -26,21 +37,9 @@ from usvlearn.sweeps.jobs import Job, digest, jobs, run_job
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import LONGEST, write_leaderboard
 
-LEFT_OUT = ["rnn", "memory_aid", "memory_rls", "ambient_rls", "steady_rls"]
-QUICK = ["data.hours=0.05", "save_minutes=0.5", *(f"~estimators.{name}" for name in LEFT_OUT),
-         "~combiners.average", "~combiners.weighted", "~combiners.ensemble.prior"]  # fmt: skip
 SWEEPS = sorted(p.stem for p in (ROOT / "configs" / "sweep").glob("*.yaml"))
 LAUNCHED = {**ENVIRONMENT, "PYTHONPATH": str(ROOT)}
 LAUNCHED.pop("OMP_NUM_THREADS")
-
-
-def load(path: Path):
-    return OmegaConf.to_container(OmegaConf.load(path))
-
-
-def table(folder: Path) -> list[dict[str, str]]:
-    with (folder / "leaderboard.csv").open() as file:
-        return list(csv.DictReader(file))
 
 
 def without_seconds(rows: list[dict]) -> list[dict]:
@@ -125,7 +124,7 @@ class Probe(Callback):
 def test_launchers_do_the_same_in_workers_of_one_thread(launcher, swept, tmp_path):
     pytest.importorskip({"joblib": "joblib", "submitit_local": "submitit"}[launcher])
     arguments = [*GRID, "align.inputs=mean", f"hydra/launcher={launcher}"]
-    arguments += ["+hydra.callbacks.probe._target_=tests.sweeps.test_sweep.Probe"]
+    arguments += ["+hydra.callbacks.probe._target_=tests.sweeps.test_jobs.Probe"]
     arguments.remove("align.inputs=mean,last")
     process = subprocess.run(command(*arguments), cwd=tmp_path, env=LAUNCHED, capture_output=True, text=True)
     assert process.returncode == 2 and "Traceback" not in process.stderr, process.stderr
@@ -183,10 +182,6 @@ def finish(folder: Path, objective: float = 0.03):
         return objective
 
     return work
-
-
-def never(resume):
-    raise AssertionError("this job must not be done")
 
 
 def test_a_job_is_done_once_and_gone_on_with_if_it_was_begun(tmp_path):
@@ -256,23 +251,6 @@ def test_damaged_and_missing_results_are_told(tmp_path):
     assert table(tmp_path)[1]["error"] == "did not finish"
     with pytest.raises(ConfigError, match="found no run"):
         jobs(tmp_path / "none", load)
-
-
-def hparams(folder: Path) -> dict[str, tuple[dict, dict]]:
-    """Per row of the HPARAMS page its settings and numbers, as TensorBoard reads them."""
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-    from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
-
-    rows = {}
-    for path in filter(Path.is_dir, folder.iterdir()):
-        events = EventAccumulator(str(path))
-        events.Reload()
-        data = HParamsPluginData.FromString(events.SummaryMetadata("_hparams_/session_start_info").plugin_data.content)
-        settings = {
-            key: getattr(value, value.WhichOneof("kind")) for key, value in data.session_start_info.hparams.items()
-        }
-        rows[path.name] = settings, {tag: events.Scalars(tag)[0].value for tag in events.Tags()["scalars"]}
-    return rows
 
 
 def test_rows_of_the_hparams_page_have_short_safe_names_and_are_replaced(tmp_path):

@@ -1,0 +1,120 @@
+"""The commands as a user starts them, and what they leave behind."""
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from tests.support import ROOT
+from usvlearn import checkpoint
+
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
+
+
+SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
+
+
+LEFT_OUT = ["rnn", "memory_aid", "memory_rls", "ambient_rls", "steady_rls"]
+
+
+QUICK = ["data.hours=0.05", "save_minutes=0.5", *(f"~estimators.{name}" for name in LEFT_OUT),
+         "~combiners.average", "~combiners.weighted", "~combiners.ensemble.prior"]  # fmt: skip
+
+
+GOOD = "time,L,R,heading,speed\n" + "".join(f"{0.1 * k},0.5,0.5,90,{0.01 * k}\n" for k in range(100))
+
+
+def command(*arguments: str, script: str = "train.py") -> list[str]:
+    return [sys.executable, str(ROOT / script), *arguments]
+
+
+def run(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
+        timeout=300,
+    )  # fmt: skip
+
+
+def python(code: str, **environment: str) -> subprocess.CompletedProcess:
+    """Run code in a Python of its own, which has to end well."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=ROOT,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+def called(main, arguments, monkeypatch, capsys) -> tuple[int, str]:
+    """A command in this process: its exit code, and what it says on stderr."""
+    monkeypatch.setattr(sys, "argv", ["train.py", *arguments])
+    code = 0
+    try:
+        main()
+    except SystemExit as end:
+        code = end.code
+    return code, complaints(capsys.readouterr().err)
+
+
+def complaints(stderr: str) -> str:
+    """What a command says on stderr, without what is said where code was never compiled before."""
+    return "".join(line for line in stderr.splitlines(True) if not line.startswith("usvlearn: compiling"))
+
+
+def results(folder: Path) -> dict:
+    return json.loads((folder / "results.json").read_text())
+
+
+def predictions(folder: Path) -> list[np.ndarray]:
+    return [np.load(path)["predictions"] for path in sorted((folder / "predictions").glob("*.npz"))]
+
+
+def assert_equal_runs(found: Path, expected: Path) -> None:
+    """Every saved state and prediction, bit for bit, and the same results."""
+    for name in ("checkpoints", "predictions"):
+        ours, theirs = (sorted(p.relative_to(f) for p in (f / name).rglob("*.*")) for f in (found, expected))
+        assert ours == theirs
+    for path in sorted((expected / "checkpoints").rglob("*.safetensors")):
+        ours, theirs = (checkpoint.load(f)[0] for f in (found / path.relative_to(expected), path))
+        assert all(np.array_equal(ours[name], theirs[name]) for name in theirs), path.name
+    for ours, theirs in zip(predictions(found), predictions(expected), strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    assert results(found)["boats"] == results(expected)["boats"]
+
+
+def load(path: Path):
+    return OmegaConf.to_container(OmegaConf.load(path))
+
+
+def table(folder: Path) -> list[dict[str, str]]:
+    with (folder / "leaderboard.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def never(resume):
+    raise AssertionError("this job must not be done")
+
+
+def hparams(folder: Path) -> dict[str, tuple[dict, dict]]:
+    """Per row of the HPARAMS page its settings and numbers, as TensorBoard reads them."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+    from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
+
+    rows = {}
+    for path in filter(Path.is_dir, folder.iterdir()):
+        events = EventAccumulator(str(path))
+        events.Reload()
+        data = HParamsPluginData.FromString(events.SummaryMetadata("_hparams_/session_start_info").plugin_data.content)
+        settings = {
+            key: getattr(value, value.WhichOneof("kind")) for key, value in data.session_start_info.hparams.items()
+        }
+        rows[path.name] = settings, {tag: events.Scalars(tag)[0].value for tag in events.Tags()["scalars"]}
+    return rows

@@ -1,0 +1,52 @@
+"""Run folders that are made without the command, and what reads them."""
+
+import numpy as np
+from hydra.utils import instantiate
+from rich.console import Console
+
+from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics, checkpoint
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.report.from_runs import Tools
+from usvlearn.runs.replay import replay
+from usvlearn.runs.run_folder import RunFolder
+from usvlearn.simulate.truth import truth_of
+
+SETTINGS = {
+    "configuration": {
+        "estimators": {"aid": 1, "rls": 2}, "combiners": {}, "data": {}, "align": {"dt": 0.4}, "vehicle": {"mass": 28.0}
+    }
+}  # fmt: skip
+
+
+def model() -> Ensemble:
+    return Ensemble({"aid": AID(28.0), "rls": RLS(SurgeDynamics(28.0)), "persistence": Persistence()})
+
+
+def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> RunFolder:
+    ensemble = model()
+    folder = RunFolder(folder, fleet, metadata)
+    start = folder.begin(ensemble.init((2,)), resume)
+    with folder:
+        for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
+            folder.save(chunk)
+    return folder
+
+
+def contents(folder) -> dict[str, np.ndarray]:
+    """Every leaf of every parameter set and every prediction."""
+    found = {}
+    for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
+        for name, leaf in checkpoint.load(path)[0].items():
+            found[f"{path.relative_to(folder.path)}:{name}"] = leaf
+    return found | {f"run {k}": array for k, array in enumerate(folder.published["predictions"])}
+
+
+def assert_same(found, expected) -> None:
+    found, expected = contents(found), contents(expected)
+    assert found.keys() == expected.keys()
+    for name, array in expected.items():
+        np.testing.assert_array_equal(found[name], array, err_msg=name)
+
+
+def tools(trust=None) -> Tools:
+    return Tools(instantiate, align_fleet, truth_of, Console(quiet=True), trust)
