@@ -19,7 +19,7 @@ from omegaconf import OmegaConf
 
 from usvlearn import Ensemble
 from usvlearn.runs.replay import replay
-from usvlearn.signals import tree_map, where
+from usvlearn.signals import masks, tree_map, where
 
 E, RULE = "estimators", "combiners.ensemble"
 ROBUST = ("dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls.estimator")
@@ -109,7 +109,7 @@ def combined(given: tuple[str, ...], overrides: Sequence[str]) -> np.ndarray:
     awake = torch.where(predictions.abs() <= 10.0, predictions, torch.nan)
     samples = [tree_map(torch.as_tensor, run.samples) for run in fleet_of(given).runs]
     surge, dt = (torch.cat(x) for x in zip(*((s.surge, s.inputs.dt) for s in samples), strict=True))
-    learns = torch.cat([s.measured & s.fresh & (s.inputs.dt > 0) for s in samples]) & surge.isfinite()
+    learns = torch.cat([masks(s).learns for s in samples])
     state, out = rule.init(surge.shape[1:], surge), []
     for k in range(len(surge)):
         out.append(rule.combine(state, awake[k]))

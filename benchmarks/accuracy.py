@@ -24,7 +24,7 @@ from usvlearn.evaluation.metrics import scores
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.rollouts import simulate
 from usvlearn.runs.replay import replay
-from usvlearn.signals import Fleet, Sample, tree_map
+from usvlearn.signals import Fleet, Sample, masks, tree_map
 
 ROOT = Path(__file__).parents[1]
 
@@ -87,7 +87,8 @@ def replayed(given: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[tuple[
 
 
 def measured(log: Log) -> np.ndarray:
-    return np.concatenate([np.where(r.samples.measured, r.samples.surge, np.nan) for r in log.fleet.runs])[:, log.lane]
+    samples = [run.samples for run in log.fleet.runs]
+    return np.concatenate([np.where(masks(x).learns, x.surge, np.nan) for x in samples])[:, log.lane]
 
 
 def first_half(log: Log) -> np.ndarray:
@@ -150,7 +151,7 @@ def own_intervals(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
             state, inside = estimator.init((len(log.fleet.boats),)), []
             for samples in (tensors(run.samples) for run in log.fleet.runs):
                 state, surge, own = rollout(estimator, state, samples, record=deviation)
-                scored = samples.measured & samples.fresh & (samples.inputs.dt > 0)
+                scored = masks(samples).learns
                 within = (surge - samples.surge).abs() <= 1.645 * own
                 inside.append(within[:, log.lane][scored[:, log.lane]])
             cells += [f"{torch.cat(inside).double().mean():.1%}", f"{found[name]['coverage']:.1%}"]
@@ -201,7 +202,7 @@ def free_run(estimator: Estimator, state, runs: Sequence[Sample]) -> np.ndarray:
     for samples in runs:
         state, surge, published = simulate(estimator, state, samples, record)
         columns = surge[..., None] if published is None else published
-        scored = samples.measured & samples.fresh & (samples.inputs.dt > 0)
+        scored = masks(samples).learns
         errors.append((columns - samples.surge[..., None]).abs()[scored])
     return torch.cat(errors).mean(0).numpy()
 
@@ -211,8 +212,8 @@ def least_squares(model: SurgeDynamics, runs: Sequence[Sample]) -> Fixed:
     """Batch least squares of the increments between measured speeds."""
     phis, increments = [], []
     for samples in runs:
-        known = samples.measured | ((samples.inputs.dt == 0) & samples.surge.isfinite())
-        step = samples.fresh & samples.measured & (samples.inputs.dt > 0)
+        made = masks(samples)
+        known, step = made.learns | made.starts, made.learns.clone()
         step[1:] &= known[:-1]
         step[0] = False
         before = torch.where(known, samples.surge, 0.0).roll(1, 0)
@@ -247,7 +248,7 @@ def warm_network(log: Log, passes: int, seeds: int) -> Iterator[str]:
         state, errors = learned(estimator, before * passes), []
         for samples in after:
             state, surge, _ = rollout(estimator, state, samples)
-            scored = samples.measured & samples.fresh & (samples.inputs.dt > 0)
+            scored = masks(samples).learns
             errors.append((surge - samples.surge).abs()[scored])
         return float(torch.cat(errors).mean())
 

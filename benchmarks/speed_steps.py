@@ -28,9 +28,8 @@ from usvlearn import (
     WithMemory,
     rollout,
 )
-from usvlearn.estimator import clean
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.signals import tree_map
+from usvlearn.signals import masks, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 
 NEURONS, MEMBERS = (10, 20, 50, 100, 200, 500), (1, 2, 4, 7, 10, 14)
@@ -62,7 +61,7 @@ def samples(steps: int) -> Sample:
     """One boat, what can be learned from, `(steps,)`, again and again: C knows no other."""
     (run,) = align_fleet(simulated(n=1, hours=1.0, mission_minutes=60.0)).runs
     every = tree_map(lambda x: torch.as_tensor(x[:, 0]), run.samples)
-    learned = clean(every).learns
+    learned = masks(every).learns
     places = torch.arange(steps) % int(learned.sum())
     return tree_map(lambda x: x[learned][places].contiguous(), every)
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError
-from usvlearn.signals import PLAUSIBLE, PLAUSIBLE_INPUTS, Inputs, Sample, tree_map, where
+from usvlearn.signals import PLAUSIBLE, Inputs, Sample, masks, tree_map, where
 
 State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
 
@@ -111,15 +111,11 @@ EVERY = Kinds(True, True, True, True)
 def clean(sample: Sample, surge_limit: float = PLAUSIBLE) -> Step:
     """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients.
 
-    What is not finite, or beyond all measure, counts as missing; so does a speed at `surge_limit`, m/s, and beyond.
+    `usvlearn.signals.masks` decides what is made of it.
     """
-    known, dt = sample.surge.abs() < surge_limit, sample.inputs.dt
-    steps = sample.fresh & (dt > 0)
-    for x, limit in zip(sample.inputs, PLAUSIBLE_INPUTS, strict=True):
-        steps = steps & (x.abs() < limit)
+    steps, learns, starts, known = masks(sample, surge_limit)
     inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
-    surge = torch.where(known, sample.surge, 0.0)
-    return Step(inputs, surge, steps, steps & sample.measured & known, (dt == 0) & known)
+    return Step(inputs, torch.where(known, sample.surge, 0.0), steps, learns, starts)
 
 
 def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tuple[State, Tensor]:

@@ -27,7 +27,6 @@ def rollout(
     state: State,
     samples: Sample,
     record: Record | None = None,
-    detach_every: int | None = None,
     backend: str = "auto",
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator over samples, predicting before learning.
@@ -38,7 +37,6 @@ def rollout(
         samples: leaves `(time, *batch)`, of the estimator's dtype.
         record: names of leaves of the state (`named_leaves`), or a function that picks a tree of tensors from each new
             state.
-        detach_every: truncates back-propagation every so many steps.
         backend: "kernel" makes the steps by compiled code, which has no gradients; "torch" by torch; "auto" by
             compiled code where no gradient is asked for, all is on the CPU, and the estimator has a kernel.
 
@@ -62,7 +60,7 @@ def rollout(
     pick = _picking(record, state)
     if (description := choose(estimator, state, samples, backend)) is not None:
         return run(description, state, samples, record, free=False)
-    return _run(estimator, state, clean(samples, estimator.surge_limit), pick, detach_every)
+    return _run(estimator, state, clean(samples, estimator.surge_limit), pick)
 
 
 def simulate(
@@ -94,15 +92,13 @@ def simulate(
     return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
 
 
-def _run(estimator: Estimator, state: State, steps: Step, pick: Callable | None, detach_every: int | None = None):
+def _run(estimator: Estimator, state: State, steps: Step, pick: Callable | None):
     """All steps by torch; leaves of `steps` are `(time, *batch)`."""
     holds = ~(steps.steps | steps.starts)
     kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
     some = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1).tolist()
     predictions, records = [], []
     for k, step in enumerate(_unbind(steps)):
-        if detach_every and k % detach_every == 0:
-            state = tree_map(Tensor.detach, state)
         state, surge = advance(estimator, state, step, Kinds(*some[k]))
         predictions.append(surge)
         if pick is not None:

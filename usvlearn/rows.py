@@ -1,4 +1,7 @@
-"""Samples as the kernels read them: `estimator.clean` done once, for all estimators and lanes that see a sample."""
+"""Samples as the kernels read them, prepared once for all estimators and lanes that see a sample.
+
+`prepare` decides as `usvlearn.signals.masks`, and a test holds the two equal.
+"""
 
 import numpy as np
 

@@ -44,6 +44,39 @@ class Sample(NamedTuple):
     measured: Array  # bool: and so did the speed
 
 
+class Masks(NamedTuple):
+    """What is made of each sample. Leaves are bool, `(*batch,)`."""
+
+    steps: Array  # a step is made, and its speed predicted
+    learns: Array  # and learned from; these are the steps that count in every error and score
+    starts: Array  # a segment is opened at the measured speed
+    known: Array  # the speed is a number below the limit
+
+
+def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
+    """Decide which steps are made, learned from and scored; NumPy arrays and tensors alike.
+
+    An input that is not finite or not plausible makes no step. A speed counts as missing where it is not finite, or
+    reaches the limit.
+
+    Args:
+        sample: leaves `(*batch,)`, or `(time, *batch)`.
+        surge_limit: m/s; `Estimator.surge_limit`.
+
+    The compiled twin is `usvlearn.rows.prepare`.
+
+    >>> one, dt = np.ones(3), np.array([0.4, 0.4, 0.0])
+    >>> sample = Sample(Inputs(one, one, one, one, dt), np.array([1.0, 1e6, 1.0]), one > 0, one > 0)
+    >>> masks(sample).learns, masks(sample).starts
+    (array([ True, False, False]), array([False, False,  True]))
+    """
+    known, dt = abs(sample.surge) < surge_limit, sample.inputs.dt
+    steps = sample.fresh & (dt > 0)
+    for x, limit in zip(sample.inputs, PLAUSIBLE_INPUTS, strict=True):
+        steps = steps & (abs(x) < limit)
+    return Masks(steps, steps & sample.measured & known, (dt == 0) & known, known)
+
+
 class Run(NamedTuple):
     """A mission of one boat, or of a fleet as lanes, on the grid of `dt`."""
 

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from usvlearn.evaluation.metrics import scores
+from usvlearn import Inputs, Sample
+from usvlearn.evaluation.metrics import fleet_scores, scores
 from usvlearn.figures import prediction_figure
 from usvlearn.report.tables import fleet_table, rejection_table, score_table, sweep_table
+from usvlearn.signals import Fleet, Run
 
-SURGE = np.array([1.0, 2.0, np.nan, 4.0, 5.0])
+SURGE = np.array([1.0, 2.0, np.nan, 4.0, np.nan])
 PREDICTIONS = np.array([[1.5, 2.0], [2.0, 4.0], [9.0, 9.0], [3.0, 5.0], [np.nan, np.nan]])
 
 
@@ -20,12 +22,33 @@ def shown(table) -> str:
     return console.file.getvalue()
 
 
-def test_scores_count_steps_that_were_measured_and_made():
+def test_scores_by_hand():
     table = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
     assert table["aid"] == pytest.approx(
         {"mae": 0.5, "median": 0.5, "rmse": np.sqrt(1.25 / 3), "skill": 1 - 0.5 / (4 / 3), "steps": 3, "diverged": 0}
     )
     assert table["persistence"]["skill"] == 0 and table["persistence"]["mae"] == pytest.approx(4 / 3)
+
+
+def test_a_fleets_scores_count_the_steps_that_an_ensemble_learns_from():
+    """Not a speed that is no number, not measured, beyond the ensemble's limit, or the start of a segment."""
+    surge = np.array([1.0, 2.0, 20.0, np.nan, 4.0, 3.0, 2.0])[:, None]
+    left = np.array([0.5, 0.5, 0.5, 0.5, 0.5, np.inf, 0.5])[:, None]
+    measured = np.array([0, 1, 1, 1, 0, 1, 1])[:, None] > 0
+    dt, one = np.array([0.0, 0.4, 0.4, 0.4, 0.4, 0.4, 0.4])[:, None], np.ones((7, 1))
+    samples = Sample(Inputs(left, 0 * one, 0 * one, 0 * one, dt), surge, one > 0, measured)
+    fleet = Fleet(("heron",), (Run(np.cumsum(dt, 0), samples, ("1",), (7,)),), {})
+    predictions = surge[..., None] + 0.5
+    for limit, steps in ((10.0, 2), (50.0, 3)):
+        row = fleet_scores(fleet, {"predictions": [predictions]}, ["aid"], limit)["heron"]["aid"]
+        assert (row["steps"], row["diverged"], row["mae"]) == (steps, 0, 0.5)
+    stopped = fleet_scores(fleet, {"predictions": [predictions[:4]]}, ["aid"], 10.0)["heron"]["aid"]
+    assert stopped["steps"] == 1
+
+
+def test_steps_at_which_nobody_has_a_prediction_are_not_passed_over():
+    row = scores(np.array([[1.0], [np.nan]]), np.ones(2), ["aid"])["aid"]
+    assert (row["mae"], row["steps"], row["diverged"]) == (None, 1, 1)
 
 
 def test_an_error_as_large_as_the_interval_is_inside():

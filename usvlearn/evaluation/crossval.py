@@ -21,7 +21,7 @@ from torch import Tensor
 from usvlearn.estimator import clean
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.rollouts import choose, free_totals, simulate
-from usvlearn.signals import Inputs, Sample, named_leaves, tree_map, where
+from usvlearn.signals import Inputs, Sample, masks, named_leaves, tree_map, where
 
 LANES = 2048  # of one batch: what fits a processor's cache, roughly
 CHUNK = 128  # steps whose predictions are held at a time
@@ -118,7 +118,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
     batch = (sets, len(runs))
     state = tree_map(lambda x: x[:, None].expand(*batch, *x.shape[1:]), state)
     weights, learning = state.combiners, _learning(ensemble)
-    scored = clean(samples, ensemble.surge_limit).learns.to(dtype).sum(0).numpy()
+    scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).numpy()
     whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
     if (description := choose(ensemble, state, whole, backend)) is not None:
         rules = [list(ensemble.combiners).index(name) for name in learning]

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from usvlearn.signals import Fleet
+from usvlearn.signals import PLAUSIBLE, Fleet, masks, tree_map
 
 PERSISTENCE = "persistence"  # the estimator that skill refers to
 
@@ -14,11 +14,11 @@ PERSISTENCE = "persistence"  # the estimator that skill refers to
 def scores(
     predictions: np.ndarray, surge: np.ndarray, names: Sequence[str], halfwidths: np.ndarray | None = None
 ) -> dict[str, dict[str, float | int | None]]:
-    """Errors of each estimator over the steps that were made and measured, the same steps for all.
+    """Errors of each estimator over the steps that count, the same steps for all.
 
     Args:
-        predictions: m/s, `(time, estimators)`; NaN where no step was made.
-        surge: m/s, `(time,)`; NaN where it was not measured.
+        predictions: m/s, `(time, estimators)`.
+        surge: m/s, `(time,)`; NaN where the step does not count (`usvlearn.signals.masks`).
         names: of the estimators.
         halfwidths: of the predictions' intervals, m/s, `(time, estimators)`.
 
@@ -33,7 +33,7 @@ def scores(
     >>> table["aid"]["mae"], table["aid"]["skill"]
     (0.25, 0.0)
     """
-    counted = np.isfinite(surge) & ~np.isnan(predictions).all(-1)
+    counted = ~np.isnan(surge)
     error = np.abs(predictions[counted] - surge[counted, None])
     finite = np.isfinite(error)
     table = {}
@@ -54,13 +54,26 @@ def scores(
     return table
 
 
-def fleet_scores(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]], names: Sequence[str]) -> dict[str, dict]:
-    """`scores` per boat over what was published of its runs, arrays `(time, boats, estimators)` per run."""
+def fleet_scores(
+    fleet: Fleet,
+    published: Mapping[str, Sequence[np.ndarray]],
+    names: Sequence[str],
+    surge_limit: float = PLAUSIBLE,
+) -> dict[str, dict]:
+    """`scores` per boat over what was published of its runs, arrays `(time, boats, estimators)` per run.
+
+    Args:
+        fleet: what was replayed.
+        published: `predictions`, and perhaps `halfwidths`, per run.
+        names: of the estimators.
+        surge_limit: m/s, of the ensemble that made the predictions.
+    """
     found, lengths = {}, [len(run) for run in published["predictions"]]  # fewer and shorter where it was stopped
     for lane, boat in enumerate(fleet.boats):  # one by one: over many hours this is most of a run's memory
         mine = {name: np.concatenate([run[:, lane] for run in runs]) for name, runs in published.items()}
-        samples = [(run.samples, n) for run, n in zip(fleet.runs, lengths, strict=False)]
-        surge = np.concatenate([np.where(x.measured[:n, lane], x.surge[:n, lane], np.nan) for x, n in samples])
+        runs = zip(fleet.runs, lengths, strict=False)
+        samples = [tree_map(lambda x, n=n, k=lane: x[:n, k], run.samples) for run, n in runs]
+        surge = np.concatenate([np.where(masks(x, surge_limit).learns, x.surge, np.nan) for x in samples])
         found[boat] = scores(mine["predictions"], surge, names, mine.get("halfwidths"))
     return found
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.signals import Sample
+from usvlearn.signals import PLAUSIBLE, Sample, masks
 
 
 class SeasonRun(NamedTuple):
@@ -16,13 +16,13 @@ class SeasonRun(NamedTuple):
     name: str
     key: str  # a sha256 of the samples
     samples: Sample  # leaves (time,), NumPy
-    published: dict[str, np.ndarray]  # (time, ...) what was predicted online (`learning.replay.PUBLISHED`), or empty
+    published: dict[str, np.ndarray]  # (time, ...) what was predicted online (`runs.replay.PUBLISHED`), or empty
+    surge_limit: float = PLAUSIBLE  # m/s, of the ensemble that is judged
 
     @property
     def steps(self) -> np.ndarray:
-        """Which steps were made and measured, `(time,)` bool."""
-        samples = self.samples
-        return samples.measured & samples.fresh & (samples.inputs.dt > 0) & np.isfinite(samples.surge)
+        """Which steps count, `(time,)` bool."""
+        return masks(self.samples, self.surge_limit).learns
 
 
 class Season(NamedTuple):

@@ -20,7 +20,7 @@ from usvlearn.figures import PAPER, prediction_figure
 from usvlearn.rollouts import stack
 from usvlearn.runs.fault_figure import fault_figure
 from usvlearn.runs.replay import Chunk
-from usvlearn.signals import Fleet
+from usvlearn.signals import Fleet, masks, tree_map
 from usvlearn.tensorboard import TensorBoardWriter
 
 WINDOW = 750  # steps over which errors are averaged
@@ -74,9 +74,9 @@ class TensorBoardLogger:
 
     def show(self, chunk: Chunk) -> None:
         """One point of every curve, written before long."""
-        samples = self.fleet.runs[chunk.end.run].samples
         part = slice(chunk.begin.step, chunk.end.step)
-        surge = np.where(samples.measured[part], samples.surge[part], np.nan)
+        samples = tree_map(lambda x: x[part], self.fleet.runs[chunk.end.run].samples)
+        surge = np.where(masks(samples, self.ensemble.surge_limit).learns, samples.surge, np.nan)
         self._errors.append(np.abs(chunk.predictions - surge[..., None]))
         while sum(map(len, self._errors)) - len(self._errors[0]) >= WINDOW:
             self._errors.popleft()

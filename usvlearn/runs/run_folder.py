@@ -180,7 +180,7 @@ class RunFolder:
     def _judged(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
         self._wait()
         published = self.published
-        boats = fleet_scores(self.fleet, published, ensemble.names)
+        boats = fleet_scores(self.fleet, published, ensemble.names, ensemble.surge_limit)
         found = {"boats": boats, "alarms": alarms(self.fleet, published), "rejected": self.fleet.rejected}
         return found | {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
 

@@ -132,7 +132,9 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
                 if length := run.lengths[lane]:
                     samples = tree_map(lambda x, n=length, k=lane: x[:n, k], run.samples)
                     key = digest(run, lane)
-                    runs.setdefault(boat, {}).setdefault(key, SeasonRun(run.names[lane], key, samples, {}))
+                    runs.setdefault(boat, {}).setdefault(
+                        key, SeasonRun(run.names[lane], key, samples, {}, ensemble.surge_limit)
+                    )
     known = sorted({path.name for folder in folders for path in (folder / CHECKPOINTS).glob("*")})
     if missing := [boat for boat in runs if boat not in known]:
         raise ConfigError(

@@ -31,7 +31,7 @@ from usvlearn.estimator import Estimator, clean
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.rollouts import rollout
 from usvlearn.runs.replay import tensors
-from usvlearn.signals import Fleet, Sample, tree_map
+from usvlearn.signals import PLAUSIBLE, Fleet, Sample, masks, tree_map
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae
 
 EPOCH_COST, PASS_COST = 3, 1  # evaluations: forward and backward through all samples; forward alone
@@ -51,8 +51,8 @@ class Lanes(NamedTuple):
     weight: Tensor  # (lanes,) w of (1)
 
 
-def run_lanes(fleet: Fleet, dtype: torch.dtype) -> Lanes:
-    """Every run of every boat as a lane."""
+def run_lanes(fleet: Fleet, dtype: torch.dtype, surge_limit: float = PLAUSIBLE) -> Lanes:
+    """Every run of every boat as a lane; `surge_limit`, m/s, is the estimator's."""
     longest, boats = max(len(run.time) for run in fleet.runs), len(fleet.boats)
 
     def padded(x: Tensor) -> Tensor:
@@ -64,7 +64,7 @@ def run_lanes(fleet: Fleet, dtype: torch.dtype) -> Lanes:
     there = torch.tensor([length > 0 for run in fleet.runs for length in run.lengths])
     run = torch.arange(len(fleet.runs)).repeat_interleave(boats)
     boat = torch.arange(boats).repeat(len(fleet.runs))
-    steps = clean(samples).learns.sum(0).reshape(-1, boats).sum(0)  # per boat
+    steps = masks(samples, surge_limit).learns.sum(0).reshape(-1, boats).sum(0)  # per boat
     weight = (1 / (boats * steps.to(dtype)))[boat]
     return Lanes(tree_map(lambda x: x[:, there], samples), run[there], boat[there], weight[there])
 
@@ -84,10 +84,11 @@ def window_losses(
     place = lanes.run * boats + lanes.boat
     states = [estimator.init((boats,)), *starts[1:]]
     state = tree_map(lambda *x: torch.cat(x)[place], *states)
-    total = clean(lanes.samples).learns.sum()
+    limit = estimator.surge_limit
+    total = masks(lanes.samples, limit).learns.sum()
     for begin in range(0, len(lanes.samples.surge), window):
         part = tree_map(lambda x, a=begin: x[a : a + window], lanes.samples)
-        step = clean(part)
+        step = clean(part, limit)
         state, predicted, _ = rollout(estimator, state, part)
         errors = torch.where(step.learns, (predicted - step.surge).abs(), 0.0)
         yield (errors * lanes.weight).sum(), float(step.learns.sum() / total)
@@ -139,7 +140,7 @@ def fit(
         learner.to_middle()
     best = learner.judged(extra)
     found, curve, used = [default, best.evaluation][: 1 + extra], [], extra
-    lanes = run_lanes(objective.fleet, learner.leaves[0].dtype)
+    lanes = run_lanes(objective.fleet, learner.leaves[0].dtype, learner.estimator.surge_limit)
     windows = -(-len(lanes.samples.surge) // window)
     optimizer = torch.optim.Adam(learner.groups, betas=BETAS, eps=1e-12)
     rates, current, steps = [group["lr"] for group in optimizer.param_groups], best, 0

@@ -46,7 +46,7 @@ def online_section(
         halfwidths = None if any(width is None for width in widths) else np.concatenate(widths)
         table = scores(predictions, surge, names, halfwidths)
         error = np.abs(predictions - surge[:, None])
-        counted = ~np.isnan(predictions).all(-1) & np.isfinite(surge)
+        counted = ~np.isnan(surge)
         boxes[season.boat] = {name: box(error[counted, k], table[name]["diverged"]) for k, name in enumerate(names)}
         hours = sum(float(run.samples.inputs.dt[run.steps].sum()) for run in runs) / 3600
         subtitles[season.boat] = f"{hours:.1f} h, {np.nanmean(surge):.2f} m/s"
