@@ -11,6 +11,7 @@ from hydra.utils import instantiate
 from tests.support import ROOT
 from usvlearn import Bank, Ensemble, Estimator
 
+SOURCES = {".py", ".yaml", ".md"}
 DATA = sorted(p.stem for p in (ROOT / "configs" / "data").glob("*.yaml"))
 
 
@@ -30,6 +31,22 @@ def test_the_example_of_certify_runs():
     names: dict = {}
     exec(compile(code("certify/README.md"), "certify/README.md", "exec"), names)
     assert names["certificate"]["condition"] == "tight"
+
+
+def test_every_section_of_the_theory_that_is_cited_exists():
+    """Sources cite "`docs/theory.md`, section N"; the sections are numbered from 1 on."""
+    theory = (ROOT / "docs" / "theory.md").read_text()
+    sections = [int(number) for number in re.findall(r"^## (\d+)\. ", theory, re.MULTILINE)]
+    assert sections == list(range(1, len(sections) + 1))
+    cited = 0
+    folders = ("usvlearn", "certify", "benchmarks", "tests", "configs", "docs")
+    for path in sorted(path for folder in folders for path in (ROOT / folder).rglob("*") if path.suffix in SOURCES):
+        text = " ".join(path.read_text().split())
+        for number in re.findall(r"docs/theory\.md`,? sections? (\d+)", text):
+            assert int(number) in sections, f"{path}: section {number}"
+            cited += 1
+        assert not re.search(r"\(theory[, ]", text), f"{path}: cites a theory without naming its file"
+    assert cited >= 5
 
 
 @pytest.mark.parametrize("data", DATA)

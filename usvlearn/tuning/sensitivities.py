@@ -1,4 +1,4 @@
-"""Hyperparameters by the exact gradient: sensitivities carried forward along all runs, nothing cut.
+"""Hyperparameters by the exact gradient: sensitivities carried forward along all runs (`docs/theory.md`, section 17).
 
 With the state s_k, the step s_{k+1} = f(s_k, z_k, x) and hyperparameters x on the scale on which they live, the
 sensitivity S_k = ds_k/dx follows the run beside the state (Williams & Zipser 1989):
