@@ -46,8 +46,8 @@ OURS = {
                                 "usvlearn.runs", "usvlearn.sweeps", "usvlearn.tensorboard"},
     "usvlearn.report": LEARNS | {"usvlearn.evaluation", "usvlearn.lock", "usvlearn.online", "usvlearn.report",
                                  "usvlearn.runs", "usvlearn.tensorboard", "certify"},
-    "usvlearn.cli": LIGHT | {"usvlearn.cli", "usvlearn.runs", "usvlearn.sweeps", "usvlearn.tuning", "usvlearn.lock",
-                             "usvlearn.logs", "usvlearn.report"},
+    "usvlearn.cli": {"usvlearn"},  # everything
+    "usvlearn.__main__": set(),
 }  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
@@ -191,6 +191,12 @@ def test_kernels_run_without_torch():
         if within(name_of(path), ["usvlearn.engine"]):
             packages = {found.partition(".")[0] for found in imports(path)}
             assert packages <= {"numpy", "numba", "usvlearn", *sys.stdlib_module_names}, path
+
+
+def test_the_command_waits_for_nothing():
+    for arguments in (["--version"], ["--help"]):
+        found = loaded(f"import usvlearn.__main__\nusvlearn.__main__.main({arguments})")
+        assert not found & {*HEAVY, "numpy", "hydra", "rich"}
 
 
 @pytest.mark.parametrize("script", ["train.py", "evaluate.py"])

@@ -6,10 +6,9 @@ import sys
 
 import pytest
 
-import evaluate
-import train
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, GOOD, complaints
+from usvlearn.cli import evaluate, train
 from usvlearn.cli.command import parse
 from usvlearn.cli.settings import instantiate
 from usvlearn.errors import ConfigError

@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import evaluate
-import train
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results
 from usvlearn import checkpoint
+from usvlearn.cli import evaluate, train
 from usvlearn.cli.stopping import Stopped, check_stopped, heeded, heeded_in_worker, until_stopped
 from usvlearn.runs.logger import TensorBoardLogger
 from usvlearn.runs.saved import results as finished

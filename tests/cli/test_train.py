@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from hydra import compose, initialize_config_dir
 
-import train
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, GOOD, SMALL, assert_equal_runs, command, predictions, results, run
 from usvlearn import checkpoint
+from usvlearn.cli import train
 from usvlearn.errors import bad_input
 
 NAMES = {

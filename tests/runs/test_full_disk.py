@@ -10,11 +10,11 @@ import warnings
 
 import pytest
 
-import train
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, complaints
 from tests.support.runs import assert_same, session
 from usvlearn import checkpoint
+from usvlearn.cli import train
 from usvlearn.errors import bad_input
 from usvlearn.tensorboard import TensorBoardWriter
 

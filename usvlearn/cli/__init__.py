@@ -1,1 +1,1 @@
-"""What train.py and evaluate.py share: the only room that knows Hydra."""
+"""What train.py, evaluate.py and the command `usvlearn` do: the only room that knows Hydra and configs/."""

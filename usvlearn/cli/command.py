@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import inspect
 import logging
 import os
 import re
@@ -24,6 +23,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from usvlearn.cli.composition import configs_folder
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.stopping import Stopped, heeded, heeded_in_worker, in_program, was_stopped
 from usvlearn.cli.sweep import Sweep, cut_short, load
@@ -36,10 +36,10 @@ FULL_ERROR = "HYDRA_FULL_ERROR"  # of Hydra: errors are raised, not printed
 
 
 def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
-    """Make a command of what a script does with the configuration of configs/NAME.yaml beside it."""
+    """Make a command of a function that is handed the configuration of configs/NAME.yaml."""
 
     def decorate(task: Callable[[DictConfig], Any]) -> Callable[[], None]:
-        configs = Path(inspect.getfile(task)).resolve().parent / "configs"
+        configs = configs_folder()
 
         @functools.wraps(task)
         def job(cfg: DictConfig) -> Any:  # what a launcher sends to its workers
@@ -145,7 +145,8 @@ def _again(sweep: Path | None, run: Path | None) -> str:
     overrides = [each for each in arguments if each.startswith("~") or ("=" in each and not each.startswith("-"))]
     flags = [each for each in arguments if each not in overrides]  # which must not stand between overrides
     kept = [each for each in overrides if each.partition("=")[0] not in keys]
-    return shlex.join(["python", script, *flags, *kept, *more])
+    program = ["python", script] if script.endswith(".py") else script.split(" ")  # else the command `usvlearn train`
+    return shlex.join([*program, *flags, *kept, *more])
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import pydoc
 import re
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
 from hydra.errors import InstantiationException
@@ -14,6 +14,9 @@ from omegaconf import DictConfig, OmegaConf
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, under
 from usvlearn.logs.align import Aligner
+
+if TYPE_CHECKING:
+    from usvlearn.estimators.ensemble.layer import Ensemble
 
 SECTIONS = ("data", "estimators", "combiners", "align", "tuning")
 
@@ -48,6 +51,13 @@ def instantiate(node: Any, **options: Any) -> Any:
         return hydra.utils.instantiate(node, **options)
     except InstantiationException as error:
         _retell(error, _names(OmegaConf.to_container(node) if OmegaConf.is_config(node) else node))
+
+
+def ensemble_of(cfg: DictConfig) -> Ensemble:
+    """The ensemble that a configuration describes: its members, its rules, and the rule that predicts."""
+    from usvlearn.estimators.ensemble.layer import Ensemble
+
+    return Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:

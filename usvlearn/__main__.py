@@ -1,0 +1,44 @@
+"""The command `usvlearn`, also `python -m usvlearn`: from any folder what train.py and evaluate.py do in a checkout."""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import sys
+from collections.abc import Sequence
+
+import usvlearn
+
+COMMANDS = {  # name -> the module whose `main` does it, and what it does
+    "train": ("usvlearn.cli.train", "replay logs through estimators online, save parameter sets and predictions"),
+    "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
+    "certify": ("certify.__main__", "prove whether the networks in parameter sets contract"),
+}
+USAGE = "usage: usvlearn COMMAND ARGUMENTS, usvlearn COMMAND --help or usvlearn --version"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Hand the arguments to a command; returns the exit code.
+
+    >>> main(["--version"])
+    usvlearn 0.1.0
+    0
+    """
+    name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    if name in ("-h", "--help"):
+        print(USAGE, "", *(f"  {each:10}{what}" for each, (_, what) in COMMANDS.items()), sep="\n")
+        return 0
+    if name == "--version":
+        print("usvlearn", usvlearn.__version__)
+        return 0
+    if name not in COMMANDS:
+        close = difflib.get_close_matches(name, COMMANDS, n=1)
+        hint = f"did you mean {close[0]}?" if close else "see usvlearn --help"
+        print(f"error: found the command {name!r}, expected one of {', '.join(COMMANDS)}: {hint}", file=sys.stderr)
+        return 2
+    sys.argv = [f"usvlearn {name}", *rest]
+    return importlib.import_module(COMMANDS[name][0]).main() or 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

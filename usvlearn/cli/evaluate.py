@@ -1,0 +1,59 @@
+"""The job of evaluate.py and `usvlearn evaluate`: judge saved runs, compare those of a sweep, or make a study."""
+
+from functools import partial
+from pathlib import Path
+
+import hydra
+from omegaconf import DictConfig, OmegaConf
+
+from usvlearn.cli.command import command
+from usvlearn.cli.settings import instantiate
+from usvlearn.cli.sweep import load
+from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.report.terminal import console
+from usvlearn.sweeps.launchers import set_threads
+from usvlearn.sweeps.leaderboard import leaderboard
+
+
+def study(cfg: DictConfig, tools) -> None:
+    """Tune on one season, learn the next one, and judge it; goes on where it stopped."""
+    from usvlearn.cli.train import work
+    from usvlearn.report.from_runs import evaluate, start_of
+    from usvlearn.report.study import Study
+    from usvlearn.tuning.tune import request
+
+    plain = partial(OmegaConf.to_container, resolve=True)
+    made = Study(
+        Path(cfg.folder), plain(cfg.study), tools.say, choose=lambda folder: start_of(folder, tools),
+        run=lambda overrides, folder: work(hydra.compose("train", overrides), folder, overrides),
+        check=lambda overrides: request(plain(hydra.compose("train", overrides)), instantiate),
+    )  # fmt: skip
+    season, gained = made.make()
+    evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands)
+
+
+@command("evaluate")
+def main(cfg: DictConfig) -> None:
+    if cfg.study is None and cfg.runs is None:
+        raise ConfigError("runs is not set: set runs=FOLDER, a folder that train.py has written")
+    for key in ("runs", "report", "folder"):
+        if OmegaConf.is_config(cfg[key]):
+            raise ConfigError(f"{key}: found {cfg[key]!r}, expected a folder")
+        cfg[key] = None if cfg[key] is None else str(cfg[key])  # 3 is a folder, too
+    if cfg.study is not None and cfg.folder is None:
+        raise ConfigError("folder is not set: take an experiment that makes a study, such as experiment=paper_small")
+    if isinstance(cfg.trust, int | float):
+        raise ConfigError(f"trust: found {cfg.trust!r}, expected a module, or a list")
+    from usvlearn.report.from_runs import Tools, evaluate
+    from usvlearn.runs.saved import is_sweep, run_folders
+    from usvlearn.simulate.truth import truth_of
+
+    set_threads(1)
+    tools = Tools(instantiate, align_fleet, truth_of, console(), cfg.trust)
+    if cfg.study is not None:
+        study(cfg, tools)
+    elif is_sweep(Path(cfg.runs)):
+        leaderboard(Path(cfg.runs), load)
+    else:
+        evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))

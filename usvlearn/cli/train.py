@@ -1,0 +1,70 @@
+"""The job of train.py and `usvlearn train`: replay runs online and save what was learned, or tune a member.
+
+What needs torch is imported where it is used: --help must not wait for it.
+"""
+
+import time
+from pathlib import Path
+
+from omegaconf import DictConfig, OmegaConf
+from rich.console import Console
+from rich.progress import Progress
+
+from usvlearn.cli.command import command
+from usvlearn.cli.settings import check_settings, ensemble_of, instantiate
+from usvlearn.cli.stopping import until_stopped
+from usvlearn.cli.sweep import do_job
+from usvlearn.errors import check_positive
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.report import terminal
+from usvlearn.report.tables import report, summary_lines
+from usvlearn.sweeps.launchers import set_threads
+
+
+def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None = None, quiet=False) -> float:
+    """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the MAE, m/s."""
+    check_settings(cfg)
+    from usvlearn.tuning import tune as tuning
+
+    console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
+    if not tuning.asked(cfg):
+        return train(cfg, folder, console, resume or cfg.resume)
+    return tuning.tune(OmegaConf.to_container(cfg, resolve=True), folder, instantiate, align_fleet, overrides, console)
+
+
+def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
+    """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
+    from usvlearn.evaluation.members import explained, remarks
+    from usvlearn.report.stability import stability
+    from usvlearn.runs.logger import TensorBoardLogger
+    from usvlearn.runs.replay import replay
+    from usvlearn.runs.run_folder import RunFolder
+
+    began, settings = time.perf_counter(), {**OmegaConf.to_container(cfg, resolve=True), "resume": None}
+    set_threads(cfg.threads)
+    save_minutes = check_positive("save_minutes", cfg.save_minutes, "of min")
+    save_every = max(1, round(60 * save_minutes / check_positive("align.dt", cfg.align.dt)))
+    ensemble = ensemble_of(cfg)
+    with console.status("reading and aligning"):
+        fleet = align_fleet(instantiate(cfg.data), **cfg.align)
+    run = RunFolder(folder, fleet, {"configuration": settings, "kernel": ensemble.spec()})
+    console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
+    logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble)
+    with run, logger, Progress(console=console) as progress:
+        bar = progress.add_task("replaying", total=fleet.steps)
+        chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every)
+        for chunk in until_stopped(chunks, lambda: run.stop(ensemble, time.perf_counter() - began)):
+            run.save(chunk)
+            logger.show(chunk)
+            progress.update(bar, completed=fleet.steps_before(*chunk.end))
+        found = run.finish(ensemble, time.perf_counter() - began)
+        logger.finish(settings, found["boats"], run.published, found["alarms"])
+    console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)))
+    console.print(*stability(ensemble, run.state, fleet.boats), *summary_lines(found, folder), sep="\n", soft_wrap=True)
+    return found["objective"]
+
+
+@command("train")
+def main(cfg: DictConfig) -> float:
+    """One job; in a sweep its failure is noted, and the rest go on."""
+    return do_job(cfg, work)
