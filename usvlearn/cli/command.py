@@ -52,10 +52,8 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
             with exit_on_user_error(), heeded():
                 flags = parse(sys.argv[1:])
                 check_launcher(flags.overrides)
-                names = known_names(
-                    configs.parent / (flags.config_path or configs), flags.config_name or name, flags.overrides
-                )
-                _run(start, names)
+                folder, main_file = configs.parent / (flags.config_path or configs), flags.config_name or name
+                _run(start, known_names(folder, main_file, flags.overrides, flags.config_dir))
 
         return main
 

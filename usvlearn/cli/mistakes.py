@@ -99,14 +99,18 @@ def _first_line(error: BaseException, but: tuple[str, ...] = ()) -> str:
     return next((line for line in lines if line and not line.startswith(but or ("\0",))), type(error).__name__)
 
 
-def known_names(configs: Path, name: str, overrides: Iterable[str]) -> Callable[[str], list[str]]:
+def known_names(
+    configs: Path, name: str, overrides: Iterable[str], added: str | None = None
+) -> Callable[[str], list[str]]:
     """What finds the names near a mistyped one: keys and groups where the other overrides hold; of "" the files' names.
 
     Args:
         configs: the folder of the configuration.
         name: of the main file in it.
         overrides: of the command line.
+        added: the folder that --config-dir adds.
     """
+    search = [] if added is None else [f"hydra.searchpath=['file://{Path(added).resolve()}']"]
 
     def find(wrong: str) -> list[str]:
         if not wrong:
@@ -115,7 +119,7 @@ def known_names(configs: Path, name: str, overrides: Iterable[str]) -> Callable[
         for each in (others, []):
             try:
                 with initialize_config_dir(str(configs.resolve()), version_base="1.3"):
-                    cfg = compose(name, each, return_hydra_config=True)
+                    cfg = compose(name, [*search, *each], return_hydra_config=True)
             except (HydraException, OmegaConfBaseException, ValueError):
                 continue
             return [*cfg.hydra.runtime.choices, *_keys(OmegaConf.to_container(cfg))]

@@ -1,0 +1,60 @@
+"""The command `usvlearn`: it hands its arguments on, and says which commands there are."""
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import usvlearn
+from tests.support import ROOT
+from usvlearn.__main__ import COMMANDS, main
+from usvlearn.cli import command
+
+
+def usv(*arguments: str, folder: Path) -> subprocess.CompletedProcess:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    arguments = (sys.executable, "-m", "usvlearn", *arguments)
+    return subprocess.run(arguments, cwd=folder, env=environment, capture_output=True, text=True)
+
+
+def test_the_version_is_the_packages(capsys):
+    assert main(["--version"]) == 0 and capsys.readouterr().out == f"usvlearn {usvlearn.__version__}\n"
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"]])
+def test_help_names_every_command(arguments, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["usvlearn"])
+    assert main(arguments) == 0
+    assert all(f"\n  {name} " in capsys_text for capsys_text in [capsys.readouterr().out] for name in COMMANDS)
+
+
+def test_an_unknown_command_is_told_in_one_sentence(capsys):
+    assert main(["trian"]) == 2
+    assert capsys.readouterr().err == (
+        "error: found the command 'trian', expected one of train, evaluate, certify: did you mean train?\n"
+    )
+
+
+def test_every_command_gets_its_arguments(tmp_path):
+    for name, found in {
+        "train": "data.path: found 'none.csv'",
+        "evaluate": "runs: found no run below 'none'",
+        "certify": "none",
+    }.items():
+        arguments = {"train": ["data=csv", "data.path=none.csv"], "evaluate": ["runs=none"], "certify": ["none"]}[name]
+        done = usv(name, *arguments, folder=tmp_path)
+        assert done.returncode == 2 and found in done.stderr and "Traceback" not in done.stderr, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("program", "said"), [("usvlearn train", "usvlearn train"), ("./train.py", "python ./train.py")]
+)
+def test_the_command_that_goes_on_is_the_one_that_was_given(program, said, tmp_path, monkeypatch):
+    (tmp_path / "runs.json").write_text("{}")
+    monkeypatch.setattr(sys, "argv", [program, "--config-dir", "mine", "data=my_boat"])
+    again = command._again(None, tmp_path)
+    assert again.startswith(f"{said} --config-dir mine data=my_boat hydra.run.dir=")
+    assert shlex.split(again)[-1] == "resume=latest"
