@@ -47,6 +47,8 @@ OURS = {
     "usvlearn.report": LEARNS | {"usvlearn.evaluation", "usvlearn.lock", "usvlearn.online", "usvlearn.report",
                                  "usvlearn.runs", "usvlearn.tensorboard", "certify"},
     "usvlearn.cli": {"usvlearn"},  # everything
+    "usvlearn.learned": LEARNS | {"usvlearn.engine", "usvlearn.evaluation", "usvlearn.report", "usvlearn.runs"},
+    "usvlearn.api": {"usvlearn"},  # everything, and nothing imports it
     "usvlearn.__main__": set(),
 }  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
@@ -60,7 +62,7 @@ CERTIFY = {
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.engine",
             "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation", "usvlearn.lock", "usvlearn.cli.stopping",
-            "usvlearn.cli")  # fmt: skip
+            "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))
@@ -97,6 +99,8 @@ def refused(path: Path) -> Iterator[str]:
         if package in ("usvlearn", "certify"):
             # "from usvlearn import checkpoint" names the package too
             if found != "usvlearn" and not within(found, OURS[layer] | {layer}):
+                yield found
+            if found == "usvlearn.api":
                 yield found
         elif package in CONFIGURATION and not within(name, ["usvlearn.cli"]):
             yield found
@@ -181,6 +185,12 @@ def test_package_logs_and_checkpoints_import_without_torch():
         "usvlearn.Sample, usvlearn.Aligner"
     )
     assert not loaded(code) & {*HEAVY, "hydra", "rich"}
+
+
+def test_a_log_is_read_and_shown_without_torch(tmp_path):
+    rows = [f"{k / 10},0.5,0.5,90,1.0" for k in range(50)]
+    (tmp_path / "log.csv").write_text("\n".join(["time,command_left,command_right,heading,surge", *rows]))
+    assert "torch" not in loaded(f"import usvlearn\nprint(usvlearn.read({str(tmp_path)!r}))")
 
 
 def test_kernels_run_without_torch():

@@ -35,6 +35,8 @@ _HOME = {
     "Online": "online",
     "Aligner": "logs.align",
     "UsvlearnError": "errors",
+    "read": "api",
+    "learn": "api",
 }
 __all__ = sorted(_HOME)
 __version__ = "0.1.0"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
 
 import usvlearn
 from usvlearn.cli.mistakes import in_one_sentence, known_names
+from usvlearn.cli.settings import check_settings, instantiate
+from usvlearn.logs.channel import Recording
 
 
 def configs_folder() -> Path:
@@ -24,22 +26,26 @@ def configs_folder() -> Path:
     return installed if installed.is_dir() else package.parent / "configs"
 
 
-def composed(data: str, changes: Mapping[str, Any]) -> DictConfig:
-    """What train.py composes for a data configuration, with some values replaced or added.
+def recordings_of(data: str, changes: Mapping[str, Any]) -> tuple[Iterable[Recording], dict[str, Any]]:
+    """The recordings that a data configuration describes, and all that train.py composes with it.
 
     Args:
         data: name of a file in configs/data.
-        changes: values by key, mappings of them where keys are nested.
+        changes: values by key, mappings of them where keys are nested, which replace those of the files or are added.
 
     Raises:
-        ConfigError: there is no such file, or a value is none that YAML has.
+        ConfigError: there is no such file, or an option is outside its legal values.
+        LogFormatError: no log can be read as it is described.
 
-    >>> composed("csv", {"vehicle": {"mass": 20.0}}).estimators.aid.mass
-    20.0
+    >>> recordings, settings = recordings_of("simulated", {"data": {"hours": 0.1}, "vehicle": {"mass": 20.0}})
+    >>> [recording.boat for recording in recordings], settings["estimators"]["aid"]["mass"]
+    (['heron'], 20.0)
     """
     configs = configs_folder()
     with in_one_sentence(known_names(configs, "train", [])):
         with initialize_config_dir(str(configs), version_base="1.3"):
             settings = compose("train", [f"data={data}"])
         OmegaConf.set_struct(settings, False)
-        return OmegaConf.merge(settings, OmegaConf.create(dict(changes)))
+        settings = OmegaConf.merge(settings, OmegaConf.create(dict(changes)))
+    check_settings(settings)
+    return instantiate(settings.data), OmegaConf.to_container(settings, resolve=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import pydoc
 import re
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
@@ -53,11 +54,11 @@ def instantiate(node: Any, **options: Any) -> Any:
         _retell(error, _names(OmegaConf.to_container(node) if OmegaConf.is_config(node) else node))
 
 
-def ensemble_of(cfg: DictConfig) -> Ensemble:
+def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
     """The ensemble that a configuration describes: its members, its rules, and the rule that predicts."""
     from usvlearn.estimators.ensemble.layer import Ensemble
 
-    return Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
+    return Ensemble(instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all"), cfg["output"])
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:

@@ -1,6 +1,7 @@
 """Cross-validation: saved parameter sets, simulated free on runs that they were not saved in (paper, section VI-B).
 
-The rules are those of `docs/theory.md`, section 16. All sets times all runs are lanes of one batch. Nothing but the inputs is told, and the speed at which a segment starts.
+The rules are those of `docs/theory.md`, section 16. All sets times all runs are lanes of one batch. Nothing but the
+inputs is told, and the speed at which a segment starts.
 A rule that weighs the members stands in the tables twice: with the weights that were saved, and as NAME+, with weights
 that go on learning along the run, each prediction made before its measurement is seen; the paper's weighted ensemble
 was judged so, and it is no free run, since its weights see the speed.

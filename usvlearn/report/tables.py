@@ -35,17 +35,22 @@ def _name(name: str, remarks: Mapping[str, str] | None) -> str:
     return f"{name}, {remarks[name]}" if remarks and name in remarks else name
 
 
-def score_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str, str] | None = None) -> Blocks:
+def score_table(
+    boats: Mapping[str, Mapping[str, Mapping]],
+    remarks: Mapping[str, str] | None = None,
+    title: str = "One-step prediction of surge, errors in m/s, by MAE",
+) -> Blocks:
     """One row per boat and estimator, the best of each boat first: errors in m/s, skill, the interval, steps.
 
     Args:
         boats: scores by boat and estimator; see `usvlearn.evaluation.metrics.fleet_scores`.
         remarks: what stands beside the names of estimators; see `usvlearn.evaluation.members.remarks`.
+        title: of the table.
     """
     failed = any(row.get("diverged") for rows in boats.values() for row in rows.values())
     columns = [*COLUMNS, *(["diverged"] if failed else [])]
     heads = [COLUMNS.get(column, column) for column in columns]
-    table = Blocks("One-step prediction of surge, errors in m/s, by MAE", ["estimator"], heads)
+    table = Blocks(title, ["estimator"], heads)
     for boat, rows in boats.items():
         table.group(boat)
         for k, name in enumerate(by_error({name: row["mae"] for name, row in rows.items()})):

@@ -1,0 +1,206 @@
+"""The few lines of Python from logs to predictions: the same numbers as train.py, tables, saved sets, and errors."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hydra import compose, initialize_config_dir
+
+import usvlearn
+from tests.support import ROOT
+from usvlearn import AID, Ensemble, Online, Persistence, checkpoint
+from usvlearn.cli import train
+from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError
+from usvlearn.learned import UNITS, AlignedLogs, Learned
+from usvlearn.signals import named_leaves, tree_map
+
+HEAD = "time,L,R,heading,speed"
+SEASON = {"n": 2, "hours": 0.0667, "mission_minutes": 2.0}
+CHANNELS = {
+    name: {"name": column} for name, column in (("command_left", "L"), ("command_right", "R"), ("surge", "speed"))
+}
+
+
+@pytest.fixture(scope="module")
+def logs() -> AlignedLogs:
+    return usvlearn.read(data="simulated", **SEASON)
+
+
+@pytest.fixture(scope="module")
+def learned(logs) -> Learned:
+    return usvlearn.learn(logs)
+
+
+def test_it_finds_what_the_command_finds(logs, learned, tmp_path):
+    """The same ensemble over the same samples: equal scores, predictions and states, bit by bit."""
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        cfg = compose("train", [f"data.{key}={value}" for key, value in SEASON.items()])
+    train.work(cfg, tmp_path / "run", [], quiet=True)
+    assert json.loads((tmp_path / "run" / "results.json").read_text())["boats"] == json.loads(
+        json.dumps(learned.scores)
+    )
+    files = [np.load(path) for path in sorted((tmp_path / "run" / "predictions").glob("*.npz"))]
+    for lane, boat in enumerate(learned.boats):
+        mine = [run for run in learned.predictions if run.boat == boat]
+        lengths = [len(run.time) for run in logs.fleet.runs]
+        for key, part in (("predictions", "predicted"), ("halfwidths", "halfwidth")):
+            theirs = np.split(np.concatenate([file[key][:, lane] for file in files]), np.cumsum(lengths)[:-1])
+            for run, whole in zip(mine, theirs, strict=True):
+                assert list(getattr(run, part)) == list(learned.ensemble.names)
+                ours = np.stack(list(getattr(run, part).values()), -1)
+                np.testing.assert_array_equal(ours, whole[: len(run.time)])
+        newest = checkpoint.checkpoints(tmp_path / "run" / "checkpoints" / boat)[-1]
+        leaves, facts = checkpoint.load(newest)
+        path = learned.save(tmp_path / f"{boat}.safetensors", boat)
+        own, said = checkpoint.load(path)
+        assert all(np.array_equal(own[name], leaf, equal_nan=True) for name, leaf in leaves.items())
+        assert facts["configuration"] == logs.settings | {"resume": None}
+        assert said == {key: value for key, value in facts.items() if key != "configuration"}
+
+
+def test_logs_can_be_looked_at(logs):
+    assert logs.boats == ("heron1", "heron2") and [run.boat for run in logs.runs] == [*logs.boats] * 2
+    first = logs.runs[0]
+    assert first.columns.keys() == UNITS.keys()
+    assert all(isinstance(column, np.ndarray) and column.shape == first.time.shape for column in first.columns.values())
+    assert first.time[0] == 0 and np.diff(first.time).min() == pytest.approx(0.4)
+    assert (
+        np.isnan(first.columns["surge"]).any() and (np.isnan(first.columns["surge"]) == ~first.samples.measured).all()
+    )
+    shown = str(logs)
+    assert all(word in shown for word in ("heron2", first.name, "measured", "Rejected", "lost"))
+    assert logs.rejected["heron1"]["surge"]["lost"] > 0
+
+
+def test_predictions_are_time_series_with_intervals(learned):
+    inside, steps = 0, 0
+    for run in learned.predictions:
+        low, high = run.interval()
+        counted = np.isfinite(run.measured) & np.isfinite(run.predicted["ensemble"])
+        assert run.time.shape == run.measured.shape == low.shape and (low <= high)[counted].all()
+        inside += ((low <= run.measured) & (run.measured <= high))[counted].sum()
+        steps += counted.sum()
+    assert steps > 1000 and 0.85 < inside / steps < 0.95
+    assert all(word in str(learned) for word in ("skill", "heron2", "steady_rls", "Rejected"))
+    with pytest.raises(ConfigError, match=r"interval: found 'esnemble', expected one of .*did you mean ensemble"):
+        learned.predictions[0].interval("esnemble")
+
+
+def test_a_simulation_is_told_the_speed_where_a_segment_starts_and_no_other(logs, learned):
+    deaf = AlignedLogs(logs.fleet._replace(runs=tuple(map(_without_speeds, logs.fleet.runs))), logs.settings)
+    free, told = learned.simulate(deaf), learned.simulate(logs)
+    for one, other in zip(free.predictions, told.predictions, strict=True):
+        for name in learned.ensemble.names:
+            np.testing.assert_array_equal(one.predicted[name], other.predicted[name])
+        assert not other.halfwidth and np.nanmax(abs(other.predicted["steady_rls"])) < 5
+    for boat in logs.boats:
+        assert told.scores[boat]["persistence"]["mae"] > 2 * told.scores[boat]["steady_rls"]["mae"]
+    assert "Simulation" in str(told) and "steady_rls" in str(told)
+
+
+def _without_speeds(run):
+    surge = np.where(run.samples.inputs.dt == 0, run.samples.surge, 7.0)
+    return run._replace(samples=run.samples._replace(surge=surge))
+
+
+def written(folder: Path) -> Path:
+    """Two logs of a boat that accelerates and slows."""
+    folder.mkdir()
+    for name, phase in (("run_1", 0.0), ("run_2", 1.0)):
+        k = np.arange(1200)
+        command = 0.5 + 0.4 * np.sin(0.02 * k + phase)
+        speed = np.convolve(np.r_[np.zeros(19), command], np.full(20, 0.1), "valid")
+        rows = [f"{0.1 * i:.1f},{c:.4f},{c:.4f},90,{v:.4f}" for i, c, v in zip(k, command, speed, strict=True)]
+        (folder / f"{name}.csv").write_text("\n".join([HEAD, *rows]))
+    return folder
+
+
+def test_a_saved_set_goes_on_by_learn_and_by_online(tmp_path):
+    folder = written(tmp_path / "heron")
+    whole = usvlearn.learn(usvlearn.read(folder, channels=CHANNELS))
+    first = usvlearn.learn(usvlearn.read(folder / "run_1.csv", channels=CHANNELS, boat="heron"))
+    path = first.save(tmp_path / "sets" / "heron.safetensors")
+    other = usvlearn.read(str(folder / "run_2.csv"), "csv", channels=CHANNELS)
+    for start in (path, path.parent, {"run_2": str(path)}):
+        second = usvlearn.learn(other, start=start)
+        for name, series in second.predictions[0].predicted.items():
+            np.testing.assert_array_equal(series, whole.predictions[1].predicted[name])
+    boat = Online.open(path)
+    for (_, leaf), theirs in zip(named_leaves(first.state), boat.state.values(), strict=True):
+        np.testing.assert_array_equal(leaf[0].numpy(), theirs)
+    samples, expected = other.runs[0].samples, second.predictions[0].predicted["ensemble"]
+    online = [boat.step(tree_map(lambda leaf, k=k: leaf[k], samples)) for k in range(20)]
+    np.testing.assert_array_equal(np.where(np.isnan(expected[:20]), np.nan, online), expected[:20])
+
+
+def test_boats_are_named_by_a_mapping(tmp_path):
+    folder = written(tmp_path / "logs")
+    found = usvlearn.read({"anna": folder / "run_1.csv", "bert": folder / "run_2.csv"}, channels=CHANNELS, mass=20.0)
+    assert found.boats == ("anna", "bert") and found.settings["estimators"]["aid"]["mass"] == 20.0
+    learned = usvlearn.learn(found, AID(mass=20.0))
+    assert learned.ensemble.names == ("aid", "persistence", "ensemble")
+    for boat in found.boats:
+        assert learned.scores[boat]["ensemble"] == learned.scores[boat]["aid"]
+        assert learned.scores[boat]["aid"]["skill"] > 0.4
+    alone = usvlearn.learn(usvlearn.read(folder / "run_2.csv", channels=CHANNELS), AID(mass=20.0))
+    np.testing.assert_array_equal(alone.predictions[0].predicted["aid"], learned.predictions[1].predicted["aid"])
+
+
+def test_an_ensemble_is_taken_as_it_is(logs):
+    ensemble = Ensemble({"slow": AID(gain=0.3)})
+    learned = usvlearn.learn(logs, ensemble)
+    assert learned.ensemble is ensemble and learned.scores["heron1"]["slow"]["skill"] is None
+    assert usvlearn.learn(logs, Persistence()).ensemble.names == ("persistence", "ensemble")
+
+
+WRONG = {
+    "data": (lambda folder: usvlearn.read(folder, "bluebot"), "data: found 'bluebot'.*did you mean blueboat"),
+    "path": (lambda folder: usvlearn.read(folder / "none.csv"), r"none\.csv does not exist"),
+    "no path": (lambda folder: usvlearn.read(), "data.path is not set"),
+    "mass": (lambda folder: usvlearn.read(folder, mass=-1), "mass: found -1, expected a positive number of kg"),
+    "top speed": (lambda folder: usvlearn.read(folder, surge_max=0), "surge_max: found 0"),
+    "grid": (lambda folder: usvlearn.read(folder, align={"dtt": 1}), "align.dtt: found no such option.*align.dt"),
+    "key": (lambda folder: usvlearn.read(folder, chanels={}), "data.chanels: .*did you mean data.channels"),
+    "channel": (lambda folder: usvlearn.read(folder, channels={"surg": {}}), "data.channels: found 'surg'.*surge"),
+    "value": (lambda folder: usvlearn.read(folder, boat=object()), "boat: "),
+    "column": (lambda folder: usvlearn.read(folder), "no channel 'command_left'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_cannot_be_read_is_told_in_one_sentence(case, tmp_path):
+    call, words = WRONG[case]
+    (tmp_path / "log.csv").write_text("\n".join([HEAD, *(f"{k / 10},0.5,0.5,90,{k / 100}" for k in range(100))]))
+    with pytest.raises(UsvlearnError, match=words) as caught:
+        call(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_cannot_be_learned_saved_or_simulated_is_told(logs, learned, tmp_path):
+    with pytest.raises(ConfigError, match="estimator: found 3"):
+        usvlearn.learn(logs, 3)
+    with pytest.raises(ConfigError, match="boat: found none, expected one of heron1, heron2"):
+        learned.save(tmp_path / "a.safetensors")
+    with pytest.raises(ConfigError, match="boat: found 'anna', of which nothing was learned, expected one of heron1"):
+        learned.save(tmp_path / "a.safetensors", "anna")
+    with pytest.raises(ConfigError, match="found 'otter', of which nothing was learned"):
+        learned.simulate(usvlearn.read(data="simulated", plant="otter", hours=0.05))
+    path = learned.save(tmp_path / "a.safetensors", "heron1")
+    with pytest.raises(ConfigError, match="start: found nothing for heron2"):
+        usvlearn.learn(logs, start={"heron1": path})
+    with pytest.raises(CheckpointError, match="does not fit this estimator"):
+        usvlearn.learn(logs, AID(), start=path)
+    assert not {each.name for each in tmp_path.iterdir()} - {"a.safetensors"}
+
+
+def test_a_real_log(real_logs, tmp_path):
+    """One of the BlueBoat's: better than persistence, one step ahead and, in simulation, by far."""
+    log = sorted((real_logs / "blueboat").rglob("*.csv"))[0]
+    logs = usvlearn.read(log, "blueboat")
+    learned = usvlearn.learn(logs)
+    (scores,) = learned.scores.values()
+    assert scores["ensemble"]["skill"] > 0.1 and 0.85 < scores["ensemble"]["coverage"] < 0.95
+    (free,) = learned.simulate(logs).scores.values()
+    assert free["steady_rls"]["mae"] < 0.5 * free["persistence"]["mae"]
+    assert Online.open(learned.save(tmp_path / "blueboat.safetensors")).names == learned.ensemble.names

@@ -1,0 +1,160 @@
+"""From logs to predictions in a few lines of Python: `read`, `learn`, and what they return. NumPy in and out.
+
+>>> import usvlearn
+>>> logs = usvlearn.read(data="simulated", hours=0.1)  # or read("LOGS", "blueboat"): a log, a folder or a pattern
+>>> learned = usvlearn.learn(logs)  # predicts each speed before it learns from it
+>>> first = learned.predictions[0]  # first.time, s; first.measured, m/s; first.predicted["ensemble"], m/s
+>>> free = learned.simulate(usvlearn.read(data="simulated", hours=0.1, seed=1, fleet_seed=0))  # from the inputs alone
+>>> learned.scores["heron"]["ensemble"]["skill"] > 0 and free.scores["heron"]["steady_rls"]["mae"] < 0.3
+True
+
+`print(logs)` and `print(learned)` show tables; `learned.save("heron.safetensors")` writes what `usvlearn.Online.open`
+opens.
+
+As the command line does, this module composes configs/: what `learn` builds by default is the ensemble of
+configs/train.yaml and of nothing else. No other module imports it. `read` imports no torch, but for simulated logs.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, check_positive
+from usvlearn.learned import AlignedLogs, Learned, PathLike, predictions_of
+from usvlearn.signals import tree_map
+
+if TYPE_CHECKING:
+    from usvlearn.estimator import Estimator
+    from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+
+
+def read(
+    path: PathLike | Mapping[str, PathLike] | None = None,
+    data: str = "csv",
+    *,
+    channels: Mapping[str, Mapping[str, Any] | None] | None = None,
+    mass: float | None = None,
+    surge_max: float | None = None,
+    align: Mapping[str, Any] | None = None,
+    **settings: Any,
+) -> AlignedLogs:
+    """Read logs, and align them on a grid of time.
+
+    Args:
+        path: a log; a folder, with all logs below it; a pattern such as `logs/*.csv`; or boat -> path.
+        data: the configuration that describes them, a name in configs/data: "csv", "alog" and "rosbag" for any boat,
+            "blueboat", "vtec", "dalian", "pearl", or "simulated", which has no path.
+        channels: what differs from it, channel -> keys of `usvlearn.logs.channel.Source`.
+        mass, surge_max: of the boat, kg and m/s, where they differ from it.
+        align: options of `usvlearn.Aligner`, such as `{"dt": 0.2}`, where they differ from configs/train.yaml.
+        **settings: further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and `seed`.
+
+    Raises:
+        ConfigError: an option outside its legal values, or a path that finds no log.
+        LogFormatError: no log can be read as it is described.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> names = {"command_left": "pwm_l", "command_right": "pwm_r", "surge": "speed"}
+    >>> channels = {name: {"name": column} for name, column in names.items()}
+    >>> with TemporaryDirectory() as folder:
+    ...     lines = ["time,pwm_l,pwm_r,heading,speed", *(f"{k / 10},1,1,90,2" for k in range(50))]
+    ...     _ = Path(folder, "heron.csv").write_text("\\n".join(lines))
+    ...     logs = read(Path(folder, "heron.csv"), "csv", channels=channels, mass=28.0, surge_max=3.0)
+    >>> logs.boats, len(logs.runs[0].time), float(logs.runs[0].columns["heading"][-1].round(2))
+    (('heron',), 13, 1.57)
+    """
+    from usvlearn.cli.composition import recordings_of
+    from usvlearn.logs.recordings import align_fleet
+
+    if isinstance(path, Mapping):
+        settings["path"] = {str(boat): os.fspath(each) for boat, each in path.items()}
+    elif path is not None:
+        settings["path"] = os.fspath(path)
+    if channels is not None:
+        settings["channels"] = dict(channels)
+    vehicle = {}
+    if mass is not None:
+        vehicle["mass"] = check_positive("mass", mass, "of kg")
+    if surge_max is not None:
+        vehicle["surge_max"] = check_positive("surge_max", surge_max, "of m/s")
+    recordings, composed = recordings_of(data, {"data": settings, "vehicle": vehicle, "align": dict(align or {})})
+    return AlignedLogs(align_fleet(recordings, **composed["align"]), composed)
+
+
+def learn(
+    logs: AlignedLogs,
+    estimator: Estimator | None = None,
+    start: PathLike | Mapping[str, PathLike] | None = None,
+) -> Learned:
+    """Replay logs online, each boat a lane: predict every speed, then learn from it.
+
+    Args:
+        logs: of one boat or of several; see `read`.
+        estimator: an `Ensemble`, or any other estimator, which is then set beside persistence; by default the ensemble
+            of configs/train.yaml for the boat's mass and top speed.
+        start: a parameter set to start from, or a folder of them, of which the newest is taken; or boat -> that.
+
+    Raises:
+        ConfigError: `estimator` is none.
+        CheckpointError: `start` cannot be read, or belongs to another ensemble.
+
+    >>> from usvlearn import AID
+    >>> learned = learn(read(data="simulated", n=2, hours=0.1), AID(mass=28.0))
+    >>> learned.ensemble.names, learned.boats
+    (('aid', 'persistence', 'ensemble'), ('heron1', 'heron2'))
+    """
+    from usvlearn.evaluation.metrics import alarms, fleet_scores
+    from usvlearn.runs.replay import replay
+
+    fleet, ensemble = logs.fleet, _ensemble(logs, estimator)
+    state = ensemble.init((len(fleet.boats),))
+    if start is not None:
+        state = _started(state, fleet.boats, start)
+    parts: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]
+    for chunk in replay(ensemble, fleet, state):
+        parts[chunk.end.run].append(chunk.published)
+        state = chunk.state
+    published = {name: [np.concatenate([part[name] for part in run]) for run in parts] for name in parts[0][0]}
+    found = predictions_of(fleet, ensemble.names, published)
+    scores = fleet_scores(fleet, published, ensemble.names)
+    return Learned(logs, ensemble, state, found, scores, alarms(fleet, published))
+
+
+def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
+    """The ensemble that `learn` was asked for."""
+    from usvlearn.estimator import check_estimator
+    from usvlearn.estimators.baselines.persistence import Persistence
+    from usvlearn.estimators.ensemble.combiners import Average
+    from usvlearn.estimators.ensemble.layer import Ensemble
+    from usvlearn.evaluation.metrics import PERSISTENCE
+
+    if estimator is None:
+        from usvlearn.cli.settings import ensemble_of
+
+        return ensemble_of(logs.settings)
+    check_estimator("estimator", estimator)
+    if isinstance(estimator, Ensemble):
+        return estimator
+    name = type(estimator).__name__.lower()
+    members = {name: estimator} | ({} if name == PERSISTENCE else {PERSISTENCE: Persistence()})
+    return Ensemble(members, {"ensemble": Average([name])})
+
+
+def _started(state: EnsembleState, boats: Sequence[str], start: PathLike | Mapping[str, PathLike]) -> EnsembleState:
+    """The state of all boats from saved parameter sets; the monitors begin anew."""
+    from usvlearn.checkpoint import restore, restore_newest
+    from usvlearn.rollouts import stack
+    from usvlearn.runs.layout import ESTIMATOR
+
+    paths = start if isinstance(start, Mapping) else dict.fromkeys(boats, start)
+    if missing := [boat for boat in boats if boat not in paths]:
+        raise ConfigError(f"start: found nothing for {', '.join(missing)}, expected a parameter set of each boat")
+    template = tree_map(lambda leaf: leaf[0], state)
+    places = [Path(paths[boat]) for boat in boats]
+    sets = [(restore_newest if path.is_dir() else restore)(path, template, ESTIMATOR)[0] for path in places]
+    return stack(sets)._replace(monitors=state.monitors)

@@ -1,0 +1,259 @@
+"""What `usvlearn.read` and `usvlearn.learn` return: logs, predictions and what was learned, as NumPy arrays."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.signals import Fleet, Sample, named_leaves, tree_map
+
+if TYPE_CHECKING:
+    from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+
+PathLike = str | os.PathLike[str]
+UNITS = {
+    "time": "s since the run's first step",
+    "command_left": "share of full scale", "command_right": "share of full scale",
+    "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s since the previous step, 0 starts a segment",
+    "surge": "m/s, NaN where it was not measured", "fresh": "whether every input was recent",
+    "measured": "whether the speed was, too",
+}  # fmt: skip
+
+
+class AlignedRun(NamedTuple):
+    """A run of one boat on a grid of time."""
+
+    boat: str
+    name: str
+    time: np.ndarray  # (time,) s since its first step
+    samples: Sample  # leaves (time,)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """All arrays by the names in `UNITS`, as `pandas.DataFrame` takes them."""
+        leaves = {name.rpartition(".")[2]: leaf for name, leaf in named_leaves(self.samples)}
+        return {"time": self.time, **leaves, "surge": _measured(self.samples)}
+
+
+@dataclass(frozen=True, repr=False)
+class AlignedLogs:
+    """What `read` returns: the runs of one boat or of several on a grid of time.
+
+    Attributes:
+        fleet: all boats side by side, as estimators take them.
+        settings: the whole configuration, as train.py has it.
+    """
+
+    fleet: Fleet
+    settings: Mapping[str, Any]
+
+    @property
+    def boats(self) -> tuple[str, ...]:
+        return self.fleet.boats
+
+    @property
+    def runs(self) -> tuple[AlignedRun, ...]:
+        """All runs of all boats, in the order in which they are learned."""
+        return tuple(
+            AlignedRun(boat, run.names[lane], run.time[:n, lane], _lane(run.samples, n, lane))
+            for run in self.fleet.runs
+            for lane, boat in enumerate(self.boats)
+            if (n := run.lengths[lane])
+        )
+
+    @property
+    def rejected(self) -> dict[str, dict[str, dict[str, int]]]:
+        """How many messages or steps were rejected: boat -> channel -> cause -> count."""
+        return self.fleet.rejected
+
+    def __repr__(self) -> str:
+        from usvlearn.report.tables import rejection_table
+        from usvlearn.report.terminal import Blocks
+
+        table = Blocks("Logs on the grid of time", ["run"], ["minutes", "steps", "measured"])
+        boat = None
+        for run in self.runs:
+            if run.boat != boat:
+                table.group(boat := run.boat)
+            minutes = (run.time[-1] - run.time[0]) / 60
+            table.add(run.name, f"{minutes:.1f}", str(len(run.time)), f"{run.samples.measured.mean():.1%}")
+        return _printed(table, rejection_table(self.rejected))
+
+
+@dataclass(frozen=True)
+class Predictions:
+    """Predictions of the speed over one run of one boat, each made before that speed was seen."""
+
+    boat: str
+    run: str
+    time: np.ndarray  # (time,) s since its first step
+    measured: np.ndarray  # (time,) m/s, NaN where it was not measured
+    predicted: dict[str, np.ndarray]  # member or rule -> (time,) m/s, NaN where no step was made
+    halfwidth: dict[str, np.ndarray]  # of the interval about a prediction, likewise; empty in a simulation
+
+    def interval(self, name: str = "ensemble") -> tuple[np.ndarray, np.ndarray]:
+        """The lower and the upper end of the 90 % interval of a member or rule, m/s, `(time,)`."""
+        if name not in self.halfwidth:
+            hint = did_you_mean(name, self.halfwidth)
+            raise ConfigError(f"interval: found {name!r}, expected one of {', '.join(self.halfwidth) or 'none'}{hint}")
+        return self.predicted[name] - self.halfwidth[name], self.predicted[name] + self.halfwidth[name]
+
+
+@dataclass(frozen=True, repr=False)
+class Simulated:
+    """A simulation from the inputs alone: the speed is told where a segment starts, and nothing is learned.
+
+    Attributes:
+        predictions: per run and boat.
+        scores: boat -> member or rule -> MAE and others, m/s; see `usvlearn.evaluation.metrics.scores`.
+    """
+
+    predictions: tuple[Predictions, ...]
+    scores: dict[str, dict[str, dict[str, Any]]]
+
+    def __repr__(self) -> str:
+        from usvlearn.report.tables import score_table
+
+        return _printed(
+            score_table(self.scores, title="Simulation of surge from the inputs alone, errors in m/s, by MAE")
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Learned:
+    """What `learn` returns: an ensemble, what it has learned of each boat, and all that it predicted meanwhile.
+
+    Attributes:
+        logs: what it has learned from.
+        ensemble: its members and rules.
+        state: at the end, leaves `(boats, …)`: a parameter set of each boat.
+        predictions: per run and boat.
+        scores: boat -> member or rule -> MAE, skill against persistence and others; see
+            `usvlearn.evaluation.metrics.scores`.
+        alarms: boat -> when a thruster seemed to have lost thrust; see `usvlearn.evaluation.metrics.alarms`.
+    """
+
+    logs: AlignedLogs
+    ensemble: Ensemble
+    state: EnsembleState
+    predictions: tuple[Predictions, ...]
+    scores: dict[str, dict[str, dict[str, Any]]]
+    alarms: dict[str, list[dict[str, Any]]]
+
+    @property
+    def boats(self) -> tuple[str, ...]:
+        return self.logs.boats
+
+    def simulate(self, logs: AlignedLogs) -> Simulated:
+        """Simulate each run of some logs with what was learned of its boat; of one boat it serves them all.
+
+        Raises:
+            ConfigError: the logs are of a boat of which nothing was learned.
+        """
+        import torch
+
+        from usvlearn.evaluation.metrics import fleet_scores
+        from usvlearn.rollouts import simulate
+        from usvlearn.runs.replay import tensors
+
+        lanes = [self._lane(boat) for boat in logs.boats]
+        state = tree_map(lambda leaf: leaf[lanes], self.state)
+        published = []
+        for run in logs.fleet.runs:
+            with torch.no_grad():
+                samples = tensors(run.samples, state.predictions.dtype)
+                _, _, kept = simulate(self.ensemble, state, samples, record=["predictions"])
+            stepped = run.samples.fresh & (run.samples.inputs.dt != 0)
+            published.append(np.where(stepped[..., None], kept["predictions"].numpy(), np.nan))
+        names, arrays = self.ensemble.names, {"predictions": published}
+        return Simulated(predictions_of(logs.fleet, names, arrays), fleet_scores(logs.fleet, arrays, names))
+
+    def save(self, path: PathLike, boat: str | None = None) -> Path:
+        """Write a boat's parameter set, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.
+
+        Args:
+            path: of the file; its folder is made.
+            boat: which; it can be left out where there is one.
+
+        Raises:
+            ConfigError: there is no such boat, or there are several and none is named.
+        """
+        import usvlearn
+        from usvlearn import checkpoint
+        from usvlearn.engine import of_lane
+        from usvlearn.runs.layout import ESTIMATOR
+
+        if boat is None and len(self.boats) > 1:
+            raise ConfigError(f"boat: found none, expected one of {', '.join(self.boats)}")
+        lane = 0 if boat is None else self._lane(boat)
+        last = next(run for run in reversed(self.predictions) if run.boat == self.boats[lane])
+        return checkpoint.save(
+            Path(path),
+            tree_map(lambda leaf: leaf[lane].detach(), self.state),
+            estimator=ESTIMATOR,
+            kernel=of_lane(self.ensemble.spec(), len(self.boats), lane),
+            boat=last.boat,
+            run=last.run,
+            step=len(last.time),
+            time=float(last.time[-1]),
+            version=usvlearn.__version__,
+        )
+
+    def _lane(self, boat: str) -> int:
+        if boat in self.boats:
+            return self.boats.index(boat)
+        if len(self.boats) == 1:
+            return 0
+        raise ConfigError(
+            f"boat: found {boat!r}, of which nothing was learned, expected one of {', '.join(self.boats)}"
+        )
+
+    def __repr__(self) -> str:
+        from usvlearn.evaluation.members import explained, remarks
+        from usvlearn.report.tables import report
+
+        return _printed(
+            report(self.scores, self.logs.rejected, self.alarms, remarks(self.ensemble), explained(self.ensemble))
+        )
+
+
+def predictions_of(
+    fleet: Fleet, names: Sequence[str], published: Mapping[str, Sequence[np.ndarray]]
+) -> tuple[Predictions, ...]:
+    """What was published of a fleet, arrays `(time, boats, names)` per run, by run and boat."""
+    found = []
+    for index, run in enumerate(fleet.runs):
+        for lane, boat in enumerate(fleet.boats):
+            if n := run.lengths[lane]:
+                by_name = [
+                    dict(zip(names, published[key][index][:n, lane].T, strict=True)) if key in published else {}
+                    for key in ("predictions", "halfwidths")
+                ]
+                measured = _measured(_lane(run.samples, n, lane))
+                found.append(Predictions(boat, run.names[lane], run.time[:n, lane], measured, *by_name))
+    return tuple(found)
+
+
+def _lane(samples: Sample, steps: int, lane: int) -> Sample:
+    return tree_map(lambda leaf: leaf[:steps, lane], samples)
+
+
+def _measured(samples: Sample) -> np.ndarray:
+    """The speed, m/s, NaN where it was not measured."""
+    return np.where(samples.measured, samples.surge, np.nan)
+
+
+def _printed(*parts: Any) -> str:
+    """What rich prints of tables, as text."""
+    from usvlearn.report.terminal import console
+
+    board = console()
+    with board.capture() as captured:
+        board.print(*filter(None, parts), sep="\n")
+    return captured.get().rstrip()
