@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from certify import box, conditions, exact
 from certify.equilibria import equilibria
 from certify.families import initial_networks, random_networks
 from certify.lmi import LMI
-from certify.projections import project, project_jointly, retract
+from certify.projections import project
 from certify.weights import ShallowWeights
 
 ROOT = Path(__file__).parents[1]
@@ -33,6 +34,66 @@ def seconds(work: Callable[[], object], times: int = 30) -> float:
         work()
         found.append(time.perf_counter() - began)
     return statistics.median(found)
+
+
+def retract(weights: ShallowWeights, rate: float) -> ShallowWeights:
+    """The weights with `a` of each sign class scaled down until K ≤ rate."""
+    up, down = (rate / extreme.clamp(min=rate)[..., None] for extreme in conditions.extreme_slopes(*weights[:2]))
+    return weights._replace(a=weights.a * torch.where(weights.a * weights.w1 > 0, up, down))
+
+
+def project_jointly(weights: ShallowWeights, rate: float) -> ShallowWeights:
+    """The weights with the nearest (a, w₁) for which K ≤ rate, up to rounding."""
+    a, w1 = weights.a, weights.w1
+    positive, radius = a * w1 > 0, torch.as_tensor(rate, dtype=a.dtype).expand(a.shape[:-1])
+    one = _nearest_product(*(torch.where(positive, x.abs(), 0.0) for x in (a, w1)), radius)
+    other = _nearest_product(*(torch.where(positive, 0.0, x.abs()) for x in (a, w1)), radius)
+    new_a, new_w = (torch.where(positive, x, y) for x, y in zip(one, other, strict=True))
+    return retract(weights._replace(a=a.sign() * new_a, w1=w1.sign() * new_w), rate)
+
+
+def _nearest_product(x: Tensor, y: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
+    """The nearest sizes x, y ≥ 0, `(*batch, n)`, with Σ x y ≤ radius, `(*batch,)`.
+
+    With h ≥ l the larger and the smaller of each pair,
+
+        h + l ← (h + l)/(1 + θ),  h − l ← (h − l)/(1 − θ);  l ← 0 where it would be < 0;  Σ h l = r,  θ ∈ [0, 1]
+
+    is the global minimum although the set is not convex, since the Lagrangian is convex for these θ. τ = 1 − θ is found
+    by bisection.
+    """
+    total, gap, radius = x + y, (x - y).abs(), radius[..., None]
+
+    def moved(tau: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        sums, gaps = total / (2 - tau), gap / tau
+        return sums, gaps, gaps < sums
+
+    def product(tau: Tensor) -> tuple[Tensor, Tensor]:  # Σ h l and its derivative by τ
+        sums, gaps, kept = moved(tau)
+        each = torch.where(kept, (sums - gaps) * (sums + gaps) / 4, 0.0)
+        slope = torch.where(kept, (sums * sums / (2 - tau) + gaps * gaps / tau) / 2, 0.0)
+        return each.sum(-1, keepdim=True), slope.sum(-1, keepdim=True)
+
+    with torch.no_grad():
+        low = torch.full_like(radius, torch.finfo(x.dtype).tiny ** 0.5).log()
+        high = torch.zeros_like(low)
+        for _ in range(80):
+            middle = (low + high) / 2
+            over = product(middle.exp())[0] > radius
+            low, high = torch.where(over, low, middle), torch.where(over, middle, high)
+        inside = (x * y).sum(-1, keepdim=True) <= radius
+        tau = torch.where(inside, 1.0, low.exp())
+        split = product(low.exp())[0] > radius  # only where x_i = y_i are left: θ = 1, and x_i + y_i is what counts
+    found, slope = product(tau)
+    tau = torch.where(inside | split, tau, tau - (found - radius) / slope.clamp(min=torch.finfo(x.dtype).tiny).detach())
+    sums, gaps, kept = moved(tau)
+    parted, tiny = split & (gap == 0), torch.finfo(x.dtype).tiny
+    share = 4 * radius / torch.where(gap == 0, total * total / 4, 0.0).sum(-1, keepdim=True).clamp(min=radius * 4)
+    gaps = torch.where(parted, total / 2 * (1 - share).clamp(min=tiny).sqrt(), gaps)
+    moves = (kept | parted) & ~inside
+    larger = torch.where(moves, (sums + gaps) / 2, x.maximum(y))
+    smaller = torch.where(moves, (sums - gaps) / 2, torch.where(inside, x.minimum(y), 0.0))
+    return torch.where(x >= y, larger, smaller), torch.where(x >= y, smaller, larger)
 
 
 def tensors(weights: ShallowWeights) -> ShallowWeights:
@@ -68,8 +129,8 @@ def per_network(rng: np.random.Generator) -> list[str]:
             "p, Λ proved: LDLᵀ over fractions": seconds(partial(exact.proves, "tight", a, w1, proof), 5),
             "equilibria at one input": seconds(partial(equilibria, weights, np.zeros(4))),
             "project a onto tight": seconds(partial(project, lanes, "tight", 0.5)),
-            "project (a, w₁) onto tight": seconds(partial(project_jointly, lanes, "tight", 0.5)),
-            "retract": seconds(partial(retract, lanes, "tight", 0.5)),
+            "project (a, w₁) onto tight": seconds(partial(project_jointly, lanes, 0.5)),
+            "retract": seconds(partial(retract, lanes, 0.5)),
         }
         if n <= 100:
             problem = LMI(n, "tight")

@@ -110,7 +110,6 @@ def search_box(weights: ShallowWeights, box: Box, seconds: float = 10.0) -> dict
         "verdict": found.verdict,
         "bracket": [bracket.lower, min(bracket.upper, found.upper)],
         "closed": bracket.closed,
-        "method": bracket.method,
         "interval": "certified" if proves(weights, box, ".", 1) else "not certified",
         "proved_rate": found.rate if found.verdict == "certified" else None,
         "forward_invariant": found.invariant,

@@ -45,10 +45,9 @@ class BoxRate(NamedTuple):
     """A bracket of K_box."""
 
     lower: float  # reached at the witness
-    upper: float  # proved with outward rounding; a solver's claim where the method is "milp"
+    upper: float  # proved with outward rounding
     witness: Witness | None  # None only where lower is 0
     closed: bool  # whether the gap is as small as asked
-    method: str  # "branch and bound" or "milp"
     nodes: int
     seconds: float
 
@@ -123,7 +122,7 @@ def operating_box(m: int) -> Box:
 
 
 @QUIET
-def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 10.0, method: str = "auto") -> BoxRate:
+def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 10.0) -> BoxRate:
     """K_box of one network, (1), as a bracket.
 
     Args:
@@ -131,7 +130,6 @@ def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 
         box: of the network's x and inputs.
         gap: relative, at which to stop.
         seconds: after which to stop with the bracket reached so far.
-        method: "branch and bound", "milp" (HiGHS, in floating point) or "auto", the first.
 
     >>> fold = ShallowWeights(np.array([0.5, 0.5]), np.array([1.0, -1.0]), np.zeros((2, 0)), np.array([-0.5, 0.5]))
     >>> rate(fold, operating_box(0)).lower
@@ -139,24 +137,14 @@ def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 
     """
     started = time.perf_counter()
     weights = _checked(weights, box)
-    if method not in ("auto", "branch and bound", "milp"):
-        raise CertifyError(f"method: found {method!r}, expected auto, branch and bound or milp")
     forms = forms_of(weights, box)
-    end = started + seconds
-    if method == "milp":
-        from certify.box_milp import solve_milp
-
-        upper, point, nodes = solve_milp(forms, box, gap, end)
-    else:
-        search = Search(lambda best: best + max(gap * best, forms.slack), math.inf, end)
-        search_slopes(search, forms, box, 10 * BOXES)
-        upper, point, nodes = search.upper(), search.point, search.count
-    seen = _witness(weights, point)
+    search = Search(lambda best: best + max(gap * best, forms.slack), math.inf, started + seconds)
+    search_slopes(search, forms, box, 10 * BOXES)
+    seen = _witness(weights, search.point)
     lower = abs(seen.slope) if seen else 0.0
-    upper = max(upper, lower)
-    method = "milp" if method == "milp" else "branch and bound"
+    upper = max(search.upper(), lower)
     closed = upper - lower <= gap * upper + 2 * forms.slack
-    return BoxRate(lower, upper, seen if lower else None, closed, method, nodes, time.perf_counter() - started)
+    return BoxRate(lower, upper, seen if lower else None, closed, search.count, time.perf_counter() - started)
 
 
 @QUIET

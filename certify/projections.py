@@ -1,4 +1,4 @@
-"""Nearest, and radially nearest, weights that hold a condition of `certify.conditions` at a rate κ.
+"""Nearest weights that hold a condition of `certify.conditions` at a rate κ.
 
 With w₁ fixed each condition is a polytope in a. For `lmi` and `tight`, whose two sign classes of s_i = a_i w_{1i} are
 apart, and for `gershgorin`, it is a weighted ℓ₁ ball Σ c_i |a_i| ≤ r, onto which the projection is
@@ -10,15 +10,9 @@ difference of their thresholds:
 
     a_i ← a_i − δ w_{1i} (always on),   δ = θ₊(κ − S_on + δ W_on) − θ₋(κ + S_on − δ W_on)                     (2)
 
-with S_on = Σ s_i and W_on = Σ w_{1i}² over them. The nearest (a, w₁) together is, in one class, with h ≥ l the larger
-and the smaller of |a_i|, |w_{1i}|,
-
-    h + l ← (h + l)/(1 + θ),  h − l ← (h − l)/(1 − θ);  l ← 0 where it would be < 0;  Σ h l = r,  θ ∈ [0, 1]    (3)
-
-the global minimum although the set is not convex, since the Lagrangian is convex for these θ. Every rate is
-1-homogeneous in a: a ← a min(1, κ/rate), applied last, takes away what rounding leaves, and, alone, inside a forward
-pass, parametrises exactly the networks that hold the condition. If every one of a sequence of networks holds one at κ,
-|x_k − x'_k| ≤ κᵏ |x₀ − x'₀| for equal inputs and the same sequence, however the weights change in between.
+with S_on = Σ s_i and W_on = Σ w_{1i}² over them. Every rate is 1-homogeneous in a: a ← a min(1, κ/rate), applied last,
+takes away what rounding leaves. If every one of a sequence of networks holds one at κ, |x_k − x'_k| ≤ κᵏ |x₀ − x'₀| for
+equal inputs and the same sequence, however the weights change in between.
 
 All functions are batched and differentiable almost everywhere.
 """
@@ -37,7 +31,6 @@ from certify.errors import CertifyError
 from certify.weights import ShallowWeights
 
 GAUGES = ("literal", "best")
-BISECTIONS = 80
 Bounds = tuple[Tensor, Tensor]  # least and greatest x, u₁ … u_m, (1 + m,) each
 
 
@@ -85,61 +78,6 @@ def project(
         classes = torch.stack([torch.where(positive, w, 0.0), torch.where(positive, 0.0, w)])
         nearest = a.sign() * _shrink(size[None], classes, kappa / _times(condition)).amin(0)
     return _scale(weights._replace(a=nearest), condition, rate, gauge, bounds)
-
-
-def retract(
-    weights: ShallowWeights,
-    condition: str = "tight",
-    rate: Tensor | float = 0.999,
-    gauge: str = "literal",
-    bounds: Bounds | None = None,
-) -> ShallowWeights:
-    """The weights with a scaled down until they hold a condition at a rate; for `lmi` and `tight` one sign class alone.
-
-    Weights that hold it come back as they are, so that every certified network is reached: used on free weights inside
-    a forward pass this is a direct parametrisation. Arguments and errors as of `project`.
-
-    >>> wide = ShallowWeights(torch.tensor([3.0, 1.0]), torch.ones(2), torch.zeros(2, 1), torch.zeros(2))
-    >>> retract(wide, rate=1.0).a
-    tensor([0.7500, 0.2500])
-    """
-    _check(condition, rate, gauge, bounds)
-    return _scale(_within_gauge(weights, condition, gauge), condition, rate, gauge, bounds)
-
-
-def project_jointly(
-    weights: ShallowWeights, condition: str = "tight", rate: Tensor | float = 0.999, gauge: str = "best"
-) -> ShallowWeights:
-    """The weights with the nearest (a, w₁) that hold `lmi`, `tight`, or `simple` and `gershgorin` in their best gauge.
-
-    Arguments and errors as of `project`; the literal `gershgorin` is not convex, and has none.
-
-    >>> wide = ShallowWeights(torch.tensor([2.0]), torch.tensor([1.0]), torch.zeros(1, 1), torch.zeros(1))
-    >>> near = project_jointly(wide, rate=1.0)
-    >>> bool((near.a * near.w1 - 1).abs() < 1e-5)
-    True
-    """
-    _check(condition, rate, gauge, None if condition != "interval" else ())
-    a, w1, n = weights.a, weights.w1, weights.a.shape[-1]
-    kappa = _inner(rate, a)
-    if condition == "simple" and gauge == "literal":
-        return _scale(_nearest_diamond(weights, kappa), condition, rate, gauge, None)
-    if condition not in ("simple", "gershgorin", "lmi", "tight") or (condition == "gershgorin" and gauge == "literal"):
-        raise CertifyError(
-            f"project_jointly: found {condition!r} in its {gauge} gauge, expected lmi, tight, simple, or gershgorin in "
-            "its best gauge: use project"
-        )
-    if condition == "simple":  # each neuron a class of its own
-        sizes = _nearest_product(a.abs()[..., None], w1.abs()[..., None], (kappa / (4 * (n + 1)))[..., None])
-        new_a, new_w = sizes[0][..., 0], sizes[1][..., 0]
-    elif condition == "gershgorin":
-        new_a, new_w = _nearest_product(a.abs(), w1.abs(), kappa / 2)
-    else:
-        positive, radius = a * w1 > 0, kappa / _times(condition)
-        one = _nearest_product(*(torch.where(positive, x.abs(), 0.0) for x in (a, w1)), radius)
-        other = _nearest_product(*(torch.where(positive, 0.0, x.abs()) for x in (a, w1)), radius)
-        new_a, new_w = (torch.where(positive, x, y) for x, y in zip(one, other, strict=True))
-    return _scale(weights._replace(a=a.sign() * new_a, w1=w1.sign() * new_w), condition, rate, gauge, None)
 
 
 def _times(condition: str) -> int:
@@ -267,53 +205,3 @@ def _balance(above: _Prefixes, below: _Prefixes, kappa, S, W, least, most) -> Te
     after = torch.where(excess <= 0, excess, -torch.inf).amax(-1, keepdim=True)
     share = torch.where(before > 0, before / (before - after), 0.0)  # NaN or 0 where the root is at an end
     return torch.where(before.isinf(), least, torch.where(after.isinf(), most, low + (high - low) * share))
-
-
-def _nearest_product(x: Tensor, y: Tensor, radius: Tensor) -> tuple[Tensor, Tensor]:
-    """(3): the nearest sizes x, y ≥ 0, `(*batch, n)`, with Σ x y ≤ radius, `(*batch,)`. τ = 1 − θ by bisection."""
-    total, gap, radius = x + y, (x - y).abs(), radius[..., None]
-
-    def moved(tau: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        sums, gaps = total / (2 - tau), gap / tau
-        return sums, gaps, gaps < sums
-
-    def product(tau: Tensor) -> tuple[Tensor, Tensor]:  # Σ h l and its derivative by τ
-        sums, gaps, kept = moved(tau)
-        each = torch.where(kept, (sums - gaps) * (sums + gaps) / 4, 0.0)
-        slope = torch.where(kept, (sums * sums / (2 - tau) + gaps * gaps / tau) / 2, 0.0)
-        return each.sum(-1, keepdim=True), slope.sum(-1, keepdim=True)
-
-    with torch.no_grad():
-        low = torch.full_like(radius, torch.finfo(x.dtype).tiny ** 0.5).log()
-        high = torch.zeros_like(low)
-        for _ in range(BISECTIONS):
-            middle = (low + high) / 2
-            over = product(middle.exp())[0] > radius
-            low, high = torch.where(over, low, middle), torch.where(over, middle, high)
-        inside = (x * y).sum(-1, keepdim=True) <= radius
-        tau = torch.where(inside, 1.0, low.exp())
-        split = product(low.exp())[0] > radius  # only where x_i = y_i are left: θ = 1, and x_i + y_i is what counts
-    found, slope = product(tau)
-    tau = torch.where(inside | split, tau, tau - (found - radius) / slope.clamp(min=torch.finfo(x.dtype).tiny).detach())
-    sums, gaps, kept = moved(tau)
-    parted, tiny = split & (gap == 0), torch.finfo(x.dtype).tiny
-    share = 4 * radius / torch.where(gap == 0, total * total / 4, 0.0).sum(-1, keepdim=True).clamp(min=radius * 4)
-    gaps = torch.where(parted, total / 2 * (1 - share).clamp(min=tiny).sqrt(), gaps)
-    moves = (kept | parted) & ~inside
-    larger = torch.where(moves, (sums + gaps) / 2, x.maximum(y))
-    smaller = torch.where(moves, (sums - gaps) / 2, torch.where(inside, x.minimum(y), 0.0))
-    return torch.where(x >= y, larger, smaller), torch.where(x >= y, smaller, larger)
-
-
-def _nearest_diamond(weights: ShallowWeights, kappa: Tensor) -> ShallowWeights:
-    """The nearest (a_i, w_{1i}) with (n+1)|a_i|/κ + |w_{1i}| ≤ 1: the foot on the edge, or a corner."""
-    a, w1 = weights.a, weights.w1
-    x, y, room = a.abs(), w1.abs(), 1 - 8 * a.shape[-1] * torch.finfo(a.dtype).eps
-    c = (a.shape[-1] + 1) / kappa[..., None]
-    over = (c * x + y - room) / (c * c + 1)
-    new_x, new_y = (x - c * over).clamp(min=0), y - over
-    new_y = torch.where(new_x == 0, y.clamp(max=room), new_y)
-    new_x = torch.where(new_y < 0, x.minimum(room / c), new_x)
-    outside = over > 0
-    new_x, new_y = torch.where(outside, new_x, x), torch.where(outside, new_y.clamp(min=0), y)
-    return weights._replace(a=a.sign() * new_x, w1=w1.sign() * new_y)

@@ -54,7 +54,7 @@ OURS = {
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
     "torch": {"certify.conditions", "certify.projections", "certify.compare", "certify.families", "certify.weights"},
-    "scipy": {"certify.box_cells", "certify.box_milp"},
+    "scipy": {"certify.box_cells"},
     "cvxpy": {"certify.lmi"},
     "matplotlib": {"certify.figures"},
     "rich": {"certify.printed"},

@@ -6,11 +6,10 @@ import cvxpy as cp
 import numpy as np
 import pytest
 import torch
-from scipy.optimize import minimize
 
 from certify import conditions, exact
 from certify.errors import CertifyError
-from certify.projections import project, project_jointly, retract
+from certify.projections import project
 from certify.weights import ShallowWeights
 
 BOUNDS = torch.tensor([0.0, 0, 0, -1, -1]).double(), torch.ones(5).double()
@@ -97,82 +96,25 @@ def test_projection_is_the_solution_of_a_quadratic_program(condition, gauge):
     assert torch.equal(near.w1, weights.w1) and torch.equal(near.W2, weights.W2)
 
 
-def test_joint_projection_is_never_beaten():
-    weights, rng = networks((12,), n=3, size=0.9, seed=5), np.random.default_rng(0)
-    for condition, gauge in [("tight", "best"), ("lmi", "best"), ("gershgorin", "best"), ("simple", "best")]:
-        near = project_jointly(weights, condition, 0.6, gauge)
-
-        def rate(x, condition=condition):
-            s = x[:3] * x[3:]
-            P, N = s[s > 0].sum(), -s[s < 0].sum()
-            largest = {"simple": 16 * abs(s).max(), "gershgorin": 2 * abs(s).sum()}
-            return largest.get(condition, (2 if condition == "lmi" else 1) * max(P, N))
-
-        for k in range(12):
-            start = torch.cat([weights.a[k], weights.w1[k]]).numpy()
-            found = torch.cat([near.a[k], near.w1[k]]).numpy()
-            assert rate(found) <= 0.6
-            cost, costs = np.sum((found - start) ** 2), []
-            for trial in range(4):
-                guess = start * rng.uniform(-0.2, 1, 6) if trial else found
-                end = minimize(
-                    lambda x, start=start: np.sum((x - start) ** 2),
-                    guess,
-                    method="SLSQP",
-                    constraints={"type": "ineq", "fun": lambda x: 0.6 - rate(x)},
-                )
-                costs += [end.fun] if rate(end.x) <= 0.6 + 1e-7 else []
-            assert cost <= min(costs, default=np.inf) + 1e-5
-
-
-def test_joint_projection_of_equal_sizes_splits_them():
-    """|a_i| = |w_i|: the nearest point is not symmetric once the bound is below a quarter of what stands there."""
-    one = torch.ones(2, dtype=torch.float64)
-    weights = ShallowWeights(one, one, torch.zeros(2, 1).double(), 0 * one)
-    for kappa, expected in [(1.0, 1 / 2**0.5), (0.25, None)]:
-        near = project_jointly(weights, "tight", kappa)
-        assert abs(float((near.a * near.w1).sum()) - kappa) < 1e-10
-        if expected:
-            torch.testing.assert_close(near.a, expected * one)
-        else:
-            torch.testing.assert_close(near.a + near.w1, one)
-
-
-def test_diamond_projection_is_the_solution_of_a_quadratic_program():
-    weights = networks((20,), n=4, size=0.7, seed=8)
-    near = project_jointly(weights, "simple", 0.9, "literal")
-    for k in range(20):
-        x, y = cp.Variable(4), cp.Variable(4)
-        cost = cp.sum_squares(x - weights.a[k].numpy()) + cp.sum_squares(y - weights.w1[k].numpy())
-        cp.Problem(cp.Minimize(cost), [5 * cp.abs(x) / 0.9 + cp.abs(y) <= 1]).solve(solver="CLARABEL")
-        np.testing.assert_allclose(near.a[k].numpy(), x.value, atol=2e-5)
-        np.testing.assert_allclose(near.w1[k].numpy(), y.value, atol=2e-5)
-
-
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 @pytest.mark.parametrize("size", [0.1, 1.0, 1e6])
 @pytest.mark.parametrize(("condition", "gauge"), CASES)
 def test_inside_exactly(condition, gauge, size, dtype):
     bounds = tuple(x.to(dtype) for x in BOUNDS)
     weights = networks((40,), n=20, size=size, seed=1, dtype=dtype)
-    found = [project(weights, condition, 0.999, gauge, bounds), retract(weights, condition, 0.999, gauge, bounds)]
-    if (condition, gauge) not in (("gershgorin", "literal"), ("interval", "literal")):
-        found.append(project_jointly(weights, condition, 0.999, gauge))
-    for near in found:
-        assert all(x.isfinite().all() for x in near)
-        rates = [exact_rate(single(near, k), condition, gauge) for k in range(40)]
-        assert all(rate <= Fraction(0.999) for rate in rates)
-        kept_close = condition != "interval" and near is not found[-1]
-        if kept_close and size == 1e6 and dtype == torch.float64:  # no further than needed
-            assert min(rates) > 0.99
+    near = project(weights, condition, 0.999, gauge, bounds)
+    assert all(x.isfinite().all() for x in near)
+    rates = [exact_rate(single(near, k), condition, gauge) for k in range(40)]
+    assert all(rate <= Fraction(0.999) for rate in rates)
+    if condition != "interval" and size == 1e6 and dtype == torch.float64:  # no further than needed
+        assert min(rates) > 0.99
 
 
 def test_signs_do_not_cancel():
     """One class of 1e17 hides nothing of the other: P and N are summed apart."""
     a, one = torch.tensor([1e17, -5.0]).double(), torch.ones(2).double()
-    for function in (project, retract, project_jointly):
-        near = function(ShallowWeights(a, one, torch.zeros(2, 4).double(), 0 * one), "tight", 0.999)
-        assert exact_rate(near, "tight", "literal") <= Fraction(0.999)
+    near = project(ShallowWeights(a, one, torch.zeros(2, 4).double(), 0 * one), "tight", 0.999)
+    assert exact_rate(near, "tight", "literal") <= Fraction(0.999)
 
 
 def test_networks_inside_on_a_box_stay_exactly():
@@ -189,44 +131,39 @@ def test_networks_inside_on_a_box_stay_exactly():
 @pytest.mark.parametrize(("condition", "gauge"), CASES)
 def test_what_holds_the_condition_stays(condition, gauge):
     weights = networks((5,), size=1e-3, seed=2)
-    for near in (project(weights, condition, 0.9, gauge, BOUNDS), retract(weights, condition, 0.9, gauge, BOUNDS)):
-        for x, y in zip(near, weights, strict=True):
-            torch.testing.assert_close(x, y, rtol=1e-15, atol=0)
+    near = project(weights, condition, 0.9, gauge, BOUNDS)
+    for x, y in zip(near, weights, strict=True):
+        torch.testing.assert_close(x, y, rtol=1e-15, atol=0)
 
 
 def test_rescaling_a_neuron_changes_no_output():
     """The literal conditions ask for |w1| < 1: what is done to get there leaves the map as it is."""
     weights = networks((), seed=4)._replace(a=torch.full((6,), 1e-4).double())
     weights = weights._replace(w1=weights.w1 * 5)
-    near = retract(weights, "gershgorin", 1.0)
+    near = project(weights, "gershgorin", 1.0)
     assert (weights.w1.abs() > 1).any() and (near.w1.abs() < 1).all()
     x = torch.linspace(-1, 1, 50, dtype=torch.float64)[:, None]
     values = [(w.a * (w.w1 * x + w.W2.sum(-1) + w.b).relu()).sum(-1) for w in (weights, near)]
     torch.testing.assert_close(*values)
 
 
-@pytest.mark.parametrize("function", [project, retract, project_jointly])
 @pytest.mark.parametrize(("condition", "gauge"), CASES)
-def test_gradients(function, condition, gauge):
-    if function is project_jointly and (condition, gauge) in (("gershgorin", "literal"), ("interval", "literal")):
-        return
+def test_gradients(condition, gauge):
     weights = networks((3,), size=0.8, seed=6)
-    more = {} if function is project_jointly else {"bounds": BOUNDS}
 
     def leaves(a, w1):
-        near = function(weights._replace(a=a, w1=w1), condition, 0.9, gauge, **more)
+        near = project(weights._replace(a=a, w1=w1), condition, 0.9, gauge, BOUNDS)
         return near.a, near.w1
 
     a, w1 = weights.a.clone().requires_grad_(), (0.5 * weights.w1).requires_grad_()
     assert torch.autograd.gradcheck(leaves, (a, w1), eps=1e-7, atol=1e-4)
 
 
-@pytest.mark.parametrize("function", [project, retract, project_jointly])
-def test_lanes_equal_single_networks(function):
+def test_lanes_equal_single_networks():
     weights = networks((2, 3), seed=7)
-    near, kappa = function(weights, "tight", torch.full((2, 1), 0.7)), 0.7
+    near, kappa = project(weights, "tight", torch.full((2, 1), 0.7)), 0.7
     for i, j in np.ndindex(2, 3):
-        alone = function(ShallowWeights(*(x[i, j] for x in weights)), "tight", kappa)
+        alone = project(ShallowWeights(*(x[i, j] for x in weights)), "tight", kappa)
         torch.testing.assert_close(near.a[i, j], alone.a, rtol=1e-6, atol=1e-7)
 
 
@@ -266,6 +203,4 @@ def test_bad_arguments():
         with pytest.raises(CertifyError, match="rate"):
             project(weights, rate=rate)
     with pytest.raises(CertifyError, match="bounds"):
-        retract(weights, "interval")
-    with pytest.raises(CertifyError, match="use project"):
-        project_jointly(weights, "gershgorin", gauge="literal")
+        project(weights, "interval")
