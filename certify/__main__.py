@@ -1,4 +1,4 @@
-"""python -m certify PATH…: is the network that was learned contracting, and by which proof?"""
+"""python -m certify PATH…: is a learned network contracting, and by which proof?"""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (CertifyError, OSError) as error:
         return _error(error)
     except KeyboardInterrupt:
-        print("stopped by SIGINT: certificates written before are whole", file=sys.stderr)
+        print("stopped by SIGINT: the certificates written so far are complete", file=sys.stderr)
         return STOPPED
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
@@ -54,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _error(error: Exception | str) -> int:
-    """Print one line on standard error; the code of bad input."""
+    """Print one line on standard error; returns the exit code of bad input."""
     print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
     return BAD_INPUT
 
@@ -107,7 +107,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """With what follows --box and --input joined to it where it begins with a minus, which is no option's."""
+    """The arguments; a negative number after --box or --input is joined to it, so that it is not read as an option."""
     joined: list[str] = []
     for argument in arguments:
         if joined and joined[-1] in ("--box", "--input") and re.match(r"-([\d.]|inf|nan)", argument):
@@ -122,7 +122,7 @@ def _run(options: argparse.Namespace) -> int:
     for path in find(options.paths):
         try:
             networks += load(path)
-        except CertifyError as error:  # the others are judged all the same
+        except CertifyError as error:  # the other files are still judged
             code = _error(error)
     if options.paths and not networks:
         return code
@@ -132,7 +132,7 @@ def _run(options: argparse.Namespace) -> int:
         raise CertifyError(f"--plot: found {options.plot!r}, expected a file such as map.png")
     if options.verify:
         return max(code, _verify(options.verify, networks, options.json))
-    networks, rows, code = _judge(options, networks, code)
+    networks, rows, code = _assess(options, networks, code)
     if not rows:
         return code
     held = [_holds(row, options.condition) for row in rows]
@@ -153,22 +153,22 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _say(write: Callable, *arguments: Any) -> None:
-    """Write to standard output; that its reader has seen enough changes no verdict."""
+    """Write to standard output; if its reader closes the pipe early, the verdict stays the same."""
     try:
         write(*arguments)
         sys.stdout.flush()
-    except (BrokenPipeError, SystemExit):  # rich makes the one into the other
+    except (BrokenPipeError, SystemExit):  # rich turns a broken pipe into SystemExit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _judge(options: argparse.Namespace, networks: Sequence[Network], code: int) -> tuple[list, list, int]:
-    """The networks that could be judged, what was found of each, and the exit code so far."""
+def _assess(options: argparse.Namespace, networks: Sequence[Network], code: int) -> tuple[list, list, int]:
+    """The networks that could be judged, the findings for each, and the exit code so far."""
     from certify.assess import assess, solver
 
     solve = solver(options.solver) if options.lmi else None
     boxes: dict[int, Any] = {}
     inputs: dict[int, np.ndarray] = {}
-    for network in networks:  # all that is wrong is said before anything is computed
+    for network in networks:  # report every bad argument before computing anything
         m = network.inputs
         if options.box is not None and m not in boxes:
             from certify.box import box, operating_box
@@ -188,7 +188,7 @@ def _judge(options: argparse.Namespace, networks: Sequence[Network], code: int) 
         try:
             rows.append(assess(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
             judged.append(each)
-        except CertifyError as error:  # the others are judged all the same
+        except CertifyError as error:  # the other networks are still judged
             code = _error(CertifyError(f"{each.path}: {error}"))
     return judged, rows, code
 
@@ -199,7 +199,7 @@ def _input(text: str | None, m: int, path: str) -> np.ndarray:
     try:
         u = np.array([float(part) for part in text.split(",")])
     except ValueError:
-        raise CertifyError(f"--input: found {text!r}, expected numbers parted by commas") from None
+        raise CertifyError(f"--input: found {text!r}, expected numbers separated by commas") from None
     if u.shape != (m,) or not np.isfinite(u).all():
         raise CertifyError(f"--input: found {text!r}, expected {m} finite numbers, the inputs of {path}")
     return u
@@ -214,7 +214,7 @@ def _holds(row: dict[str, Any], condition: str) -> bool:
 def _write_certificates(options, networks: Sequence[Network], rows, held) -> list[str]:
     folder, written = Path(options.certificate), 0
     if not options.certificate or (folder.exists() and not folder.is_dir()):
-        raise CertifyError(f"--certificate: {options.certificate!r} is a file or nothing, expected a folder")
+        raise CertifyError(f"--certificate: found {options.certificate!r}, which is a file or empty, expected a folder")
     for network, name, row, holds in zip(networks, _names(networks), rows, held, strict=True):
         if not holds:
             continue
@@ -228,14 +228,14 @@ def _write_certificates(options, networks: Sequence[Network], rows, held) -> lis
                 more |= {"tree": found["tree"], "rate": Fraction(found["proved_rate"])}
         made = certificate.make(network.weights, options.condition, path=network.path, **more)
         if made is None:
-            raise AssertionError(f"{network.path}: what was certified cannot be proved")
+            raise AssertionError(f"{network.path}: was certified, but its certificate cannot be made")
         certificate.write(folder / f"{name}.{options.condition}.json", made)
         written += 1
     return [f"{written} certificates: {folder}; check them with --verify"]
 
 
 def _names(networks: Sequence[Network]) -> list[str]:
-    """A file name for each set: what its path does not share with the others."""
+    """A file name for each set: the part of its path that differs from the others."""
     paths = [os.path.abspath(network.path) for network in networks]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths])
     names = [re.sub(r"\.(safetensors|npz|pth?)(?=\W|$)", "", os.path.relpath(path, shared)) for path in paths]
@@ -267,11 +267,11 @@ def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) ->
         try:
             content = certificate.read(path)
             network = known.get(str(content.get("weights"))) if networks else _named(path, content)
-        except CertifyError as error:  # the others are checked all the same
+        except CertifyError as error:  # the other certificates are still checked
             code = _error(error)
             continue
         if network is None:
-            found = certificate.Verification(False, "it is about other weights than those that were given")
+            found = certificate.Verification(False, "it is about other weights than the given ones")
         else:
             found = certificate.verify(content, network.weights)
         results.append({"certificate": path, "valid": found.valid, "reason": found.reason})
@@ -294,7 +294,7 @@ def _named(path: str, content: dict[str, Any]) -> Network | None:
                     return network
     if seen:
         return None
-    raise CertifyError(f"{path}: its weights, {quoted(named)}, are not there: give their path before --verify")
+    raise CertifyError(f"{path}: its weights, {quoted(named)}, were not found: give their path before --verify")
 
 
 def _is_file(path: Path) -> bool:

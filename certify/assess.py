@@ -1,4 +1,4 @@
-"""All that is to be said of one parameter set, as a JSON object."""
+"""Everything that `certify` finds about one parameter set, as a JSON object."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from certify.rounding import float_above, float_below
 from certify.weights import Network, ShallowWeights
 
 HEADINGS = np.linspace(0.0, 2 * math.pi, 12, endpoint=False)  # rad, of the equilibria at rest
-AT_REST = (-1.0, 1.0)  # x between which they are looked for: twice the largest speed, ahead or astern
+AT_REST = (-1.0, 1.0)  # interval of x that is searched for equilibria: twice the largest speed, ahead or astern
 
 
 def assess(
@@ -28,16 +28,16 @@ def assess(
     seconds: float = 10.0,
     solve: Callable[[ShallowWeights], dict[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Every condition, decided exactly; equilibria; what the solver and the search on the box found.
+    """Every condition, decided exactly; the equilibria; the results of the solver and of the search on the box.
 
-    Margins are rounded down and rates up, so that what is read is true; places and slopes are rounded to nearest.
+    Margins are rounded down and rates up, so that the printed bounds are true. Places and slopes: rounded to nearest.
 
     Args:
         network: one parameter set.
         u: constant input of the equilibria, `(m,)`; zeros, as in the paper, by default.
         box: on which the exact rate is searched for, if any.
         seconds: for that search.
-        solve: what the LMI is handed to, if any; see `solver`.
+        solve: solves the LMI, if given; see `solver`.
 
     >>> found = assess(Network("a.npz", ShallowWeights(*map(np.array, ([0.5], [1.0], [[0.0]], [0.25])))))
     >>> found["rate"], found["certified"]["tight"], found["equilibria"][0]["x"]
@@ -87,10 +87,10 @@ def _time_constant(K: Fraction) -> float | None:
 
 def _findings(equilibrium) -> dict[str, Any]:
     """A point, or an interval: {"x": 0.3, …} or {"x": 0.3, "interval": [0.2, 0.4], …}."""
-    told = {"x": float(equilibrium.x), "class": equilibrium.kind}
+    found = {"x": float(equilibrium.x), "class": equilibrium.kind}
     if equilibrium.lo != equilibrium.hi:
-        told["interval"] = [float(equilibrium.lo), float(equilibrium.hi)]
-    return {**told, "slopes": [float(equilibrium.slope_left), float(equilibrium.slope_right)]}
+        found["interval"] = [float(equilibrium.lo), float(equilibrium.hi)]
+    return {**found, "slopes": [float(equilibrium.slope_left), float(equilibrium.slope_right)]}
 
 
 def search_box(weights: ShallowWeights, box: Box, seconds: float = 10.0) -> dict[str, Any]:

@@ -4,8 +4,8 @@
     K_box = max |Σ_{z_i > 0} s_i|  over the open cells, z_i ≠ 0 where s_i ≠ 0, that meet the box       (1)
 
 At fixed u each z_i with s_i ≠ 0 changes sign at one x. So every slope of x ↦ f(x, u) belongs to an open cell, K_box is
-the least rate with |f(x₁, u) − f(x₂, u)| ≤ K_box |x₁ − x₂| on the box, and a cell that is only touched does not count.
-An input of zero width is fixed: cells are then open in x and the other inputs. x itself has a width.
+the least rate with |f(x₁, u) − f(x₂, u)| ≤ K_box |x₁ − x₂| on the box. A cell whose closure only touches the box does
+not count. An input of zero width is fixed: cells are then open in x and the other inputs. x itself has a width.
 
 The searches are in `certify.box_search` and `certify.box_cells`; `certify.box_proof` proves the result, in integers.
 """
@@ -44,7 +44,7 @@ class Witness(NamedTuple):
 class BoxRate(NamedTuple):
     """A bracket of K_box."""
 
-    lower: float  # reached at the witness
+    lower: float  # the slope at the witness
     upper: float  # proved with outward rounding
     witness: Witness | None  # None only where lower is 0
     closed: bool  # whether the gap is as small as asked
@@ -78,7 +78,7 @@ class BoxVerdict(NamedTuple):
 
 
 def box(given: Any, m: int) -> Box:
-    """A box for a network of m inputs, from `lo:hi` of x, u₁ … u_m parted by commas, or from pairs.
+    """A box for a network of m inputs, from `lo:hi` of x, u₁ … u_m separated by commas, or from pairs.
 
     Raises:
         CertifyError: another count, no number, not finite, lo > hi, or x without a width.
@@ -239,7 +239,7 @@ def _checked(weights: ShallowWeights, box: Box) -> ShallowWeights:
     greatest = max(float(np.abs(x).max(initial=0.0)) for x in (*weights, *box))
     if greatest > LARGEST:
         raise CertifyError(
-            f"weights: found a value of size {greatest:.3g}, in them or the box, expected up to {LARGEST}"
+            f"weights or box: found a value of size {greatest:.3g}, expected at most {LARGEST}: rescale the network"
         )
     if weights.a.ndim != 1:
         raise CertifyError(f"weights: found a batch {weights.a.shape[:-1]}, expected one network")

@@ -1,11 +1,10 @@
 """The search of `certify.box` for the greatest slope: branch and bound over boxes, then over cells.
 
-Halving never ends at a point where more hyperplanes meet than there are coordinates: every box around it is crossed by
-all of them, though not all of their sign patterns occur. A box that became small is therefore parted into cells, by
-the sign of one z at a time. A linear program finds a point with the signs of a cell, or multipliers that prove that
-there is none; its data are computed in integers and rounded once, so that a box may be as small as it likes. Where
-hyperplanes meet in a point the multipliers have to cancel exactly: they are solved for in fractions. Cells are also
-better than boxes where the inputs are many.
+Halving never ends at a point where more hyperplanes meet than there are coordinates: all of them cross every box around
+it, although not all of their sign patterns occur. A small box is therefore split into cells, by the sign of one z at a
+time. A linear program finds a point with the signs of a cell, or multipliers that prove that there is none. Its data
+are computed in integers and rounded once, so a box may have any size. Where hyperplanes meet in a point, the
+multipliers must cancel exactly, and they are solved for in fractions. With many inputs cells are better than boxes.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ import numpy as np
 from certify.box_planes import Box, Planes, Region, excluded, region
 from certify.box_search import BOXES, CLIMBERS, LEFT, Forms, Search, climb, slope_bounds, slopes_at
 
-FEW_BOXES = 500  # boxes tried before cells, where the inputs are many
+FEW_BOXES = 500  # boxes tried before cells, if there are many inputs
 CELLED = 30  # hyperplanes up to which the cells of a whole box are tried
 SMALL = 2.0**-16  # share of the whole box's width down to which boxes are halved
-MANY = 7  # free coordinates from which on cells are better than boxes
-FAINT = 1e-9  # of a solver's numbers of size 1: zero but for rounding
+MANY = 7  # with this many free coordinates or more, cells are better than boxes
+FAINT = 1e-9  # relative size below which a solver's number counts as zero
 SHORT = (16, 4096, 10**8)  # denominators to which multipliers are rounded, to keep a proof short
 
 
 def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
-    """Searches max |slope|: at most so many boxes, then the cells of those that are open, or of the whole box."""
+    """Search max |slope|: at most `most` boxes, then the cells of the open boxes, or of the whole box."""
     G, rng = len(forms.c), np.random.default_rng(0)
     bound, halve = slope_bounds(forms)
     search.reached(*climb(forms, box, rng.uniform(box.lo, box.hi, (CLIMBERS, len(box.lo)))))
@@ -48,10 +47,10 @@ def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
 
 
 def search_cells(search: Search, forms: Forms, queue: list[np.ndarray], rng: np.random.Generator) -> None:
-    """Parts boxes by the signs of z, the highest bound first, until all are closed.
+    """Split boxes by the signs of z, the highest bound first, until all are closed.
 
-    A cell keeps a point with its signs. The neuron to part by is one that stands on the wrong side there for the
-    bound; then the other cell has the point already, and one linear program answers for this cell.
+    Each cell keeps a point with its signs. The next split is at a neuron whose sign at that point is not the one that
+    the bound assumes. Then the point lies in one of the two new cells, and one linear program decides the other.
     """
     H, c, side, gain, start, error, slack, found = forms
     tie, stuck = itertools.count(), -math.inf
@@ -160,9 +159,9 @@ def _multipliers(
     still: np.ndarray,  # (1 + m,) bool: coordinates in which the rows cancel
     changes: list[int],
 ) -> dict[int, int] | None:
-    """Integers near a solver's multipliers with which no point of the box has these signs: {plane: μ}.
+    """Integers near a solver's multipliers that prove that no point of the box has these signs: {plane: μ}.
 
-    Rounded to few digits if that will do, else such that what has to cancel does so exactly.
+    They are rounded to few digits if the proof still holds; otherwise they are chosen to cancel exactly.
     """
     near = [Fraction(float(x)) / change for x, change in zip(dual, changes, strict=True)]
     near = [x / max(near) for x in near]

@@ -24,9 +24,9 @@ class Box(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """The hyperplanes on which the slope changes; neurons with the same one, seen from either side, are merged.
+    """The hyperplanes on which the slope changes; neurons that share one, from either side, are merged.
 
-    A fixed input is part of the constant, so that what coincides at that input is merged too.
+    A fixed input is part of the constant, so hyperplanes that coincide at that input are merged too.
     """
 
     neuron: list[int]  # (G,) the first neuron of each; its z > 0 is "above"
@@ -39,7 +39,7 @@ class Planes(NamedTuple):
 
 
 def integers(values: Any) -> tuple[list[int], int]:
-    """k and e with which the floats are k / 2^e.
+    """Integers k and an exponent e such that the floats are k / 2^e.
 
     >>> integers([0.5, 3.0])
     ([1, 6], 1)
@@ -96,7 +96,7 @@ def value_at(weights: ShallowWeights, point: Any) -> Fraction:
 
 
 def slope_at(weights: ShallowWeights, point: Any) -> Fraction | None:
-    """(1) at a point (x, u), exactly; None where it is not defined. A rate at most |slope| is thereby refuted.
+    """(1) at a point (x, u), exactly; None where it is not defined. The point refutes every rate up to |slope|.
 
     >>> net = ShallowWeights(np.array([0.5]), np.ones(1), np.zeros((1, 0)), np.array([-0.5]))
     >>> slope_at(net, [0.75]), slope_at(net, [0.5])

@@ -1,17 +1,17 @@
 """Replay of a proof about a network on a box, in integers: nothing here trusts the search that found the proof.
 
-A proof is a binary tree that divides the box, as text in preorder, its tokens parted by blanks:
+A proof is a binary tree that divides the box, as text in preorder, its tokens separated by blanks:
 
     x, u1, u2, …   halve the box along that coordinate, at (lo + hi)/2 in binary64: the lower half's proof follows, then
                    the upper's; they cover the box wherever it is cut
-    z4             part the region by the sign of z of neuron 4: first z < 0, then z > 0
-    .              the bound holds here by interval arithmetic on the box, with the signs of z that were parted
+    z4             split the region by the sign of z of neuron 4: first z < 0, then z > 0
+    .              the bound holds here by interval arithmetic on the box, with the signs of z fixed so far
     e4:3,7:-2      no point of the box's interior has these signs: μ = (3, −2) has the signs that z₄ and z₇ were given,
-                   so Σ μ_i z_i > 0, but its maximum over the box is ≤ 0 (Farkas)
+                   so Σ μ_i z_i > 0 would follow, but its maximum over the box is ≤ 0 (Farkas)
 
-A tree may come from anybody, so the effort is limited: a path has at most HALVINGS halvings and parts no neuron twice,
-a multiplier has at most DIGITS digits, and the bounds of at most WORK hyperplanes are computed. A tree beyond
-these limits proves nothing.
+A tree may come from anybody, so the effort is limited: a path has at most HALVINGS halvings and splits at no neuron
+twice, a multiplier has at most DIGITS digits, and the bounds of at most WORK hyperplanes are computed. A tree beyond
+these limits is refused.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class _Slopes:
         return len(multipliers) == len(pairs) and signed and excluded(self.planes, here, multipliers)
 
     def _settled(self, bounds: list[tuple[int, int, int]], high: int, low: int, signs: dict[int, int]) -> _Slope:
-        """With the planes whose sign the bounds decide counted so."""
+        """The same region, with the planes whose sign the bounds decide counted on that side."""
         self.work += len(bounds)
         free, (above, below) = [], self.planes[3:5]
         for each in bounds:
@@ -216,7 +216,7 @@ def _replay(tree: str, box: Box, statement: _Statement) -> bool:
                 return False
             if statement.work > WORK:
                 return False
-    except (_Refused, KeyError):  # a neuron that is not there, or was parted before, or was not parted
+    except (_Refused, KeyError):  # a neuron that does not exist, or was split before, or was not split
         return False
     return True
 

@@ -1,8 +1,9 @@
 """The searches behind `certify.box`: branch and bound over boxes, in floats.
 
 Boxes: bound the slope by interval arithmetic (neurons surely on, surely off, free) and halve the boxes whose bound is
-too high (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009); slopes that are reached bound it from
-below. Boxes that stay open are parted into cells (`certify.box_cells`). `certify.box_proof` proves what is found.
+too high (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009). The slope at any point bounds the
+maximum from below. Boxes that stay open are split into cells (`certify.box_cells`). `certify.box_proof` proves the
+result.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from certify.weights import ShallowWeights
 
 BATCH = 256  # boxes halved at once
 BOXES = 200_000  # boxes tried
-LEFT = 64  # boxes that cannot be halved, beyond which the search ends
+LEFT = 64  # the search ends when more boxes than this cannot be halved
 REPLAYED = 30_000  # boxes whose proof is replayed in about a second
 CLIMBERS = 32  # points from which the search for a high slope begins
 EPS, TINY = float(np.finfo(np.float64).eps), float(np.finfo(np.float64).tiny)
@@ -61,7 +62,7 @@ def forms_of(weights: ShallowWeights, box: Box) -> Forms:
 
 
 class Search:
-    """Branch and bound: the tree so far, the best that was reached, and what is open."""
+    """Branch and bound: the tree so far, the best value so far, and the open leaves."""
 
     def __init__(self, threshold: Callable[[float], float], target: float, end: float):
         self.threshold = threshold  # a bound up to threshold(best) needs no further split
@@ -69,13 +70,13 @@ class Search:
         self.end = end  # of time
         self.best = -math.inf
         self.point: np.ndarray | None = None  # where best was reached
-        self.limit = math.inf  # a bound that was known before
+        self.limit = math.inf  # an upper bound that is known already
         self.closed = -math.inf  # the greatest bound among the leaves that were closed
         self.open = -math.inf  # and among those that were left open
         self.count = 1  # nodes
         self.splits: dict[int, tuple[str, int]] = {}  # node: token, first child
         self.halvings: list[tuple[np.ndarray, ...]] = []  # the same of many boxes each: nodes, tokens, first children
-        self.leaves: dict[int, str] = {}  # what is not "."
+        self.leaves: dict[int, str] = {}  # proofs of the leaves that are not "."
 
     def over(self) -> bool:
         return self.best >= self.target or time.perf_counter() > self.end
@@ -106,9 +107,9 @@ class Search:
     def boxes(
         self, bound: Callable, halve: Callable, climb: Callable | None, box: Box, width: int, most: int, small: float
     ) -> list[np.ndarray]:
-        """Halves boxes until all are closed, or `most` were seen; returns what is open: bounds, lo, hi, signs, ids.
+        """Halve boxes until all are closed or `most` were tried; return the open ones: bounds, lo, hi, signs, ids.
 
-        A box whose next halving is along a side of at most the share `small` of the whole one is not halved.
+        A box is not halved along a side that is at most `small` times that side of the whole box.
 
         bound(lo, hi, signs) gives signs, bounds, points and the values there; halve(lo, hi, signs) coordinates;
         climb(points) values and better points.
@@ -189,7 +190,7 @@ def slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
 
 
 def climb(forms: Forms, box: Box, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """|slope| and points, after an exact search from y, `(P, 1 + m)`, along each coordinate in turn, thrice."""
+    """|slope| and points, after three exact searches from y, `(P, 1 + m)`, along each coordinate in turn."""
     H, c, _, gain, start, *_ = forms
     P, lanes = len(y), np.arange(len(y))
     for j in 3 * [*np.flatnonzero(box.lo < box.hi)]:
@@ -209,12 +210,12 @@ def climb(forms: Forms, box: Box, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def slopes_at(forms: Forms, z: np.ndarray) -> np.ndarray:
-    """|slope| at points with these z, `(k, G)`; −∞ where rounding leaves a sign open."""
+    """|slope| at points with these z, `(k, G)`; −∞ where rounding makes a sign uncertain."""
     return np.where((np.abs(z) > forms.error).all(1), np.abs(forms.start + (z > 0) @ forms.gain), -math.inf)
 
 
 def search_range(search: Search, weights: ShallowWeights, box: Box, sides: tuple[tuple[float, float], ...]) -> None:
-    """Searches the greatest σ f − o over the box and the sides (σ, o)."""
+    """Search for the greatest σ f − o over the box and over the sides (σ, o)."""
     a, w1, W2, c = weights
     H = np.concatenate([w1[:, None], W2], 1)
     sizes = np.abs(H)

@@ -1,10 +1,10 @@
-"""A certificate: what is claimed of one network, and a proof that anyone can check with rational arithmetic alone.
+"""A certificate: a claim about one network, and a proof that anyone can check with rational arithmetic alone.
 
     simple, gershgorin, lmi, tight     a metric p and multipliers Λ with M(p, Λ) ≻ 0        (`certify.exact`)
     interval, box                      a tree of boxes, on each of which the slope is bounded (`certify.box_proof`)
 
-`verify` needs neither a solver nor torch. It rebuilds every statement from the weights; the checksum is there for
-accidents, the mathematics for everything else.
+`verify` needs neither a solver nor torch. It rebuilds every statement from the weights. The checksum only detects
+accidental changes; the mathematics detects all others.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ KEYS |= set("proof path versions sha256".split())
 
 
 class Verification(NamedTuple):
-    """What came of checking a certificate."""
+    """The result of checking a certificate."""
 
     valid: bool
     reason: str  # what was proved, or why it is refused
@@ -98,7 +98,7 @@ def make(
         parts = {"metric": str(proof.metric), "multipliers": [str(x) for x in proof.multipliers]}
     elif condition in ("interval", "box"):
         if box is None:
-            raise CertifyError(f"{condition}: found no box, expected one: it is what the certificate is about")
+            raise CertifyError(f"{condition}: found no box, expected the box on which the condition is to hold")
         if condition == "interval":
             tree = "."
             rate = provable_rate(box_planes.interval_rate(weights, box)) if rate is None else rate
@@ -111,7 +111,7 @@ def make(
     content = {
         **_claims(weights, condition, Fraction(kappa), parts),
         "proof": parts,
-        "path": path.encode("utf-8", "backslashreplace").decode(),  # a file's name may be no text
+        "path": path.encode("utf-8", "backslashreplace").decode(),  # a file name may contain bytes that are not text
         "versions": _versions(),
     }
     content["sha256"] = _checksum(content)
@@ -119,9 +119,9 @@ def make(
 
 
 def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verification:
-    """Check a certificate of the given weights: its keys, its checksum, that it is about them, every claim, the proof.
+    """Check a certificate against weights: its keys, its checksum, the weights it names, every claim, and the proof.
 
-    A certificate may come from anybody: whatever it holds, the answer comes in a time that its length bounds.
+    A certificate may come from anybody. The time to check it is bounded by its length, whatever it contains.
 
     >>> made = make(ShallowWeights([0.5], [1.0], [[0.0]], [0.0]))
     >>> verify(made, ShallowWeights([0.75], [1.0], [[0.0]], [0.0])).reason
@@ -130,7 +130,7 @@ def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verificat
     try:
         reason = _refusal(dict(certificate), check(weights))
     except (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError) as error:
-        reason = f"it is no certificate that can be read: {type(error).__name__} {shortened(error)}"
+        reason = f"it cannot be read as a certificate: {type(error).__name__} {shortened(error)}"
     return Verification(False, reason) if reason else Verification(True, certificate["claim"])
 
 
@@ -156,10 +156,12 @@ def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
     kappa = _fraction(content["rate"])
     if not 0 < kappa <= 1:
         return f"its rate is {shortened(kappa)}, expected one above 0 and at most 1"
-    told = {**_claims(weights, condition, kappa, proof), "path": str(content["path"])}
-    told["versions"] = {str(key): str(value) for key, value in content["versions"].items()}
-    if wrong := [key for key, value in told.items() if type(content[key]) is not type(value) or content[key] != value]:
-        return f"what it says of {', '.join(wrong)} does not follow from the weights"
+    claims = {**_claims(weights, condition, kappa, proof), "path": str(content["path"])}
+    claims["versions"] = {str(key): str(value) for key, value in content["versions"].items()}
+    if wrong := [
+        key for key, value in claims.items() if type(content[key]) is not type(value) or content[key] != value
+    ]:
+        return f"its {', '.join(wrong)}: the claim does not follow from the weights"
     if closed:
         texts = [proof["metric"], *proof["multipliers"]]
         if not isinstance(proof["multipliers"], list) or sum(map(len, texts)) > LONGEST:
@@ -179,7 +181,7 @@ def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
 
 
 def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Mapping[str, Any]) -> dict[str, Any]:
-    """What a certificate says, as it follows from the weights, the condition, the rate and the box."""
+    """The claims of a certificate, derived from the weights, the condition, the rate and the box."""
     bound = kappa * Fraction(exact.CORNER.get(condition, 2), 2)  # M with Λ in the corner at κ: slopes in [0, 2], κ/2
     where, how = "for all x₁, x₂ and u", "M(p, Λ) is positive definite: LDLᵀ in rational arithmetic"
     margin = 1 - kappa
@@ -188,9 +190,11 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
     else:
         invariant = proof["invariance_tree"] is not None
         lo, hi = _box(proof["box"])
-        told = ", ".join(f"[{Decimal(least)}, {Decimal(most)}]" for least, most in zip(lo, hi, strict=True))  # exact
+        intervals = ", ".join(
+            f"[{Decimal(least)}, {Decimal(most)}]" for least, most in zip(lo, hi, strict=True)
+        )  # exact
         kept = "which f maps into itself" if invariant else "for as long as x stays in it"
-        where = f"for (x, u) in {told}, {kept}"
+        where = f"for (x, u) in {intervals}, {kept}"
         how = "interval bounds on every box of the tree, in rational arithmetic"
     n, m = weights.W2.shape
     return {
@@ -208,7 +212,7 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
 
 
 def _fraction(text: Any) -> Fraction:
-    """p/q in plain digits: "1e999999999" is short to write and long to work out."""
+    """A fraction p/q in plain digits only: "1e999999999" would be short to write and slow to compute."""
     if not (isinstance(text, str) and FRACTION.fullmatch(text)):
         raise ValueError(f"found {quoted(text)}, expected a fraction p/q")
     return Fraction(text)
@@ -244,7 +248,7 @@ def _versions() -> dict[str, str]:
 
 
 def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
-    """Write a certificate to a file, whole or not at all.
+    """Write a certificate to a file, completely or not at all.
 
     Raises:
         CertifyError: it cannot be written.
@@ -263,7 +267,7 @@ def write(path: str | Path, certificate: Mapping[str, Any]) -> Path:
 
 
 def read(path: str | Path) -> dict[str, Any]:
-    """Read a certificate, unchecked but for keys that stand twice.
+    """Read a certificate. Only repeated keys are checked here; `verify` checks the rest.
 
     Raises:
         CertifyError: no such file, too large, or not a JSON object.
@@ -278,7 +282,7 @@ def read(path: str | Path) -> dict[str, Any]:
         raise CertifyError(f"{path}: cannot be read ({error.strerror}): give the path of a certificate") from error
     except (ValueError, RecursionError) as error:
         raise CertifyError(
-            f"{path}: is no certificate ({shortened(error)}): expected the JSON that --certificate writes"
+            f"{path}: is no certificate ({shortened(error)}): give a JSON file that --certificate has written"
         ) from error
     if not isinstance(content, dict):
         raise CertifyError(f"{path}: found a JSON {type(content).__name__}, expected a certificate")
@@ -289,7 +293,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) < len(pairs):
         twice = Counter(key for key, _ in pairs).most_common(1)[0][0]
-        raise ValueError(f"the key {quoted(twice)} stands in it twice")
+        raise ValueError(f"the key {quoted(twice)} appears twice")
     return content
 
 

@@ -1,7 +1,7 @@
 """The conditions against the full LMI, and both against the exact rate on a box: python -m certify compare.
 
 How often each certifies random, initialised and trained networks; how much slower than the exact rate it makes them
-look; the time constants that it admits; whether the solver agrees with the closed form; and what each costs.
+look; the time constants that it allows; whether the solver agrees with the closed form; and how long each takes.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ KNOTS = {"paper": ("paper",), "all": ("all",), "both": ("paper", "all")}
 
 
 def examine(weights: ShallowWeights, solve: Callable | None, seconds: float) -> dict[str, Any]:
-    """Which tiers certify one network, the rate at which each holds, and what the solver says."""
+    """Which conditions certify one network, the rate at which each holds, and the answer of the solver."""
     found = exact.conditions(weights.a, weights.w1)
     box = box_search.operating_box(weights.W2.shape[-1])
     bracket = box_search.rate(weights, box, seconds=seconds)
@@ -59,7 +59,7 @@ def _tensors(weights: ShallowWeights, box) -> tuple[ShallowWeights, torch.Tensor
 
 def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
     """Per tier: share certified, median of rate/K_box, largest K certified, agreement with the solver."""
-    told: dict[str, dict[str, float | None]] = {}
+    summary: dict[str, dict[str, float | None]] = {}
     for tier in CONDITIONS:
         ratios = [
             math.inf if row["rates"][tier] is None else row["rates"][tier] / row["K_box"][1]
@@ -68,7 +68,7 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | Non
         ]
         middle = float(np.median(ratios)) if ratios else math.inf
         held = [row["K"] for row in rows if row["certified"][tier]]
-        told[tier] = {
+        summary[tier] = {
             "share": len(held) / len(rows),
             "conservatism": middle if math.isfinite(middle) else None,
             "largest_K": max(held, default=None),
@@ -76,12 +76,12 @@ def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | Non
         }
         solved = [(row["solved"][tier]["verdict"] == "certified", row) for row in rows if tier in row.get("solved", {})]
         if solved:
-            told[tier]["disagreements"] = sum(said != row["certified"][tier] for said, row in solved)
-    return told
+            summary[tier]["disagreements"] = sum(said != row["certified"][tier] for said, row in solved)
+    return summary
 
 
 def timing(n: int, solver_name: str, largest: int, rng: np.random.Generator) -> dict[str, Any]:
-    """What a network of n neurons costs, s, the least of several calls: closed forms, exact arithmetic, LMI, box."""
+    """The time for a network of n neurons, s, the least of several calls: closed forms, exact arithmetic, LMI, box."""
     weights = random_networks(1, n, rng)[0]
     weights = _at_rate(weights, "tight", 0.9)
     a, w1 = torch.tensor(weights.a), torch.tensor(weights.w1)
@@ -121,10 +121,10 @@ def _least(call: Callable, times: int) -> float:
 
 
 def paper_tests(networks: Sequence[ShallowWeights], choices: argparse.Namespace) -> list[dict[str, Any]]:
-    """The paper's tests as they stand, and fixed: M ⪰ 0 or M ≻ 0, Λ or 2Λ in the corner, knots i < n or all.
+    """The paper's tests literally, and corrected: M ⪰ 0 or M ≻ 0, Λ or 2Λ in the corner, knots i < n or all.
 
-    The matrix is put to networks a hair beyond each test's edge, where a solver errs, and to a = w₁ = 1, b = 0, which
-    is the identity: K = 1, a continuum of equilibria.
+    The matrix is tested with networks just beyond each condition's edge, where a solver errs, and with a = w₁ = 1,
+    b = 0, which is the identity: K = 1, and every state is an equilibrium.
     """
     rows = []
     one, zero = np.ones(1), np.zeros(1)
@@ -157,7 +157,7 @@ def _at_rate(weights: ShallowWeights, condition: str, rate: float) -> ShallowWei
 
 
 def _says(condition: str, strict: bool, solver_name: str) -> Callable[[ShallowWeights], bool]:
-    """Whether the test passes: solved with a margin and proved (≻), or the solver's word on plain M ⪰ 0."""
+    """Whether the test passes: solved with a margin and proved (≻), or the solver's answer for plain M ⪰ 0."""
     from certify.lmi import LMI
 
     problems: dict[int, LMI] = {}
@@ -174,7 +174,7 @@ def _says(condition: str, strict: bool, solver_name: str) -> Callable[[ShallowWe
 def truncated_equilibria(weights: ShallowWeights) -> list[float]:
     """Equilibria as the paper's set S finds them, from the knots of the first n − 1 neurons alone, at u = 0.
 
-    Between two of its critical values the map is taken for straight, which it is not where the last neuron's lies.
+    Between two of these critical values the map is assumed to be linear. It is not linear at the last neuron's knot.
 
     >>> tooth = ShallowWeights(np.array([2.0]), np.array([1.0]), np.zeros((1, 0)), np.array([-0.25]))
     >>> truncated_equilibria(tooth), [found.x for found in equilibria(tooth, [])]

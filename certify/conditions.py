@@ -9,8 +9,8 @@ neurons, so that K = max(P, N) is the exact rate over all activation patterns. F
     tight       K < 1           with 2Λ in the corner: slopes in [0, 1]    Revay & Manchester 2020        (4)
     interval    (4) on a box, neurons whose sign is fixed there counted as such                           (5)
 
-Each holds or not for given weights; it holds *at the rate* κ where it holds with a/κ in place of a, and the smallest
-such κ is the rate that it proves. README.md derives them.
+A condition holds *at the rate* κ if it holds with a/κ in place of a. The smallest such κ is the rate that it proves.
+`certify/README.md` derives the conditions.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from certify.weights import ShallowWeights
 
 
 class Condition(NamedTuple):
-    """What a condition says of each network."""
+    """The result of a condition for each network."""
 
     margin: Tensor  # (*batch,) > 0 where it holds
-    rate: Tensor  # (*batch,) the smallest rate at which it holds; inf where at none
+    rate: Tensor  # (*batch,) the smallest rate at which it holds; inf if there is none
 
 
 def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
@@ -77,7 +77,7 @@ def gershgorin(a: Tensor, w1: Tensor) -> Condition:
 
 
 def lmi(a: Tensor, w1: Tensor) -> Condition:
-    """(3): the paper's LMI is feasible ⇔ 2K < 1; its Λ in the corner admits slopes in [0, 2], whence the factor 2.
+    """(3): the paper's LMI is feasible ⇔ 2K < 1. The factor is 2 because Λ in its corner allows slopes in [0, 2].
 
     >>> lmi(torch.tensor([0.5]), torch.tensor([0.5])).margin
     tensor(0.5000)
@@ -125,7 +125,7 @@ def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
 
 
 def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor, Tensor]:
-    """The neurons that are surely on everywhere in a box, and those that are surely off: `(*batch, n)` bool each."""
+    """The neurons that are on everywhere in a box, and those that are off everywhere: `(*batch, n)` bool each."""
     centre, radius = (lo + hi) / 2, (hi - lo) / 2
     w1, W2, b = weights.w1, weights.W2, weights.b
     z = w1 * centre[0] + W2 @ centre[1:] + b

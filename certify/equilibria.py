@@ -5,25 +5,25 @@
 
 f is continuous and piecewise linear. Its slope changes at the critical points t_i = −c_i/w_{1i} of all n neurons with
 w_{1i} ≠ 0, by a_i |w_{1i}| from left to right, so that one sweep over the sorted t_i gives every segment:
-f(x) = q x + r, and between two points at which f(x) − x differs in sign
+f(x) = q x + r. Between two points at which f(x) − x has different signs there is exactly one equilibrium,
 
     x* = r/(1 − q)                                                                                                 (3)
 
-lies once. Where f(x) = x at two neighbouring points, all between them are equilibria. There are at most n + 1 isolated
+Where f(x) = x at two neighbouring points, all between them are equilibria. There are at most n + 1 isolated
 ones, and f need be neither one-to-one nor onto.
 
 The class depends on the slopes q_L and q_R on both sides (elementary; Galor 2007 for q_L = q_R): a deviation d < 0
 becomes q_L d, a deviation d > 0 becomes q_R d. A side with a negative slope hands its points to the other side:
 
-    both ≥ 0    each side by itself: drawn in where q < 1, driven away where q > 1
+    both ≥ 0    each side by itself: it comes nearer where q < 1, and leaves where q > 1
     both < 0    two steps multiply a deviation by q_L q_R
     mixed       after one step all points are on the side with q ≥ 0, which decides: q_L = −3, q_R = 0.2 is stable
 
-All of it is local; cycles of period two and longer are not looked for.
+All classes are local. Cycles of period two and longer are not searched for.
 
-The sweep is done in integers: floats are integers over a power of two, and so are all slopes, intercepts and signs
-that it needs. The number and the class of equilibria are therefore those of the float weights and the float input
-taken literally, and places and slopes are rounded once, at the end.
+The sweep uses integers: floats are integers over a power of two, and so are all slopes and intercepts. The number and
+the class of the equilibria are therefore exact for the given float weights and float input. Places and slopes are
+rounded once, at the end.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Equilibrium(NamedTuple):
 
     @property
     def x(self) -> float:
-        """Its place; of an interval, the middle."""
+        """The position of the equilibrium; the middle of an interval."""
         return self.lo if self.lo == self.hi else self.lo + (self.hi - self.lo) / 2
 
 
@@ -98,11 +98,11 @@ class _Sweep(NamedTuple):
 def equilibria(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) -> list[Equilibrium]:
     """Every equilibrium (2) on [lo, hi] at the constant input u, in ascending order.
 
-    One at lo or hi is classified by the slopes of f on the real line, as any other.
+    An equilibrium at lo or hi is classified by the slopes of f on the real line, like any other.
 
     Args:
         weights: of one network.
-        u: `(m,)`; all zeros in the paper's definition, which is no heading (see `surge_inputs`).
+        u: `(m,)`; all zeros in the paper's definition, although no heading gives that (see `surge_inputs`).
         lo: least x.
         hi: greatest x.
 
@@ -143,7 +143,7 @@ def piecewise(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) -> P
 
 
 def exactly_one(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) -> bool | None:
-    """Whether [lo, hi] holds the one equilibrium of a contracting network; None: the network is not known to contract.
+    """Whether [lo, hi] contains the only equilibrium of a contracting network; None if it is not known to contract.
 
     Where K < 1, f has exactly one equilibrium on the real line (Banach), since f(x) − x falls at the rate 1 − K or
     faster; it lies in [lo, hi] if and only if f(lo) ≥ lo and f(hi) ≤ hi. K and both signs are exact.
@@ -164,7 +164,7 @@ def exactly_one(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) ->
 def surge_inputs(headings, command_left=0.0, command_right=0.0) -> np.ndarray:
     """u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ_R] of the paper's surge network, `(*k, 4)`.
 
-    The commands are 0 in the paper's equilibria ("no input"); u = 0 would be no heading.
+    The commands are 0 in the paper's equilibria ("no input"). No heading gives u = 0.
 
     Args:
         headings: θ, rad, `(*k,)`.
@@ -179,7 +179,7 @@ def surge_inputs(headings, command_left=0.0, command_right=0.0) -> np.ndarray:
 
 
 def classify(slope_left, slope_right) -> str:
-    """The class of an equilibrium by the slopes of f on its two sides: numbers, compared as they are.
+    """The class of an equilibrium from the slopes of f on its two sides; the numbers are compared exactly.
 
     >>> classify(-3, -0.2), classify(0.5, 2), classify(-3, 0)
     ('stable oscillatory', 'half-stable', 'deadbeat')
@@ -217,7 +217,7 @@ def _solve(found: _Sweep) -> list[Equilibrium]:
 
 def _equilibrium(lo: float, hi: float, left: int, right: int, interval: bool, one: int) -> Equilibrium:
     kind = "continuum" if interval else classify(Fraction(left, one), Fraction(right, one))
-    # a slope of 1 beside an interval: it goes on beyond the domain
+    # a slope of 1 beside an interval: the interval continues outside [lo, hi]
     attracts = max(left, right) <= one if kind == "continuum" else kind in ATTRACTING
     return Equilibrium(lo, hi, kind, _float(left, one), _float(right, one), attracts)
 
@@ -297,5 +297,5 @@ def _check_inputs(network: _Network, inputs: Sequence | np.ndarray) -> np.ndarra
     if found.ndim != 2 or found.shape[1] != m:
         raise CertifyError(f"u: found inputs of shape {found.shape[1:]}, expected ({m},): one number a column of W2")
     if not np.isfinite(found).all():
-        raise CertifyError("u: found NaN or infinite values, expected finite inputs: leave out what was not measured")
+        raise CertifyError("u: found NaN or infinite values, expected finite inputs: remove the missing values")
     return found

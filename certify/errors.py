@@ -1,12 +1,12 @@
-"""The error that certify raises at its borders: each message says what, where, expected and what to do."""
+"""The error that certify raises for bad input: each message says what was found, where, what was expected, the fix."""
 
 
 class CertifyError(ValueError):
-    """Bad input that a person can fix. `python -m certify` prints it in one sentence and exits with code 2."""
+    """Bad input that the user can fix. `python -m certify` prints it in one sentence and exits with code 2."""
 
 
 def quoted(value: object) -> str:
-    """At most 80 characters of a value, for a message: what a file holds can be of any length.
+    """At most 80 characters of a value, for a message: a value from a file can have any length.
 
     >>> quoted("tight"), len(quoted("x" * 1000))
     ("'tight'", 80)

@@ -1,7 +1,7 @@
 """The conditions, and the definiteness of their matrices, in rational arithmetic: floats are rationals.
 
-What is called certified has passed here. With a rate κ and the corner c (1: the paper's matrix, slopes in [0, 2];
-2: the slope-restricted one, slopes in [0, 1]), for some p and a diagonal Λ,
+A network is called certified only after these functions have proved it. With a rate κ and the corner c (1: the paper's
+matrix, slopes in [0, 2]; 2: the slope-restricted one, slopes in [0, 1]), for some p and a diagonal Λ,
 
     M(p, Λ) = [2 − p,  0,        −aᵀ/κ  ]
               [0,      p,        −w₁ᵀ Λ ]  ≻ 0   ⇒   |x₁⁺ − x₂⁺| ≤ (c/2) κ |x₁ − x₂|               (1)
@@ -47,14 +47,14 @@ def extreme_slopes(a, w1) -> tuple[Fraction, Fraction]:
 
 
 class Condition(NamedTuple):
-    """As of `certify.conditions`, exactly."""
+    """Like `certify.conditions.Condition`, in exact fractions."""
 
     margin: Fraction  # > 0 where the condition holds
-    rate: Fraction | None  # the smallest at which it holds; None where at none
+    rate: Fraction | None  # the smallest rate at which it holds; None if there is none
 
 
 def conditions(a, w1) -> dict[str, Condition]:
-    """What every condition of `certify.conditions` says of one network; a, w₁ are `(n,)`.
+    """The result of every condition of `certify.conditions` for one network; a, w₁ are `(n,)`.
 
     >>> [(name, float(found.margin)) for name, found in conditions([0.5], [0.5]).items()]
     [('simple', -0.5), ('gershgorin', 0.5), ('lmi', 0.5), ('tight', 0.75)]
@@ -102,7 +102,7 @@ def multipliers(condition: str, a, w1, rate: Fraction | float = ONE) -> Multipli
         lam = [share + quarter / n for share in shares]
         least = _sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
         return Multipliers((least // quarter + 1) * quarter, lam)
-    # λ_i = |a_i|/(κ |w_i|); where one of the two is zero, what keeps its share of the slack below 1/(4n)
+    # λ_i = |a_i|/(κ |w_i|); where one of the two is zero, a value that keeps its share of the slack below 1/(4n)
     slack = _power_below(1 - found / rate)
     lam = []
     for ai, wi in sizes:
@@ -184,7 +184,7 @@ def _power_below(x: Fraction) -> Fraction:
 
 
 def _sum(values: Sequence[Fraction]) -> Fraction:
-    """The sum, pairwise: denominators that differ grow with every addition."""
+    """The sum, pairwise, which keeps the denominators small."""
     values = list(values)
     while len(values) > 1:
         values = [sum(values[i : i + 2], ZERO) for i in range(0, len(values), 2)]

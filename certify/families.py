@@ -1,4 +1,4 @@
-"""Networks to compare conditions on: random, initialised, trained."""
+"""Networks on which conditions are compared: random, initialised, trained."""
 
 from __future__ import annotations
 

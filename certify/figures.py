@@ -14,7 +14,7 @@ from certify.weights import ShallowWeights
 
 
 class Mark(NamedTuple):
-    """How a class is drawn: filled where states come to it, hollow where they leave it, half filled where both."""
+    """The mark of a class: filled if states come to it, hollow if they leave it, half filled if they do both."""
 
     colour: str  # Okabe & Ito
     marker: str
@@ -36,7 +36,7 @@ TIER_COLOURS = {
     "box": "#009E73",
 }  # fmt: skip
 INK, PALE = "#222222", "#8A8A8A"
-LISTED = 6  # places of a class that the legend of one map gives one by one
+LISTED = 6  # equilibria of a class that the legend of one map lists one by one
 
 
 def _blank(purpose: str, **options: Any):
@@ -58,7 +58,7 @@ def equilibria_figure(
         title: of the figure.
         lo: least x.
         hi: greatest x, above `lo`.
-        headings: rad, `(k,)`, which colour the maps of several inputs (see `equilibria.surge_inputs`).
+        headings: rad, `(k,)`, by which the maps of several inputs are coloured (see `equilibria.surge_inputs`).
 
     Returns:
         A matplotlib figure.
@@ -113,7 +113,7 @@ def _draw_map(axes, shape: PiecewiseLinear, label: str) -> None:
 
 
 def _draw_maps(axes, maps: list[PiecewiseLinear], headings: np.ndarray, label: str) -> None:
-    """The maps by heading; hues of one lightness, so that none is paler than the others."""
+    """Draw the maps, coloured by heading; all hues have the same lightness."""
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import ListedColormap, Normalize
 
@@ -152,7 +152,7 @@ def _draw_equilibria(axes, found: list[Equilibrium], single: bool) -> None:
             if kind == "continuum":
                 style = {"linewidth": 6.5, "solid_capstyle": "round", "path_effects": outline}
             else:
-                filled_right = fill == "left" and each.slope_left > 1  # half-stable: filled on the side that comes
+                filled_right = fill == "left" and each.slope_left > 1  # filled on the stable side
                 style = {
                     "linestyle": "none",
                     "marker": marker,
@@ -192,7 +192,7 @@ def save(figure, path: str | Path) -> None:
 
 
 def comparison_figure(result: Mapping[str, Any]):
-    """What `certify.compare.study` found: shares certified, rates against the exact one, time constants, costs."""
+    """The results of `certify.compare.study`: shares certified, rates against the exact one, time constants, times."""
     figure = _blank("the figure of the comparison", figsize=(12, 8.4), dpi=100, layout="constrained")
     (shares, ratios), (constants, costs) = figure.subplots(2, 2)
     families = list(result["families"])

@@ -1,14 +1,14 @@
-"""The paper's matrix inequality and the slope-restricted one as semidefinite programs: the referee of the closed forms.
+"""The paper's matrix inequality and the slope-restricted one as semidefinite programs: a check of the closed forms.
 
 With the corner c (1: the paper's theorem III.3, slopes in [0, 2]; 2: Revay & Manchester 2020, slopes in [0, 1]),
 
     M(p, Λ) = [2 − p, 0, −aᵀ/κ; 0, p, −w₁ᵀΛ; −a/κ, −Λw₁, cΛ]    solve: maximise t, M(p, Λ) ⪰ t I                   (1)
     T(k, Λ) = [1,     0, −aᵀ;   0, k, −w₁ᵀΛ; −a,   −Λw₁, cΛ]    smallest_rate: minimise k = κ², T(k, Λ) ⪰ 0        (2)
 
-(2) is M(1, Λ/κ²) with its rows and columns scaled; p = 1 is always a best metric, since p(2 − p) ≤ 1. A network is the
-same map when a_i is divided, and w_{1i}, W₂ᵢ, b_i multiplied, by some c_i > 0; but for a congruence M is then that of
-Λ_i/c_i². So both are solved for the equal network with |a_i| = |w_{1i}|, whose best Λ is near I. For the weights as
-given Λ can be of any size, and the solver's smallest rate is off by 1e-5, against 1e-7.
+(2) is M(1, Λ/κ²) with scaled rows and columns. p = 1 is always a best metric, since p(2 − p) ≤ 1. Dividing a_i by some
+c_i > 0 and multiplying w_{1i}, W₂ᵢ and b_i by it does not change the map; up to a congruence, M is then M of Λ_i/c_i².
+So both problems are solved for the equal network with |a_i| = |w_{1i}|, whose best Λ is near I. For the weights as
+given Λ can have any size, and the solver's smallest rate has an error of 1e-5 instead of 1e-7.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ import numpy as np
 from certify.errors import CertifyError
 from certify.exact import CORNER, Multipliers, fractions, proves
 
-TOLERANCE = 1e-7  # a margin below −TOLERANCE is clearly negative; a solver is asked for about 1e-8
-WIDENED = 5e-6  # relative; so far above its smallest rate a solver's multipliers can be proved
+TOLERANCE = 1e-7  # a margin below −TOLERANCE is clearly negative; the solver's own tolerance is about 1e-8
+WIDENED = 5e-6  # relative distance above the smallest rate at which the solver's multipliers can be proved
 FAINT = 1e-5  # the one weight of a balanced neuron whose other is zero: it takes about FAINT² from the margin
 FARTHEST = 1e150  # a neuron's c_i, whose square must be a float
 USABLE = ("optimal", "optimal_inaccurate")
 
 
 class Solution(NamedTuple):
-    """What a solver returned, and what exact arithmetic makes of it."""
+    """The answer of a solver, and the result of checking it exactly."""
 
     condition: str  # lmi or tight
     verdict: str  # certified, not certified or unknown; of a plain problem: feasible, infeasible or unknown
@@ -40,7 +40,7 @@ class Solution(NamedTuple):
     rate: float  # the κ that was asked for
     metric: float  # p; NaN where the solver returned none, as the margin and Λ
     multipliers: np.ndarray  # Λ's diagonal, (n,), for the weights as given
-    status: str  # the solver's word
+    status: str  # as the solver reports it
     solver: str
     seconds: float  # wall time of the solver's call, with cvxpy's own work
 
@@ -48,16 +48,17 @@ class Solution(NamedTuple):
 class LMI:
     """(1) and (2) for networks of n neurons: parametrised, so that other weights need no new compilation.
 
-    *Certified* means that the returned p and Λ, floats taken as the rationals that they are, make M positive definite
-    in rational arithmetic. *Not certified* is the solver's word, no proof: it found no t above −1e-7
-    (`certify.exact.conditions` decides exactly). *Unknown* is all else: a solver failed, or its answer proves nothing.
+    *Certified*: the returned p and Λ, taken as exact rationals, make M positive definite in rational arithmetic. *Not
+    certified*: the solver found no t above −1e-7; this is no proof (`certify.exact.conditions` decides exactly).
+    *Unknown*: the solver failed, or its answer proves nothing.
 
     Args:
         n: neurons.
         condition: `lmi` (Λ in the corner) or `tight` (2Λ).
         solver: any installed solver of cvxpy that takes semidefinite programs.
-        strict: False poses plain M ⪰ 0 for the weights as given, with no margin and no check, as a theorem is often
-            typed in. *Feasible* is the solver's word; with `tight` it proves nothing: the identity, a = w₁ = 1, passes.
+        strict: False solves plain M ⪰ 0 for the weights as given, without margin and check, as one would type the
+            theorem. *Feasible* is then the solver's answer. With `tight` it proves nothing: the identity, a = w₁ = 1,
+            passes.
         options: the solver's own, such as `eps_abs=1e-9` of SCS.
 
     Raises:
@@ -119,7 +120,7 @@ class LMI:
         return Solution(self.condition, verdict, margin, float(rate), metric, multipliers, status, self.solver, seconds)
 
     def smallest_rate(self, a: Any, w1: Any) -> tuple[float, Solution]:
-        """The smallest κ at which the condition holds, as the solver finds it, and `solve`'s answer 5e-6 above it.
+        """The smallest κ at which the condition holds according to the solver, and the result of `solve` 5e-6 above it.
 
         The rate is NaN where the solver fails. `tight` must agree with K = max(P, N), `lmi` with 2K.
 
@@ -155,7 +156,7 @@ class LMI:
         return a, w1
 
     def _run(self, problem: Any) -> tuple[str, float]:
-        """The solver's word and its time. What it prints or warns of beside that is no concern of the caller's."""
+        """The solver's status and its time. Its output and its warnings are discarded."""
         start = time.perf_counter()
         try:
             with warnings.catch_warnings():
@@ -185,7 +186,7 @@ def _balance(a: np.ndarray, w1: np.ndarray) -> np.ndarray:
 
 
 def _cvxpy(solver: str | None = None) -> Any:
-    """cvxpy, imported where it is used: that takes a second. With a solver, one that is shown to take (1)."""
+    """cvxpy, imported when it is used because that takes a second. If a solver is given, check that it solves (1)."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -194,11 +195,11 @@ def _cvxpy(solver: str | None = None) -> Any:
         raise CertifyError("cvxpy is not installed, expected it for an LMI: run pip install 'usvlearn[lmi]'") from error
     if solver is not None:
         installed = cp.installed_solvers()
-        told = f"expected one of {', '.join(installed)}, of which CLARABEL is the default"
+        expected = f"expected one of {', '.join(installed)}, of which CLARABEL is the default"
         if solver not in installed:
-            raise CertifyError(f"solver: found {solver}, which is not installed: {told}")
+            raise CertifyError(f"solver: found {solver}, which is not installed: {expected}")
         try:
             cp.Problem(cp.Minimize(0), [cp.Variable((2, 2), PSD=True) >> 0]).get_problem_data(solver)
         except cp.SolverError as error:
-            raise CertifyError(f"solver: {solver} takes no semidefinite programs: {told}") from error
+            raise CertifyError(f"solver: {solver} takes no semidefinite programs: {expected}") from error
     return cp

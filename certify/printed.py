@@ -26,7 +26,7 @@ MARKS = {
     "unknown": ("?", "yellow"),
 }
 UNLIMITED = 100_000  # columns of a file or a pipe
-FOLDED = 24  # columns that a text of several words has at least
+FOLDED = 24  # least width, in columns, of a text that may be folded
 GAP = 2
 
 
@@ -38,7 +38,7 @@ def show(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool], n
 
 
 def _console() -> Console:
-    """As wide as the terminal; without a limit where there is none, unless COLUMNS sets one."""
+    """A console as wide as the terminal; without a limit for a file or a pipe, unless COLUMNS sets one."""
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else UNLIMITED
     return Console(markup=False, highlight=False, width=width)
 
@@ -50,7 +50,7 @@ def _print(
     rows: Sequence[Sequence[str | Text]],
     texts: Sequence[str] = (),
 ) -> None:
-    """A table; where it is too wide, its columns go on in further ones below, each with the first column.
+    """Print a table. If it is too wide, its columns continue in further tables below, each with the first column.
 
     Args:
         console: on which it is printed.
@@ -107,7 +107,7 @@ def _table(
 
 
 def _short(paths: Sequence[str]) -> tuple[list[str], str]:
-    """The paths without what all of them share, and the folder that they share."""
+    """The paths without their common folder, and that folder."""
     paths = [os.path.abspath(path) for path in paths]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths])
     ending = {os.path.splitext(path)[1] for path in paths} if len(paths) > 1 else {""}
@@ -135,11 +135,11 @@ def _mark(verdict: str) -> Text:
 
 
 def _lmi(found: dict[str, Any]) -> Text:
-    told = Text()
+    marks = Text()
     for condition in ("lmi", "tight"):
         rate = found[condition]["rate"]
-        told.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
-    return told
+        marks.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
+    return marks
 
 
 def _box(found: dict[str, Any]) -> Text:
@@ -150,11 +150,11 @@ def _box(found: dict[str, Any]) -> Text:
 
 
 def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]) -> list[str]:
-    """What it came to, in a few lines."""
+    """The result in a few lines."""
     n = len(rows)
     counts = Counter(name for row in rows for name in MARGINS if row["certified"][name])
     gauge = Counter(name for row in rows for name, held in row["best_gauge"].items() if held)
-    told = [
+    lines = [
         f"{sum(held)} of {n} certified contracting by {condition}, in rational arithmetic",
         ", ".join(f"{name} {counts[name]}" for name in MARGINS)
         + f"; after rescaling neurons: simple {gauge['simple']}, gershgorin {gauge['gershgorin']}",
@@ -163,14 +163,14 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
         numbers = sorted({k for rest in rests for k in rest["equilibria"]})
         places = sorted(x for rest in rests for x in rest["x"])
         kinds = sorted({kind for rest in rests for kind in rest["classes"]})
-        told.append(
+        lines.append(
             f"at rest, over {rests[0]['headings']} headings: {'…'.join(map(str, numbers))} equilibria each"
             + (f", x in {places[0]:.3g}…{places[-1]:.3g}, {', '.join(kinds)}" if places else "")
         )
     if any("box" in row for row in rows):
         verdicts = Counter(row["box"]["verdict"] for row in rows)
         kept = Counter(row["box"]["forward_invariant"] for row in rows)
-        told.append(
+        lines.append(
             f"on the box: {', '.join(f'{word} {count}' for word, count in verdicts.items())}; "
             + "f maps the box into itself: "
             + ", ".join(f"{word} {count}" for word, count in kept.items())
@@ -179,15 +179,15 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
             point = refuted["box"]["witness"]
             u = ", ".join(f"{x:.4g}" for x in point["u"])
             slope = ("−" if point["slope"] < 0 else "") + below(abs(point["slope"]))
-            told.append(f"witness: {refuted['path']}: slope {slope} at x = {point['x']:.4g}, u = ({u})")
-    return told
+            lines.append(f"witness: {refuted['path']}: slope {slope} at x = {point['x']:.4g}, u = ({u})")
+    return lines
 
 
-def progress(items: Sequence, told: str):
-    """The items, with a bar on the standard error stream that leaves no trace."""
+def progress(items: Sequence, lines: str):
+    """The items, with a temporary progress bar on the standard error stream."""
     from rich.progress import track
 
-    return track(items, told, console=Console(stderr=True), transient=True)
+    return track(items, lines, console=Console(stderr=True), transient=True)
 
 
 def show_comparison(result: dict[str, Any]) -> None:
@@ -200,8 +200,8 @@ def show_comparison(result: dict[str, Any]) -> None:
             K, ratio = row["largest_K"], row["conservatism"]
             slowest = "–" if K is None or not 0 < K < 1 else f"{-result['dt'] / math.log(K):.3g} s"
             share, disagreements = f"{100 * row['share']:.0f} %", row["disagreements"]
-            told = ["–" if ratio is None else f"{ratio:.3g}", "–" if K is None else f"{K:.4g}", slowest]
-            rows.append([tier, share, *told, "" if disagreements is None else str(disagreements)])
+            lines = ["–" if ratio is None else f"{ratio:.3g}", "–" if K is None else f"{K:.4g}", slowest]
+            rows.append([tier, share, *lines, "" if disagreements is None else str(disagreements)])
         _print(console, f"{name}: {len(family['networks'])} networks of {result['neurons']} neurons", headings, rows)
     _print_timings(console, result["timings"])
     if result["paper"]:
@@ -211,12 +211,12 @@ def show_comparison(result: dict[str, Any]) -> None:
 def _print_timings(console: Console, rows: Sequence[dict[str, Any]]) -> None:
     keys = {"closed_tight": "closed form", "exact_rate": "exact rate", "proof": "p, Λ, LDLᵀ", "box": "box",
             "lmi_first": "LMI first", "lmi_again": "LMI again"}  # fmt: skip
-    told = []
+    lines = []
     for row in rows:
         ratio = "–" if row["lmi_again"] is None else f"{row['lmi_again'] / row['closed_tight']:.2g}"
-        told.append([str(row["n"]), *(_seconds(row[key]) for key in keys), ratio])
+        lines.append([str(row["n"]), *(_seconds(row[key]) for key in keys), ratio])
     title = "Time of one network; ratio: LMI solved again / closed form"
-    _print(console, title, ("n", *keys.values(), "ratio"), told)
+    _print(console, title, ("n", *keys.values(), "ratio"), lines)
 
 
 def _seconds(x: float | None) -> str:
@@ -227,13 +227,13 @@ def _seconds(x: float | None) -> str:
 
 def _print_paper(console: Console, rows: Sequence[dict[str, Any]]) -> None:
     headings = ("test", "accepted at 0.999 of its edge", "accepted just beyond", "identity", "wrong")
-    told = []
+    lines = []
     for row in rows:
         if "wrong" in row:
-            told.append([row["test"], "", "", "", "{} of {}".format(*row["wrong"])])
+            lines.append([row["test"], "", "", "", "{} of {}".format(*row["wrong"])])
         else:
             wrong = row["identity"] + max(0, row["beyond"][0] - row["contracting"])
             identity = "accepted" if row["identity"] else "refused"
-            told.append([row["test"], "{} of {}".format(*row["inside"]), "{} of {}".format(*row["beyond"]), identity,
+            lines.append([row["test"], "{} of {}".format(*row["inside"]), "{} of {}".format(*row["beyond"]), identity,
                          f"{wrong} not contracting"])  # fmt: skip
-    _print(console, "The paper's tests, literally and fixed", headings, told)
+    _print(console, "The paper's tests, literally and fixed", headings, lines)

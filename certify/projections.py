@@ -1,7 +1,7 @@
-"""Nearest weights that hold a condition of `certify.conditions` at a rate κ.
+"""Nearest weights that satisfy a condition of `certify.conditions` at a rate κ.
 
-With w₁ fixed each condition is a polytope in a. For `lmi` and `tight`, whose two sign classes of s_i = a_i w_{1i} are
-apart, and for `gershgorin`, it is a weighted ℓ₁ ball Σ c_i |a_i| ≤ r, onto which the projection is
+With w₁ fixed each condition is a polytope in a. For `lmi` and `tight`, whose two sign classes of s_i = a_i w_{1i} do
+not interact, and for `gershgorin`, it is a weighted ℓ₁ ball Σ c_i |a_i| ≤ r, onto which the projection is
 
     a_i ← sgn(a_i) (|a_i| − θ c_i)₊,   θ = max_k (Σ_{i≤k} c_i |a_i| − r) / Σ_{i≤k} c_i²,  θ ≥ 0,            (1)
 
@@ -10,8 +10,8 @@ difference of their thresholds:
 
     a_i ← a_i − δ w_{1i} (always on),   δ = θ₊(κ − S_on + δ W_on) − θ₋(κ + S_on − δ W_on)                     (2)
 
-with S_on = Σ s_i and W_on = Σ w_{1i}² over them. Every rate is 1-homogeneous in a: a ← a min(1, κ/rate), applied last,
-takes away what rounding leaves. If every one of a sequence of networks holds one at κ, |x_k − x'_k| ≤ κᵏ |x₀ − x'₀| for
+with S_on = Σ s_i and W_on = Σ w_{1i}² over them. Every rate is 1-homogeneous in a. So a ← a min(1, κ/rate), applied
+last, removes what rounding leaves. If every network of a sequence satisfies one at κ, |x_k − x'_k| ≤ κᵏ |x₀ − x'₀| for
 equal inputs and the same sequence, however the weights change in between.
 
 All functions are batched and differentiable almost everywhere.
@@ -41,10 +41,10 @@ def project(
     gauge: str = "literal",
     bounds: Bounds | None = None,
 ) -> ShallowWeights:
-    """The weights with the nearest a, w₁ as it is, that hold a condition at a rate.
+    """The weights with the nearest a, and unchanged w₁, that satisfy a condition at a rate.
 
-    The literal `simple` and `gershgorin` ask for |w_{1i}| < 1: a neuron beyond is first rescaled to |w_{1i}| = ½, which
-    changes no output of the network.
+    The literal `simple` and `gershgorin` require |w_{1i}| < 1. A neuron that violates this is first rescaled to
+    |w_{1i}| = ½, which changes no output of the network.
 
     Args:
         weights: `(*batch, …)`.
@@ -54,7 +54,7 @@ def project(
         bounds: of the box, for `interval`.
 
     Raises:
-        CertifyError: an unknown condition or gauge, a number that is no rate, or `interval` without bounds.
+        CertifyError: an unknown condition or gauge, a rate outside (0, 1], or `interval` without bounds.
 
     >>> wide = ShallowWeights(torch.tensor([3.0, 1.0]), torch.ones(2), torch.zeros(2, 1), torch.zeros(2))
     >>> project(wide, rate=0.5).a
@@ -81,7 +81,7 @@ def project(
 
 
 def _times(condition: str) -> int:
-    """How many times K the rate of a condition is."""
+    """The ratio of a condition's rate to K."""
     return {"lmi": 2, "tight": 1}[condition]
 
 
@@ -98,7 +98,7 @@ def _check(condition: str, rate: Tensor | float, gauge: str, bounds: Bounds | No
 
 
 def _inner(rate: Tensor | float, a: Tensor) -> Tensor:
-    """κ less what rounding may add to a sum of n products, `(*batch,)`."""
+    """κ minus the most that rounding can add to a sum of n products, `(*batch,)`."""
     rate = torch.as_tensor(rate, dtype=a.dtype, device=a.device)
     return (rate * (1 - 8 * a.shape[-1] * torch.finfo(a.dtype).eps)).expand(a.shape[:-1])
 
@@ -156,7 +156,7 @@ def _threshold(prefixes: _Prefixes, radius: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _shrink(size: Tensor, cost: Tensor, radius: Tensor) -> Tensor:
-    """(1): the nearest sizes in the weighted ball; as they were where the cost is 0."""
+    """(1): the nearest sizes in the weighted ball; those with cost 0 are unchanged."""
     return (size - _threshold(_prefixes(size, cost), radius)[0] * cost).clamp(min=0)
 
 

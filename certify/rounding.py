@@ -1,4 +1,4 @@
-"""Numbers that bound something, rounded towards the side on which they stay true."""
+"""Round bounds in the direction in which they remain true: upper bounds up, lower bounds down."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def float_below(x: Fraction) -> float:
 
 
 def above(x: Fraction | float, digits: int = 6) -> str:
-    """A decimal that is not below a number; with more digits where a number below 1 would read 1.
+    """A decimal that is not below a number. It has more digits where a number below 1 would be shown as 1.
 
     >>> above(Fraction(1, 3)), above(0.5), above(1 - Fraction(1, 10**9))
     ('0.333334', '0.5', '0.999999999')
@@ -50,7 +50,7 @@ def below(x: Fraction | float, digits: int = 6) -> str:
 
 
 def _decimal(x: Fraction, digits: int, rounding: str) -> str:
-    """In a context of its own: Decimal's operators round to 28 digits, half-even."""
+    """Divide in a separate context, because the operators of Decimal round to 28 digits, half-even."""
     while True:
         context = Context(prec=digits, rounding=rounding)
         value = context.divide(Decimal(x.numerator), Decimal(x.denominator))  # rounds once, from the exact integers

@@ -2,7 +2,7 @@
 
     x⁺ = aᵀ relu(w₁ x + W₂ u + b)                                                 (paper, section IV-B)
 
-Imports no torch, unless a file that torch wrote is read: a certificate is checked without it.
+torch is imported only to read a file that torch wrote. Certificates are checked without it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from certify.errors import CertifyError, shortened
 
 SUFFIXES = (".safetensors", ".npz", ".pt", ".pth")
-LARGEST = 1e150  # of a weight in a file; sums of products of two are still floats
+LARGEST = 1e150  # largest weight in a file; sums of products of two such weights are still finite floats
 UNPACKED = 2**28  # bytes to which an archive may unpack: 30 million weights
 
 
@@ -37,9 +37,9 @@ NAMES = ShallowWeights._fields
 
 
 class Network(NamedTuple):
-    """One parameter set, and where it was found."""
+    """One parameter set, and the place from which it was read."""
 
-    path: str  # of the file; with the tensors' prefix or the lane where a file holds more than one set
+    path: str  # of the file; with the tensors' prefix or the lane if a file contains more than one set
     weights: ShallowWeights  # float64 arrays, no batch
 
     @property
@@ -71,14 +71,14 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
         ) from error
     if lost:
         raise CertifyError(
-            f"{name}: found values in {', '.join(lost)} that float64 cannot hold exactly, expected ones that it can: "
+            f"{name}: found values in {', '.join(lost)} that float64 cannot hold exactly, expected float64 values: "
             "convert them to float64 before, since a proof is about the exact weights"
         )
     shapes = {key: array.shape for key, array in zip(NAMES, arrays, strict=True)}
     shape = arrays.a.shape
     if not shape or arrays.w1.shape != shape or arrays.b.shape != shape or arrays.W2.shape[:-1] != shape:
-        told = ", ".join(f"{key} {value}" for key, value in shapes.items())
-        raise CertifyError(f"{name}: found the shapes {told}, expected a, w1, b (n,) and W2 (n, m)")
+        listed = ", ".join(f"{key} {value}" for key, value in shapes.items())
+        raise CertifyError(f"{name}: found the shapes {listed}, expected a, w1, b (n,) and W2 (n, m)")
     if shape[-1] == 0:
         raise CertifyError(f"{name}: found a network without neurons, expected n of 1 or more")
     for key, array in zip(NAMES, arrays, strict=True):
@@ -105,8 +105,8 @@ def digest(weights: ShallowWeights) -> str:
 def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Network]:
     """Every shallow network among named tensors, lane by lane.
 
-    Names end in `a`, `w1`, `W2`, `b` below a common prefix (`members.rnn.weights.a`), or are those of two linear
-    layers, the first with (n, 1 + m) weights, the state's in column 0, the second with (1, n) and no bias.
+    Names end in `a`, `w1`, `W2`, `b` after a common prefix (`members.rnn.weights.a`). Two linear layers are accepted,
+    too: the first with (n, 1 + m) weights, those of the state in column 0, the second with (1, n) and no bias.
 
     >>> from_tensors({"net.a": [0.5], "net.w1": [1.0], "net.W2": [[0.0]], "net.b": [0.0]})[0].path
     'tensors'
@@ -184,7 +184,7 @@ def load(path: str | Path) -> list[Network]:
         raise
     except OSError as error:
         raise CertifyError(f"{path}: cannot be read ({error.strerror or error}): give the path of a file") from error
-    except Exception as error:  # whatever a reader makes of a damaged file
+    except Exception as error:  # a damaged file can make a reader raise anything
         cause = shortened(error) or type(error).__name__
         raise CertifyError(f"{path}: cannot be read as {path.suffix} of float32 or float64 ({cause})") from error
     return from_tensors(tensors, str(path))
@@ -221,7 +221,7 @@ def _read_torch(path: Path) -> dict[str, np.ndarray]:
 
 
 def find(paths: Iterable[str | Path]) -> list[Path]:
-    """The files of parameter sets that files, folders (of a run: its checkpoints) and patterns name, each once.
+    """The files of parameter sets named by files, folders (of a run: its checkpoints) and patterns, each once.
 
     Raises:
         CertifyError: one of them names nothing.
@@ -243,7 +243,7 @@ def find(paths: Iterable[str | Path]) -> list[Path]:
 
 
 def _below(folder: Path) -> list[Path]:
-    """The parameter sets below a folder. A run's folder also holds predictions and reports: its checkpoints alone."""
+    """The parameter sets below a folder. Of a run's folder only `checkpoints/` is read, not predictions or reports."""
     files = sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES and path.is_file())
     runs = {path.parent for path in [folder / "checkpoints", *folder.rglob("checkpoints")] if path.is_dir()}
 
