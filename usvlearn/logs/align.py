@@ -1,20 +1,20 @@
-"""Asynchronous channels to samples on a grid of `dt`: message by message, aboard or in a loop over a log.
+"""Asynchronous channels to samples on a grid of `dt`, message by message: live on a boat, or in a loop over a log.
 
 The step k → k+1 runs from the grid time t_k to t_{k+1} = t_k + dt. Its *target* is the last speed message stamped in
-(t_k, t_{k+1}], at s. What a prediction may see of each input (`docs/theory.md`, section 3):
+(t_k, t_{k+1}], at s. There are three choices of what a prediction may see of each input (`docs/theory.md`, section 3):
 
     mean   time-weighted mean of the held signal over [t_k, s): nothing stamped at or after the target (the default)
     last   the value in force at t_k: a true forecast
     next   the value at t_{k+1}, the paper's own form. It leaks: in a closed loop the command logged beside a speed was
            computed from that speed.
 
-An input with a `delay` counts from its stamp plus that delay, so it can only be seen later than stamped. (A delay of
-the speed is one of all inputs: declare it there.)
+An input with a `delay` takes effect that long after its stamp, so it can only be seen later than stamped. (If the speed
+lags behind, give that delay to all inputs.)
 
-A message is rejected, and counted by channel and cause, when it is not a number (`not_a_number`), beyond a physical
-limit (`out_of_range`), an exact copy (`duplicate`), stamped before what its channel or the log already had
-(`backwards`), or the first one beyond an outage, which may be a stray stamp (`ahead`). Two values under one stamp: the
-later one stands (`repeated`). A step without a recent message of a channel counts as `stale`.
+A message is rejected, and counted by channel and cause, if it is not a number (`not_a_number`), beyond a physical limit
+(`out_of_range`), an exact copy (`duplicate`), older than an earlier message of its channel or of the log (`backwards`),
+or the first one after an outage, whose stamp may be wrong (`ahead`). If two values have one stamp, the later one is
+used (`repeated`). A step without a recent message of a channel counts as `stale`.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not
 from usvlearn.logs.channel import CHANNELS, REQUIRED, Channel
 from usvlearn.signals import Inputs, Sample
 
-LEAST_DT = 1e-3  # s; far below what a hull does, and a grid of finer steps fills the memory
-ROOM = 64  # messages of a channel that a live boat holds at first
+LEAST_DT = 1e-3  # s; far below the time constants of a hull; a finer grid would fill the memory
+ROOM = 64  # messages of a channel for which there is room at first
 
 
 class Aligner:
@@ -42,11 +42,11 @@ class Aligner:
     Args:
         dt: step, s.
         inputs: "mean", "last" or "next", as above.
-        channels: what is logged, each with its `held`, `window` and `delay` (a `Channel` or a `Source`). Without
-            "yaw_rate" the heading's slope is taken.
+        channels: the logged channels, each with its `held`, `window` and `delay` (a `Channel` or a `Source`). Without
+            "yaw_rate", the slope of the heading is used.
         surge_max, command_max, yaw_rate_max: physical limits, m/s, share of full scale, rad/s.
-        patience: how long after a grid time stragglers are waited for, s.
-        outage: silence of all channels after which the grid starts anew, s; nothing is emitted for it.
+        patience: time to wait for late messages after a grid time, s.
+        outage: silence of all channels after which the grid starts anew, s; it gives no samples.
 
     Attributes:
         rejected: counts by channel and cause.
@@ -115,15 +115,15 @@ class Aligner:
         self._times, self._values = np.empty((2, len(CHANNELS), ROOM))  # recent messages
         self._room = ROOM  # messages until some are to be forgotten
         none = np.empty(0)
-        with announced(__file__, "alignment"):  # before the first message of a boat waits for it
+        with announced(__file__, "alignment"):  # compile now, so that a boat's first message need not wait
             self.feed(none.astype(np.int64), none, none)
 
-    def __copy__(self) -> Aligner:  # messages fed to one would turn up in the other
+    def __copy__(self) -> Aligner:  # a shallow copy would share its messages
         return copy.deepcopy(self)
 
     @property
     def rejected(self) -> dict[str, dict[str, int]]:
-        """Counts of what was rejected: channel -> cause -> count."""
+        """Counts of rejected messages: channel -> cause -> count."""
         found = {
             name: {cause: int(n) for cause, n in zip(_compiled().CAUSES, row, strict=True) if n}
             for name, row in zip(CHANNELS, self._memory["rejected"][0], strict=True)
@@ -142,17 +142,17 @@ class Aligner:
         return _samples(rows) if len(rows) else []
 
     def flush(self) -> list[tuple[float, Sample]]:
-        """The samples up to the newest message, without waiting for stragglers."""
+        """The samples up to the newest message, without waiting for late messages."""
         none = np.empty(0)
         return _samples(self.feed(none.astype(np.int64), none, none, flush=True))
 
     def feed(self, channels: np.ndarray, times: np.ndarray, values: np.ndarray, flush: bool = False) -> np.ndarray:
-        """Take many messages as `push` takes one; returns rows, see `usvlearn.logs.align_kernel.COLUMNS`.
+        """Take many messages at once; returns rows, see `usvlearn.logs.align_kernel.COLUMNS`.
 
         Args:
             channels: `(messages,)` int64, places in `CHANNELS`.
             times, values: `(messages,)` float64, s and SI units.
-            flush: as `flush` then.
+            flush: whether to call `flush` afterwards.
         """
         if len(times) > self._room:
             self._make_room(len(times))
@@ -161,7 +161,7 @@ class Aligner:
         return _compiled().feed(self._settings, *recent, channels, times, values, flush)
 
     def _make_room(self, messages: int) -> None:
-        """Drop what is not needed any more; hold twice what then is, so that it is seldom done."""
+        """Drop messages that are no longer needed, and make room for twice the rest, so that this is seldom called."""
         _compiled().forget(self._settings, self._memory, self._times, self._values)
         used = int(self._memory["count"].max())
         if 2 * (used + messages) > self._times.shape[1]:
@@ -173,7 +173,7 @@ class Aligner:
 
 @cache
 def _compiled() -> ModuleType:
-    """What makes the steps; numba takes a moment to import."""
+    """The compiled module; numba takes a moment to import."""
     from usvlearn.logs import align_kernel as compiled
 
     return compiled

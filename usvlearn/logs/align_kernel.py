@@ -1,6 +1,6 @@
-"""Messages to steps of the grid, compiled by numba: what `usvlearn.logs.align.Aligner` does with each message.
+"""Messages to steps of the grid, compiled by numba: the work of `usvlearn.logs.align.Aligner` for each message.
 
-Channels are numbered in the order of `CHANNELS`, causes of a rejection in that of `CAUSES`.
+Channels are numbered in the order of `CHANNELS`, and causes of a rejection in the order of `CAUSES`.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from usvlearn.logs.channel import CHANNELS
 
 EPSILON = 1e-6  # s, below which two stamps are one
 SLACK = 1.0  # s, by which a channel may lag behind the newest message of any other
-LATEST = 1e12  # s, beyond which a stamp is none: the next step would be at the same time
-RESETS = 3  # messages in a row, of several channels, that far behind are a clock that was set back
+LATEST = 1e12  # s; at later stamps, adding a step would not change the time
+RESETS = 3  # so many messages in a row, of several channels, far behind: the clock was set back
 TURN = 2 * math.pi
 LEFT, RIGHT, HEADING, YAW_RATE, SURGE = range(5)
 CAUSES = ("not_a_number", "out_of_range", "backwards", "ahead", "duplicate", "repeated", "stale")
 NOT_A_NUMBER, OUT_OF_RANGE, BACKWARDS, AHEAD, DUPLICATE, REPEATED, STALE = range(7)
 INPUTS = ("mean", "last", "next")
 MEAN, LAST, NEXT = range(3)
-DROP, TAKE, ANEW = range(3)  # what becomes of a message
+DROP, TAKE, ANEW = range(3)  # what is done with a message
 COLUMNS = 9  # of a row: time, command left and right, heading, yaw rate, dt, surge, fresh, measured
 
 
-# Records, not tuples of arrays: compiled code counts references to an array whenever it hands one on.
+# Records, not tuples of arrays: compiled code counts references to an array whenever it passes one on.
 SETTINGS = np.dtype(
     [
         ("dt", "f8"),  # s
@@ -46,9 +46,9 @@ MEMORY = np.dtype(
         ("ahead", "f8"),  # s, stamp of the last message that lay beyond an outage
         ("heard", "f8"),  # s, grid time of the last measured speed
         ("tick", "f8"),  # s, the grid time that was emitted last; NaN before the first
-        ("known", "i8"),  # whether an estimator knows the speed at that time
+        ("known", "i8"),  # whether the speed at that time is known
         ("behind", "i8"),  # how many messages in a row lie far behind the newest
-        ("voices", "i8"),  # and a bit for each of their channels
+        ("voices", "i8"),  # a bit for each channel of these messages
         ("count", "i8", len(CHANNELS)),  # recent messages of each channel
         ("rejected", "i8", (len(CHANNELS), len(CAUSES))),  # counts
     ]
@@ -88,7 +88,7 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
         settings, memory: records, `(1,)`: see `SETTINGS`, `MEMORY`.
         times, values: `(channels, room)`, the recent messages, oldest first; a time is when the value takes effect, s.
         channels, stamps, numbers: `(messages,)`, the new ones, in s and SI units; there must be room for them.
-        flush: whether to go on to the newest message, without waiting for stragglers.
+        flush: whether to continue to the newest message, without waiting for late ones.
     """
     settings, memory = settings[0], memory[0]
     rows, count = np.empty((len(stamps) // 4 + 16, COLUMNS)), 0
@@ -116,7 +116,7 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
 
 @jit(memory=True)
 def forget(settings, memory, times, values):
-    """Drop what is not needed to know any signal from a step before the one that was emitted last."""
+    """Drop messages that matter only before the step that precedes the last emitted one."""
     settings, memory = settings[0], memory[0]
     if math.isnan(memory.tick):
         return
@@ -226,7 +226,7 @@ def _restart(settings, memory, times, values):
     for c in range(len(memory.count)):
         n = memory.count[c]
         memory.count[c] = 0
-        if settings.held[c] and n > 0:  # what is held stands, however old
+        if settings.held[c] and n > 0:  # a held value stays in force, however old
             times[c, 0], values[c, 0], memory.count[c] = -math.inf, values[c, n - 1], 1
     memory.newest, memory.tick, memory.known = -math.inf, math.nan, False
 
@@ -238,7 +238,7 @@ def _room(rows, count):
 
 @jit(memory=True)
 def _write(row, time, dt, surge):
-    """A step that cannot be made: of `dt` 0 where the speed tells from where the next one departs."""
+    """A step that cannot be made; its `dt` is 0 if its speed is where the next step departs."""
     row[:] = 0.0
     row[0], row[5], row[6] = time, dt, surge
 
@@ -263,9 +263,9 @@ def _step(settings, memory, times, values, start, end, row):
         memory.rejected[SURGE, STALE] += 1
     else:
         if end - memory.heard > settings.outage:
-            memory.known = False  # too long ago for the way from there to be one step
+            memory.known = False  # too long ago: the change since then is not one step
         memory.heard = end
-    cut = speeds[i] if measured else end  # [start, cut): what a prediction may see under MEAN
+    cut = speeds[i] if measured else end  # with MEAN a prediction may see [start, cut)
     fresh = True
     for c in (LEFT, RIGHT, HEADING, YAW_RATE):
         if settings.logged[c]:

@@ -1,7 +1,7 @@
 """MOOS logs (`.alog`): rows of `time VARIABLE SOURCE[:AUX] VALUE`, separated by white space.
 
 The value may hold spaces and colours of a terminal, or be empty. Stamps are seconds since the logger's
-start and need not be in order. Lines that are not rows (the header starts with `%%`) are passed over.
+start and need not be in order. Lines that are not rows (the header starts with `%%`) are skipped.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Alog:
     suffixes: ClassVar[tuple[str, ...]] = (".alog",)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a log and what could not be used: channel -> cause -> count.
+        """The channels of a log, and the counts of unusable rows: channel -> cause -> count.
 
         Args:
             path: the log.

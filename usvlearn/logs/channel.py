@@ -1,4 +1,4 @@
-"""What a log is made of: channels of stamped numbers in SI units, and where in a file they are found."""
+"""The parts of a log: channels of stamped numbers in SI units, and their place in a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice
 
 LISTED, QUOTED = 60, 60  # names in an error, and characters of one
 CHANNELS = ("command_left", "command_right", "heading", "yaw_rate", "surge")
-REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be had from the heading
+REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be computed from the heading
 
 # unit -> (factor, offset): SI value = factor * value + offset
 UNITS = {
@@ -48,9 +48,9 @@ class Source:
         unit: one of `UNITS`.
         zero: raw value that means zero.
         span: raw distance from zero to full scale (commands) or 1; a negative one reverses a side.
-        held: the value stands until the next message, however old (commands that are posted only on change).
+        held: the value stays in force until the next message, however old (commands that are posted only on change).
         window: staleness window, s.
-        delay: how long after its stamp a value shows in the measured speed, s (thruster and filter lag).
+        delay: time from the stamp of a value to its effect on the measured speed, s (thruster and filter lag).
 
     >>> Source("thr_left", zero=1511, span=-400).convert(np.array([1511.0, 1111.0]))
     array([0., 1.])
@@ -86,7 +86,7 @@ class Channel(NamedTuple):
     time: np.ndarray  # (n,) float64, s since the log's start; may run backwards, repeat or be negative
     value: np.ndarray  # (n,) float64, SI units; NaN where the log had no number
     order: np.ndarray  # (n,) int64, place in the log (line, row, message): how channels interleave
-    held: bool = False  # stands until the next message
+    held: bool = False  # stays in force until the next message
     window: float = 0.2  # staleness window, s
     delay: float = 0.0  # from a stamp to its effect on the measured speed, s
 
@@ -97,11 +97,11 @@ class Recording(NamedTuple):
     boat: str
     run: str
     channels: dict[str, Channel]
-    dropped: dict[str, dict[str, int]]  # channel -> cause -> count, what the reader could not use
+    dropped: dict[str, dict[str, int]]  # channel -> cause -> count of what the reader could not use
 
 
 def match_name(pattern: str, available: Iterable[str], where: str) -> str:
-    """The one name in `available` that `pattern` means; a leading slash does not matter.
+    """The only name in `available` that matches `pattern`; a leading slash does not matter.
 
     Raises:
         LogFormatError: none or several match; the message names what the log has.
@@ -138,7 +138,7 @@ def parse_numbers(cells: Sequence[str]) -> np.ndarray:
     """
     try:
         return np.array(cells, dtype=np.float64)
-    except ValueError:  # some cell is not a number: one by one
+    except ValueError:  # some cell is not a number: convert one by one
         return np.array([_number(cell) for cell in cells], dtype=np.float64)
 
 
@@ -155,12 +155,12 @@ def build_channel(
     time: np.ndarray,  # (n,) s since the log's start, NaN where the stamp was unreadable
     raw: np.ndarray,  # (n,) values as logged, NaN where there was no number
     order: Sequence[int],  # (n,) place in the log
-    cells: Sequence | None = None,  # (n,) what the log held, to tell empty cells and to show in an error
+    cells: Sequence | None = None,  # (n,) cells as logged, to find empty ones and to quote in an error
 ) -> tuple[Channel, dict[str, int]]:
-    """A channel in SI units from what a reader found, and how much of it was dropped, by cause.
+    """A channel in SI units from the values of a reader, and the counts of dropped values, by cause.
 
     Raises:
-        LogFormatError: nothing usable is left.
+        LogFormatError: no usable value is left.
 
     >>> cells, stamps = ["50", "", "x"], np.array([0.0, 0.1, 0.2])
     >>> raw = parse_numbers(cells)

@@ -51,7 +51,7 @@ class Table:
             raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character")
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a table and what could not be used: channel -> cause -> count.
+        """The channels of a table, and the counts of unusable cells: channel -> cause -> count.
 
         Args:
             path: the file.
@@ -120,7 +120,7 @@ class Table:
 
 
 def _rows(path: Path, lines, width: int, wanted: itemgetter) -> tuple[list[int], list[tuple], int]:
-    """Line numbers and wanted cells of the whole rows, and how many rows were torn."""
+    """Line numbers and wanted cells of the complete rows, and the number of torn rows."""
     order, rows, torn = [], [], 0
     first = ""
     for row in lines:

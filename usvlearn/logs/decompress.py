@@ -17,24 +17,24 @@ from typing import Any, BinaryIO
 from usvlearn.errors import LogFormatError
 
 MB = 1_000_000
-MESSAGE = MB  # bytes of one message that is read: as objects of Python it takes a hundred times as many
+MESSAGE = MB  # most bytes of one message that is read; as Python objects it takes a hundred times as many
 BLOCK = 1 << 16  # bytes unpacked at a time: the blocks before a damaged one are kept
-MOST = 1000  # times its size: how much a bag may unpack to, all chunks together
-_PATCHED = threading.Lock()  # what rosbags unpacks with is common to all threads
+MOST = 1000  # a bag may unpack to so many times its size, all chunks together
+_PATCHED = threading.Lock()  # all threads share the functions with which rosbags unpacks
 
 
 def unpack(path: Path, data: bytes, compression: str, limit: int, announced: int = 0) -> tuple[bytes, bool]:
-    """A chunk's data as far as it can be read, and whether that is all of it.
+    """A chunk's data as far as it can be read, and whether it is complete.
 
     Args:
         path: of the bag, for the error.
         data: the compressed chunk.
         compression: none, bz2, lz4 or zstd.
         limit: of the unpacked chunk, bytes.
-        announced: size that the chunk's header gives, bytes; 0 where it gives none. What is beyond is damage.
+        announced: size that the chunk's header gives, bytes; 0 if it gives none. Data beyond it count as damage.
 
     Raises:
-        LogFormatError: the chunk is larger than the limit, or announces to be.
+        LogFormatError: the chunk, or the size in its header, is larger than the limit.
         ValueError: an unknown compression.
 
     >>> unpack(Path("a.bag"), bz2.compress(bytes(1000)), "bz2", limit=5000, announced=1000) == (bytes(1000), True)
@@ -54,7 +54,7 @@ data.reader.chunk_limit if you know where it is from
         while part := stream.read1(min(BLOCK, most + 1 - len(found))):
             found += part
         whole = announced in (0, len(found))
-    except Exception:  # each library has its own for damage; the blocks before it are kept
+    except Exception:  # each library raises its own type for damage; the blocks before it are kept
         pass
     if len(found) > limit:
         raise _too_large(path, f"a chunk that unpacks to more than {limit / MB:g} MB")
@@ -62,7 +62,7 @@ data.reader.chunk_limit if you know where it is from
 
 
 def _opened(compression: str, file: BinaryIO) -> Any:
-    """A stream of what a file unpacks to."""
+    """A stream of the unpacked file."""
     if compression == "bz2":
         return bz2.BZ2File(file)
     if compression == "lz4":
@@ -77,7 +77,7 @@ def _opened(compression: str, file: BinaryIO) -> Any:
 
 
 class Total:
-    """Counts the unpacked data of one bag, which may be larger than the file, but not by any factor.
+    """Counts the unpacked data of one bag, and limits them to `MOST` times the size of the file.
 
     Args:
         path: of the bag.
@@ -88,7 +88,7 @@ class Total:
         self.path, self.most, self.count = path, limit + MOST * path.stat().st_size, 0
 
     def message(self, data: bytes) -> None:
-        """Count a message that is to be read; a LogFormatError where it, or all of them, are too large."""
+        """Count a message before it is read; raise a LogFormatError if it, or all of them, are too large."""
         if len(data) > MESSAGE:
             raise LogFormatError(
                 f"{self.path}: found a message of {len(data) / MB:.1f} MB, expected at most {MESSAGE / MB:g} MB: name "
@@ -97,7 +97,7 @@ class Total:
         self.add(len(data))
 
     def add(self, count: int) -> None:
-        """Count some bytes more; a LogFormatError where there are too many."""
+        """Count more bytes; raise a LogFormatError if there are too many."""
         self.count += count
         if self.count > self.most:
             raise _too_large(
@@ -119,7 +119,7 @@ def _whole(path: Path, data: bytes, compression: str, limit: int, announced: int
 
 @contextmanager
 def limited(path: Path, limit: int) -> Iterator[None]:
-    """While this is entered, rosbags unpacks what ROS 2 has stored in chunks, or in rows, up to a limit.
+    """A context in which rosbags unpacks the chunks or rows of a ROS 2 bag up to a limit only.
 
     Args:
         path: of the bag.
@@ -150,7 +150,7 @@ def limited(path: Path, limit: int) -> Iterator[None]:
 
 
 def limit_chunks(path: Path, reader: Any, limit: int) -> None:
-    """Let a reader of a ROS 1 bag unpack no chunk beyond a limit, nor beyond what the chunk announces.
+    """Make a reader of a ROS 1 bag unpack chunks up to a limit only, and up to the size that the chunk announces.
 
     Args:
         path: of the bag.

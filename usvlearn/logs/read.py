@@ -1,4 +1,4 @@
-"""Find the logs that a path means, and read each into a Recording."""
+"""Find the logs that a path names, and read each into a Recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SOURCE_KEYS = tuple(field.name for field in fields(Source))
 
 
 class Reader(Protocol):
-    """What reads one file: `Alog`, `Table`, `Rosbag`."""
+    """A reader of one file: `Alog`, `Table`, `Rosbag`."""
 
     suffixes: tuple[str, ...]
 
@@ -35,18 +35,18 @@ def read_recordings(
 ) -> list[Recording]:
     """Read all logs of one boat, or of several.
 
-    Runs are named by their path below the given folder, without suffix, and sorted so that run_2 comes
-    before run_10. Of several logs, one that cannot be read is left out with a warning.
+    Runs are named by their path below the given folder, without suffix, and sorted so that run_2 comes before run_10.
+    If there are several logs, one that cannot be read is left out with a warning.
 
     Args:
         path: a log; a folder, with all logs below it; a pattern such as `logs/*/run_?.csv`; or boat -> path.
-        reader: what reads one log.
+        reader: reads one log.
         channels: channel -> a Source or its arguments; None, or a name of None, means not logged.
         boat: the boat's name; default the name of the log or folder, without suffix.
 
     Raises:
         ConfigError: the path finds no log, or the channels are not declared as expected.
-        LogFormatError: no log can be read as declared; the first one's reason.
+        LogFormatError: no log can be read as declared; the message is that of the first log.
 
     >>> from tempfile import TemporaryDirectory
     >>> from usvlearn.logs.csv_table import Table
@@ -100,7 +100,7 @@ def _read(file: Path, root: Path, reader: Reader, sources: dict[str, Source], bo
 
 
 def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, list[Path]]:
-    """The folder that runs are named from, and the logs in their natural order."""
+    """The folder relative to which runs are named, and the logs in natural order."""
     if path is None or str(path) in ("", "???"):
         raise ConfigError("data.path is not set: set data.path=FILE, a folder of logs, or a pattern")
     if not isinstance(path, str | os.PathLike):
@@ -126,7 +126,7 @@ def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, lis
     found = [Path(name) for name in glob.glob(pattern, recursive=True) if os.path.isfile(name)]
     files = [file for file in found if file.suffix.lower() in suffixes]
     if not files and found and not here.is_dir():
-        files = found  # a pattern that spells out another suffix
+        files = found  # the pattern names another suffix
     if not files:
         raise ConfigError(
             f"data.path: expected logs ({endings}) in {text!r}, found none among its {len(found)} files: "

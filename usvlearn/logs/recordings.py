@@ -1,4 +1,4 @@
-"""Recordings to a `Fleet`: every boat a lane, its runs one after the other."""
+"""Recordings to a `Fleet`: each boat is a lane, with its runs one after the other."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from usvlearn.logs.align import Aligned, align
 from usvlearn.logs.channel import Recording
 from usvlearn.signals import Fleet, Inputs, Run, Sample, tree_map
 
-SHORTEST = 3  # samples that make a run
+SHORTEST = 3  # least number of samples in a run
 
 
 def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:

@@ -18,7 +18,7 @@ from usvlearn.logs.decompress import MB, Total, limit_chunks, limited
 from usvlearn.logs.rosbag_scan import Scan
 from usvlearn.logs.rosbag_types import check_type
 
-CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt is that of a clock that was never set
+CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt comes from a clock that was never set
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,7 @@ class Rosbag:
     A field is a dotted path (`twist.linear.x`; default `data`; a number indexes an array). Several,
     comma-separated, give their Euclidean norm. A quaternion gives its yaw in rad, counter-clockwise about z.
 
-    A ROS 1 bag whose recording crashed (`.bag.active`, cut off, no index) is read up to where it breaks off,
-    with a warning.
+    A ROS 1 bag whose recording crashed (`.bag.active`, cut off, no index) is read as far as possible, with a warning.
 
     Args:
         clock: `header` takes the stamp in a message's header, and the time of receipt for messages without
@@ -58,7 +57,7 @@ class Rosbag:
         return int(MB * self.chunk_limit)
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
-        """The channels of a bag and what could not be used: channel -> cause -> count.
+        """The channels of a bag, and the counts of unusable messages: channel -> cause -> count.
 
         Args:
             path: the bag.
@@ -83,12 +82,12 @@ class Rosbag:
                 return self._read(path, bag, sources)
         except LogFormatError:
             raise
-        except Exception as error:  # rosbags answers damage with many types, AssertionError and OSError among them
+        except Exception as error:  # rosbags raises many types for damage, among them AssertionError and OSError
             refusal = error
         return self._recover(path, sources, refusal)
 
     def _recover(self, path: Path, sources: dict[str, Source], refusal: Exception):
-        """What `read` gives, of a bag that rosbags refuses."""
+        """As `read`, for a bag that rosbags refuses."""
         what = printable(" ".join(str(refusal).split())[:200].rstrip(".")) or type(refusal).__name__
         if path.suffix == ".active":
             what = "its recording was not closed"

@@ -1,4 +1,4 @@
-"""ROS 1 bags whose index is missing or damaged, read record by record up to where they break off.
+"""ROS 1 bags whose index is missing or damaged, read record by record up to the first damaged one.
 
 The records are those of format 2.0, https://wiki.ros.org/Bags/Format/2.0
 """
@@ -30,20 +30,21 @@ class Connection(NamedTuple):
 
 
 class Scan:
-    """What a bag's records hold, with the attributes of `rosbags.highlevel.AnyReader`.
+    """The records of a bag, with the attributes of `rosbags.highlevel.AnyReader`.
 
     It is read once, from its start. The first thing that cannot be parsed ends the scan.
 
     Args:
         path: the bag.
-        keep: of the topics, those whose messages are wanted: only they are held in memory and deserialised.
+        keep: tells which topics are wanted: only their messages are held in memory and deserialised.
         limit: bytes that a compressed chunk may unpack to.
 
     Attributes:
         connections: sorted by number.
         start_time: ns since 1970, the earliest message of any topic.
         count: messages of any topic.
-        end, size: bytes; where the record begins that cannot be parsed (the size if there is none), and the size.
+        end: byte at which the first unreadable record begins; the size of the bag if there is none.
+        size: of the bag, bytes.
 
     Raises:
         LogFormatError: a chunk is larger than the limit.
@@ -71,7 +72,7 @@ class Scan:
                 self.end = self.size
             except LogFormatError:
                 raise
-            except Exception as error:  # garbage raises any type, and from within rosbags, bz2 and lz4
+            except Exception as error:  # damaged data raise any type, also within rosbags, bz2 and lz4
                 if isinstance(error, OSError) and error.errno:
                     raise
 
@@ -80,7 +81,7 @@ class Scan:
         return [self._connections[number] for number in sorted(self._connections)]
 
     def messages(self, wanted: Iterable[Connection]) -> Iterator[tuple[Connection, int, bytes]]:
-        """The kept messages of these connections, by time of receipt as an index gives them."""
+        """The kept messages of these connections, sorted by time of receipt, as an index would."""
         logs = [[(connection, *message) for message in self._messages[connection.number]] for connection in wanted]
         yield from sorted(itertools.chain(*logs), key=lambda message: message[1])
 
@@ -88,7 +89,7 @@ class Scan:
         return self.typestore.deserialize_ros1(data, msgtype)
 
     def _record(self, stream: BinaryIO, size: int) -> None:
-        """Takes in the next record of a stream of so many bytes; an exception if it cannot be parsed."""
+        """Read the next record of a stream of so many bytes; raise an exception if it cannot be parsed."""
         header = _fields(_read(stream, size, _uint32(stream.read(4))))
         op, length = header["op"][0], _uint32(stream.read(4))
         if op == CHUNK:
@@ -105,7 +106,7 @@ class Scan:
     def _chunk(self, stream: BinaryIO, left: int, length: int, header: dict[str, bytes]) -> None:
         compression, announced = header["compression"].decode(), _uint32(header.get("size", bytes(4)))
         if length == 0 and compression != "none":
-            length = left  # the length is written when a chunk is closed: this one never was
+            length = left  # the length is written when a chunk is closed, and this chunk was not closed
         data, whole = unpack(self._path, stream.read(min(length, left)), compression, self._limit, announced)
         inner = io.BytesIO(data)
         while inner.tell() < len(data):
@@ -134,7 +135,7 @@ class Scan:
         received = seconds * 10**9 + nanoseconds
         if connection.number in self._messages:
             self._total.message(data)
-            self.deserialize(data, connection.msgtype)  # what fails here is where the scan ends
+            self.deserialize(data, connection.msgtype)  # the scan ends at the first message that fails here
             self._messages[connection.number].append((received, data))
         self.start_time = min(self.start_time, received)
         self.count += 1

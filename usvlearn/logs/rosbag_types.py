@@ -1,4 +1,4 @@
-"""The message types that a bag defines: some make gigabytes of objects of a message of some bytes, and are refused."""
+"""The message types that a bag defines; types that turn a few bytes into gigabytes of objects are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NOTHING = "structure_needs_at_least_one_member"  # as rosbags calls the field of
 
 
 def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None:
-    """Raise a LogFormatError where messages of a type can have many more fields than bytes.
+    """Raise a LogFormatError if messages of a type can have many more fields than bytes.
 
     Args:
         path: of the bag, for the error.
@@ -33,7 +33,7 @@ def check_type(path: Path, msgtype: str, definitions: Mapping[str, Any]) -> None
         )
 
     def measure(description: Any, depth: int) -> tuple[int, int]:
-        """Least bytes, and fields."""
+        """The least bytes and the most fields of a type."""
         kind, inner = description
         if kind == Nodetype.BASE:
             return 1, 1
