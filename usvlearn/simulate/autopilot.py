@@ -1,12 +1,12 @@
-"""The controller aboard a simulated boat: a speed PI or an open throttle, and a heading P, to two commands.
+"""The controller of a simulated boat: a PI controller of the speed (or an open throttle) and a P controller of heading.
 
     e = (surge_reference - surge) / surge_max                                                         (1)
     I+ = clip(I + dt k_i e),   throttle = I+ + k_p e          where the speed is controlled           (2)
     turn = clip(k_h wrap(heading_reference - heading), turn_max)                                      (3)
     command = round(power * clip(throttle +- turn))           left +, right -                         (4)
 
-Where the throttle is open the integral follows it, so that taking control over makes no bump.
-It is computed by `compiled.steer`.
+Where the throttle is given directly, the integral follows it, so that switching to speed control makes no jump.
+`missions_kernel.steer` computes it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from usvlearn.errors import check_positive
 
 
 class Reference(NamedTuple):
-    """What the boat is told at one tick, or `(ticks, ...)` for a mission. Leaves are `(*batch,)`."""
+    """The references of the boat at one tick, or `(ticks, ...)` for a mission. Leaves are `(*batch,)`."""
 
     surge: Tensor  # speed over ground, share of the top speed; NaN where the throttle is open
     throttle: Tensor  # mean of both commands where it is open, share of full scale

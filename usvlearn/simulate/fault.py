@@ -1,6 +1,6 @@
-"""A thruster that fails or fouls: from a minute of the season on, one side of every boat has less thrust.
+"""A thruster that fails or fouls: from some minute of the season on, one side of every boat has less thrust.
 
-tau_side ← share · tau_side, at the same command. Nothing else of the boat or its autopilot knows of it.
+tau_side ← share · tau_side, at the same command. Neither the rest of the boat nor its autopilot is told.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Fault:
 
 
 def faulty_vessels(fault: Fault | None, vessel: Vessel, ticks: Sequence[int], hz: float) -> dict[int, Vessel]:
-    """The vessel's parameters from a tick of its mission on, by that tick; empty where there is no fault.
+    """The vessel's new parameters, by the tick from which they hold; empty if there is no fault.
 
     Args:
         vessel: before the fault, leaves broadcast against `(missions, boats, ...)`.

@@ -1,8 +1,7 @@
-"""A season of a simulated fleet: boats of one plant, their missions, what their logs hold.
+"""A season of a simulated fleet: boats of one plant, their missions, and their logs.
 
-All missions of all boats are lanes of one batch `(missions, boats)`, stepped together. Boat k and mission j
-draw from generators seeded by (seed, purpose, j, k), so that a boat does not depend on how many others there
-are.
+All missions of all boats are lanes of one batch `(missions, boats)`, stepped together. Boat k and mission j draw from
+generators seeded by (seed, purpose, j, k), so that a boat does not depend on the number of boats.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from usvlearn.simulate.sensors import Sensors, Truth, measure
 from usvlearn.simulate.vessel import Vessel, VesselState, at_rest, over_ground, scale_thrust, steady_surge
 
 LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
-SUBSTEPS_HZ = 10.0  # the motion is stepped at least so often, 1/s
+SUBSTEPS_HZ = 10.0  # least number of steps of the motion per second
 MOST_HOURS = 1e5  # of all boats together; more fills the memory
 HULL, BED, RIVER, COURSE, EVENT, SENSOR = range(6)  # purposes of a generator
 
@@ -60,8 +59,8 @@ def fleet_vessels(
 
     Args:
         n: boats.
-        spread: 0 makes all boats the plant, 1 spreads them as a fleet in use.
-        drift: how far a boat moves over the season towards another draw, 0 ... 1.
+        spread: 0 makes all boats equal to the plant; 1 varies them like a fleet in use.
+        drift: how far a boat's parameters move over the season towards a second draw, 0 ... 1.
 
     >>> fleet_vessels(3, missions=2).mass.shape
     torch.Size([2, 3])
@@ -89,7 +88,8 @@ def fleet_missions(
 ) -> tuple[list[str], list[list[Mission]]]:
     """The name of each mission, and its course per boat.
 
-    The kinds are dealt like cards, so that each comes as often. A convoy has one course for all boats.
+    The kinds are drawn without replacement until all have been used, so each occurs equally often. A convoy has one
+    course for all boats.
 
     Args:
         ticks: length of each mission, ticks of the autopilot.
@@ -131,7 +131,7 @@ def sail(
         vessel: leaves broadcast against `(missions, boats, ...)`.
         courses: `[mission][boat]`.
         current, direction: m/s and rad, broadcast against `(missions, boats)`.
-        later: what the vessel becomes, by the tick from which on; the autopilot is not told.
+        later: the vessel's new parameters, by the tick from which they hold; the autopilot does not know them.
 
     Returns:
         The step in s, surge over ground and heading at its multiples `(steps + 1, missions, boats)`, and the
@@ -169,7 +169,7 @@ def sail(
 
 
 def _stacked(courses: list[list[Mission]]) -> Reference:
-    """All courses as `(ticks, missions, boats)`; behind its end a course has no power."""
+    """All courses as `(ticks, missions, boats)`; after its end a course has no power."""
     ticks = max(course.power.size for row in courses for course in row)
     stacked = torch.zeros((4, ticks, len(courses), len(courses[0])), dtype=torch.float64)
     for j, row in enumerate(courses):
@@ -202,17 +202,17 @@ def fleet(
         spread: 0 makes all boats equal, 1 spreads them (see `fleet_vessels`).
         hours: time of each boat on the water, all missions together.
         plant: heron, kingfisher, vtec, otter or wamv.
-        mission_minutes: length of a mission; the last one takes what is left of `hours`.
-        seed: the same seed gives the same logs, bit by bit.
+        mission_minutes: length of a mission; the last one takes the rest of `hours`.
+        seed: the same seed gives the same logs, bit for bit.
         drift: how far a boat's parameters move over the season, 0 ... 1.
-        current: fastest river current, m/s; each mission has its own, the river keeps its bed.
-        missions: kinds to deal from: convoy, patrol, lawn_mower, station_keeping.
+        current: fastest river current, m/s; each mission has its own speed; the direction varies little.
+        missions: kinds to draw from: convoy, patrol, lawn_mower, station_keeping.
         aborted_share: share of the missions that end early, at 30 ... 80 % of their length.
-        paused_share: share of the missions with a spell of idle thrusters.
-        autopilot: gains of the controller; by default it never backs up.
+        paused_share: share of the missions with a pause of the thrusters.
+        autopilot: gains of the controller; by default it never goes astern.
         sensors: rates, errors and losses.
         fault: a thruster of every boat that fails; by default none does.
-        fleet_seed: seed of the boats themselves, by default `seed`; with it the same boats sail another season.
+        fleet_seed: seed of the boats themselves, by default `seed`; set it to let the same boats sail another season.
 
     Returns:
         Recordings; `dropped` counts the messages that were lost.

@@ -1,7 +1,7 @@
 """All missions with the autopilot in the loop, compiled by numba: `autopilot` and `vessel.step`, lane by lane.
 
-The motion is computed as `vessel.step` does it, operation by operation, so that both give the same bits. What does not
-change from step to step is computed once, by torch, whose exponential is not that of the C library.
+The motion is computed as in `vessel.step`, operation by operation, so that both give the same bits. Constants of the
+steps are computed once, by torch, because its exponential differs from that of the C library.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from usvlearn.simulate.vessel import Vessel
 
 
 class Known(NamedTuple):
-    """What steering and stepping need besides the vessel's parameters. Leaves are `(lanes,)`."""
+    """Constants for steering and stepping, besides the vessel's parameters. Leaves are `(lanes,)`."""
 
     decay: np.ndarray  # of a thruster's lag over a step
     lag: np.ndarray  # of a thruster, in steps
@@ -32,7 +32,7 @@ class Known(NamedTuple):
 def known(
     vessel: Vessel, batch: tuple[int, ...], dt: float, top: Tensor, current: Tensor, direction: Tensor
 ) -> tuple[Vessel, Known]:
-    """The vessel as arrays `(lanes, …)`, and what follows from it.
+    """The vessel as arrays `(lanes, …)`, and the constants that follow from it.
 
     Args:
         vessel: leaves broadcast against `(*batch, …)`, as do `top`, `current` and `direction`.
@@ -114,9 +114,9 @@ def sail_on(gains, reference, vessel, known, dt, substeps, integral, state, surg
         vessel, known: see `known`.
         dt: step, s.
         substeps: steps of a tick.
-        integral, state: of the autopilot, `(lanes,)`, and the vessel, leaves `(lanes, …)`; left as they are at the end.
-        surge, heading: filled in, through the water, m/s, and rad, `(ticks · substeps, lanes)`.
-        commands: filled in, `(ticks, lanes, 2)`.
+        integral, state: of the autopilot, `(lanes,)`, and of the vessel, leaves `(lanes, …)`; updated in place.
+        surge, heading: output, through the water, m/s, and rad, `(ticks · substeps, lanes)`.
+        commands: output, `(ticks, lanes, 2)`.
     """
     nodes = vessel.thrust_table.shape[-1]
     static, lift = np.empty(2), np.empty(2)

@@ -1,8 +1,8 @@
-"""Five vessels by their published models: mass, drag and thrust; how they steer is assumed.
+"""Five vessels with published mass, drag and thrust; their yaw motion is assumed.
 
-Mass, drag and thrust follow the makers' and identifiers' figures as each docstring gives them. None of these
-sources has the yaw motion or the turning drag in this form, so both are set to plausible values: one side at
-full ahead and the other at rest turns the boat at 0.6 rad/s.
+Mass, drag and thrust are the published figures that each docstring gives. None of the sources has the yaw motion or the
+turning drag in this form, so both are set to plausible values: with one side at full ahead and the other at rest the
+boat turns at 0.6 rad/s.
 """
 
 from __future__ import annotations

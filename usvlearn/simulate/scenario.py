@@ -1,7 +1,7 @@
-"""What boats are sent to do: courses of references for the autopilot, each drawn from a random generator.
+"""Missions: courses of references for the autopilot, each drawn from a random generator.
 
-Every mission starts and ends with idle thrusters; together they mix speeds, turns and coasting, so that each
-term of the motion model is excited.
+Every mission starts and ends with idle thrusters. Together they mix speeds, turns and coasting, so that each term of
+the motion model is excited.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def legs(rng: np.random.Generator, ticks: int, hz: float, shortest: float, longe
 
 
 def convoy(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Keep one's place in a column: a speed that is set now and then and swells with the gap, a winding way.
+    """Follow in a column: the speed changes now and then and oscillates with the gap, and the path winds.
 
     >>> convoy(np.random.default_rng(0), 2400, 4.0).surge.shape
     (2400,)
@@ -50,7 +50,7 @@ def convoy(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def patrol(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Go round a polygon with an open throttle that is set anew on every leg, and coast at times.
+    """Go round a polygon with an open throttle that changes now and then, and coast at times.
 
     >>> bool(np.isnan(patrol(np.random.default_rng(0), 2400, 4.0).surge).all())
     True
@@ -65,7 +65,7 @@ def patrol(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def lawn_mower(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Survey parallel lines at a speed that is kept within a line, with two square turns between lines.
+    """Survey parallel lines, each at a constant speed, with two right-angle turns between lines.
 
     >>> lines = lawn_mower(np.random.default_rng(0), 2400, 4.0).heading
     >>> len(set(lines.round(6)))  # up, across, down
@@ -82,7 +82,7 @@ def lawn_mower(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def station_keeping(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
-    """Hold a place: bursts of throttle, some astern where the autopilot may, turns on the spot, coasting.
+    """Hold a position: bursts of throttle (astern if the autopilot may), turns on the spot, coasting.
 
     >>> bool(0 < station_keeping(np.random.default_rng(0), 2400, 4.0).power.mean() < 1)
     True
@@ -96,7 +96,7 @@ def station_keeping(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
 
 
 def paused(rng: np.random.Generator, mission: Mission) -> Mission:
-    """The mission with the thrusters off for a spell in its middle, 10 ... 25 % of it.
+    """The mission with the thrusters off for 10 ... 25 % of its length, somewhere in the middle.
 
     >>> ahead = Mission(*np.ones((4, 100)))
     >>> bool(10 <= (paused(np.random.default_rng(0), ahead).power == 0).sum() <= 25)

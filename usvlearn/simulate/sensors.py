@@ -1,8 +1,8 @@
-"""What a boat's log holds of the truth: stamped, noisy, late, quantised and partly lost messages.
+"""A simulated boat's log: stamped, noisy, late, quantised and partly lost messages of the true motion.
 
-Every channel keeps its own clock, so nothing is sampled together: the k-th message is stamped
-t_k = (k + phase)/hz + jitter, holds the truth at t_k through the sensor's errors, and arrives (is logged) a
-latency later. Speed below 0.2 m/s comes from a filter, so it is smoother than the quantised value above.
+Every channel has its own clock, so channels are not sampled together. The k-th message has the stamp
+t_k = (k + phase)/hz + jitter, contains the true value at t_k with the sensor's errors, and arrives (is logged) after a
+latency. Speed below 0.2 m/s comes from a filter, so it is smoother than the quantised value above.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Sensors:
         outlier_scale: scale of the outliers, which are Student t with 2 degrees of freedom, m/s.
         heading_hz: messages of heading a second.
         heading_noise: standard deviation, rad.
-        commands: "periodic" posts every command, "on_change" only what differs from the last one (then held).
+        commands: "periodic" posts every command, "on_change" only those that differ from the last one (then held).
         jitter: stamps lie within +- this of their clock, s.
         latency: messages arrive up to this after their stamp, s.
         lost_share: share of single messages that are lost, of each channel.
@@ -85,7 +85,7 @@ class Sensors:
 
 
 class Truth(NamedTuple):
-    """What happened on one mission of one boat."""
+    """The true motion on one mission of one boat."""
 
     dt: float  # s, step of the motion
     surge: np.ndarray  # (time,) over ground, m/s, at 0, dt, 2 dt, ...
@@ -135,7 +135,7 @@ def _at(truth_column: np.ndarray, dt: float, time: np.ndarray) -> np.ndarray:
 
 
 def _commands(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> list[Posted]:
-    """Both commands are posted up to two jitters after they take force, each on its own."""
+    """Both commands, each posted up to two jitters after it takes effect."""
     posted = []
     for value in truth.commands.T:
         time = np.arange(value.size) * truth.tick + rng.uniform(0, 2 * sensors.jitter, value.size)
@@ -171,7 +171,7 @@ def _surge(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> Posted:
 def _kept(
     rng: np.random.Generator, time: np.ndarray, span: float, sensors: Sensors
 ) -> tuple[np.ndarray, dict[str, int]]:
-    """Which messages get through, and how many do not, by cause."""
+    """Which messages arrive, and the counts of the lost ones, by cause."""
     lost = rng.random(time.size) < sensors.lost_share
     count = rng.poisson(sensors.outages_per_hour * span / 3600)
     start = rng.uniform(0, span, (count, 1))

@@ -1,8 +1,8 @@
-"""What an estimator should find of a simulated boat: its true parameters, as far as the motion model can hold them.
+"""The true parameters of a simulated boat, as far as the motion model can represent them.
 
-A plant whose thrust is a table, or whose drag has a knee, has no such parameters; theirs are those of the least-squares
-fits c_q |v| v + c_l v over speeds of 0 to the top speed, and α ξ + β ξ|ξ| over commands of 0 to 1. Surge data tell the
-parameters over the mass alone, so that all are scaled by declared over true mass.
+If the thrust of a plant is a table, or its drag has a knee, the true parameters are those of the least-squares fits
+c_q |v| v + c_l v over speeds from 0 to the top speed, and α ξ + β ξ|ξ| over commands from 0 to 1. Surge data identify
+the parameters only in proportion to the mass, so all are scaled by declared over true mass.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ GRID = 101  # points of a fit
 
 
 def truth_of(sources: Sequence[Mapping[str, Any]], mass: float) -> dict[str, dict[str, np.ndarray]]:
-    """`true_parameters` of the one source of data, as it is configured; {} where there are more, or others.
+    """`true_parameters` of a single configured simulation; {} for several sources, or for other data.
 
     >>> truth_of([{"_target_": "usvlearn.logs.read.read", "path": "logs"}], 28.0)
     {}
     """
     if len(sources) != 1 or not sources[0]["_target_"].endswith("simulate.fleet.fleet") or sources[0].get("fault"):
-        return {}  # a fault would change the truth on the way
+        return {}  # a fault changes the truth during the season
     return true_parameters(mass, **sources[0])
 
 

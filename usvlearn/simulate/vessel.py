@@ -6,9 +6,8 @@
     yaw_lag r_dot = yaw_gain (tau_L - tau_R) - r,    heading_dot = r                                  (4)
 
 v is the surge speed through the water, r the yaw rate, xi the speed of a thruster as a share of full scale.
-(1) and (2) are the motion model of the estimators in its signed form; |r| v equals their |r v| ahead and,
-unlike it, brakes astern too. Parameters are leaves of `Vessel`, so that a trajectory has gradients with
-respect to them.
+(1) and (2) are the motion model of the estimators, with thrust tables. Parameters are leaves of `Vessel`, so that a
+trajectory has gradients with respect to them.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ class Vessel(NamedTuple):
 
 
 class VesselState(NamedTuple):
-    """Where the vessel is in its motion. Leaves are `(*batch,)` except `shaft`."""
+    """The state of motion. Leaves are `(*batch,)` except `shaft`."""
 
     surge: Tensor  # (*batch,) m/s through the water
     heading: Tensor  # (*batch,) rad, 0 north, clockwise, not wrapped
@@ -125,9 +124,9 @@ def thrust(vessel: Vessel, shaft: Tensor, surge: Tensor) -> Tensor:
 
 
 def step(vessel: Vessel, state: VesselState, command: Tensor, dt: float) -> VesselState:
-    """The state `dt` later under a command that is held: (1) by Runge-Kutta 4, (3) and (4) exactly.
+    """The state `dt` later under a constant command: (1) by Runge-Kutta 4, (3) and (4) exactly.
 
-    Over the step the thrust is that of the mean thruster speed, exact once the thrusters have spun up.
+    The thrust over the step is that of the mean thruster speed, which is exact once the thrusters have spun up.
 
     Args:
         command: `(*batch, 2)` left and right, share of full scale; saturates at -1 and 1.
