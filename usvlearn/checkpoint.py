@@ -1,7 +1,7 @@
-"""A parameter set on disk: one safetensors file, whose header also holds the metadata and a checksum over both.
+"""A parameter set on disk: one safetensors file, whose header also contains the metadata and a checksum over both.
 
-Written to a temporary file, flushed to the disk and renamed, so that a reader sees a whole file or none. Imports no
-torch: aboard a small computer there is none.
+It is written to a temporary file, flushed to the disk and renamed, so that a reader sees a complete file or none. torch
+is not imported, because small computers on boats do not have it.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from safetensors.numpy import save as save_tensors
 from usvlearn.errors import CheckpointError
 from usvlearn.signals import named_leaves, rebuild, sort_of
 
-SCHEMA = 2  # 1 kept another square root of the covariance of least squares
+SCHEMA = 2  # schema 1 had another square root of the covariance of least squares
 SUFFIX = ".safetensors"
 KEY = "usvlearn"  # of the metadata in the safetensors header
 TOLD = 400  # characters of an error that quotes the file
@@ -38,10 +38,10 @@ _COUNT, _WRITING = itertools.count(), set[str]()  # of this process's temporary 
 
 
 def save(path: str | Path, state: Any, **metadata: Any) -> Path:
-    """Write a state, complete, with what a person needs to know of it; atomic and durable.
+    """Write a state with its metadata, atomically and durably.
 
     Args:
-        path: of the file; its folder is made. An existing file is replaced only by a whole one.
+        path: of the file; its folder is made. An existing file is replaced only by a complete one.
         state: a tree of arrays or tensors.
         **metadata: JSON values: estimator, configuration, boat, run, time …
 
@@ -72,7 +72,7 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """
     path = Path(path)
     try:
-        if path.exists() and not path.is_file():  # a device or a pipe would never end
+        if path.exists() and not path.is_file():  # reading a device or a pipe would never end
             raise OSError(errno.EINVAL, "it is no file")
         content = path.read_bytes()
     except (OSError, MemoryError) as error:
@@ -101,16 +101,16 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
 
 
 def verify(path: str | Path) -> None:
-    """Raise a CheckpointError unless the file is whole, of this schema, and its checksum fits."""
+    """Raise a CheckpointError unless the file is complete, has this schema, and its checksum fits."""
     load(path)
 
 
 def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Read a parameter set into the shape of `template`, a state of the estimator that is to go on from it.
+    """Read a parameter set into the structure of `template`, a state of the estimator that will continue from it.
 
     Args:
         path: of the checkpoint.
-        template: a state whose leaves tell names, shapes and dtypes; NumPy or torch.
+        template: a state whose leaves give names, shapes and dtypes; NumPy or torch.
         estimator: name that the metadata must carry.
 
     Raises:
@@ -147,12 +147,12 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
 
 
 def checkpoints(folder: str | Path) -> list[Path]:
-    """The parameter sets in a folder, oldest first (by name, which counts up)."""
+    """The parameter sets in a folder, oldest first (sorted by name, which increases)."""
     return sorted(Path(folder).glob(f"*{SUFFIX}"))
 
 
 def restore_newest(folder: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Restore the newest readable parameter set of a folder; an unreadable one is passed over with a warning.
+    """Restore the newest readable parameter set of a folder; unreadable ones are skipped with a warning.
 
     Raises:
         CheckpointError: none can be read.
@@ -161,7 +161,7 @@ def restore_newest(folder: str | Path, template: Any, estimator: str | None = No
 
 
 def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
-    """What `read` makes of the newest parameter set of a folder, of which it raises no CheckpointError."""
+    """The result of `read` for the newest parameter set of a folder for which it raises no CheckpointError."""
     paths = checkpoints(folder)
     for path in reversed(paths):
         try:
@@ -172,10 +172,10 @@ def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that a kill at any moment leaves the old one or the new one, never a part.
+    """Write a file so that a kill at any moment leaves the complete old file or the complete new one.
 
-    Of several that write it at the same time, each writes a temporary file of its own, and the last one's remains.
-    What writers that were killed have left in the folder is removed.
+    Several processes may write it at the same time: each writes its own temporary file, and the last one's remains.
+    Temporary files of writers that were killed are removed from the folder.
     """
     _sweep(path.parent)
     temporary = path.with_name(f".{path.name}.{HOST}-{os.getpid()}-{next(_COUNT)}.tmp")
@@ -201,7 +201,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove the temporary files of this machine's writers that do not run any more, where that is allowed."""
+    """Remove the temporary files of writers of this machine that no longer run, if that is permitted."""
     with suppress(OSError):
         for name in os.listdir(folder):
             if (found := LEFT.fullmatch(name)) and name not in _WRITING and not _runs_elsewhere(int(found[1])):
@@ -209,7 +209,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _runs_elsewhere(process: int) -> bool:
-    """Whether another process of this machine has this number, as far as that can be asked."""
+    """Whether another process of this machine has this number, as far as that can be found out."""
     if process == os.getpid():
         return False
     try:

@@ -1,4 +1,4 @@
-"""The errors that usvlearn raises at its borders: each message says what, where, expected and what to do."""
+"""The errors that usvlearn raises for bad input: each message says what was found, what was expected, and the fix."""
 
 import difflib
 import errno
@@ -13,7 +13,7 @@ DISK = (*NO_ROOM, errno.EROFS, errno.EIO)  # of a write, which names no file
 
 
 def printable(text: str) -> str:
-    r"""Text from a file, with what would act on a terminal escaped.
+    r"""Text from a file, with characters that would control the terminal escaped.
 
     >>> print(printable("found \x1b[2J, 3 °"))
     found \x1b[2J, 3 °
@@ -22,7 +22,7 @@ def printable(text: str) -> str:
 
 
 class UsvlearnError(ValueError):
-    """Any bad input that a person can fix. `train.py` prints it in one sentence and exits with code 2."""
+    """Any bad input that the user can fix. `train.py` prints it in one sentence and exits with code 2."""
 
 
 class LogFormatError(UsvlearnError):
@@ -87,7 +87,7 @@ def check_not_negative(name: str, value: float, unit: str = "") -> float:
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
-    """A hint at the nearest of some names: keys that end in the word, or one that looks like it; empty where none does.
+    """A hint at the nearest names: keys that end in the word, or one that looks similar; empty if there is none.
 
     >>> did_you_mean("gain", ["aid.gain", "align"]), did_you_mean("aid.gian", ["aid.gain"]), did_you_mean("x", ["aid"])
     (': did you mean aid.gain?', ': did you mean aid.gain?', '')
@@ -101,11 +101,11 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
 
 @contextmanager
 def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
-    """Let an error that begins with the name of an option begin with the full path of its key.
+    """A context in which an error that begins with the name of an option begins with the full path of its key instead.
 
     Args:
-        key: under which the options stand.
-        names: of the options; by default every error is about one.
+        key: the path of the options.
+        names: of the options; by default every error is assumed to be about one.
 
     >>> with under("align", ["dt"]):
     ...     check_positive("dt", 0)
@@ -122,7 +122,7 @@ def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
 
 
 def bad_input(error: BaseException) -> str | None:
-    """The sentence for the person who gave bad input or has no room on the disk, or None where the error is a bug.
+    """The sentence for the user if an error means bad input or a full disk; None if it is a bug.
 
     >>> bad_input(ConfigError("dt: found 0, expected a positive number"))
     'dt: found 0, expected a positive number'
@@ -135,7 +135,7 @@ def bad_input(error: BaseException) -> str | None:
     if cause is not None:
         return str(cause)
     if isinstance(error, OSError) and (error.filename is not None or error.errno in DISK):
-        full = "make room there; what was saved before is whole"
+        full = "make room there; the files saved before are complete"
         hint = full if error.errno in NO_ROOM else "correct that, or name another file or folder"
         return f"{error.filename or 'a file of the run'}: {error.strerror}: {hint}"
     return None
@@ -143,7 +143,7 @@ def bad_input(error: BaseException) -> str | None:
 
 @contextmanager
 def exit_on_user_error() -> Iterator[None]:
-    """Let bad input end the program with one sentence and code 2 (see `bad_input`), and a warning be one line.
+    """A context in which bad input ends the program with one sentence and code 2, and a warning takes one line.
 
     >>> with exit_on_user_error():
     ...     dt = check_positive("dt", 0.4)

@@ -12,7 +12,7 @@ from usvlearn.errors import ConfigError, ShapeError
 
 
 def as_tensor(value, name: str = "value") -> Tensor:
-    """A float64 tensor from numbers or a tensor: float32 could not tell forgetting factors near 1 apart."""
+    """A float64 tensor from numbers or a tensor; float32 cannot distinguish forgetting factors near 1."""
     if isinstance(value, Tensor):
         return value.detach().to(torch.float64, copy=True)
     try:
@@ -26,7 +26,7 @@ class Positive(nn.Module):
 
     Args:
         value: number or tensor of any shape that broadcasts against the batch, as `(grid, 1)`.
-        name: what it is called in an error.
+        name: its name in an error.
         learnable: whether gradients reach it.
 
     Raises:
@@ -69,7 +69,7 @@ class UnitInterval(nn.Module):
 
 
 def numbers(**values: Any) -> dict[str, Any]:
-    """Hyperparameters and constants as numbers or lists of them, which are the same in JSON.
+    """Hyperparameters and constants as numbers, or lists of numbers, that JSON can store.
 
     >>> numbers(gain=Positive([1.0, 2.0]), bound=3)
     {'gain': [1.0, 2.0], 'bound': 3.0}

@@ -1,6 +1,6 @@
-"""Online: an estimator with the state of one vehicle (or of a batch), for a program that just wants to call it.
+"""Online: an estimator together with the state of one vehicle, or of a batch, for use in a program.
 
-Imports no torch: `Online.open` goes on from a checkpoint by the compiled kernels alone, aboard a small computer.
+torch is not imported: `Online.open` continues from a checkpoint with compiled code alone, on a small computer.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 
 
 class Online:
-    """Owns a state; learns one sample at a time, without gradients.
+    """Keeps a state and learns one sample at a time, without gradients.
 
     Args:
-        estimator: any `Estimator`; what is tuned in it is read now.
+        estimator: any `Estimator`; its hyperparameters are read now, so later changes have no effect.
         batch: `()` for one vehicle.
         backend: "kernel", "torch", or "auto", as of `rollout`.
 
     Attributes:
-        state: the estimator's state, a copy, or to set from elsewhere; after `open` a dict of arrays by dotted name.
+        state: a copy of the estimator's state; it can be set. After `open` it is a dict of arrays by dotted name.
         names: of the predictions in the state's leaf `predictions`, where the estimator is an ensemble.
 
     Raises:
@@ -54,10 +54,10 @@ class Online:
 
     @classmethod
     def open(cls, path: str | Path) -> Online:
-        """Go on from a checkpoint (the newest readable one where `path` is a folder), by the kernels, without torch.
+        """Continue from a checkpoint (the newest readable one if `path` is a folder) with compiled code, without torch.
 
         Raises:
-            CheckpointError: it cannot be read, does not say how its estimator is built, or says what is not legal.
+            CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
         """
         leaves, facts = checkpoint.newest(path, _read) if Path(path).is_dir() else _read(Path(path))
         from usvlearn.engine.live import Live
@@ -67,7 +67,7 @@ class Online:
         self._live = Live(self._description, leaves)
         return self
 
-    def __copy__(self) -> Online:  # two boats that learn into one state would spoil it
+    def __copy__(self) -> Online:  # a shallow copy would let two boats learn into one state
         return copy.deepcopy(self)
 
     @property
@@ -93,26 +93,26 @@ class Online:
         """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s.
 
         Raises:
-            TypeError: a field is no number, or `fresh` or `measured` neither a bool nor a whole number; the state
-                stays as it was.
-            ShapeError: a field is neither one number nor of the batch; likewise.
+            TypeError: a field is no number, or `fresh` or `measured` is neither a bool nor an integer; the state
+                is unchanged.
+            ShapeError: a field is neither one number nor of the batch's shape; the state is unchanged.
         """
         return self._live.step(sample)
 
     def save(self, path: str | Path, **metadata: Any) -> Path:
-        """Save the state, and how the estimator is built; see `usvlearn.checkpoint.save`."""
+        """Save the state and the description of the estimator; see `usvlearn.checkpoint.save`."""
         facts = {"estimator": self._name, "kernel": self._description} | metadata
         return checkpoint.save(path, self.state, **facts)
 
     def load(self, path: str | Path) -> dict[str, Any]:
-        """Go on from a saved state (the newest readable one where `path` is a folder); returns its metadata."""
+        """Continue from a saved state (the newest readable one if `path` is a folder); returns its metadata."""
         restore = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
         self.state, metadata = restore(path, self.state, self._name)
         return metadata
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """A parameter set from which the kernels can go on."""
+    """A parameter set from which compiled code can continue."""
     from usvlearn.engine.check import check, wrong
 
     leaves, facts = checkpoint.load(path)

@@ -1,7 +1,7 @@
-"""The vocabulary that every layer shares: what an estimator sees, and how states are walked.
+"""The types that all packages share: what an estimator sees; and functions over the leaves of a state.
 
-Imports numpy alone: the same types carry NumPy arrays (logs, a boat without torch) and torch tensors
-(estimators). A *tree* is an array or tensor, a NamedTuple of trees, or a dict of trees.
+Only numpy is imported: the same types contain NumPy arrays (logs, a boat without torch) or torch tensors (estimators).
+A *tree* is an array or tensor, a NamedTuple of trees, or a dict of trees.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Array = Any  # numpy.ndarray or torch.Tensor
 
 
 class Inputs(NamedTuple):
-    """All that may be seen before a prediction. Leaves are `(*batch,)`."""
+    """Everything that a prediction may use. Leaves are `(*batch,)`."""
 
     command_left: Array  # xi_L in force over the step, share of full scale, -1 ... 1
     command_right: Array  # xi_R, likewise
@@ -27,21 +27,21 @@ class Inputs(NamedTuple):
     dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
 
 
-PLAUSIBLE = 100.0  # m/s: beyond it a speed is no measurement, but data gone bad; and so, in their units, inputs are
+PLAUSIBLE = 100.0  # m/s; a speed at or beyond it counts as bad data. The next line is the same for the inputs
 PLAUSIBLE_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
 
 
 class Sample(NamedTuple):
     """One aligned time step. Leaves are `(*batch,)`, or `(time, *batch)` for a run.
 
-    `measured` implies `fresh`. A sample whose `inputs.dt` is 0 makes no step: it opens a segment (the start of
-    a run, the end of an outage) and only tells the speed from which the next step departs.
+    `measured` implies `fresh`. A sample whose `inputs.dt` is 0 makes no step: it starts a segment (the start of a run,
+    the end of an outage), and its speed is the one from which the next step departs.
     """
 
     inputs: Inputs
     surge: Array  # measured forward speed at the end of the step, m/s; NaN where there was none
     fresh: Array  # bool: every input arrived inside its staleness window
-    measured: Array  # bool: and so did the speed
+    measured: Array  # bool: `fresh`, and the speed arrived inside its window
 
 
 class Masks(NamedTuple):
@@ -78,12 +78,12 @@ def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
 
 
 class Run(NamedTuple):
-    """A mission of one boat, or of a fleet as lanes, on the grid of `dt`."""
+    """A mission of one boat, or of a fleet with one lane per boat, on the grid of `dt`."""
 
     time: np.ndarray  # (time, boats) s since each log's first step; NaN where padded
     samples: Sample  # leaves (time, *batch)
     names: tuple[str, ...]  # the run's name per boat; "" for a boat that had no such run
-    lengths: tuple[int, ...]  # steps per boat; what lies behind is padding, never fresh
+    lengths: tuple[int, ...]  # steps per boat; the steps after them are padding, never fresh
 
 
 class Fleet(NamedTuple):
@@ -94,12 +94,12 @@ class Fleet(NamedTuple):
     rejected: dict[str, dict[str, dict[str, int]]]  # boat -> channel -> cause -> count
 
     def steps_before(self, run: int, step: int = 0) -> int:
-        """Steps of all runs before a place in the run with that index."""
+        """Steps of all earlier runs, and of the run with this index before `step`."""
         return sum(len(one.time) for one in self.runs[:run]) + step
 
     @property
     def steps(self) -> int:
-        """Steps of all runs together, of the longest boat in each."""
+        """Steps of all runs together; each run counts its longest boat."""
         return self.steps_before(len(self.runs))
 
 
@@ -108,7 +108,7 @@ def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
 
     Raises:
         TypeError: a field is something else.
-        ShapeError: a field has another shape; one number fits every batch, whatever the number of its axes.
+        ShapeError: a field has another shape; one number fits every batch, with any number of axes.
 
     >>> check_inputs(Inputs(0.5, "0.5", 0.0, 0.0, 0.4))
     Traceback (most recent call last):
@@ -119,7 +119,7 @@ def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
 
 
 def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
-    """`check_inputs`, the same of the speed, and raise unless `fresh` and `measured` are bools or whole numbers.
+    """Check the inputs and the speed as `check_inputs` does, and that `fresh` and `measured` are bools or integers.
 
     >>> check_sample(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, fresh="false", measured=True))
     Traceback (most recent call last):
@@ -132,7 +132,7 @@ def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
 
 
 def one_number(value: Any) -> Any:
-    """The Python number or bool in an array, a list or a tensor of one; anything else as it is."""
+    """The Python number or bool in an array, a list or a tensor of one element; other values unchanged."""
     if isinstance(value, list | tuple):
         value = np.asarray(value)
     return value.item() if hasattr(value, "item") and np.prod(np.shape(value)) == 1 else value
@@ -150,7 +150,7 @@ def _check_field(name: str, value: Any, kinds: str, expected: str, batch: tuple[
 
 
 def _kind(value: Any) -> str:
-    """What a value holds, as NumPy's `dtype.kind`; "O" where it is neither a number nor an array or tensor of them."""
+    """NumPy's `dtype.kind` of a value; "O" if it is neither a number nor an array or tensor of numbers."""
     if isinstance(value, bool):
         return "b"
     if isinstance(value, Integral):
@@ -158,7 +158,7 @@ def _kind(value: Any) -> str:
     if isinstance(value, Real):
         return "f"
     if isinstance(value, np.ma.MaskedArray):
-        return "O"  # a masked number is none
+        return "O"  # a masked value is not a number
     if isinstance(value, list | tuple):
         kinds = {_kind(each) for each in value}
         return "i" if kinds <= set("biu") else "f" if kinds <= set("biuf") else "O"
@@ -169,7 +169,7 @@ def _kind(value: Any) -> str:
 
 
 def sort_of(dtype: Any) -> str:
-    """What sort of numbers a dtype of NumPy or torch stands for, whatever their size.
+    """The name of a dtype of NumPy or torch without its size.
 
     >>> sort_of(np.dtype(np.float32)), sort_of(np.dtype(bool))
     ('float', 'bool')
