@@ -1,1 +1,1 @@
-"""What train.py, evaluate.py and the command `usvlearn` do: the only room that knows Hydra and configs/."""
+"""The commands train and evaluate; the only package that uses Hydra and configs/."""

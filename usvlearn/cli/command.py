@@ -1,7 +1,7 @@
-"""How train.py and evaluate.py begin and end: Hydra's `main`, with our own sentences, signals and exit codes.
+"""The start and the end of train.py and evaluate.py: Hydra's `main`, with our own messages, signals and exit codes.
 
 exit code   0 done   1 a bug, with its traceback   2 bad input, or a disk that is full, in one sentence
-            130 Ctrl-C   143 SIGTERM, with the command to go on with
+            130 Ctrl-C   143 SIGTERM, with the command that continues
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ FULL_ERROR = "HYDRA_FULL_ERROR"  # of Hydra: errors are raised, not printed
 
 
 def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], None]]:
-    """Make a command of a function that is handed the configuration of configs/NAME.yaml."""
+    """Make a command from a function of the configuration configs/NAME.yaml."""
 
     def decorate(task: Callable[[DictConfig], Any]) -> Callable[[], None]:
         configs = configs_folder()
 
         @functools.wraps(task)
-        def job(cfg: DictConfig) -> Any:  # what a launcher sends to its workers
+        def job(cfg: DictConfig) -> Any:  # a launcher sends this function to its workers
             return _in_program(task, cfg) if in_program() else _in_worker(task, cfg)
 
         start = hydra.main(version_base="1.3", config_path=str(configs), config_name=name)(job)
@@ -80,7 +80,7 @@ def _in_worker(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
 
 
 def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> None:
-    """All of Hydra's work; whatever ends it early is told in one sentence."""
+    """Run Hydra; if anything ends it early, print one sentence."""
     Sweep.folder, Sweep.lock = None, None
     try:
         with _raising(), in_one_sentence(names):
@@ -98,7 +98,7 @@ def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> No
 
 
 def _stopped_by(error: BaseException) -> Stopped | None:
-    """The signal behind an error: raised where it arrived, or a worker or a compilation broke by it."""
+    """The signal that caused an error: raised where it arrived, or by breaking a worker or a compilation."""
     return error if isinstance(error, Stopped) else was_stopped()
 
 
@@ -116,22 +116,22 @@ def _raising() -> Iterator[None]:
 
 
 def _end(stopped: Stopped) -> NoReturn:
-    """Say how to go on, and leave."""
-    logging.getLogger("torch").setLevel(logging.ERROR)  # half imported, it tells at exit what nobody asks for
+    """Print the command that continues, and exit."""
+    logging.getLogger("torch").setLevel(logging.ERROR)  # a half-imported torch would log at exit
     _show_sweep()
     print(f"{stopped}; go on with: {_again(Sweep.folder, stopped.folder)}", file=sys.stderr)
     sys.exit(stopped.code)
 
 
 def _show_sweep() -> None:
-    """The leaderboard of what is finished."""
+    """Show the leaderboard of the finished jobs."""
     if Sweep.folder is not None:
         with suppress(UsvlearnError, OSError):
             leaderboard(Sweep.folder, load)
 
 
 def _again(sweep: Path | None, run: Path | None) -> str:
-    """The command that goes on in the same folder, or starts anew where nothing was saved."""
+    """The command that continues in the same folder, or starts anew if nothing was saved."""
     more = []
     if sweep is not None:
         more = [f"hydra.sweep.dir={sweep}"]
@@ -141,7 +141,7 @@ def _again(sweep: Path | None, run: Path | None) -> str:
         more = [f"hydra.run.dir={run}"]
     keys, script, *arguments = [each.partition("=")[0] for each in more], *sys.argv
     overrides = [each for each in arguments if each.startswith("~") or ("=" in each and not each.startswith("-"))]
-    flags = [each for each in arguments if each not in overrides]  # which must not stand between overrides
+    flags = [each for each in arguments if each not in overrides]  # flags must not stand between overrides
     kept = [each for each in overrides if each.partition("=")[0] not in keys]
     program = ["python", script] if script.endswith(".py") else script.split(" ")  # else the command `usvlearn train`
     return shlex.join([*program, *flags, *kept, *more])

@@ -29,10 +29,10 @@ KEY = re.compile(r"Could not (?:override|delete(?: from config\.)?) '([^']+)'|co
 
 @contextmanager
 def in_one_sentence(names: Callable[[str], Iterable[str]] = lambda wrong: []) -> Iterator[None]:
-    """Raise a ConfigError in place of what Hydra or OmegaConf raises of a command line or a file.
+    """Raise a ConfigError in place of an error of Hydra or OmegaConf about a command line or a file.
 
     Args:
-        names: of a mistyped key, the keys and groups that there are.
+        names: from a mistyped key to the existing keys and groups.
 
     >>> with in_one_sentence():
     ...     OmegaConf.to_container(OmegaConf.create({"a": "${b}", "b": "${a}"}), resolve=True)
@@ -79,7 +79,7 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
 
 
 def _of_value(cause: OmegaConfBaseException, error: Exception) -> str:
-    """About the value at a key that exists."""
+    """The sentence for an illegal value of an existing key."""
     key = cause.full_key or "the configuration"
     if isinstance(cause, InterpolationKeyError):
         missing = re.search(r"'(.+?)'", _first_line(cause))
@@ -102,7 +102,7 @@ def _first_line(error: BaseException, but: tuple[str, ...] = ()) -> str:
 def known_names(
     configs: Path, name: str, overrides: Iterable[str], added: str | None = None
 ) -> Callable[[str], list[str]]:
-    """What finds the names near a mistyped one: keys and groups where the other overrides hold; of "" the files' names.
+    """A function from a mistyped name to the existing keys and groups, given the other overrides; "": the files' names.
 
     Args:
         configs: the folder of the configuration.

@@ -1,4 +1,4 @@
-"""A composed configuration: what is wrong with it before anything is imported, and the objects that it describes."""
+"""A composed configuration: checks before anything heavy is imported, and the objects that it describes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ SECTIONS = ("data", "estimators", "combiners", "align", "tuning")
 
 
 def check_settings(cfg: DictConfig) -> None:
-    """Raise a ConfigError where a section of train.yaml is missing, or a value refers to itself or to nothing.
+    """Raise a ConfigError if a section of train.yaml is missing, or a value refers to itself or to a missing key.
 
-    It imports no torch, so that the person waits for none. Values are checked by the constructors that get them.
+    It imports no torch, so that the answer is quick. Constructors check the values that they receive.
     """
     plain = OmegaConf.to_container(cfg)
     for name in SECTIONS:
@@ -42,7 +42,7 @@ def check_settings(cfg: DictConfig) -> None:
 
 
 def instantiate(node: Any, **options: Any) -> Any:
-    """Make the objects that a node describes, as Hydra does; an error begins with the full path of its key.
+    """Make the objects that a node describes, like Hydra; an error begins with the full path of its key.
 
     >>> instantiate({"rls": {"_target_": "usvlearn.errors.check_positive", "name": "value", "value": -1}})
     Traceback (most recent call last):
@@ -62,7 +62,7 @@ def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:
-    """Raise what a constructor has said of its arguments, or the bug that it has."""
+    """Raise a constructor's own error about its arguments; an error that is a bug is raised unchanged."""
     text, cause = " ".join(str(error).split()), error.__cause__
     found, target = re.search(r"full_key: (\S+)", text), re.search(r"target '([^']+)'", text)
     key, target = found[1] if found else "", target[1] if target else ""

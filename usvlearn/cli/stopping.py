@@ -1,8 +1,8 @@
-"""How a process ends on SIGINT (Ctrl-C) and SIGTERM: nothing is left half-written, and a second signal ends it at once.
+"""The end of a process on SIGINT (Ctrl-C) and SIGTERM: no file is left half-written. A second signal ends it at once.
 
-A signal raises `Stopped` where it arrives: reading, compiling, tuning and judging hold nothing that would be lost. A
-replay is different: `until_stopped` lets it finish its chunk and save. A worker of a sweep gets its signal from the
-process that started it, and stays alive: the launcher would kill the other workers if one of them ended.
+A signal raises `Stopped` where it arrives: reading, compiling, tuning and evaluating have nothing to lose. A replay is
+different: `until_stopped` lets it finish its chunk and save. A worker of a sweep receives the signal from the process
+that started it, and stays alive, because the launcher kills the other workers when one of them ends.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
 
-PERIOD = 0.2  # s, after which workers are told of a signal
-DELAY = 0.02  # s, after which a signal that cannot be heeded arrives once more
+PERIOD = 0.2  # s between two checks for a signal that is to be passed on to workers
+DELAY = 0.02  # s after which a signal that cannot be handled now is sent again
 SHOW_CURSOR = "\x1b[?25h"  # a progress bar hides it
 T = TypeVar("T")
 
 
 class Stopped(BaseException):
-    """A signal asked this process to end. It is no Exception, so that nothing records it as a failure.
+    """A signal asked this process to end. It is not an Exception, so it is never recorded as a failure.
 
     >>> Stopped(signal.SIGTERM).code, str(Stopped(signal.SIGINT))
     (143, 'stopped by SIGINT')
@@ -36,16 +36,16 @@ class Stopped(BaseException):
     def __init__(self, number: int):
         super().__init__(f"stopped by {signal.Signals(number).name}")
         self.code = 128 + number
-        self.folder: Path | None = None  # of the run that was stopped, where one had begun
+        self.folder: Path | None = None  # of the run that was stopped, if one had begun
 
 
 class _Process:
-    """What the handler knows; signals belong to a process, so there is one."""
+    """The state of the signal handler; there is one, because signals belong to a process."""
 
     received: int | None = None  # the first signal
-    delayed = False  # whether it will arrive once more
-    at_once = False  # whether it raises where it arrives
-    program = False  # whether it is the one that was started, not a worker
+    delayed = False  # whether the signal will be sent again
+    at_once = False  # whether a signal raises where it arrives
+    program = False  # whether this is the process that the user started, not a worker
 
 
 def _receive(number: int, frame: FrameType | None) -> None:
@@ -65,14 +65,14 @@ def _receive(number: int, frame: FrameType | None) -> None:
 
 
 def _called_by_llvm(frame: FrameType | None) -> bool:
-    """Whether this is Python code that LLVM has called: there an error is printed and lost, and compiling fails."""
+    """Whether LLVM has called this Python code: an error raised there is printed and lost, and compiling fails."""
     while frame is not None and frame.f_code.co_name not in ("_raw_object_cache_notify", "_raw_object_cache_getbuffer"):
         frame = frame.f_back
     return frame is not None
 
 
 def _end(number: int) -> None:
-    """Leave without any more work; what is on the disk is whole, since files are replaced atomically."""
+    """Exit at once. All files on the disk are complete, since files are replaced atomically."""
     for worker in multiprocessing.active_children():
         worker.kill()
     if sys.stdout is not None and sys.stdout.isatty():
@@ -91,7 +91,7 @@ def check_stopped() -> None:
 
 @contextmanager
 def heeded() -> Iterator[None]:
-    """Let SIGINT and SIGTERM raise `Stopped` in this block; handlers that somebody else has set are left alone.
+    """Let SIGINT and SIGTERM raise `Stopped` in this block; handlers that other code has set are kept.
 
     >>> with heeded():
     ...     signal.raise_signal(signal.SIGTERM)
@@ -110,10 +110,10 @@ def heeded() -> Iterator[None]:
 
 @contextmanager
 def heeded_in_worker() -> Iterator[None]:
-    """Let the SIGTERM of the program raise `Stopped` in this block of its worker, or at its start if it came before.
+    """Let the program's SIGTERM raise `Stopped` in this block of a worker, or at its start if it came earlier.
 
-    A worker ignores Ctrl-C, which the program has received, too. After the block it does not end by a signal. Where the
-    launcher has a handler of its own, as Slurm's has, both signals are the launcher's.
+    A worker ignores Ctrl-C, because the program receives it, too. After the block no signal ends the worker. If the
+    launcher has its own handler, as Slurm's has, the launcher handles both signals.
     """
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         _install(_receive, signal.SIG_IGN)
@@ -126,7 +126,7 @@ def heeded_in_worker() -> Iterator[None]:
 
 
 def _install(on_terminate: Any, on_interrupt: Any = None) -> dict[int, Any]:
-    """Set handlers where the defaults stand, and return those; a handler that somebody else has set stays."""
+    """Replace default handlers and return them; a handler that other code has set is kept."""
     if threading.current_thread() is not threading.main_thread():
         return {}
     wanted = {signal.SIGTERM: on_terminate, signal.SIGINT: on_interrupt or on_terminate}
@@ -138,7 +138,7 @@ def _install(on_terminate: Any, on_interrupt: Any = None) -> dict[int, Any]:
 
 
 def in_program() -> bool:
-    """Whether this process is the one that was started, not a worker of it.
+    """Whether this is the process that the user started, not one of its workers.
 
     >>> in_program()
     False
@@ -147,13 +147,13 @@ def in_program() -> bool:
 
 
 def hold() -> None:
-    """From now on a signal waits for `release`: workers finish what they do, and their launcher ends by itself."""
+    """Defer signals until `release`: workers finish their chunk, and their launcher then ends by itself."""
     _Process.at_once = False
     threading.Thread(target=_tell_workers, daemon=True).start()
 
 
 def _tell_workers() -> None:
-    """Pass a signal on to all workers as SIGTERM, also to those that start later; they heed the first."""
+    """Pass a signal on to all workers as SIGTERM, also to those that start later; each reacts to the first."""
     while _Process.program and not _Process.at_once:
         time.sleep(PERIOD)
         if _Process.received is not None:
@@ -162,20 +162,20 @@ def _tell_workers() -> None:
 
 
 def release() -> None:
-    """End what `hold` began: raise `Stopped` if a signal has arrived meanwhile."""
+    """End the deferral of `hold`: raise `Stopped` if a signal has arrived in the meantime."""
     _Process.at_once = True
     check_stopped()
 
 
 def was_stopped() -> Stopped | None:
-    """What a signal that has arrived in this program raises, or None."""
+    """The `Stopped` of a signal that has arrived in this program, or None."""
     return None if _Process.received is None else Stopped(_Process.received)
 
 
 def until_stopped(chunks: Iterable[T], save: Callable[[], object]) -> Iterator[T]:
     """Yield chunks; once a signal arrives, finish the chunk and its use, call `save`, and raise `Stopped`.
 
-    Before the first chunk is there, code is compiled and nothing is learned: a signal then raises at once.
+    Before the first chunk, code is compiled and nothing has been learned: a signal then raises at once.
 
     >>> list(until_stopped([1, 2], print))
     [1, 2]

@@ -1,4 +1,4 @@
-"""Around a sweep: its folder is checked before, and its leaderboard is made after, also where it was cut short."""
+"""The frame of a sweep: check its folder before, and make its leaderboard after, also if the sweep was interrupted."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def load(path: Path) -> Any:
     """A YAML file as lists and dictionaries.
 
     Raises:
-        ConfigError: it is damaged, or no file that Hydra has written.
+        ConfigError: it is damaged, or Hydra has not written it.
     """
     try:
         if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(path.read_text())):
-            raise ValueError("it has an alias, of which a few can stand for gigabytes")
+            raise ValueError("it has a YAML alias; a few of them can expand to gigabytes")
         return OmegaConf.to_container(OmegaConf.load(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise ConfigError(f"{path}: is damaged ({' '.join(str(error).split())[:200]}): make that job anew") from error
 
 
 def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:
-    """Let train.py do its work: alone, or as one job of a sweep. Returns what is minimised, m/s."""
+    """Run train.py's work, alone or as one job of a sweep. Returns the objective, m/s."""
     job, folder = HydraConfig.get(), Path(HydraConfig.get().runtime.output_dir)
     ask = partial(work, cfg, folder, job.overrides.task, quiet=job.runtime.choices["hydra/launcher"] == "joblib")
     if job.mode.name != "MULTIRUN":
@@ -49,13 +49,13 @@ def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:
 
 
 def swept(folder: Path) -> list[str]:
-    """The keys to which the command of a sweep gives several values, as Hydra notes it in the sweep's folder."""
+    """The keys with several values in the command of a sweep, as Hydra records it in the sweep's folder."""
     if not (folder / "multirun.yaml").exists():
         return []
     noted = load(folder / "multirun.yaml")["hydra"]
     given = [f"{key}={values}" for key, values in (noted["sweeper"].get("params") or {}).items()]
     parsed = OverridesParser.create().parse_overrides([*given, *noted["overrides"]["task"]])
-    last = {each.get_key_element(): each for each in parsed}  # the command's own stand above the file's
+    last = {each.get_key_element(): each for each in parsed}  # the command overrides the file
     return [key for key, each in last.items() if each.is_sweep_override()]
 
 
@@ -79,7 +79,7 @@ class Sweep(Callback):
             prepare_workers(Path(usvlearn.__file__).parents[1])
         Sweep.folder = folder
         if "joblib" in config.hydra.launcher._target_:
-            hold()  # its workers are told, and finish what they do
+            hold()  # a signal is passed on to the workers, which finish their chunk
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         release()
@@ -89,7 +89,7 @@ class Sweep(Callback):
 
 
 def cut_short(error: BaseException) -> str | None:
-    """The sentence where a launcher has lost a worker, or could not start one; None for any other error."""
+    """The sentence if a launcher has lost a worker or could not start one; None for any other error."""
     text = " ".join(str(error).split())
     if isinstance(error, BrokenProcessPool):
         return "hydra/launcher=joblib: a worker was killed, perhaps for want of memory: set fewer hydra.launcher.n_jobs"
