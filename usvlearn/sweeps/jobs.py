@@ -1,8 +1,8 @@
-"""The jobs of a sweep: each is known by its settings, skipped once it is finished, gone on with, recorded if it fails.
+"""The jobs of a sweep: identified by their settings, skipped if finished, resumed if begun, recorded if they fail.
 
-job.json         the settings whose job the folder is, and how the command put them
-results.json     what it found, or {"error": reason}
-traceback.txt    of an error that nobody foresaw
+job.json         all settings of the job, and those that the command gave
+results.json     the results, or {"error": reason}
+traceback.txt    of an unexpected error
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ JOB, TRACEBACK = "job.json", "traceback.txt"
 
 
 class Job(NamedTuple):
-    """A run among others."""
+    """One run of a sweep."""
 
     folder: Path
-    settings: dict[str, str]  # what its command set, by key
-    results: dict[str, Any]  # of results.json; {"error": reason} where it failed, {} where it did not finish
+    settings: dict[str, str]  # the settings of its command, by key
+    results: dict[str, Any]  # of results.json; {"error": reason} if it failed, {} if it did not finish
 
 
 def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, Any]) -> None:
-    """Raise where a folder holds the jobs of another sweep, before its notes are written over.
+    """Raise an error if a folder holds the jobs of another sweep, before its records are overwritten.
 
     Args:
         folder: of the sweep.
         load: reads a YAML file.
-        hydra: the configuration of Hydra itself, as `multirun.yaml` keeps it of the sweep before.
+        hydra: the configuration of Hydra itself, which `multirun.yaml` contains for the earlier sweep.
 
     Raises:
-        ConfigError: the command, or what its sweep sets, is not the one that began there.
+        ConfigError: the command, or the settings of its sweep, differ from those that began there.
     """
     held = folder / "multirun.yaml"
     if not (held.exists() and any(folder.glob(f"*/{JOB}"))):
@@ -59,7 +59,7 @@ def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, A
 
 
 def digest(settings: Mapping) -> str:
-    """By which a job is known: a sha256 of all its settings, in their order, which is that of the members.
+    """The identity of a job: a sha256 of all its settings, in their order, which is that of the members.
 
     >>> digest({"dt": 0.4})[:8]
     'e33f88fb'
@@ -74,20 +74,20 @@ def run_job(
     work: Callable[[str | None], float],
     swept: Sequence[str] = (),
 ) -> float:
-    """Do one job of a sweep: nothing if it is finished, the rest if it was begun, all if it failed before.
+    """Do one job of a sweep: nothing if it is finished, the rest if it was begun, everything if it failed before.
 
-    A folder that holds the job of other settings, or in which another process is at work, is left as it is. No error
-    leaves this function: the other jobs go on.
+    A folder with a job of other settings, or in which another process works, is not changed. No error leaves this
+    function, so the other jobs continue.
 
     Args:
         folder: the job's own.
-        settings: all of them; another value of any is another job.
-        overrides: what the command set, for the person who meets the folder.
-        work: does it, resuming from a folder or as its settings say (None); returns its own objective.
+        settings: all settings; a different value of any is a different job.
+        overrides: the settings of the command, for people who read the folder.
+        work: does the job, resuming from a folder or as its settings say (None); returns its own objective.
         swept: the keys to which the sweep gives several values.
 
     Returns:
-        The error that ranks the job in the leaderboard, NaN where it failed.
+        The error that ranks the job in the leaderboard, NaN if it failed.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -131,7 +131,7 @@ def _run_job(
         return _objective({"objective": made, **_read(folder / RESULTS)}, overrides, swept)
     except Exception as error:
         cause, told = bad_input(error), traceback.format_exc()
-        with suppress(OSError):  # a folder that nobody can write to is known by what it lacks
+        with suppress(OSError):  # the missing results show that a folder was not writable
             if cause is None:
                 cause = f"{type(error).__name__}: {error} (see {folder / TRACEBACK})"
                 write_atomically(folder / TRACEBACK, told.encode())
@@ -149,8 +149,8 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
     """The runs below a folder, in the order of their names.
 
     Args:
-        folder: of a sweep, or any that runs were written to.
-        load: reads the YAML files that each run keeps of its configuration, as lists and dictionaries.
+        folder: of a sweep, or any other folder with runs.
+        load: reads the YAML files of each run's configuration, as lists and dictionaries.
 
     Raises:
         ConfigError: there is none.
@@ -167,7 +167,7 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
         overrides = load(path / ".hydra" / "overrides.yaml")
         results, held = _read(path / RESULTS), _read(path / JOB)
         if "settings" in held and held["settings"] != digest(load(path / ".hydra" / "config.yaml")):
-            results = {"error": _foreign(path, held, overrides)}  # Hydra has written its notes before anyone could look
+            results = {"error": _foreign(path, held, overrides)}  # Hydra has already written its records there
         found.append(Job(path, _by_key(overrides), results))
     return found
 
@@ -177,7 +177,7 @@ def _by_key(overrides: Sequence[str]) -> dict[str, str]:
 
 
 def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
-    """That a folder holds another job, and by what that one differs."""
+    """The message that a folder holds another job, and the settings that differ."""
     old, new = _by_key(held["overrides"]), _by_key(overrides)
     keys = differing([old, new])
     other = told(old, keys) if keys else "of configuration files that were another then"

@@ -1,4 +1,4 @@
-"""What starts the jobs of a sweep: which launchers there are, and what their workers are told."""
+"""The launchers that start the jobs of a sweep, and the settings of their workers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from usvlearn.errors import ConfigError, MissingExtraError, check_positive, did_
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 SLURM = ("srun", "sbatch")
-LAUNCHERS = {  # name -> its plugin, and the extra that brings it
+LAUNCHERS = {  # name -> its plugin, and the extra that installs it
     "basic": None,
     "joblib": ("hydra_joblib_launcher", "sweep"),
     **dict.fromkeys(["slurm", "submitit_slurm", "submitit_local"], ("hydra_submitit_launcher", "slurm")),
@@ -23,7 +23,7 @@ def check_launcher(arguments: Sequence[str]) -> None:
     """Raise unless the launcher that a command line names is known, installed, and can start jobs here.
 
     Raises:
-        ConfigError: it is unknown, or of Slurm, and there is none.
+        ConfigError: it is unknown, or needs Slurm, which is missing here.
         MissingExtraError: its package is not installed.
 
     >>> check_launcher(["-m", "hydra/launcher=basic"])
@@ -45,13 +45,13 @@ def check_launcher(arguments: Sequence[str]) -> None:
 
 
 def prepare_workers(root: Path) -> None:
-    """Let the processes that a launcher starts compute with one thread each, and find the scripts in `root`."""
+    """Set one thread for each process that a launcher starts, and let them import the scripts in `root`."""
     os.environ |= dict.fromkeys(THREADS, "1")
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(root), os.environ.get("PYTHONPATH")]))
 
 
 def set_threads(count: float) -> None:
-    """Let torch compute with so many threads.
+    """Set the number of threads of torch.
 
     Raises:
         ConfigError: the count is not positive.

@@ -27,7 +27,7 @@ def leaderboard(folder: Path, load: Callable[[Path], Any]) -> bool:
     """Print and write the leaderboard of the runs below a folder; returns whether all are finished.
 
     Args:
-        folder: of a sweep, or any that runs were written to.
+        folder: of a sweep, or any other folder with runs.
         load: see `usvlearn.sweeps.jobs.jobs`.
     """
     found = _scored(jobs(folder, load))
@@ -37,13 +37,13 @@ def leaderboard(folder: Path, load: Callable[[Path], Any]) -> bool:
 
 
 def write_leaderboard(folder: Path, jobs: Sequence[Job]) -> None:
-    """Write `leaderboard.csv` and `leaderboard/` into a folder, in place of what stood there.
+    """Write `leaderboard.csv` and `leaderboard/` into a folder; earlier ones are replaced.
 
-    A folder that is itself the run has none.
+    Nothing is written if the folder is itself a run.
 
     Args:
         folder: of the sweep.
-        jobs: see `usvlearn.sweeps.jobs.jobs`; their results as of `usvlearn.evaluation.ranking.scored`.
+        jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.ranking.scored`.
 
     Raises:
         ConfigError: the folder cannot be written to.
@@ -73,7 +73,7 @@ def _scored(jobs: Sequence[Job]) -> list[Job]:
 
 
 def _csv(folder: Path, jobs: Sequence[Job]) -> str:
-    """One row per job, the best first: what differs in its settings, by what it is ranked, MAE of each estimator.
+    """One row per job, the best first: the settings that differ, the ranking member, the MAE of each estimator.
 
     An MAE is a mean over boats, m/s.
     """
@@ -97,7 +97,7 @@ def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
         if not old.parent.is_symlink():
             old.unlink()
     for row in board.glob("*"):
-        with suppress(OSError):  # what is not ours stays
+        with suppress(OSError):  # other people's files stay
             row.rmdir()
     keys = differing([job.settings for job in jobs])
     for name, job in zip(_names(folder, jobs, keys), jobs, strict=True):
@@ -105,7 +105,7 @@ def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
         numbers = {"objective": job.results.get("objective"), "seconds": job.results.get("seconds")}
         numbers |= {f"mae/{each}": _maes(job).get(each) for each in _estimators(jobs)}
         with TensorBoardWriter(board / name) as writer:
-            # TensorBoard takes the columns from any of the rows, so that all have the same
+            # TensorBoard takes the columns from any of the rows, so all rows have the same ones
             writer.hparams(
                 settings | {"ranked_by": job.results.get("ranked_by", ""), "job": _error(job) or "finished"},
                 {key: float("nan") if value is None else value for key, value in numbers.items()},
@@ -113,7 +113,7 @@ def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
 
 
 def _names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
-    """A readable name per job, safe as a folder's; equal or cut ones end in the job's own."""
+    """A readable name per job that can name a folder; equal or shortened ones end in the job's own name."""
     full = [re.sub(r"[^\w.,=+ -]+", "_", told(job.settings, keys)).strip(" .") for job in jobs]
     names = []
     for name, job in zip(full, jobs, strict=True):
@@ -123,7 +123,7 @@ def _names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
 
 
 def _label(folder: Path, job: Job) -> str:
-    """What a job is called below the sweep's folder."""
+    """The path of a job below the sweep's folder."""
     return job.folder.relative_to(folder).as_posix()
 
 

@@ -1,1 +1,1 @@
-"""Hyperparameters: by grid, by gradient, by Optuna."""
+"""Tuning of hyperparameters: by grid, by gradient, by Optuna."""

@@ -1,16 +1,16 @@
-"""Hyperparameters by gradient: back-propagation through the online run, truncated, on lanes of runs.
+"""Hyperparameters by gradient: truncated back-propagation through the online run, with one lane per run.
 
-For what `sensitivities` cannot carry: the thousands of initial weights of a network. Of a gain with a long memory a
-gradient that is cut is biased.
+It is for parameters that are too many for `sensitivities`: the thousands of initial weights of a network. For a gain
+with a long memory, a truncated gradient is biased.
 
-Every run of every boat is a lane, `(time, runs)`. A lane starts from the state with which the boat arrives at that run
-when all runs are replayed in order with the present hyperparameters; the first run starts from `init`, so that the
-gradient reaches what the estimator starts from. The loss of a window is its share of the objective,
+Every run of every boat is a lane, `(time, runs)`. A lane starts from the state that the boat has at that run when all
+runs are replayed in order with the present hyperparameters. The first run starts from `init`, so that the gradient
+reaches the initial state. The loss of a window is its share of the objective,
 
     L = Σ_lanes w Σ_k |v_k − v̂_k|,   w = 1/(boats · measured steps of the lane's boat)                  (1)
 
-so that over an epoch the windows add up to the MAE, mean over boats. After each window Adam (Kingma & Ba 2015) makes a
-step on the scale on which a hyperparameter lives, within its range, and the gradient is cut.
+so that the losses of an epoch add up to the MAE, averaged over boats. After each window Adam (Kingma & Ba 2015) makes a
+step on the scale of each hyperparameter (logarithm or logit), within its range, and the gradient is truncated.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from usvlearn.signals import PLAUSIBLE, Fleet, Sample, masks, tree_map
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae
 
 EPOCH_COST, PASS_COST = 3, 1  # evaluations: forward and backward through all samples; forward alone
-RATE, WEIGHT_RATE = 0.1, 0.003  # Adam's, on the scale, and of initial weights; falling to none at the last window
+RATE, WEIGHT_RATE = 0.1, 0.003  # Adam's, on the scale, and for initial weights; they fall to 0 at the last window
 BETAS = (0.8, 0.98)
 CLIP = 1.0  # of the gradient, in units of a window's share of the MAE: one outlier must not fill Adam's moments
 WEIGHTS = ("a", "w1", "W2", "b")
@@ -45,7 +45,7 @@ STARTS = ("default", "middle")
 class Lanes(NamedTuple):
     """All runs of a fleet, side by side."""
 
-    samples: Sample  # (time, lanes), padded with what is never fresh
+    samples: Sample  # (time, lanes), padded with samples that are never fresh
     run: Tensor  # (lanes,) index of each lane's run
     boat: Tensor  # (lanes,) index of its boat
     weight: Tensor  # (lanes,) w of (1)
@@ -75,10 +75,10 @@ def window_losses(
     """The loss (1) of each window, and its share of all steps; the hyperparameters may change between windows.
 
     Args:
-        estimator: through which the gradient goes.
+        estimator: its hyperparameters receive the gradient.
         lanes: see `run_lanes`.
-        starts: the states at the start of each run, leaves `(boats, ...)`; the first is made anew, with gradient.
-        boats: how many.
+        starts: the states at the start of each run, leaves `(boats, ...)`; the first is recomputed, with gradient.
+        boats: their number.
         window: steps.
     """
     place = lanes.run * boats + lanes.boat
@@ -96,10 +96,10 @@ def window_losses(
 
 
 class Fitted(NamedTuple):
-    """What the gradient found."""
+    """The result of learning by gradient."""
 
     evaluations: list[Evaluation]  # the default first, then one for each epoch
-    used: int  # evaluations that it cost, without the default
+    used: int  # evaluations used, without the default
     curve: list[dict[str, float]]  # per window: the loss as MAE, m/s, and the hyperparameters
 
 
@@ -113,12 +113,12 @@ def fit(
 ) -> Fitted:
     """Learn hyperparameters by gradient, starting from the default, or from the middle of the ranges.
 
-    An epoch costs four evaluations: three for the way there and back through all samples, one for the pass that judges
-    what came of it and gives the next its starts. The best of all passes counts.
+    An epoch costs four evaluations: three for forward and backward through all samples, one for the pass that evaluates
+    the result and gives the states from which the next epoch starts. The best of all passes is the result.
 
     Args:
-        objective: judges, and makes the estimator.
-        parameters: what is learned; initial weights of a network, too.
+        objective: evaluates settings, and makes the estimator.
+        parameters: the learned hyperparameters; initial weights of a network are possible, too.
         evaluations: the budget.
         window: steps after which the gradient is cut.
         start: "default" or "middle".
@@ -130,7 +130,7 @@ def fit(
     check_choice("tuning.start", start, STARTS)
     if isinstance(window, bool) or not isinstance(window, int) or window < 1:
         raise ConfigError(f"tuning.window: found {window!r}, expected a whole number of steps, 1 or more")
-    extra = PASS_COST * (start == "middle")  # which has to be judged
+    extra = PASS_COST * (start == "middle")  # one more pass to evaluate it
     if (epochs := (evaluations - extra) // (EPOCH_COST + PASS_COST)) < 1:
         least = EPOCH_COST + PASS_COST + extra
         raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {least} or more: what learn costs")
@@ -151,7 +151,7 @@ def fit(
             if not share:
                 continue
             curve.append({"loss": float(loss.detach()) / share, **learner.setting()})
-            if not learner.set_gradients(loss, CLIP * share * unit):  # it diverges: what is left would teach nothing
+            if not learner.set_gradients(loss, CLIP * share * unit):  # it diverges: the rest teaches nothing
                 learner.put(best.values)
                 break
             for group, rate in zip(optimizer.param_groups, rates, strict=True):
@@ -167,15 +167,15 @@ def fit(
 
 
 class _Judged(NamedTuple):
-    """A pass in order."""
+    """The result of a pass through all runs in order."""
 
     evaluation: Evaluation
     starts: list[Any]  # the state at the start of each run
-    values: list[Tensor]  # of what is learned
+    values: list[Tensor]  # of the learned parameters
 
 
 class _Learner:
-    """The estimator, what of it is learned, and within which bounds."""
+    """The estimator, its learned parameters, and their bounds."""
 
     def __init__(self, objective: Objective, parameters: Sequence[Hyperparameter], folder: Path):
         self.objective, self.folder, self.files = objective, folder, 0
@@ -183,7 +183,7 @@ class _Learner:
         self.networks = [each for each in parameters if each.kind is RNN]
         estimator = objective.build({})
         files = {}
-        for each in self.networks:  # what the network starts with, as a file, so that all of it can move
+        for each in self.networks:  # the network's initial weights come from a file, so that all of them can move
             weights = estimator.get_submodule(owner(each.path)).init().weights
             files[pretrained(each.path)] = self._save(each, weights._asdict())
         self.estimator = objective.build(files).requires_grad_(False) if files else estimator.requires_grad_(False)
@@ -210,7 +210,7 @@ class _Learner:
         return str(path)
 
     def setting(self) -> dict[str, float]:
-        """The hyperparameters, as a person reads them."""
+        """The hyperparameters as readable values."""
         return {
             each.path: each.from_scale(float(leaf.detach()))
             for each, leaf in zip(self.numbers, self.leaves, strict=False)
@@ -232,7 +232,7 @@ class _Learner:
             leaf.clamp_(low, high)
 
     def set_gradients(self, loss: Tensor, longest: float) -> bool:
-        """The gradient of a loss, clipped; whether it is finite."""
+        """Set the clipped gradient of a loss; returns whether it is finite."""
         gradients = torch.autograd.grad(loss, self.leaves, allow_unused=True)
         for leaf, gradient in zip(self.leaves, gradients, strict=True):
             leaf.grad = torch.zeros_like(leaf) if gradient is None else gradient
@@ -240,7 +240,7 @@ class _Learner:
         return bool(norm.isfinite() & loss.isfinite())
 
     def judged(self, cost: int) -> _Judged:
-        """The pass in order with what is learned by now, rounded as it is written down."""
+        """A pass through all runs in order with the present parameters, rounded as they are saved."""
         setting: dict[str, Any] = self.setting()
         self.put([torch.full_like(leaf, each.to_scale(setting[each.path]))
                   for each, leaf in zip(self.numbers, self.leaves, strict=False)])  # fmt: skip
@@ -255,7 +255,7 @@ class _Learner:
 
 
 def owner(path: str) -> str:
-    """The path of what has a hyperparameter.
+    """The path of the object that has a hyperparameter.
 
     >>> owner("estimator.initial"), owner("initial")
     ('estimator', '')
@@ -264,5 +264,5 @@ def owner(path: str) -> str:
 
 
 def pretrained(path: str) -> str:
-    """Where the file stands from which the weights named by `path` are read."""
+    """The key of the file from which the weights named by `path` are read."""
     return ".".join(filter(None, (owner(path), "pretrained")))

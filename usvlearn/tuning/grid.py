@@ -1,4 +1,4 @@
-"""Search of hyperparameters on a grid, hundreds of settings in one pass: coarse, then refined about the best."""
+"""Search of hyperparameters on a grid, hundreds of settings in one pass: first coarse, then refined around the best."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting
 
 
 def counts(points: int, dimensions: int) -> list[int]:
-    """How many values each dimension has in a grid of at most so many points, as evenly as it goes.
+    """The number of values of each dimension in a grid of at most `points` points, as equal as possible.
 
     >>> counts(32, 2), counts(7, 3)
     ([6, 5], [2, 2, 1])
@@ -23,7 +23,7 @@ def counts(points: int, dimensions: int) -> list[int]:
 
 
 def product(values: Mapping[str, Sequence[float]]) -> list[Setting]:
-    """Every combination.
+    """All combinations of the values.
 
     >>> product({"gain": [1.0, 2.0], "memory": [5.0]})
     [{'gain': 1.0, 'memory': 5.0}, {'gain': 2.0, 'memory': 5.0}]
@@ -34,12 +34,12 @@ def product(values: Mapping[str, Sequence[float]]) -> list[Setting]:
 def grid(
     objective: Objective, parameters: Sequence[Hyperparameter], evaluations: int, rounds: int
 ) -> tuple[list[Evaluation], int]:
-    """Settings at equal distances on each scale; then, round by round, between the neighbours of the best.
+    """Evaluate settings at equal distances on each scale; then, in further rounds, between the best one's neighbours.
 
-    A round has its share of the evaluations that are left, and is one pass. What was judged is not judged again.
+    A round uses its share of the remaining evaluations, and is one pass. No setting is evaluated twice.
 
     Returns:
-        All evaluations, the default first; and how many they were without it.
+        All evaluations, the default first; and their number without it.
     """
     default = {each.path: each.default for each in parameters}
     spans = [each.span for each in parameters]
@@ -47,7 +47,7 @@ def grid(
     for k in range(rounds):
         points = (evaluations - max(0, len(found) - 1)) // (rounds - k)
         sizes = counts(points, len(parameters))
-        # The ends of a refined range are the neighbours, which are known.
+        # The ends of a refined range are the neighbours, which have been evaluated.
         steps = [(high - low) / (n + 1 if k else max(2, n - 1)) for (low, high), n in zip(spans, sizes, strict=True)]
         inner = [(low + s, high - s) if k or n == 1 else (low, high)
                  for (low, high), s, n in zip(spans, steps, sizes, strict=True)]  # fmt: skip

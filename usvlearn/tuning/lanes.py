@@ -1,7 +1,7 @@
-"""Settings of one estimator as lanes of one batch: what each is worth over a fleet's runs.
+"""Settings of one estimator as lanes of one batch, and the error of each over a fleet's runs.
 
-A setting's lanes are the boats: state and samples are `(settings, boats)`, the samples as views of the fleet's own.
-What is judged is the MAE one step ahead over all measured steps, predicted before learning, mean over boats.
+A setting has one lane per boat: state and samples are `(settings, boats)`, the samples as views of the fleet's own. The
+objective is the MAE one step ahead over all measured steps, predicted before learning, averaged over boats.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from usvlearn.signals import Fleet, tree_map
 Setting = dict[str, float]  # dotted path -> value
 Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
 LANES = 4096  # settings × boats in one batch, at most
-CHUNK_STEPS, CHUNK_CELLS = 500, 2**20  # steps, and steps × lanes, after which errors are added up: memory is bounded
+CHUNK_STEPS, CHUNK_CELLS = 500, 2**20  # steps, and steps × lanes, after which errors are added up, to bound the memory
 
 
 class Hyperparameter(NamedTuple):
-    """A number that is tuned, and where."""
+    """A tuned number and its place."""
 
     path: str  # inside the estimator and its configuration
-    kind: type[nn.Module]  # Positive: lives on the logarithm; UnitInterval: on the logit; RNN: its initial weights
+    kind: type[nn.Module]  # Positive: the scale is the logarithm; UnitInterval: the logit; RNN: its initial weights
     default: float
     low: float
     high: float
@@ -45,7 +45,7 @@ class Hyperparameter(NamedTuple):
         return math.log(value) if self.kind is Positive else math.log(value) - math.log1p(-value)
 
     def from_scale(self, x: float) -> float:
-        """The legal value at a place on the scale, of four digits: what is judged is what a person reads.
+        """The legal value at a place on the scale, rounded to four digits: the evaluated value is the one that is shown.
 
         >>> gain = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
         >>> gain.from_scale(0.5), gain.from_scale(99.0)
@@ -55,12 +55,12 @@ class Hyperparameter(NamedTuple):
             value = float(f"{math.exp(min(x, 700.0)):.4g}")
         elif x < 0:
             value = float(f"{math.exp(x) / (1 + math.exp(x)):.4g}")
-        else:  # four digits of what lacks to 1
+        else:  # four digits of the distance to 1
             value = round(1 - float(f"{math.exp(-x) / (1 + math.exp(-x)):.4g}"), 15)
         return min(max(value, self.low), self.high)
 
     def spaced(self, low: float, high: float, count: int) -> list[float]:
-        """Values at equal distances on the scale, from `low` to `high`, both on the scale; of one, the middle."""
+        """Values at equal distances on the scale, from `low` to `high`, both on the scale; a single value: the middle."""
         places = [(low + high) / 2] if count == 1 else [low + (high - low) * k / (count - 1) for k in range(count)]
         return [self.from_scale(x) for x in places]
 
@@ -71,10 +71,10 @@ class Hyperparameter(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """A setting, judged."""
+    """A setting and its errors."""
 
     setting: Mapping[str, Any]
-    maes: tuple[float, ...]  # m/s, one for each boat; infinite where a prediction was not finite
+    maes: tuple[float, ...]  # m/s, one for each boat; infinite if a prediction was not finite
 
     @property
     def mae(self) -> float:
@@ -89,16 +89,16 @@ class Evaluation(NamedTuple):
 def hyperparameter(
     estimator: Estimator, path: str, low: float | None = None, high: float | None = None, key: str | None = None
 ) -> Hyperparameter:
-    """What stands at a path of an estimator, with the range in which it is tuned.
+    """The hyperparameter at a path of an estimator, with the range in which it is tuned.
 
     Args:
         estimator: with the default settings.
         path: dotted, as in its configuration; `initial` of an RNN means its initial weights.
-        low, high: the range; by default the default alone.
-        key: what it is called in an error; by default the path.
+        low, high: the range; by default only the default value.
+        key: its name in an error; by default the path.
 
     Raises:
-        ConfigError: no number that is tuned stands there, or the range is not legal.
+        ConfigError: there is no tunable number at the path, or the range is not legal.
 
     >>> from usvlearn import AID
     >>> hyperparameter(AID(), "gain", 0.1, 10).span[0] < 0
@@ -116,7 +116,7 @@ def hyperparameter(
         values = part().detach().reshape(-1)
         if len(values) != 1:
             raise ConfigError(f"{key}: found {len(values)} values, expected one: a range is searched around one")
-        # Through the logarithm and back a number loses its last digits: 0.3 is meant, not 0.30000000000000004.
+        # A number loses its last digits through the logarithm and back: 0.3, not 0.30000000000000004.
         default, kind, check = float(f"{values.item():.12g}"), type(part), type(part)
     low, high = (default if x is None else x for x in (low, high))
     for value in (low, high):
@@ -161,14 +161,14 @@ def fleet_mae(
     """MAE of each setting and boat, m/s, `(*settings, boats)`; the state is carried from run to run.
 
     Args:
-        estimator: whose hyperparameters broadcast against the batch `(*settings, boats)`.
+        estimator: its hyperparameters broadcast against the batch `(*settings, boats)`.
         fleet: aligned runs.
         settings: the batch before the boats.
-        advance: is told the share that was done since it was told last.
-        at_run: is told the state at the start of each run.
+        advance: receives the fraction completed since the last call.
+        at_run: receives the state at the start of each run.
 
     Returns:
-        Infinite where a prediction was not finite: a lane must not win by the steps that it survived.
+        Infinite if a prediction was not finite, so that a lane cannot win by its remaining steps.
     """
     batch = (*settings, len(fleet.boats))
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
@@ -193,12 +193,12 @@ def fleet_mae(
 
 
 class Objective:
-    """Judges settings of one estimator over a fleet, as lanes.
+    """Evaluates settings of one estimator over a fleet, as lanes.
 
     Args:
         build: makes the estimator.
         fleet: aligned runs.
-        advance: is told how many evaluations' worth of work was done.
+        advance: receives the number of evaluations completed since the last call, as a float.
         lanes: settings × boats in one batch, at most.
     """
 

@@ -1,8 +1,8 @@
-"""Search of hyperparameters by Optuna: a journal in the folder, resumable, several processes at one budget.
+"""Search of hyperparameters by Optuna: a journal in the folder, resumable, with one budget for several processes.
 
-Each process takes trials by the batch and judges them as lanes. Trials are numbered over all processes, and one counts
-as long as fewer than the budget have been taken before it and not given back; what a killed process has left unfinished
-is given back once its sign of life, a file that it touches while it works, has grown old.
+Each process takes a batch of trials and evaluates them as lanes. Trials are numbered over all processes. A trial counts
+if fewer trials than the budget have a lower number and were not given back. Each process touches a file while it works
+(its heartbeat). When that file is old, the process was killed, and its unfinished trials are given back.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from usvlearn.runs.trust import check_setting
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective
 
 WORKERS = "workers"
-STALE = 60.0  # s without a sign of life after which a process counts as dead: a chunk of steps takes a few
+STALE = 60.0  # s without a heartbeat after which a process counts as dead; a chunk of steps takes a few s
 STUDY = "tuning"
 
 
 class _Worker:
-    """One process at work on a folder: its number, and its sign of life."""
+    """One process that works on a folder: its number and its heartbeat."""
 
     def __init__(self, folder: Path):
         self.folder, self.number = folder, 0
@@ -43,14 +43,14 @@ class _Worker:
         (self.folder / str(self.number)).touch()
 
     def dead(self, number: int) -> bool:
-        """Whether another process has shown no sign of life for long."""
+        """Whether another process has had no heartbeat for a long time."""
         try:
             return time.time() - (self.folder / str(number)).stat().st_mtime > STALE
         except FileNotFoundError:
             return True
 
     def end(self) -> None:
-        """Look dead at once, should anything be left unfinished."""
+        """Count as dead at once, so that unfinished trials are given back."""
         os.utime(self.folder / str(self.number), (0, 0))
 
 
@@ -63,19 +63,19 @@ def search(
     batch: int = 16,
     seed: int = 0,
 ) -> tuple[list[Evaluation], int]:
-    """Trials of a tree-structured Parzen estimator until so many are complete, of all processes together.
+    """Run trials of a tree-structured Parzen estimator until all processes together have completed the budget.
 
     Args:
-        objective: judges settings.
-        parameters: what is searched.
+        objective: evaluates settings.
+        parameters: the hyperparameters that are searched.
         evaluations: the budget.
         folder: of the journal.
-        facts: JSON values that say what is searched; another search must not go on in the same folder.
-        batch: trials that are judged as lanes of one batch.
+        facts: JSON values that identify the search; another search must not continue in the same folder.
+        batch: trials that are evaluated as lanes of one batch.
         seed: of the sampler, the same for every process.
 
     Returns:
-        All evaluations, the default first; and how many they were without it.
+        All evaluations, the default first; and their number without it.
 
     Raises:
         MissingExtraError: Optuna is not installed.
@@ -112,7 +112,7 @@ def search(
     try:
         while done < evaluations or not found:
             trials = list(_taken(study, parameters, worker, evaluations, batch))
-            if not trials and found:  # others have the rest in hand, or have died with it
+            if not trials and found:  # other processes have taken the rest, or have died with it
                 time.sleep(0.2)
                 _give_back(study, worker)
                 done = len(_complete(study))
@@ -122,7 +122,9 @@ def search(
             found, judged = found or judged[-1:], judged[: len(trials)]
             for trial, evaluation in zip(trials, judged, strict=True):
                 maes = [mae if math.isfinite(mae) else None for mae in evaluation.maes]
-                with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):  # it was given back meanwhile
+                with contextlib.suppress(
+                    optuna.exceptions.UpdateFinishedTrialError
+                ):  # it was given back in the meantime
                     trial.set_user_attr("maes", maes)
                     study.tell(trial.number, evaluation.mae, skip_if_finished=True)
             done = len(_complete(study))
@@ -136,7 +138,7 @@ def search(
 
 
 def _cut_unfinished(path: Path, lock: Any) -> None:
-    """Remove the part of a line that a full disk has left at the journal's end: Optuna reads nothing beyond it."""
+    """Remove an incomplete last line, left by a full disk: Optuna would read nothing after it."""
     lock.acquire()
     try:
         content = path.read_bytes() if path.exists() else b""
@@ -149,7 +151,7 @@ def _cut_unfinished(path: Path, lock: Any) -> None:
 def _taken(
     study: Any, parameters: Sequence[Hyperparameter], worker: _Worker, evaluations: int, most: int
 ) -> Iterator[Any]:
-    """Trials that are within the budget, whoever else takes some at the same time."""
+    """Trials within the budget, even if other processes take some at the same time."""
     from optuna.trial import TrialState
 
     for _ in range(most):
@@ -168,7 +170,7 @@ def _taken(
 
 
 def _counted(study: Any, before: float = math.inf) -> int:
-    """Trials that are complete or in hand, of those with a lower number."""
+    """The number of complete or running trials with a lower number."""
     trials = study.get_trials(deepcopy=False)
     return sum(trial.number < before and trial.state.name in ("RUNNING", "COMPLETE") for trial in trials)
 
@@ -178,7 +180,7 @@ def _complete(study: Any) -> list[Any]:
 
 
 def _give_back(study: Any, worker: _Worker) -> None:
-    """Fail what dead processes have left."""
+    """Mark the unfinished trials of dead processes as failed."""
     from optuna.trial import TrialState
 
     for trial in study.get_trials(deepcopy=False):

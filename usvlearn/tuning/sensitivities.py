@@ -1,21 +1,21 @@
 """Hyperparameters by the exact gradient: sensitivities carried forward along all runs (`docs/theory.md`, section 17).
 
-With the state s_k, the step s_{k+1} = f(s_k, z_k, x) and hyperparameters x on the scale on which they live, the
-sensitivity S_k = ds_k/dx follows the run beside the state (Williams & Zipser 1989):
+With the state s_k, the step s_{k+1} = f(s_k, z_k, x) and hyperparameters x on their scale (logarithm or logit), the
+sensitivity S_k = ds_k/dx is carried along the run with the state (Williams & Zipser 1989):
 
     S_{k+1} = ∂f/∂s S_k + ∂f/∂x,   dL/dx = Σ_k w_k sgn(v̂_k − v_k) dv̂_k/dx                (1)
 
-It goes from step to step and from run to run with the state, so that memory does not grow and what a gain does many
-minutes later counts. A back-propagation that is cut does not see that, and is biased where the memory is long.
+The memory does not grow with the run, and the effect of a gain many minutes later is included. Truncated
+back-propagation omits that effect, and is biased where the memory is long.
 
-Dual numbers carry it: each of the p hyperparameters is a lane of one batch, with tangent 1 in its own lane. A pass is
-then one evaluation and its gradient, and does the arithmetic of `COST` evaluations for each hyperparameter: a product
-has two more products for its tangent. With few boats, where the calls of operations take the time and not the
-arithmetic, it takes that of four to seven single replays.
+Dual numbers carry the sensitivity: each of the p hyperparameters is a lane of one batch, with tangent 1 in its own
+lane. A pass gives the error and its gradient. Its arithmetic is that of `COST` evaluations for each hyperparameter,
+because a product needs two more products for its tangent. With few boats the time goes into the calls of operations,
+not into arithmetic; a pass then takes the time of four to seven single replays.
 
-The descent is a quasi-Newton one (BFGS) inside the ranges, damped (Nocedal & Wright 2006, procedure 18.2), with a
-bound on the step. The first step is of the same length along each scale, whatever the size of the gradient there:
-hyperparameters differ by orders of magnitude in what they do. A step counts only if the error falls.
+The descent is a damped quasi-Newton method (BFGS; Nocedal & Wright 2006, procedure 18.2) inside the ranges, with a
+bound on the step. The first step has the same length along each scale, whatever the size of the gradient, because the
+effects of hyperparameters differ by orders of magnitude. A step is accepted only if the error falls.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting
 
 COST = 3  # evaluations for each hyperparameter and pass
 FIRST = 1.0  # length of the first step, along each scale
-GROW, SHRINK = 2.0, 0.5  # of the bound: after a step that reached it; after one that failed, of that step
-FLAT = 0.01  # of the largest slope: what a smaller one counts as in the first step
-CURVATURE = 0.2  # of what was expected: the least that a step may teach
-LEAST = 1e-7  # of the error: a step that promises less is not made
+GROW, SHRINK = 2.0, 0.5  # factors of the bound: after a step that reached it; after a failed step, of its length
+FLAT = 0.01  # share of the largest slope; smaller slopes are raised to it in the first step
+CURVATURE = 0.2  # least share of the expected curvature that an update may keep (the damping)
+LEAST = 1e-7  # share of the error; no step is made whose expected gain is smaller
 
 MIXING = {"minimum", "maximum", "linalg_solve_ex", "__radd__", "__rsub__", "__rmul__", "__rdiv__", "__rtruediv__"}
 MIXING |= {name for each in ("add", "sub", "mul", "div", "truediv") for name in (each, f"__{each}__")} | {"rsub"}
 
 
 class _Judge(nn.Module):
-    """`fleet_mae` as a module's forward, so that dual numbers can take the place of its parameters."""
+    """`fleet_mae` as a module's forward, so that dual numbers can replace its parameters."""
 
     def __init__(self, estimator: nn.Module):
         super().__init__()
@@ -57,7 +57,7 @@ class _Judge(nn.Module):
 
 
 class _AllDual(TorchFunctionMode):
-    """Makes constants dual numbers, too, where they meet one: mixed, torch takes a hundred times as long."""
+    """Turns constants that meet dual numbers into dual numbers; mixed, torch takes a hundred times as long."""
 
     def __init__(self):
         super().__init__()
@@ -82,7 +82,7 @@ class _AllDual(TorchFunctionMode):
 
 
 def is_dual(x: Any) -> bool:
-    """Whether it carries a tangent.
+    """Whether a value carries a tangent.
 
     >>> is_dual(torch.ones(2))
     False
@@ -93,7 +93,7 @@ def is_dual(x: Any) -> bool:
 def sensitivity(
     objective: Objective, parameters: Sequence[Hyperparameter], setting: Setting
 ) -> tuple[Evaluation, Tensor]:
-    """A setting, judged, and the gradient of its MAE with respect to each hyperparameter on its scale, m/s, `(p,)`.
+    """The evaluation of a setting, and the gradient of its MAE with respect to each scaled hyperparameter, m/s, `(p,)`.
 
     Raises:
         ConfigError: an operation of the estimator has no forward derivative.
@@ -102,7 +102,7 @@ def sensitivity(
     judge = _Judge(objective.build({path: [[value]] * p for path, value in setting.items()}))
     leaves = dict(judge.named_parameters())
     with torch.no_grad(), dual_level():
-        with warnings.catch_warnings():  # torch's, of its own loading of derivatives
+        with warnings.catch_warnings():  # from torch, when it loads its derivatives
             warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
             duals = {}
             for each, own in zip(parameters, torch.eye(p), strict=True):
@@ -127,11 +127,11 @@ def descend(
 ) -> Fitted:
     """Learn hyperparameters by the exact gradient, starting from the default, or from the middle of the ranges.
 
-    It ends within the budget, or sooner where no step promises anything.
+    It ends within the budget, or earlier if no further step is expected to help.
 
     Args:
-        objective: judges, and makes the estimator.
-        parameters: what is learned, numbers alone.
+        objective: evaluates settings, and makes the estimator.
+        parameters: the learned hyperparameters, numbers only.
         evaluations: the budget.
         start: "default" or "middle".
 
@@ -156,7 +156,7 @@ def descend(
     curve: list[dict[str, float]] = []
 
     def judged(place: Tensor) -> tuple[Tensor, float, Tensor]:
-        """Where it was judged, rounded as it is written down; the error; the gradient."""
+        """The evaluated place, rounded as it is saved; the error; the gradient."""
         setting = {each.path: each.from_scale(x) for each, x in zip(parameters, place.tolist(), strict=True)}
         if not found and setting != default:
             found.extend(objective([default]))
@@ -172,7 +172,7 @@ def descend(
     curvature = gradient.abs().clamp(min=FLAT * gradient.abs().max()).diag() / FIRST
     passes, bound = 1, FIRST
     while (passes + 1) * cost <= evaluations and error < torch.inf:
-        # A range's end holds what would go beyond it.
+        # A parameter that would leave its range stays at the end of the range.
         free = ~(((place <= low) & (gradient > 0)) | ((place >= high) & (gradient < 0))) & (curvature.diag() > 0)
         step = torch.zeros_like(place)
         step[free] = torch.linalg.solve(curvature[free][:, free], -gradient[free])
@@ -196,7 +196,7 @@ def descend(
 
 
 def updated(curvature: Tensor, step: Tensor, change: Tensor) -> Tensor:
-    """The damped BFGS update of a second derivative, `(p, p)`: it stays positive where the error is not convex.
+    """The damped BFGS update of a second derivative, `(p, p)`; it stays positive where the error is not convex.
 
     >>> updated(torch.eye(2), torch.tensor([1.0, 0.0]), torch.tensor([3.0, 0.0]))
     tensor([[3., 0.],

@@ -1,4 +1,4 @@
-"""Tuning one estimator of an ensemble: three ways at one budget."""
+"""Tuning one estimator of an ensemble: three methods with the same budget."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ WAYS = ("grid", "learn", "search")
 
 
 class Request(NamedTuple):
-    """What is to be tuned, checked."""
+    """A checked request for tuning."""
 
     way: str  # one of WAYS
     member: str
     parameters: list[Hyperparameter]
     values: dict[str, list[float]] | None  # of an explicit grid
-    evaluations: int  # the budget; of an explicit grid what it takes
+    evaluations: int  # the budget; for an explicit grid the number of its points
     options: Mapping[str, Any]  # `tuning` of the configuration
     node: Mapping[str, Any]  # the member's configuration
     build: Build
@@ -56,10 +56,10 @@ class Request(NamedTuple):
 
 
 def asked(configuration: Mapping[str, Any]) -> str | None:
-    """The way that a configuration asks for, or None.
+    """The method that a configuration asks for, or None.
 
     Raises:
-        ConfigError: it asks for several, or for a study.
+        ConfigError: it asks for several methods, or for a study.
 
     >>> asked({"grid": "aid", "learn": None, "search": None})
     'grid'
@@ -73,7 +73,7 @@ def asked(configuration: Mapping[str, Any]) -> str | None:
 
 
 def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any]) -> Request:
-    """What a configuration asks for.
+    """The tuning that a configuration asks for, checked.
 
     Args:
         configuration: with `estimators`, `tuning`, and one of WAYS set.
@@ -127,7 +127,7 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
 
 
 def _changed(node: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """A constructor's configuration with other values at dotted paths; lists stay lists."""
+    """A constructor's configuration with new values at dotted paths; lists stay lists."""
     changed = {**copy.deepcopy(node), "_convert_": "all"}
     for path, value in values.items():
         *parents, last = path.split(".")
@@ -154,14 +154,14 @@ def _listed(key: str, given: Any) -> list[float]:
 
 
 def check_folder(folder: Path, way: str, member: str) -> None:
-    """Raise a ConfigError where a folder holds something else already."""
+    """Raise a ConfigError if a folder already holds something else."""
     if (folder / CHECKPOINTS).exists():
         raise ConfigError(f"{folder}: already holds the parameter sets of a run: choose another hydra.run.dir")
     try:
         old = json.loads((folder / TUNING).read_text())
     except (OSError, ValueError):
         return
-    if way != "search" or (old.get("way"), old.get("member")) != (way, member):  # which alone goes on
+    if way != "search" or (old.get("way"), old.get("member")) != (way, member):  # only a search continues
         raise ConfigError(f"{folder}: already holds {old.get('way')}={old.get('member')}: choose another hydra.run.dir")
 
 
@@ -173,18 +173,18 @@ def tune(
     overrides: Sequence[str] = (),
     console: Console | None = None,
 ) -> float:
-    """Tune what a configuration asks for, and write what was found into the folder.
+    """Tune as a configuration asks, and write the results into the folder.
 
     Args:
-        configuration: as `request` has it, with `data`, `align` and `threads`.
+        configuration: as for `request`, with `data`, `align` and `threads`.
         folder: of the results.
         instantiate: makes the object that a node of the configuration describes.
         align: makes a fleet of recordings, with the options of `align`.
         overrides: of the command line, for the record.
-        console: on which the winners are shown.
+        console: shows the best settings.
 
     Returns:
-        The best MAE, m/s, mean over boats; infinite where all settings diverge.
+        The best MAE, m/s, averaged over boats; infinite if all settings diverge.
     """
     set_threads(configuration["threads"])
     asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
@@ -218,16 +218,16 @@ def tune(
 def run(
     request: Request, fleet: Fleet, folder: Path, advance: Callable[[float], None] = lambda evaluations: None
 ) -> Fitted:
-    """The search itself.
+    """Run the requested search.
 
     Args:
         request: see `request`.
         fleet: aligned runs.
-        folder: for what the way itself keeps.
-        advance: is told how many evaluations' worth of work was done.
+        folder: for the files of the method.
+        advance: receives the number of evaluations completed since the last call, as a float.
 
     Returns:
-        The evaluations, the default first; how many they were without it; of `learn` the curve.
+        The evaluations, the default first; their number without it; for `learn` the curve.
     """
     objective, options, parameters = Objective(request.build, fleet, advance), request.options, request.parameters
     if request.values is not None:

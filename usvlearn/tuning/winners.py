@@ -1,10 +1,10 @@
-"""What tuning leaves in its folder.
+"""The files that tuning writes into its folder.
 
-tuning.json       everything: the way, the command, ranges, default and best, every evaluation with its MAE per boat
+tuning.json       everything: method, command, ranges, default and best, every evaluation with its MAE per boat
 leaderboard.csv   the evaluations, the best first
 experiment.yaml   the best setting, ready for configs/experiment
-results.json      the objective, and the default and the tuned setting beside persistence, as a replay writes them
-tensorboard       the best settings side by side; of `learn` the curves
+results.json      the objective, and the default, the tuned setting and persistence, in the form of a replay
+tensorboard       the best settings side by side; for `learn` the curves
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from usvlearn.tensorboard import TensorBoardWriter
 from usvlearn.tuning.lanes import Evaluation
 
 LEADERBOARD, EXPERIMENT, TENSORBOARD = "leaderboard.csv", "experiment.yaml", "tensorboard"
-SHOWN, MOST_RECORDS = 10, 20  # in the terminal, on the HPARAMS page
+SHOWN, MOST_RECORDS = 10, 20  # settings in the terminal, and on the HPARAMS page
 
 
 def gain(mae: float, base: float) -> float | None:
-    """By how much smaller an error is, in percent; None where it cannot be told.
+    """The reduction of an error, in percent; None if it is unknown.
 
     >>> gain(0.75, 1.0)
     25.0
@@ -41,13 +41,13 @@ def gain(mae: float, base: float) -> float | None:
 def record(
     facts: Mapping[str, Any], boats: Sequence[str], found: Sequence[Evaluation], persistence: Evaluation
 ) -> dict[str, Any]:
-    """What `tuning.json` holds; an error that is not finite is None.
+    """The content of `tuning.json`; an error that is not finite is None.
 
     Args:
-        facts: what was asked for.
-        boats: names.
-        found: evaluations, the default first; the best of them is the best, the default included.
-        persistence: judged on the same steps.
+        facts: the request.
+        boats: their names.
+        found: evaluations, the default first; the best setting may be the default.
+        persistence: its evaluation on the same steps.
 
     >>> both = [Evaluation({"gain": 1.0}, (0.5,)), Evaluation({"gain": 2.0}, (0.25,))]
     >>> record({}, ["heron"], both, Evaluation({}, (1.0,)))["best"]
@@ -72,7 +72,7 @@ def record(
 
 
 def write(folder: str | Path, record: Mapping[str, Any], curve: Sequence[Mapping[str, float]] = ()) -> None:
-    """Every file, `results.json` the last."""
+    """Write all files, `results.json` last."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / TUNING, json.dumps(record, indent=2, allow_nan=False).encode())
@@ -95,12 +95,12 @@ def write(folder: str | Path, record: Mapping[str, Any], curve: Sequence[Mapping
 
 
 def ranked(record: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """All that was evaluated, the best first."""
+    """All evaluations, the best first."""
     return sorted(record["evaluated"], key=lambda each: math.inf if each["mae"] is None else each["mae"])
 
 
 def label(setting: Mapping[str, Any]) -> str:
-    """A setting in words that can name a run.
+    """A setting as a short text that can name a run.
 
     >>> label({"estimator.memory": 3.162, "estimator.covariance": 10.0})
     'memory=3.162 covariance=10'
