@@ -23,7 +23,8 @@ OURS = {
     "usvlearn.checkpoint": LIGHT,
     "usvlearn.lock": LIGHT,
     "usvlearn.tensorboard": set(),
-    "usvlearn.jit": set(),
+    "usvlearn.parts": set(),
+    "usvlearn.jit": {"usvlearn.parts"},
     "usvlearn.family": LIGHT,
     "usvlearn.arrays": {"usvlearn.jit"},
     "usvlearn.rows": LIGHT | {"usvlearn.jit", "usvlearn.arrays"},
@@ -60,9 +61,9 @@ CERTIFY = {
     "rich": {"certify.printed"},
 }
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
-NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.engine",
-            "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation", "usvlearn.lock", "usvlearn.cli.stopping",
-            "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
+NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",
+            "usvlearn.engine", "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation", "usvlearn.lock",
+            "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))

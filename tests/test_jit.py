@@ -2,13 +2,18 @@
 
 import errno
 import os
+import shutil
+from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 from numba.core import caching
 
+from tests.support import ROOT
 from tests.support.commands import python
 from usvlearn import jit as compiled
+from usvlearn.engine import dispatch
 
 PREPARE = """
 import numpy as np
@@ -41,11 +46,11 @@ def twice(x):
 @pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
 def test_damaged_machine_code_is_said_and_compiled_anew(tmp_path, monkeypatch, capsys, suffix):
     """Truncated, empty, garbage, one bit: whatever a power cut leaves."""
-    monkeypatch.setattr(compiled, "folder", lambda package: tmp_path)
+    monkeypatch.setattr(compiled, "folder", lambda source: tmp_path)
 
     def restarted():
         compiled._say_damaged.cache_clear()
-        function = compiled.jit(twice)
+        function = compiled.jit(twice, entry=True)
         assert function(1.5) == 3.0
         return function.stats.cache_hits, capsys.readouterr().err
 
@@ -69,29 +74,115 @@ def test_a_home_that_cannot_be_written_to(tmp_path):
     assert done.stdout == "3.0\n" and list((tmp_path / "other").glob("usvlearn-*/kernels-*/**/*.nb*"))
 
 
-def test_another_source_has_a_folder_of_its_own(tmp_path, monkeypatch):
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """A copy of the package's sources, and the folder that the kernels of runs have there."""
+    root = tmp_path / "copy" / "usvlearn"
+    shutil.copytree(ROOT / "usvlearn", root, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    source = tmp_path / "part" / "a.py"
-    source.parent.mkdir()
-    found = []
-    for body in ("\n@jit\ndef f(): return 1\n", "\n@jit\ndef f(): return 2\n", "\n@jit\ndef f(): return 1\n"):
-        source.write_text(body)
+    monkeypatch.setattr(compiled, "HERE", root)
+
+    def folder(source: str = "engine/dispatch.py"):
         compiled.folder.cache_clear()
-        found.append(compiled.folder(source.parent))
+        return compiled.folder(root / source)
+
+    yield root, folder
     compiled.folder.cache_clear()
-    assert found[0] == found[2] != found[1]
+
+
+@pytest.mark.parametrize(
+    ("source", "old", "new"),
+    [
+        ("signals.py", "PLAUSIBLE = 100.0", "PLAUSIBLE = 101.0"),  # a constant in machine code, in a file without @jit
+        ("family.py", "MOST = 1e-30, 1e30", "MOST = 1e-30, 1e31"),
+        ("estimators/aid/kernel.py", "def learn_aid", "def learn_aid"),
+        ("jit.py", '"nogil": True', '"nogil": False'),
+    ],
+)
+def test_each_state_of_the_sources_has_a_folder_of_its_own(copied, source, old, new):
+    root, folder = copied
+    before, path = folder(), root / source
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new) + "\n")
+    after = folder()
+    path.write_text(text)
+    assert after != before == folder()
+
+
+def test_files_that_are_not_in_machine_code_change_no_folder(copied):
+    root, folder = copied
+    before = folder()
+    for source in ("estimators/aid/layer.py", "online.py", "simulate/missions_kernel.py", "README.md"):
+        path = root / source
+        path.write_text(f"{path.read_text() if path.exists() else ''}\n# changed\n")
+    assert folder() == before
+
+
+def test_a_family_declared_in_another_file_is_in_the_folder(copied):
+    """A state.py without @jit, from which a kernel takes a constant, in any form of import."""
+    root, folder = copied
+    kernel = root / "estimators" / "aid" / "kernel.py"
+    forms = (
+        "from usvlearn.estimators.aid.trial import A",
+        "from usvlearn.estimators.aid import trial",
+        "import usvlearn.estimators.aid.trial as t",
+        "def f():\n    from usvlearn.estimators.aid.trial import (\n A)",
+    )
+    text = kernel.read_text()
+    for form in forms:
+        kernel.write_text(f"{text}\n{form}\n")
+        found = []
+        for value in (1, 2):
+            kernel.with_name("trial.py").write_text(f"A = {value}\n")
+            found.append(folder())
+        assert found[0] != found[1], form
+
+
+def test_the_kernels_know_all_families_and_no_layer():
+    found = {path.relative_to(compiled.HERE).as_posix() for path in compiled.sources(Path(dispatch.__file__))}
+    kernels = {path.relative_to(compiled.HERE).as_posix() for path in compiled.HERE.glob("estimators/*/*kernel.py")}
+    assert kernels | {"signals.py", "family.py", "rows.py", "arrays.py", "jit.py"} <= found
+    assert not any("layer" in name for name in found)
 
 
 def test_machine_code_that_a_full_disk_cannot_keep_runs(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(compiled, "folder", lambda package: tmp_path)
+    monkeypatch.setattr(compiled, "folder", lambda source: tmp_path)
 
     def full(path: str, mode: str) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
         patch.setattr(caching, "open", full, raising=False)
-        assert compiled.jit(twice)(1.5) == 3.0
+        assert compiled.jit(twice, entry=True)(1.5) == 3.0
     assert capsys.readouterr().err.count("cannot be kept in") == 1
-    assert compiled.jit(twice)(1.5) == 3.0
-    function = compiled.jit(twice)
+    assert compiled.jit(twice, entry=True)(1.5) == 3.0
+    function = compiled.jit(twice, entry=True)
     assert function(1.5) == 3.0 and sum(function.stats.cache_hits.values()) == 1
+
+
+TRIAL = """
+from usvlearn import jit
+@jit.jit
+def half(x):
+    return x / 2
+@jit.jit(entry=True)
+def add(x, y):
+    return half(x) + half(y)
+print(jit.Part is None, add(3.0, 4.0), half(5.0), half(7), len(add.overloads), half.py_func(3))
+"""
+
+
+def test_parts_are_compiled_within_their_callers_or_alone_where_numba_lacks_what_they_need(tmp_path):
+    """Either way Python can call a part, too."""
+    (tmp_path / "trial.py").write_text(TRIAL)
+    run = f"import sys; sys.path.append({str(tmp_path)!r}); import trial"
+    parted = python(run, NUMBA_CACHE_DIR=str(tmp_path / "parts")).stdout
+    assert parted == f"{numba.version_info.short > (0, 68)} 3.5 2.5 3.5 1 1.5\n"
+    plain = python(f"import sys; sys.modules['usvlearn.parts'] = None; {run}", NUMBA_CACHE_DIR=str(tmp_path / "plain"))
+    assert plain.stdout == "True 3.5 2.5 3.5 1 1.5\n"
+
+
+def test_a_numba_that_lacks_a_name_has_no_parts():
+    code = "from numba.core.codegen import JITCodeLibrary, CPUCodeLibrary\ndel CPUCodeLibrary._optimize_final_module\n"
+    assert python(f"{code}from usvlearn import jit\nprint(jit.Part)").stdout == "None\n"

@@ -1,12 +1,14 @@
 """How functions are compiled by numba, and where the machine code is kept.
 
-Numba looks at one file when it asks whether what it kept is still good, not at those whose functions that file calls.
-So each state of all compiled sources of a package has a folder of its own. Each file in it ends with its sha256: a
-power cut or a bad disk can damage a file, and machine code must not be run on trust.
+Numba looks at one file when it asks whether what it kept is still good. But machine code also holds the functions that
+this file calls and the constants that it imports. So the code is kept in a folder whose name is a hash of the file and
+of all files of this package that it imports, directly or not. Each file in it ends with its sha256: a power cut or a
+bad disk can damage a file, and machine code must not be run on trust.
 """
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import io
 import os
@@ -18,24 +20,28 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numba
 from llvmlite.binding import get_host_cpu_name
 from numba.core.caching import IndexDataCacheFile
+
+try:
+    from usvlearn.parts import Part
+except (ImportError, AttributeError):  # a numba whose inside is another one
+    Part = None
 
 HERE = Path(__file__).parent
 DIGEST = hashlib.sha256().digest_size
 
 
 @cache
-def folder(package: Path) -> Path:
-    """Where the machine code of a package is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
-    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(package)
+def folder(source: Path) -> Path:
+    """Where the machine code of a source file's functions is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
+    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(source)
     digest = hashlib.sha256("\n".join(machine).encode())
-    for path in sorted({*HERE.rglob("*.py"), *package.glob("*.py")}):
-        content = path.read_bytes()
-        if b"\n@jit" in content or path.parent == HERE:
-            digest.update(content)
+    for path in sorted(sources(source)):
+        digest.update(path.read_bytes())
     name = f"kernels-{digest.hexdigest()[:12]}"
     try:
         base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
@@ -45,6 +51,32 @@ def folder(package: Path) -> Path:
             return found
     except (OSError, RuntimeError):  # no home, or none that can be written to
         return _temporary() / name
+
+
+def sources(path: Path) -> set[Path]:
+    """A source file, and those of this package that it imports, directly or not: all that is in its machine code."""
+    found: set[Path] = set()
+    ahead = [path]
+    while ahead:
+        if (path := ahead.pop()) not in found:
+            found.add(path)
+            ahead += _imported(path)
+    return found
+
+
+def _imported(path: Path) -> Iterator[Path]:
+    """The files of this package that a source file imports."""
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Import):
+            wanted = [(each.name,) for each in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            wanted = [(f"{node.module}.{each.name}", node.module) for each in node.names]
+        else:
+            continue
+        for names in wanted:  # `from usvlearn.engine import dispatch` is of a module, else of a name in one
+            places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
+            files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
+            yield from [file for file in files if file.is_file()][:1]
 
 
 @cache
@@ -62,20 +94,30 @@ def _temporary() -> Path:
     return Path(tempfile.mkdtemp(prefix="usvlearn-"))
 
 
-def jit(function: Callable | None = None, *, reorder: bool = False, memory: bool = False) -> Callable:
+def jit(
+    function: Callable | None = None, *, entry: bool = False, reorder: bool = False, memory: bool = False
+) -> Callable:
     """Compile a function when it is first called; without the GIL, and with division as NumPy's.
 
     Args:
         function: of numbers and arrays.
+        entry: whether Python calls it. What only compiled functions call has no machine code of its own (`parts`).
         reorder: whether sums may be taken several terms at a time: for long ones.
         memory: whether it may make arrays. Without, an array or a part of one is handed on without counting references
             to it, which takes longer than most of what is done here with one.
     """
     if function is None:
-        return partial(jit, reorder=reorder, memory=memory)
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder(Path(function.__code__.co_filename).parent))
+        return partial(jit, entry=entry, reorder=reorder, memory=memory)
     fastmath = {"contract", "reassoc"} if reorder else {"contract"}
     options = {"nogil": True, "error_model": "numpy", "fastmath": not memory and fastmath, "_nrt": memory}
+    options["no_cfunc_wrapper"] = True
+    alone = partial(_alone, options=options)
+    return alone(function) if entry or Part is None or numba.config.DISABLE_JIT else Part(function, options, alone)
+
+
+def _alone(function: Callable, options: dict[str, Any]) -> Callable:
+    """A function as Python calls it, whose machine code is kept."""
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder(Path(function.__code__.co_filename)))
     try:
         compiled = numba.njit(cache=True, **options)(function)
     finally:
@@ -147,9 +189,9 @@ def _say_unkept(folder: Path, cause: str) -> None:
 
 
 @contextmanager
-def announced(package: str, what: str) -> Iterator[None]:
-    """Say on stderr that a part of a package compiles, and how long it took, where that was never done here before."""
-    mark = folder(Path(package).parent) / what.replace(" ", "-")
+def announced(source: str, what: str) -> Iterator[None]:
+    """Say on stderr that functions of a source file compile, and how long it took, where they never did here before."""
+    mark = folder(Path(source)) / what.replace(" ", "-")
     if numba.config.DISABLE_JIT or mark.exists():
         yield
         return

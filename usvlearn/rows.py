@@ -38,7 +38,7 @@ def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, heads, l
     row[SURGE] = surge if known else 0.0
 
 
-@jit
+@jit(entry=True)
 def prepare_all(left, right, heading, yaw_rate, dt, surge, fresh, measured, heads, limit, rows):
     """`prepare` of samples `(time, columns)`; rows are `(columns, time, ROW)`."""
     for column in range(rows.shape[0]):

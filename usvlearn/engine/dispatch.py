@@ -283,13 +283,13 @@ def mask_diverged(predictions, limit, awake):
         awake[i] = predictions[i] if abs(predictions[i]) < limit else NAN
 
 
-@jit
+@jit(entry=True)
 def surge_limit(program, q):
     """`Estimator.surge_limit`."""
     return min(q[program[0, LIMIT]], PLAUSIBLE) if program[0, RULES] > 0 else PLAUSIBLE
 
 
-@jit
+@jit(entry=True)
 def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured):
     """`step` of one sample as it came."""
     row, limit = work[-ROW:], surge_limit(program, q)
@@ -297,7 +297,7 @@ def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fr
     return step(program, s, q, row, row[MODE], work)
 
 
-@jit
+@jit(entry=True)
 def run(program, states, q, rows, columns, free, picked, predictions, picks, work, first, last):
     """Lanes first … last − 1 through all steps, in place.
 

@@ -37,7 +37,7 @@ def add_up(prediction, surge, limit, learns, total):
         total[1] += error * error
 
 
-@jit
+@jit(entry=True)
 def assess(program, states, others, q, rows, columns, learning, totals, work, first, last):
     """Lanes first … last − 1 free through all steps; `others` hold rules that go on learning, `learning` names them.
 

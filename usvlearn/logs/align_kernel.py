@@ -80,7 +80,7 @@ def new_memory() -> np.ndarray:
     return memory
 
 
-@jit(memory=True)
+@jit(entry=True, memory=True)
 def feed(settings, memory, times, values, channels, stamps, numbers, flush):
     """Take messages in the order in which they came; returns a row for each step that they complete.
 
@@ -114,7 +114,7 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
     return rows[:count]
 
 
-@jit(memory=True)
+@jit(entry=True, memory=True)
 def forget(settings, memory, times, values):
     """Drop messages that matter only before the step that precedes the last emitted one."""
     settings, memory = settings[0], memory[0]

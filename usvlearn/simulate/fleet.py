@@ -144,7 +144,7 @@ def sail(
     (torch.Size([1201, 1, 1]), torch.Size([400, 1, 1, 2]))
     """
     from usvlearn.jit import announced  # numba takes a moment to import
-    from usvlearn.simulate.missions_kernel import gains, known, sail_on
+    from usvlearn.simulate import missions_kernel as kernel
 
     substeps = math.ceil(SUBSTEPS_HZ / autopilot.hz)
     dt = 1 / (autopilot.hz * substeps)
@@ -158,9 +158,15 @@ def sail(
     for begin, end in pairwise([*sorted(vessels), ticks]):
         told = Reference(*(leaf[begin:end].flatten(1).numpy() for leaf in reference))
         steps = slice(begin * substeps, end * substeps)
-        told = gains(autopilot), told, *known(vessels[begin], batch, dt, top, current, direction), dt, substeps
-        with announced(__file__, "simulator"):
-            sail_on(*told, integral, state, surge[steps], heading[steps], commands[begin:end])
+        told = (
+            kernel.gains(autopilot),
+            told,
+            *kernel.known(vessels[begin], batch, dt, top, current, direction),
+            dt,
+            substeps,
+        )
+        with announced(kernel.__file__, "simulator"):
+            kernel.sail_on(*told, integral, state, surge[steps], heading[steps], commands[begin:end])
     surge[-1], heading[-1] = state.surge, state.heading
     surge, heading, commands = (
         torch.from_numpy(x.reshape(len(x), *batch, *x.shape[2:])) for x in (surge, heading, commands)

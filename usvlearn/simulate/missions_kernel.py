@@ -104,7 +104,7 @@ def surge_dot(vessel, n, surge, cross, static, lift):
     return ((quadratic * speed + (linear + cross)) * surge + (static + lift * speed)) / vessel.mass[n]
 
 
-@jit(memory=True)
+@jit(entry=True, memory=True)
 def sail_on(gains, reference, vessel, known, dt, substeps, integral, state, surge, heading, commands):
     """Steer and step all lanes over all ticks of the reference.
 

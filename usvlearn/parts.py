@@ -1,0 +1,115 @@
+"""Functions that only compiled functions call: no machine code is made of them alone.
+
+Numba optimises each function and makes machine code of it, and does both again inside each function that calls it.
+A `Part` skips both: it stays in LLVM's language, and is linked into its callers, where it is optimised once, and of
+which alone machine code is made. That halves the time to compile the kernels.
+
+This leans on names inside of numba. Where a version lacks one of them, or is newer than those that were tried, the
+import of this module fails, and `jit` compiles parts as it compiles all else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+from numba import version_info
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder, Flags
+from numba.core.compiler_machinery import register_pass
+from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NativeLowering
+
+NEWEST = (0, 68)  # numba that this was tried on; another one may mean something else by the same names
+USED = {
+    JITCodeLibrary: ("_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals"),
+    NativeLowering: ("run_pass",),
+    DefaultPassBuilder: ("define_nopython_pipeline",),
+    CPUDispatcher: ("add_overload",),
+    Flags: ("no_compile", "options"),
+}
+if version_info.short > NEWEST or not all(hasattr(owner, name) for owner, names in USED.items() for name in names):
+    raise ImportError("this numba is not known well enough")
+
+
+class _Library(JITCodeLibrary):
+    """The code of a part, to be linked into that of its callers."""
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _Lowering(NativeLowering):
+    """Lowers a part into a `_Library`, and makes it known to those who call it."""
+
+    _name = "usvlearn_part"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = _Library(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        name = object()  # in place of the function that Python would call
+        state.targetctx.insert_user_function(name, state.cr.fndesc, [state.library])
+        state.cr = state.cr._replace(cfunc=name)
+        return True
+
+
+class _Flags(Flags):
+    """Numba's options, whose comparison takes a sixth of all its time, compared quickly."""
+
+    __slots__ = ()
+
+    def __hash__(self) -> int:
+        return hash(tuple(sorted(self.options)))  # as numba's
+
+    def __eq__(self, other: object) -> bool:
+        return self._values == getattr(other, "_values", None) or super().__eq__(other)
+
+
+class _Compiler(CompilerBase):
+    """Numba's own passes, but for the lowering."""
+
+    def __init__(self, *arguments: Any):
+        super().__init__(*arguments)
+        self.state.flags = _Flags(self.state.flags)
+
+    def define_pipelines(self) -> list[Any]:
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [(_Lowering if each is NativeLowering else each, why) for each, why in passes.passes]
+        passes._finalized = False
+        passes.finalize()
+        return [passes]
+
+
+class Part(CPUDispatcher):
+    """A function that only compiled functions call; where Python calls it nevertheless, it is compiled alone, too.
+
+    Args:
+        function: of numbers and arrays.
+        options: of `numba.njit`.
+        alone: compiles the function for Python.
+    """
+
+    def __init__(self, function: Callable, options: dict[str, Any], alone: Callable[[Callable], Callable]):
+        super().__init__(
+            function, targetoptions={"nopython": True, "no_cpython_wrapper": True, **options}, pipeline_class=_Compiler
+        )
+        self._alone = alone
+
+    @cached_property
+    def entry(self) -> Callable:
+        """The function as Python calls it."""
+        return self._alone(self.py_func)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.entry(*arguments)
+
+    def add_overload(self, cres: CompileResult) -> None:
+        """Keep what was compiled for some types; Python is not told of it."""
+        self.overloads[tuple(cres.signature.args)] = cres
