@@ -186,3 +186,33 @@ def test_parts_are_compiled_within_their_callers_or_alone_where_numba_lacks_what
 def test_a_numba_that_lacks_a_name_has_no_parts():
     code = "from numba.core.codegen import JITCodeLibrary, CPUCodeLibrary\ndel CPUCodeLibrary._optimize_final_module\n"
     assert python(f"{code}from usvlearn import jit\nprint(jit.Part)").stdout == "None\n"
+
+
+def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
+    done = python(WARM, NUMBA_CACHE_DIR=str(tmp_path))
+    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
+    said = done.stderr.splitlines()
+    assert [line.partition(",")[0] for line in said] == [
+        "usvlearn: compiling the kernels of runs and single steps",
+        "usvlearn: compiling the kernels of free runs",
+    ]
+
+
+WARM = """
+import numpy as np, torch
+from usvlearn import AID, Ensemble, Online, Persistence, RLS, rollout
+from usvlearn.engine import dispatch, free_runs, warm
+from usvlearn.evaluation.crossval import cross_validate
+from tests.conftest import random_samples
+def compiled():
+    entries = dispatch.run, dispatch.step_once, free_runs.assess, free_runs.prepared.__globals__["prepare_all"]
+    return [len(each.signatures) for each in entries]
+warm.warm()
+before = compiled()
+ensemble, samples = Ensemble({"aid": AID(28.0), "rls": RLS(), "persistence": Persistence()}), random_samples(20)
+with torch.no_grad():
+    rollout(ensemble, ensemble.init(), samples)
+    cross_validate(ensemble, ensemble.init((1,)), [samples])
+Online(ensemble)
+print(before, compiled())
+"""

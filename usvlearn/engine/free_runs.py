@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -19,9 +20,10 @@ from usvlearn.engine.dispatch import (
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import plan_for
 from usvlearn.engine.run import in_parallel, prepared
+from usvlearn.engine.warm import compile_steps
 from usvlearn.estimators.ensemble.combiners_kernel import combine, fill_sleeping, learn_rule
 from usvlearn.jit import announced, jit
-from usvlearn.rows import DT, LEARN, MODE, PREDICT, START, SURGE
+from usvlearn.rows import DT, LEARN, MODE, PREDICT, ROW, START, SURGE
 from usvlearn.signals import Sample
 
 
@@ -67,6 +69,16 @@ def assess(program, states, others, q, rows, columns, learning, totals, work, fi
                     learn_rule(rule, own, c, x, asleep, row[SURGE], row[DT], rest)
 
 
+@cache
+def compile_free_runs(dtype: np.dtype) -> None:
+    """Compile what free runs need, unless that is done or kept on the disk."""
+    compile_steps(dtype)
+    none, rows = np.zeros((1, 1), dtype), np.zeros((1, 1, ROW), dtype)
+    column, program = np.zeros(1, np.int64), np.zeros((2, 16), np.int64)
+    with announced(__file__, f"kernels of free runs, {dtype}"):
+        assess(program, none, none, none, rows, column, column, rows, none[0], 0, 0)
+
+
 def free_totals(
     description: Description,
     leaves: Mapping[str, np.ndarray],
@@ -90,8 +102,7 @@ def free_totals(
         work = np.empty(plan.work, plan.dtype)
         assess(plan.program, states, others, numbers, rows, columns, rules, totals, work, first, last)
 
-    with announced(__file__, f"kernels of free runs, {plan.dtype}"):
-        rows, columns = prepared(samples, plan)
-        some(0, 0)  # compiles
+    compile_free_runs(plan.dtype)
+    rows, columns = prepared(samples, plan)
     in_parallel(some, plan.lanes, threads)
     return totals.reshape(*plan.batch, -1, 3)

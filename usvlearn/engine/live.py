@@ -9,16 +9,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numba import config
 from numba.core.errors import NumbaError
 
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.leaves import Description, batch_of, leaves_of
 from usvlearn.engine.program import plan_for
-from usvlearn.jit import announced
+from usvlearn.engine.warm import COMPILING, compile_steps
 from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
-LIVE, COMPILING = step.step_once, threading.RLock()
+LIVE = step.step_once
 ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # whose steps a fork waits for
 WAITING: list[Live] = []  # those whose locks a fork holds
 
@@ -50,13 +49,7 @@ class Live:
         self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
         with COMPILING:
             ALIVE.add(self)
-        if config.DISABLE_JIT:  # plain Python, for a debugger
-            return
-        with COMPILING, announced(__file__, f"kernels of single steps, {first.dtype}"):
-            rest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False
-            LIVE.disable_compile(False)
-            LIVE(self.plan.program, self.states[0].copy(), self.plan.numbers[0], self._work, *rest)
-            LIVE.disable_compile()  # whole numbers and the like become what it was compiled for
+        compile_steps(first.dtype)
 
     def __reduce__(self):  # rows are parts of `states`, a copy must make its own
         return Live, (self._description, self.leaves)

@@ -11,7 +11,7 @@ import numpy as np
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import Plan, plan_for
-from usvlearn.jit import announced
+from usvlearn.engine.warm import compile_steps
 from usvlearn.rows import ROW, prepare_all
 from usvlearn.signals import Sample, named_leaves, tree_map
 
@@ -54,9 +54,8 @@ def roll(
         work = np.empty(plan.work, plan.dtype)
         step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
 
-    with announced(__file__, f"kernels of runs, {plan.dtype}"):
-        rows, columns = prepared(samples, plan)
-        some(0, 0)  # compiles
+    compile_steps(plan.dtype)
+    rows, columns = prepared(samples, plan)
     in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
     for name, place in places.items():
