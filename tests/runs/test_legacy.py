@@ -17,9 +17,9 @@ from omegaconf import OmegaConf
 from rich.console import Console
 
 from tests.support import ROOT
-from train import train
 from usvlearn import AID, Inputs, Online, Robust, Sample, checkpoint
 from usvlearn.cli.settings import instantiate
+from usvlearn.cli.train import train
 from usvlearn.runs.legacy import TARGETS, current
 from usvlearn.runs.saved import configuration
 
