@@ -1,1 +1,1 @@
-"""Judging predictions."""
+"""Evaluation of predictions: errors, cross-validation, rankings."""

@@ -1,13 +1,14 @@
 """Cross-validation: saved parameter sets, simulated free on runs that they were not saved in (paper, section VI-B).
 
-The rules are those of `docs/theory.md`, section 16. All sets times all runs are lanes of one batch. Nothing but the
-inputs is told, and the speed at which a segment starts.
-A rule that weighs the members stands in the tables twice: with the weights that were saved, and as NAME+, with weights
-that go on learning along the run, each prediction made before its measurement is seen; the paper's weighted ensemble
-was judged so, and it is no free run, since its weights see the speed.
+The definitions are in `docs/theory.md`, section 16. Each pair of a set and a run is a lane of one batch. A simulation
+uses the inputs, and the speed at which each segment starts.
 
-A simulation *diverges* where it leaves ± surge_max of the ensemble, or is not finite. It is counted; its error is that
-of the limit where it stays beyond it, so that a mean is bad, but finite, and no simulation is left out.
+A rule that weighs the members has two rows in the tables: with the saved weights, and as NAME+, with weights that
+continue to learn along the run, each prediction before its measurement. The paper's weighted ensemble was evaluated in
+the second way. NAME+ is no free run, since its weights use the measured speed.
+
+A simulation *diverges* if it leaves ± surge_max of the ensemble, or is not finite. It is counted. While it is beyond
+the limit, its error is that of the limit, so that means are finite and no simulation is left out.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.rollouts import choose, free_totals, simulate
 from usvlearn.signals import Inputs, Sample, masks, named_leaves, tree_map, where
 
-LANES = 2048  # of one batch: what fits a processor's cache, roughly
+LANES = 2048  # of one batch; about what fits into a processor's cache
 CHUNK = 128  # steps whose predictions are held at a time
 
 
 class FreeErrors(NamedTuple):
-    """Errors of free simulations; arrays are `(sets, runs, methods)` where not said otherwise."""
+    """Errors of free simulations; arrays are `(sets, runs, methods)` unless stated otherwise."""
 
     methods: tuple[str, ...]
     mae: np.ndarray  # m/s; NaN where a run has no measured step
@@ -38,7 +39,7 @@ class FreeErrors(NamedTuple):
     steps: np.ndarray  # (runs,) measured steps
 
     def pooled(self, errors: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
-        """`mae` or `mse` of each set over its runs, all steps alike, `(sets, methods)`.
+        """`mae` or `mse` of each set over its runs, with equal weight for every step, `(sets, methods)`.
 
         Args:
             errors: `(sets, runs, methods)`.
@@ -50,7 +51,7 @@ class FreeErrors(NamedTuple):
 
 
 def methods(ensemble: Ensemble) -> tuple[str, ...]:
-    """The ensemble's names, and NAME+ for each rule whose weights can go on learning.
+    """The ensemble's names, and NAME+ for each rule whose weights can continue to learn.
 
     >>> from usvlearn import AID, BOA, Average, Persistence
     >>> members = {"aid": AID(), "persistence": Persistence()}
@@ -81,7 +82,7 @@ def cross_validate(
         state: the sets, leaves `(sets, ...)`.
         runs: samples of one run each, leaves `(time,)`, NumPy arrays or tensors.
         lanes: simulations in a batch, at most, or all sets on one run.
-        advance: is told of measured steps done, over all lanes, for a progress bar.
+        advance: receives the number of measured steps done, over all lanes, for a progress bar.
         backend: "kernel", "torch" or "auto", as of `rollout`.
 
     Raises:
@@ -113,7 +114,7 @@ def cross_validate(
 
 
 def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object], backend: str):
-    """Sums of |error| and error², `(sets, runs, methods)`, which simulations diverged, and the runs' measured steps."""
+    """Sums of |error| and error², `(sets, runs, methods)`; which simulations diverged; measured steps of each run."""
     dtype, sets = state.predictions.dtype, state.predictions.shape[0]
     samples = _side_by_side(runs, dtype)  # (time, runs)
     batch = (sets, len(runs))
@@ -146,7 +147,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
 
 
 def _reweighed(ensemble: Ensemble, weights: dict, published: Tensor, step, learning: Sequence[str]):
-    """The rules' states at the end, and their predictions with weights that learn, `(time, *batch, rules)`."""
+    """The rules' final states, and their predictions with weights that learn, `(time, *batch, rules)`."""
     combined = []
     for k, predictions in enumerate(published[..., : len(ensemble.columns)]):
         seen = ensemble.seen(predictions)
@@ -171,5 +172,5 @@ def _side_by_side(runs: Sequence[Sample], dtype: torch.dtype) -> Sample:
     inputs = Inputs(*(padded(*leaves) for leaves in zip(*(run.inputs for run in runs), strict=True)))
     surge, fresh, measured = (padded(*leaves) for leaves in zip(*(run[1:] for run in runs), strict=True))
     for lane, run in enumerate(runs):
-        inputs.dt[len(run.surge) :, lane] = 1.0  # 0 would open a segment
+        inputs.dt[len(run.surge) :, lane] = 1.0  # 0 would start a segment
     return Sample(inputs, surge, fresh, measured)

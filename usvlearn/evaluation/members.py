@@ -1,4 +1,4 @@
-"""What the members of an ensemble are, beneath their wrappers."""
+"""Facts about the members of an ensemble, without their wrappers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from usvlearn.evaluation.metrics import PERSISTENCE
 
 
 def unwrapped(estimator: Any, state: Any = None) -> tuple[Any, Any]:
-    """The estimator at the heart of wrappers, and its state."""
+    """The innermost estimator, without wrappers, and its state."""
     while hasattr(estimator, "estimator"):
         estimator, state = estimator.estimator, getattr(state, "inner", state)
     return estimator, state
@@ -29,7 +29,7 @@ def physical_members(ensemble: Ensemble) -> list[str]:
 
 
 def remarks(ensemble: Ensemble) -> dict[str, str]:
-    """What stands beside a name in a table of errors: the baseline, a quasi-static map, and an average that has one.
+    """Remarks beside names in a table of errors: the baseline, a quasi-static map, an average that includes one.
 
     >>> from usvlearn import RLS, Persistence
     >>> remarks(Ensemble({"map": RLS(), "persistence": Persistence()}))
@@ -42,13 +42,13 @@ def remarks(ensemble: Ensemble) -> dict[str, str]:
 
 
 def explained(ensemble: Ensemble) -> list[str]:
-    """A sentence on the quasi-static maps, where there are any."""
+    """A sentence about the quasi-static maps, if there are any."""
     if not (maps := _maps(ensemble)):
         return []
-    shared = f"; {', '.join(rules)}: with a share of that error" if (rules := _averages(ensemble)) else ""
+    shared = f" Averages with this error: {', '.join(rules)}." if (rules := _averages(ensemble)) else ""
     return [
         f"{', '.join(maps)}: a quasi-static map, which predicts the speed from the commands, the heading and the yaw "
-        f"rate alone, without memory of the speed{shared}."
+        f"rate, and does not use the present speed.{shared}"
     ]
 
 
@@ -59,7 +59,7 @@ def _maps(ensemble: Ensemble) -> list[str]:
 
 
 def _averages(ensemble: Ensemble) -> dict[str, list[str]]:
-    """The plain averages that take in quasi-static maps, and which."""
+    """The plain averages that include quasi-static maps, each with the names of these maps."""
     found = {}
     for name, rule in ensemble.combiners.items():
         if isinstance(rule, Average):

@@ -1,4 +1,4 @@
-"""What is measured of predictions: MAE, median, RMSE, skill against persistence, and what the intervals cover."""
+"""Errors of predictions: MAE, median, RMSE, skill against persistence, and the coverage of the intervals."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def scores(
     Returns:
         Per estimator `mae`, `median`, `rmse` (m/s), `skill` = 1 − MAE/MAE(persistence) (None where persistence was
         not run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite. An estimator
-        that diverged even once, or had no step, has no errors (None): it must not win by the steps it survived.
+        that diverged even once, or had no step, has no errors (None). So it cannot win by its remaining steps.
         With half-widths also `coverage`, the share of the measurements inside the intervals, and `halfwidth`, their
         mean, m/s.
 
@@ -69,7 +69,7 @@ def fleet_scores(
         surge_limit: m/s, of the ensemble that made the predictions.
     """
     found, lengths = {}, [len(run) for run in published["predictions"]]  # fewer and shorter where it was stopped
-    for lane, boat in enumerate(fleet.boats):  # one by one: over many hours this is most of a run's memory
+    for lane, boat in enumerate(fleet.boats):  # one boat at a time, to limit the memory
         mine = {name: np.concatenate([run[:, lane] for run in runs]) for name, runs in published.items()}
         runs = zip(fleet.runs, lengths, strict=False)
         samples = [tree_map(lambda x, n=n, k=lane: x[:n, k], run.samples) for run, n in runs]
@@ -79,11 +79,11 @@ def fleet_scores(
 
 
 def alarms(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[dict]]:
-    """When a thruster seemed to have lost thrust, per boat: run, time in it, s, side, and the share that is left.
+    """The thruster alarms of each boat: run, time in the run, s, side, and the share of thrust that is left.
 
     Args:
-        fleet: what was replayed.
-        published: `thrusters` per run, as `usvlearn.runs.replay.PUBLISHED` says; none where nobody watched.
+        fleet: the replayed runs.
+        published: `thrusters` per run, see `usvlearn.runs.replay.PUBLISHED`; missing if thrusters were not monitored.
     """
     found: dict[str, list[dict]] = {boat: [] for boat in fleet.boats}
     on = np.zeros(len(fleet.boats), dtype=bool)

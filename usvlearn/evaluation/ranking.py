@@ -1,7 +1,7 @@
-"""By what the jobs of a sweep are ranked: the error of the member, or of the rule, that the swept keys name.
+"""The ranking of a sweep's jobs: by the error of the member, or of the rule, that the swept keys name.
 
-The jobs are ranked by the ensemble's output where the keys name nobody (`align.inputs`), several, or one that is not in
-every job, and where the command sets `output`.
+They are ranked by the ensemble's output instead if the keys name no member (`align.inputs`), several, or one that is
+not in every job, or if the command sets `output`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def differing(settings: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def named(key: str) -> str | None:
-    """The member or rule that a key of a command names, if it names one.
+    """The member or rule that a key of a command names, or None.
 
     >>> [named(key) for key in ("estimators.rnn.neurons", "+estimator@estimators.x", "~combiners.average", "align.dt")]
     ['rnn', 'x', 'average', None]
@@ -35,7 +35,7 @@ def named(key: str) -> str | None:
 
 
 def own_columns(member: str, names: Iterable[str]) -> list[str]:
-    """The rows of a table of errors that are a member's: those of a bank are called NAME_LABEL.
+    """The rows of a table of errors that belong to a member; those of a bank are called NAME_LABEL.
 
     >>> own_columns("wind", ["aid", "wind_short", "wind_long"])
     ['wind_short', 'wind_long']
@@ -50,7 +50,7 @@ def ranked_by(swept: Iterable[str], settings: Iterable[Mapping[str, str]], resul
     Args:
         swept: the keys that have several values.
         settings: of the jobs, by key.
-        results: as in `results.json`; of jobs that did not finish they say nothing.
+        results: as in `results.json`; without `boats` for jobs that did not finish.
 
     >>> ranked_by(["estimators.rnn.neurons"], [{}], [{"boats": {"heron": {"rnn": {"mae": 0.1}}}}])
     'rnn'
@@ -63,9 +63,9 @@ def ranked_by(swept: Iterable[str], settings: Iterable[Mapping[str, str]], resul
 
 
 def scored(result: Mapping[str, Any], by: str | None) -> dict[str, Any]:
-    """What a job has found, with the error that ranks it as its `objective`, m/s, and whose that is as `ranked_by`.
+    """The results of a job, with the error that ranks it as `objective`, m/s, and whose error it is as `ranked_by`.
 
-    Of a bank it is the least error of its settings; None where it diverged.
+    For a bank it is the least error of its settings. It is None where the member diverged.
 
     >>> scored({"boats": {"heron": {"rnn": {"mae": 0.1}}}, "output": "average", "objective": 0.2}, "rnn")["objective"]
     0.1

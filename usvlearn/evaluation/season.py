@@ -1,4 +1,4 @@
-"""What a season left of each boat: its runs, and the parameter sets that were saved on the way."""
+"""The data of a season for each boat: its runs, and the parameter sets that were saved during them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class SeasonRun(NamedTuple):
     name: str
     key: str  # a sha256 of the samples
     samples: Sample  # leaves (time,), NumPy
-    published: dict[str, np.ndarray]  # (time, ...) what was predicted online (`runs.replay.PUBLISHED`), or empty
+    published: dict[str, np.ndarray]  # (time, ...) online predictions (`usvlearn.runs.replay.PUBLISHED`), or empty
     surge_limit: float = PLAUSIBLE  # m/s, of the ensemble that is judged
 
     @property
@@ -32,8 +32,8 @@ class Season(NamedTuple):
     runs: tuple[SeasonRun, ...]
     state: Any  # the parameter sets in the order in which they were saved, leaves (sets, ...)
     paths: tuple[Path, ...]  # of the sets
-    own: np.ndarray  # (sets,) index of the run in which each was saved, -1 where it is none of `runs`
-    hours: np.ndarray  # (sets,) h on the water until then
+    own: np.ndarray  # (sets,) index of the run in which each was saved, -1 if it is none of `runs`
+    hours: np.ndarray  # (sets,) h on the water until the set was saved
 
     @property
     def later(self) -> np.ndarray:

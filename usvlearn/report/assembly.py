@@ -1,4 +1,4 @@
-"""All sections of a report from what a season has left."""
+"""All sections of a report, from the saved data of a season."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from usvlearn.signals import tree_map
 
 
 def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
-    """Steps that `assemble` simulates: of every set on every run of its boat, and of a set per boat on all runs."""
+    """The steps that `assemble` simulates: every set on every run of its boat, and one set per boat on all runs."""
     steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
     matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
     return sum(len(season.own) * steps[season.boat] for season in seasons) + matrices
 
 
 def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
-    """On what a report rests, a sentence each."""
+    """The data on which a report is based, one sentence each."""
     runs = [run for season in seasons for run in season.runs]
     hours = sum(float(run.samples.inputs.dt[run.steps].sum()) for run in runs) / 3600
     sets = sum(len(season.own) for season in seasons)
@@ -52,7 +52,7 @@ def assemble(
         ensemble: to which all sets belong.
         seasons: of all boats.
         truth: true parameters of simulated boats (see `usvlearn.simulate.truth`), else empty.
-        advance: is told of steps simulated, for a progress bar.
+        advance: receives the number of simulated steps, for a progress bar.
 
     Returns:
         The sections in the paper's order, and the errors of every boat's cross-validation.
@@ -68,7 +68,7 @@ def assemble(
     ]
     if len(seasons) > 1:
         sections.append(_between(ensemble, seasons, errors, advance))
-    # Runs of a simulated season are called after their mission: 001_convoy is its first.
+    # Runs of a simulated season are named after their mission: 001_convoy is the first.
     mission = {
         season.boat: np.array([int(run.name.partition("_")[0]) - 1 for run in season.runs])
         for season in seasons
@@ -79,7 +79,7 @@ def assemble(
 
 
 def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
-    """Of the boats' last sets the one whose free runs on all boats' runs have the least MSE.
+    """The boat's last set whose free runs, on the runs of all boats, have the least MSE.
 
     Args:
         ensemble: to which the sets belong.
@@ -93,7 +93,7 @@ def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
 
 
 def _compared(ensemble: Ensemble) -> list[str]:
-    """The methods by which boats are compared: the paper's, if it is there, and the ensemble's own."""
+    """The methods by which boats are compared: the paper's average, if it exists, and the ensemble's output."""
     return list(dict.fromkeys(name for name in ("average", ensemble.output) if name in ensemble.names))
 
 

@@ -1,6 +1,6 @@
 """From the folders of runs to their report.
 
-The library knows no configuration: it is handed what makes an object of a node, and what aligns logs.
+The library does not use Hydra: it receives functions that build objects from configuration nodes and that align logs.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from usvlearn.signals import Fleet
 
 
 class Tools(NamedTuple):
-    """What a report needs beyond the library's own."""
+    """Functions that a report needs from the command."""
 
-    instantiate: Callable[..., Any]  # makes the object that a node of a configuration describes
+    instantiate: Callable[..., Any]  # makes the object that a configuration node describes
     align: Callable[..., Fleet]  # recordings to a fleet, with the options of `align`
     truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
     console: Console
-    trust: str | Sequence[str] | None = None  # modules of the user's own that saved settings may name
+    trust: str | Sequence[str] | None = None  # the user's own modules that saved settings may name
 
     def say(self, text: str) -> None:
-        """Print a line that is not to be broken, such as a command or a path."""
+        """Print a line that must not be wrapped, such as a command or a path."""
         self.console.print(text, soft_wrap=True)
 
 
 def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season], Truth]:
-    """The ensemble of some runs, what they left of each boat, and the truth where it is known.
+    """The ensemble of some runs, the season of each boat, and the true parameters if they are known.
 
     Args:
         folders: of the runs, the oldest first.
         tools: see `Tools`.
-        data: configuration of other logs of the same boats; by default those that the runs were made of.
+        data: configuration of other logs of the same boats; by default the logs of the runs.
 
     Raises:
-        CheckpointError, ConfigError: what was saved cannot be read, or does not fit the data.
+        CheckpointError, ConfigError: the saved files cannot be read, or do not fit the data.
     """
     if data is not None and "_target_" not in data:
         raise ConfigError(f"data: found {', '.join(data)} alone, expected a file of configs/data: set data=NAME")
     settings = [configuration(folder, tools.trust) for folder in folders]
     last, sources = settings[-1], []
     for each in [found["data"] for found in settings] if data is None else [data]:
-        if each not in sources:  # several folders of the same logs
+        if each not in sources:  # several folders may have used the same logs
             sources.append(each)
     try:
         combiners = tools.instantiate(last["combiners"], _convert_="all")
@@ -63,8 +63,8 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
             fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
     except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:
         what = f"{type(error).__name__}: {error}"
-        raise CheckpointError(f"{folders[-1]}: its settings cannot be used ({what:.200}): make the run anew") from error
-    truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # of the boats that were learned
+        raise CheckpointError(f"{folders[-1]}: its settings cannot be used ({what:.200}): run it again") from error
+    truth = tools.truth(sources, last["vehicle"]["mass"]) if data is None else {}  # only for the logs of the runs
     return ensemble, read_seasons(folders, ensemble, fleets), truth
 
 
@@ -81,12 +81,16 @@ def evaluate(
     Args:
         folders, tools, data: as of `read`.
         report: its folder.
-        more: sections to begin with.
-        commands: with which the report can be made again.
+        more: sections to put first.
+        commands: that make the report again.
     """
     with Lock(report, "report"):
         check_report_folder(report)
-        unfinished = [f"{folder} is not finished: judged as far as it is." for folder in folders if not results(folder)]
+        unfinished = [
+            f"{folder} is not finished: the report covers the finished part."
+            for folder in folders
+            if not results(folder)
+        ]
         ensemble, seasons, truth = read(folders, tools, data)
         with Progress(console=tools.console) as progress:
             bar = progress.add_task("simulating", total=simulations(ensemble, seasons))
@@ -97,6 +101,6 @@ def evaluate(
 
 
 def start_of(folder: Path, tools: Tools) -> Path:
-    """The parameter set of a finished run that serves all of its boats best (`best_start`)."""
+    """The parameter set of a finished run that is best for all of its boats (`best_start`)."""
     ensemble, seasons, _ = read([folder], tools)
     return best_start(ensemble, seasons)

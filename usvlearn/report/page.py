@@ -1,4 +1,4 @@
-"""A report: one HTML file without scripts or links to elsewhere; its figures and tables, too, and in TensorBoard."""
+"""A report: one HTML file without scripts or external links; figures and tables also as files and in TensorBoard."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ table { border-collapse: collapse; font-size: .85rem; } th, td { padding: .2rem 
 pre { background: var(--card); padding: .7rem 1rem; overflow-x: auto; border-radius: .5rem; font-size: .85rem; }
 """
 TITLE = "What was learned"
-FOLDERS, FILES = ("figures", "tables", "tensorboard"), "files.json"  # a report's, and the list of what stands in them
-INLINE = 16  # rows of a table that are shown without a click
-LINKED = 40  # rows from which `report.md` holds a link to a table
+FOLDERS, FILES = ("figures", "tables", "tensorboard"), "files.json"  # a report's, and the list of its files in them
+INLINE = 16  # most rows of a table that is shown without a click
+LINKED = 40  # a table with more rows is a link in `report.md`
 
 
 def write_report(
@@ -64,11 +64,11 @@ def write_report(
     """Write `index.html`, `report.md`, `figures/*.png` and `*.svg`, `tables/*.csv` and `*.md`, `tensorboard/`.
 
     Args:
-        folder: of the report; what an earlier one has left there is replaced.
-        facts: on what it rests, a sentence each.
+        folder: of the report; files of an earlier report are replaced.
+        facts: the data on which it is based, one sentence each.
         sections: in their order.
-        commands: with which it can be made again.
-        errors: of each boat's cross-validation, all of them, for `crossval.npz`: BOAT_mae `(sets, runs, methods)` …
+        commands: that make the report again.
+        errors: of each boat's cross-validation, for `crossval.npz`: BOAT_mae `(sets, runs, methods)` …
 
     Returns:
         The path of the page.
@@ -105,10 +105,10 @@ def write_report(
 
 
 def check_report_folder(folder: Path) -> None:
-    """Make the folder of a report, in which nothing but an earlier report may stand; and see that it can be drawn.
+    """Make the folder of a report, which may contain only an earlier report, and check that figures can be drawn.
 
     Raises:
-        ConfigError: it holds something else.
+        ConfigError: it contains something else.
         MissingExtraError: matplotlib is not installed.
     """
     with themed():
@@ -125,7 +125,7 @@ def check_report_folder(folder: Path) -> None:
 
 
 def _written(folder: Path) -> list[str]:
-    """The files in the folders of an earlier report that it has written itself; a list that names others is ignored."""
+    """The files that an earlier report has written into its folders; a list that names other files is ignored."""
     try:
         names = [Path(name) for name in json.loads((folder / FILES).read_text())]
     except (OSError, ValueError, TypeError):
@@ -134,7 +134,7 @@ def _written(folder: Path) -> list[str]:
 
 
 def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
-    """As SVG for the page, which follows its theme; as SVG and PNG for themselves."""
+    """A figure as SVG for the page, whose theme it follows, and as separate SVG and PNG files."""
     from matplotlib import rc_context
 
     drawn.figure.draw_without_rendering()  # once: "tight" would lay the figure out anew for each file
@@ -203,7 +203,7 @@ def _markdown(facts: Sequence[str], sections: Sequence[Section], commands: Seque
 
 
 def _section_markdown(section: Section, files: bool = True) -> str:
-    """A section; with `files` its figures and long tables are links to them."""
+    """A section as Markdown; with `files`, figures and long tables are links."""
     parts = [f"## {section.title}"]
     if section.paper:
         parts.append(f"**The paper found.** {section.paper}")

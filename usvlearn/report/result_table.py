@@ -12,7 +12,7 @@ Cell = str | float | int | bool | None
 
 
 class ResultTable(NamedTuple):
-    """Rows under named columns; units stand in the names.
+    """Rows under named columns; the names contain the units.
 
     >>> result_table = ResultTable("online", ("boat", "MAE, m/s"), [("heron", 0.0312345)])
     >>> print(result_table.markdown())
@@ -34,7 +34,7 @@ class ResultTable(NamedTuple):
         return text.getvalue()
 
     def markdown(self) -> str:
-        """Four digits; a column of numbers is set to the right."""
+        """The table with four digits; columns of numbers are right-aligned."""
         lines = [
             "| " + " | ".join(self.columns) + " |",
             "|" + "|".join("---:" if right else "---" for right in self._numeric()) + "|",
@@ -58,7 +58,7 @@ class ResultTable(NamedTuple):
 
 
 def shown(x: Any) -> str:
-    """A cell for the eye: four significant digits, a dash where nothing is known.
+    """A cell as shown: four significant digits, or a dash if the value is unknown.
 
     >>> shown(0.0312345), shown(1234.5678), shown(None), shown(float("nan")), shown(True)
     ('0.03123', '1235', '–', '–', 'yes')

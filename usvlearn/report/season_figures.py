@@ -9,13 +9,13 @@ import numpy as np
 
 from usvlearn.figures import INK, LINE, colours, themed
 
-WORSE = "#C0392B"  # what is counted as failed
+WORSE = "#C0392B"  # colour of failures
 ROW = 0.19  # inch, of a method
 ACROSS = 4  # panels
 
 
 class Box(NamedTuple):
-    """A distribution, as it is drawn and tabled."""
+    """A distribution, as it appears in figures and tables."""
 
     median: float
     lower: float  # quartile
@@ -24,13 +24,13 @@ class Box(NamedTuple):
     high: float  # 95 %
     mean: float
     count: int
-    beyond: np.ndarray  # what lies outside low … high
+    beyond: np.ndarray  # the values outside low … high
     outliers: int  # more than 1.5 quartile distances above the box
     diverged: int = 0
 
 
 def box(values: np.ndarray, diverged: int = 0) -> Box | None:
-    """The box of some errors, None where there are none.
+    """The box of some errors, or None if there are none.
 
     >>> box(np.arange(101.0)).median
     50.0
@@ -52,15 +52,15 @@ def boxes_figure(
     reference: str | None = None,
     least: float = 0.0,
 ):
-    """A panel per boat, a row per method: quartiles, 5 and 95 %, mean, what lies beyond, and how many diverged.
+    """A panel per boat, a row per method: quartiles, 5 and 95 %, mean, values beyond, and the number of diverged runs.
 
     Args:
         boats: the boxes of each boat, by method, the same methods for all.
-        subtitles: what stands under each boat's name.
+        subtitles: under each boat's name.
         xlabel: of the errors, with their unit; the axis is logarithmic.
-        points: whether what lies beyond is drawn.
+        points: whether values beyond 5 and 95 % are drawn.
         reference: the method whose mean is drawn as a line.
-        least: where the axis begins, at the lowest, in the errors' unit.
+        least: lowest possible start of the axis, in the errors' unit.
 
     >>> figure = boxes_figure({"heron": {"aid": box(np.array([0.1, 0.2]))}}, {"heron": "1 h"}, "error, m/s")
     >>> figure.axes[0].get_title(loc="left")
@@ -105,7 +105,7 @@ def _panels(figure, count: int, across: int, **shared: bool) -> list:
 
 
 def _over_hours(panels: Sequence, across: int) -> None:
-    """A grid in each panel, and under the lowest of each column what its axis is."""
+    """Draw a grid in each panel, and label the axis under the lowest panel of each column."""
     for k, panel in enumerate(panels):
         panel.grid(color=LINE)
         if k + across >= len(panels):
@@ -182,7 +182,7 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
 
 
 def boat_colours(boats: Sequence[str]) -> dict[str, Any]:
-    """A shade for each boat; methods have hues of their own."""
+    """A shade for each boat; hues are reserved for methods."""
     from matplotlib import colormaps
 
     shades = colormaps["viridis"](np.linspace(0.25, 0.92, max(2, len(boats))))
@@ -230,7 +230,7 @@ class Course(NamedTuple):
 
     hours: np.ndarray  # (sets,)
     value: np.ndarray  # (sets,)
-    deviation: np.ndarray | None = None  # (sets,) standard deviation, where the estimator knows one
+    deviation: np.ndarray | None = None  # (sets,) standard deviation, if the estimator has one
 
 
 def parameters_figure(
@@ -239,7 +239,7 @@ def parameters_figure(
     truth: Mapping[str, tuple[np.ndarray, np.ndarray]],
     title: str,
 ):
-    """A panel per parameter: what each method has identified over the hours, what noise leaves open, and the truth.
+    """A panel per parameter: each method's value over the hours, the band of the noise, and the truth.
 
     Args:
         courses: by parameter and method.

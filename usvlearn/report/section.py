@@ -1,4 +1,4 @@
-"""What a section of a report holds."""
+"""The parts of a report's section."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Section(NamedTuple):
 
     key: str
     title: str
-    paper: str  # what the paper found; "" where it says nothing of it
+    paper: str  # the paper's result; "" if it has none
     here: Sequence[str]  # sentences
     figures: Sequence[Drawn] = ()
     sheets: Sequence[ResultTable] = ()
@@ -31,7 +31,7 @@ class Section(NamedTuple):
 def summary(
     name: str, boats: Mapping[str, Mapping[str, float]], what: str, remarks: Mapping[str, str] | None = None
 ) -> ResultTable:
-    """The mean over boats of each method's error, and on how many boats it has the least; the best first.
+    """A table, best first: the mean over boats of each method's error, and the number of boats on which it is least.
 
     Args:
         name: of the table.
@@ -57,7 +57,7 @@ def mean_errors(boats: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
 
 
 def on(count: int, boats: int) -> str:
-    """On how many boats, in words.
+    """The number of boats in words.
 
     >>> on(8, 8), on(0, 8), on(3, 8), on(1, 1), on(0, 1)
     ('on all 8 boats', 'on none of 8 boats', 'on 3 of 8 boats', 'on this boat', 'not on this boat')
@@ -68,7 +68,7 @@ def on(count: int, boats: int) -> str:
 
 
 def tally(what: str, names: Sequence[str], winners: Sequence[str]) -> str:
-    """A sentence on who wins on how many boats.
+    """A sentence that says which name wins on how many boats.
 
     >>> tally("lowest MAE", ["aid", "rls"], ["aid", "aid", "rls"])
     'Of aid, rls the lowest MAE: aid on 2, rls on 1 of 3 boats.'

@@ -1,4 +1,4 @@
-"""Whether the networks that were learned are contracting: one line each, for the console."""
+"""Whether the learned networks are contracting: one line each, for the console."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from certify.weights import ShallowWeights
 from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
 from usvlearn.estimators.rnn.layer import RNN, lane_weights
 
-SHOWN = 8  # boats, of which each has a line
+SHOWN = 8  # most boats with a line each
 
 
 def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> list[str]:
-    """A line for each RNN and boat, decided in rational arithmetic; of large fleets the first boats alone.
+    """A line for each RNN and boat, decided in rational arithmetic; for large fleets only the first boats.
 
     Args:
-        ensemble: what learned.
+        ensemble: to which the state belongs.
         state: leaves `(boats, …)`.
         boats: their names.
 
@@ -26,7 +26,7 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
     >>> stability(ensemble, ensemble.init((1,)), ["heron"])[0].split(", K")[0]
     'rnn of heron: certified contracting by tight'
     """
-    told = []
+    lines = []
     for name, member in ensemble.members.items():
         if not isinstance(member, RNN):
             continue
@@ -34,10 +34,10 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
         monitored = {key: value.tolist() for key, value in member.monitor(learned).items()}
         for lane, boat in enumerate(boats[:SHOWN]):
             numbers = {key: value[lane] for key, value in monitored.items()}
-            told.append(f"{name} of {boat}: {_verdict(lane_weights(learned, lane), numbers)}")
+            lines.append(f"{name} of {boat}: {_verdict(lane_weights(learned, lane), numbers)}")
         if len(boats) > SHOWN:
-            told.append(f"{name}: {len(boats) - SHOWN} more boats: python -m certify on the run's folder")
-    return told
+            lines.append(f"{name}: {len(boats) - SHOWN} more boats: python -m certify on the run's folder")
+    return lines
 
 
 def _verdict(weights: ShallowWeights, numbers: dict[str, float]) -> str:

@@ -1,6 +1,6 @@
-"""A study from nothing on a simulated fleet: tune on one season, start the next from what was learned, judge it.
+"""A study from nothing on a simulated fleet: tune on one season, start the next from the result, and evaluate it.
 
-The stages, each in a folder of its own, each what `train.py` does with some overrides:
+Each stage has its own folder and is a run of `train.py` with some overrides:
 
 tune/MEMBER        settings of a member, on the tuning season, each member with the same budget
 tuned/initial      the ensemble with these settings, over the tuning season, learning from nothing
@@ -8,7 +8,7 @@ tuned/season       the season, all boats from one parameter set: of the last set
                    which serves all of them best
 default/initial, default/season     the same without tuning: what was gained
 
-A stage that is finished is not made again; one that was killed goes on where it stopped.
+A finished stage is not made again; a killed one continues where it stopped.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ Job = Callable[[Sequence[str], Path], Any]  # overrides of train.yaml, folder
 
 
 class Study:
-    """Runs the stages.
+    """Runs the stages of a study.
 
     Args:
         folder: of the study.
         plan: overrides of train.yaml that are `common` to both seasons, and those of `tuning` and `season`; `members`
             to tune; `evaluations` of each.
-        say: tells the person what is being done.
-        run: does what `train.py OVERRIDES` does, in a folder.
-        check: raises what is wrong with overrides that ask for tuning.
-        choose: of a finished folder, the checkpoint from which the next season starts.
+        say: prints what is being done.
+        run: does the work of `train.py OVERRIDES` in a folder.
+        check: raises an error if overrides that ask for tuning are wrong.
+        choose: the checkpoint of a finished folder from which the next season starts.
 
     Raises:
-        ConfigError: a member cannot be tuned so.
+        ConfigError: a member cannot be tuned in this way.
     """
 
     def __init__(
@@ -62,13 +62,13 @@ class Study:
         self.folder, self.commands = folder, list[str]()
         self.plan = {**plan, "version": usvlearn.__version__}
         self._run, self._choose, self._say = run, choose, say
-        with themed():  # what its report needs, before an hour is spent
+        with themed():  # fail now if the report cannot be drawn later
             pass
         for member in self.plan["members"]:
             check(self._tuning(member))
 
     def make(self) -> tuple[Path, Section]:
-        """Make all stages; the folder of the season with tuned settings, and what tuning gained.
+        """Make all stages; returns the folder of the season with tuned settings, and the section on the gain of tuning.
 
         Raises:
             ConfigError: the folder holds a study of another plan, or another process is at work there.

@@ -44,7 +44,7 @@ def score_table(
 
     Args:
         boats: scores by boat and estimator; see `usvlearn.evaluation.metrics.fleet_scores`.
-        remarks: what stands beside the names of estimators; see `usvlearn.evaluation.members.remarks`.
+        remarks: beside the names of estimators; see `usvlearn.evaluation.members.remarks`.
         title: of the table.
     """
     failed = any(row.get("diverged") for rows in boats.values() for row in rows.values())
@@ -77,7 +77,7 @@ def fleet_table(boats: Mapping[str, Mapping[str, Mapping]], remarks: Mapping[str
 
 
 def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> Blocks | None:
-    """One row per boat and channel, with the counts by cause; None where nothing was rejected."""
+    """One row per boat and channel, with the counts by cause; None if nothing was rejected."""
     table = Blocks("Rejected: messages by cause, and stale steps", ["channel", "causes"], folded=["causes"])
     for boat, channels in rejected.items():
         if channels:
@@ -94,21 +94,21 @@ def report(
     remarks: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Group:
-    """All tables of a run, for the console, notes to them, and a line for each alarm."""
+    """All tables of a run for the console, with notes, and a line for each alarm."""
     fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
     tables = [rejection_table(rejected), score_table(boats, remarks), fleet]
-    told = [
+    lines = [
         Text(f"alarm: {boat}, run {each['run']}, {each['time']:.0f} s: the {each['side']} thruster has lost thrust")
         for boat, raised in alarms.items()
         for each in raised
     ]
-    return Group(*filter(None, tables), *map(Text, notes), *told)
+    return Group(*filter(None, tables), *map(Text, notes), *lines)
 
 
-def told(settings: Mapping[str, str], keys: Sequence[str]) -> str:
-    """What a job sets, of `keys` or else of all, in short.
+def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
+    """The settings of a job in short form: those of `keys`, or else all.
 
-    >>> told({"estimators.aid.gain": "3", "align.dt": "0.4"}, ["estimators.aid.gain"])
+    >>> short_settings({"estimators.aid.gain": "3", "align.dt": "0.4"}, ["estimators.aid.gain"])
     'aid.gain=3'
     """
     shown = {key: settings[key] for key in keys if key in settings} or settings
@@ -120,7 +120,7 @@ def _short(key: str) -> str:
 
 
 def summary_lines(results: Mapping, folder: Path) -> list[str]:
-    """The last lines of a run: what it came to, and how to look at it.
+    """The last lines of a run: its result, and the command that shows it.
 
     >>> summary_lines({"seconds": 2.0, "output": "ensemble", "objective": 0.05}, Path("run"))[1]
     'To look at the run: tensorboard --logdir run'
@@ -131,10 +131,10 @@ def summary_lines(results: Mapping, folder: Path) -> list[str]:
 
 
 def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
-    """One row per job of a sweep, the best first: what differs in its settings, and MAE, mean over boats.
+    """One row per job of a sweep, the best first: the settings that differ, and MAE, averaged over boats.
 
-    Shown are the errors of what the jobs are ranked by and of the ensemble, then those of the estimators whose error
-    differs between jobs, where they are few, and each job's best.
+    The columns are the errors of the ranking member and of the ensemble, then those of the estimators whose error
+    differs between jobs, if they are few, and each job's best.
 
     Args:
         jobs: settings by key, and results as of `usvlearn.evaluation.ranking.scored`; `{"error": …}` of a job that
@@ -157,7 +157,7 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
         cells = [*(_number(maes.get(name)) for name in shown), best, _number(maes.get(best))]
         table.add(*(settings.get(key, "") for key in keys), *cells)
     failed = [
-        Text(f"failed: {told(settings, keys)}: {result.get('error', 'did not finish')}")
+        Text(f"failed: {short_settings(settings, keys)}: {result.get('error', 'did not finish')}")
         for settings, result in jobs
         if "boats" not in result
     ]

@@ -1,7 +1,7 @@
-"""What is printed, at any width: no number and no name is cut.
+"""Printing at any width: no number and no name is cut.
 
-A table that is too wide is parted into blocks, one below the other: each begins with the columns of names. Output to a
-file or a pipe has no width, unless COLUMNS sets one.
+A table that is too wide is split into blocks, one below the other; each begins with the columns of names. Output to a
+file or a pipe has no width limit, unless COLUMNS sets one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rich.text import Text
 
 UNLIMITED = 100_000  # columns of a file or a pipe
 GAP, RULE = "  ", "─"
-LEAST = 6  # columns of a text that is folded
+LEAST = 6  # least width, in columns, of a text that is folded
 
 
 def console(quiet: bool = False) -> Console:
@@ -31,13 +31,13 @@ def console(quiet: bool = False) -> Console:
 
 
 class Blocks:
-    """A table that rich prints in as many blocks as the width asks for.
+    """A table that rich prints in as many blocks as its width needs.
 
     Args:
-        title: stands above it.
-        names: headings of the columns that begin every block, set to the left.
-        numbers: headings of the other columns, set to the right.
-        folded: those of `names` that may take several lines, broken between words where they have any.
+        title: above the table.
+        names: headings of the columns that begin every block, left-aligned.
+        numbers: headings of the other columns, right-aligned.
+        folded: those of `names` that may take several lines, broken between words if possible.
 
     >>> table = Blocks("MAE, m/s", ["estimator"], ["heron", "otter"])
     >>> table.add("aid", "0.0312", "0.0298")
@@ -86,7 +86,7 @@ class Blocks:
         yield Text()
 
     def _lines(self, console: Console, cells: list[Text], columns: list[int], widths: list[int]) -> Iterator[Text]:
-        """A row, which takes several lines where a cell is folded."""
+        """The lines of a row; there are several if a cell is folded."""
         parts = [cell.wrap(console, widths[k], overflow="fold") for cell, k in zip(cells, columns, strict=True)]
         for number in range(max(map(len, parts))):
             line = []
@@ -103,7 +103,7 @@ class Blocks:
         return sum(widths[k] for k in columns) + len(GAP) * (len(columns) - 1)
 
     def _layout(self, width: int) -> tuple[list[int], list[list[int]]]:
-        """How wide each column is, and the columns of numbers of each block."""
+        """The width of each column, and the columns of numbers in each block."""
         table = [[Text(name) for name in self.head], *(row for row in self.rows if len(row) > 1)]
         widths = [max(row[k].cell_len for row in table) for k in range(len(self.head))]
         names, numbers = list(range(self.names)), list(range(self.names, len(self.head)))

@@ -12,7 +12,7 @@ from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import matrix_figure
 from usvlearn.report.section import Drawn, Section, on
 
-SAID = (
+PAPER_RESULT = (
     "The MSE of AVE with the best set of each boat on the runs of all boats, which had started the season from equal "
     "parameters: the learned models suit the boats on which they were learned (encouraging, in the paper's word), and "
     "show that some have a thruster bias."
@@ -59,23 +59,23 @@ def fleet_section(
         best: hours at which each boat's best set was saved, by method.
     """
     boats = [season.boat for season in seasons]
-    told, rows = [], []
+    here, rows = [], []
     for name, matrix in matrices.items():
         own = sum(int(np.nanargmin(matrix[:, k]) == k) for k in range(len(boats)) if np.isfinite(matrix[:, k]).any())
         away = matrix[~np.eye(len(boats), dtype=bool)]
         ratio = np.nanmean(away) / np.nanmean(np.diag(matrix))
-        told.append(
-            f"{name}: {on(own, len(boats))} the own set is the best; another boat's has {ratio:.2f} × the MSE "
-            "of the own, on average."
+        here.append(
+            f"{name}: {on(own, len(boats))} the boat's own set is the best; on average another boat's set has "
+            f"{ratio:.2f} × the MSE of the own set."
         )
         for boat, row, hours in zip(boats, matrix, best[name], strict=True):
             rows.append((name, boat, hours, *map(float, row)))
     caption = (
-        "Rows: whose set; columns: on whose runs, all of them, free; the best of a column is framed. "
-        "A boat's best set is the one with the least MSE of that method on the runs that it was not saved in, so that "
-        "the diagonal holds a choice that the rest of its column does not. The ensemble's weights are those of "
-        "the moment of saving."
+        "Row: the boat of the set. Column: the boat of the runs, all of them, simulated free. The best of each column "
+        "is framed. A boat's best set has the least MSE of that method on the runs in which it was not saved, so the "
+        "diagonal was chosen on these runs and the rest of a column was not. The ensemble has the weights that it had "
+        "when the set was saved."
     )
     columns = ("method", "best set of", "saved after, h", *(f"MSE on {boat}, m²/s²" for boat in boats))
     drawn = [Drawn("fleet", matrix_figure(matrices, boats), caption)]
-    return Section("fleet", "Between boats", SAID, told, drawn, [ResultTable("fleet", columns, rows)])
+    return Section("fleet", "Between boats", PAPER_RESULT, here, drawn, [ResultTable("fleet", columns, rows)])

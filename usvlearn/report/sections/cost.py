@@ -23,7 +23,7 @@ from usvlearn.report.section import Section
 from usvlearn.rollouts import rollout
 from usvlearn.signals import Inputs, Sample, named_leaves
 
-SAID = (
+PAPER_RESULT = (
     "AID: 9 parameters, O(p) to predict and to learn. RNN: n = 20, m = 4, 140 weights, O(n (m + 1)) both. RLS: 9 "
     "parameters, O(p) and O(p²). No times are given; it ran on a Raspberry Pi 4."
 )
@@ -34,7 +34,7 @@ STEPS, EAGER, PASSES, MANY = 400, 20, 5, 1000
 
 
 def cost_section(ensemble: Ensemble) -> Section:
-    """One boat, one sample at a time, as aboard: median over passes.
+    """The time of one boat, one sample at a time, as in live use: the median over passes.
 
     Args:
         ensemble: whose members and rules are timed.
@@ -66,11 +66,13 @@ def cost_section(ensemble: Ensemble) -> Section:
         f"Measured on {machine}: one boat, one sample at a time from Python, the median of {PASSES} passes.",
         f"As lanes of one batch {MANY} boats take {wide / MANY:.2g} µs each for a step of all together.",
     ]
-    return Section("cost", "Parameters and time per sample", SAID, here, (), [ResultTable("cost", columns, rows)])
+    return Section(
+        "cost", "Parameters and time per sample", PAPER_RESULT, here, (), [ResultTable("cost", columns, rows)]
+    )
 
 
 def _times(estimator: Estimator, sample: Sample) -> tuple[float, float, float]:
-    """µs to predict, to predict and learn, and the latter by torch."""
+    """The times in µs: to predict, to predict and learn, and the latter in torch."""
     boat, plain = Online(estimator), Online(estimator, backend="torch")
     return (
         _median(lambda: boat.predict(sample.inputs)), _median(lambda: boat.step(sample)),
@@ -89,7 +91,7 @@ def _many(ensemble: Ensemble, sample: Sample) -> float:
 
 
 def _parameters(state: Any) -> int:
-    """What the method identifies: θ, or the network's weights."""
+    """The identified parameters of a method: θ, or the network's weights."""
     identified = [leaf for name, leaf in named_leaves(state) if name == "theta" or name.startswith("weights.")]
     return sum(leaf.numel() for leaf in identified)
 

@@ -14,7 +14,7 @@ from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import Box, box, boxes_figure
 from usvlearn.report.section import Drawn, Section, mean_errors, on, summary, tally
 
-SAID = (
+PAPER_RESULT = (
     "43 to 82 saved sets per boat. AID had the lowest error on seven of eight boats and the smallest range on six; "
     "RNN and RLS had many outliers; AVE was no better than AID; the RLS-weighted ensemble, whose weights were learned "
     "offline, step by step as if online, was better than all of them."
@@ -52,17 +52,17 @@ def cross_section(
                              remarks.get(name, "")))  # fmt: skip
     if not rows:
         here = ["There is no other run to simulate: each boat has one, from which all of its sets came."]
-        return Section("crossval", "Cross-validation", SAID, here)
+        return Section("crossval", "Cross-validation", PAPER_RESULT, here)
     columns = ("boat", "method", "median MAE, m/s", "mean, m/s", "lower quartile, m/s", "upper quartile, m/s",
                "5 %, m/s", "95 %, m/s", "outliers", "diverged", "simulations",
                "median over later runs, m/s", "remark")  # fmt: skip
     caption = (
-        "Every saved set on every run of its boat but the one that it was saved in, from the inputs and the speed at "
-        "which a stretch without a gap begins; what a set has learned from is among them, and the table has the median "
-        "over later runs alone, too; the lowest mean over boats first. Box: quartiles of the MAE; line: 5 to "
-        "95 %; diamond: mean; dots: beyond; div.: simulations that left the physical limit, which count with the error "
-        "of the limit. NAME+ (hollow) weighs the free members by what was measured so far: it sees the speed. "
-        "Outliers of the table lie 1.5 quartile distances above the box."
+        "Every saved set is simulated on every run of its boat except the one in which it was saved. A simulation uses "
+        "the inputs, and the speed at which each segment starts. Some of these runs were learned before the set was "
+        "saved; the table also has the median over later runs only. The lowest mean over boats comes first. Box: "
+        "quartiles of the MAE; line: 5 to 95 %; diamond: mean; dots: beyond; div.: simulations that left the physical "
+        "limit, which count with the error of the limit. NAME+ (hollow) weighs the free members by the speeds measured "
+        "so far: it sees the speed. Outliers in the table lie more than 1.5 quartile distances above the box."
     )
     known = {boat: row for boat, row in boxes.items() if all(each is not None for each in row.values())}
     means = {boat: {name: each.mean for name, each in row.items()} for boat, row in known.items()}
@@ -71,7 +71,7 @@ def cross_section(
     return Section(
         "crossval",
         "Cross-validation: free runs of every saved set",
-        SAID,
+        PAPER_RESULT,
         _findings(known),
         [Drawn("crossval", boxes_figure(boxes, subtitles, "MAE of a free run, m/s"), caption)],
         [summary("crossval_fleet", means, "MAE of a free run, m/s", remarks), ResultTable("crossval", columns, rows)],
@@ -81,30 +81,30 @@ def cross_section(
 def _findings(boats: Mapping[str, Mapping[str, Box]]) -> list[str]:
     names, count = list(next(iter(boats.values()))), len(boats)
     three = [name for name in PAPER if name in names]
-    told = []
+    here = []
     if len(three) > 1:
         best = [min(three, key=lambda name, row=row: row[name].mean) for row in boats.values()]
-        told.append(tally("lowest mean", three, best))
+        here.append(tally("lowest mean", three, best))
         best = [min(three, key=lambda name, row=row: row[name].high - row[name].low) for row in boats.values()]
-        told.append(tally("smallest range (5 to 95 %)", three, best))
+        here.append(tally("smallest range (5 to 95 %)", three, best))
     if {"average", "aid"} <= set(names):
-        told.append(f"The average beats AID {on(_less(boats, 'average', ['aid']), count)}.")
+        here.append(f"The average beats AID {on(_less(boats, 'average', ['aid']), count)}.")
     for name in ("weighted", "weighted+"):
         if name in names and three:
-            how = "that go on learning from the measured speed" if name.endswith("+") else "as they were saved"
-            told.append(
+            how = "that continue to learn from the measured speed" if name.endswith("+") else "as they were saved"
+            here.append(
                 f"The RLS-weighted ensemble, with weights {how}, beats all of {', '.join(three)} "
                 f"{on(_less(boats, name, three), count)}."
             )
     free = [name for name in names if not name.endswith("+")]
     means = {name: float(np.mean([row[name].mean for row in boats.values()])) for name in free}
     best = sorted(means, key=means.__getitem__)[:3]
-    told.append("Lowest of all free runs, mean over boats: " + ", ".join(f"{n} {means[n]:.3f} m/s" for n in best) + ".")
+    here.append("Lowest of all free runs, mean over boats: " + ", ".join(f"{n} {means[n]:.3f} m/s" for n in best) + ".")
     diverged = {name: sum(row[name].diverged for row in boats.values()) for name in names}
     total = sum(row[names[0]].count for row in boats.values())
     bad = ", ".join(f"{name} {number}" for name, number in diverged.items() if number)
-    told.append(f"Diverged, of {total} simulations per method: {bad or 'none'}.")
-    return told
+    here.append(f"Diverged, of {total} simulations per method: {bad or 'none'}.")
+    return here
 
 
 def _less(boats: Mapping[str, Mapping[str, Box]], name: str, others: Sequence[str]) -> int:

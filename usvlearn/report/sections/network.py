@@ -18,9 +18,9 @@ from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import certificates_figure
 from usvlearn.report.section import Drawn, Section
 
-SAID = (
-    "The contraction condition was a cost in training, and the app told whether it held; the share of time at which it "
-    "did is not reported. A hypothetical network illustrates the equilibria; a contracting network has one."
+PAPER_RESULT = (
+    "The contraction condition was a cost in training, and the app showed whether it held. The share of time at which "
+    "it held is not reported. A hypothetical network illustrates the equilibria; a contracting network has one."
 )
 DRAWN = (-0.1, 0.5)  # of x, the speeds at which boats run
 HEADINGS = 24  # at which equilibria are looked for
@@ -61,20 +61,20 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         rows.append((season.boat, above(rates[season.boat][-1], 4), len(rest) / HEADINGS, min(places, default=None),
                      max(places, default=None), kinds or "none"))  # fmt: skip
     steps = sum(len(boats) for boats in rates.values())
-    told = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
-    told.append(
-        "A network that holds the paper's condition (K < ¼) has a time constant under 0.72 steps, and no hull is so "
-        "quick; tight (K < 1) is what all activation patterns together need."
+    here = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
+    here.append(
+        "A network that satisfies the paper's condition (K < ¼) has a time constant below 0.72 steps, and no hull is "
+        "so fast. tight (K < 1) is the weakest condition that covers all activation patterns."
     )
     counts = "one equilibrium at each" if single else "none or several at some"
-    told.append(f"Without thrust the last networks have {counts} of {HEADINGS} headings.")
+    here.append(f"Without thrust the last networks have {counts} of {HEADINGS} headings.")
     first = seasons[0].boat
     drawn = [
         Drawn(
             "certificates",
             certificates_figure({s.boat: s.hours for s in seasons}, {**margins, "rate": rates}),
             "Margins of the conditions at every saved set, computed in rational arithmetic: certified above the red "
-            "line; and the exact rate over all activation patterns, certified below it.",
+            "line. The last panel is the exact rate over all activation patterns: certified below the line.",
         ),
         Drawn(
             "equilibria",
@@ -102,4 +102,4 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
             "certificates", ("boat", "condition", "sets certified", "sets", "least margin", "greatest"), conditions
         ),
     ]
-    return Section("network", "The network: certificates and equilibria", SAID, told, drawn, sheets)
+    return Section("network", "The network: certificates and equilibria", PAPER_RESULT, here, drawn, sheets)

@@ -13,12 +13,12 @@ from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import box, boxes_figure
 from usvlearn.report.section import Drawn, Section, mean_errors, on, summary, tally
 
-SAID = (
+PAPER_RESULT = (
     "On all eight boats AID had the lowest online prediction error of the three methods, and the plain average (AVE) "
     "did not beat AID alone."
 )
 LABEL = "|predicted − measured| one step ahead, m/s"
-LEAST = 2e-3  # m/s, where the figure's axis begins: far below what a speed is measured to
+LEAST = 2e-3  # m/s, the start of the figure's axis: far below the resolution of a measured speed
 COLUMNS = ("mae", "median", "rmse", "skill", "coverage")
 
 
@@ -32,8 +32,8 @@ def online_section(
 
     Args:
         seasons: of all boats.
-        names: of what was published, in its order.
-        remarks, explained: on these names; see `usvlearn.evaluation.members`.
+        names: of the published predictions, in their order.
+        remarks, explained: about these names; see `usvlearn.evaluation.members`.
     """
     boxes, subtitles, rows, maes = {}, {}, [], {}
     for season in seasons:
@@ -58,7 +58,7 @@ def online_section(
             rows.append((season.boat, name, *found, *rest, remark))
     if not rows:
         here = ["The runs that were given were not replayed in these folders, so that there are no online predictions."]
-        return Section("online", "Online prediction error", SAID, here)
+        return Section("online", "Online prediction error", PAPER_RESULT, here)
     columns = ("boat", "method", "MAE, m/s", "median, m/s", "RMSE, m/s", "skill", "coverage of the 90 % interval",
                "steps", "not finite", "run time, h", "mean speed, m/s", "remark")  # fmt: skip
     order = by_error(mean_errors(maes))  # of all panels
@@ -66,7 +66,7 @@ def online_section(
     return Section(
         "online",
         "Online prediction error",
-        SAID,
+        PAPER_RESULT,
         [*_findings(maes), *explained],
         [
             Drawn(
@@ -84,17 +84,17 @@ def online_section(
 def _findings(maes: dict[str, dict[str, float]]) -> list[str]:
     names, boats = list(next(iter(maes.values()))), len(maes)
     three = [name for name in PAPER if name in names]
-    told = []
+    here = []
     if len(three) > 1:
-        told.append(tally("lowest MAE", three, [min(three, key=row.__getitem__) for row in maes.values()]))
+        here.append(tally("lowest MAE", three, [min(three, key=row.__getitem__) for row in maes.values()]))
     if "average" in names and "aid" in names:
         better = sum(row["average"] < row["aid"] for row in maes.values())
-        told.append(f"The average beats AID {on(better, boats)}.")
+        here.append(f"The average beats AID {on(better, boats)}.")
     every = [min(row, key=row.__getitem__) for row in maes.values()]
     winners = ", ".join(f"{name} {on(every.count(name), boats)}" for name in dict.fromkeys(every))
-    told.append(f"The lowest of all: {winners}.")
+    here.append(f"The lowest of all: {winners}.")
     if PERSISTENCE in names:
         worse = [name for name in names if all(row[name] >= row[PERSISTENCE] for row in maes.values())]
         worse = [name for name in worse if name != PERSISTENCE]
-        told.append("No better than persistence on any boat: " + (", ".join(worse) or "none of them") + ".")
-    return told
+        here.append("No better than persistence on any boat: " + (", ".join(worse) or "none of them") + ".")
+    return here

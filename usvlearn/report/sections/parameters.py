@@ -1,7 +1,7 @@
-"""What was identified over the season, in physical units, beside the truth where it is known.
+"""The parameters identified over the season, in physical units, with the true ones if they are known.
 
-The band of least squares is what the noise of the samples leaves open. It is no interval that holds the true value: the
-model's bias is not in it.
+The band of least squares covers the effect of the noise in the samples. It is not an interval for the true value,
+because it does not include the bias of the model.
 """
 
 from __future__ import annotations
@@ -21,24 +21,23 @@ from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import Course, parameters_figure
 from usvlearn.report.section import Drawn, Section
 
-SAID = (
+PAPER_RESULT = (
     "No parameters are shown; the mass is taken as known. Some boats have a noticeable thruster bias, as the errors "
     "between boats confirm, and others have none."
 )
 NOISE = (
-    "the band and the ± (1.645 standard deviations by least squares' own covariance) cover 90 % of what the noise of "
-    "the samples does, and nothing of the bias of the model (current, lags, a dead band, noise in the speed)"
+    "the band and the ± (1.645 standard deviations from the covariance of least squares) cover 90 % of the effect of "
+    "the samples' noise. They do not cover the bias of the model (current, lags, a dead band, noise in the speed)"
 )
-BAND = "Band: 90 % of what the noise of the samples does, and nothing of the bias of the model."
-SHOWN = ("aid", "steady_rls", "dynamic_rls")  # of many members, those that are for reading, the first two of them
+BAND = "Band: 90 % of the effect of the samples' noise; the bias of the model is not included."
+SHOWN = ("aid", "steady_rls", "dynamic_rls")  # if there are many members, the first two of these are shown
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
 
 
 def functionals(names: Sequence[str], speed: float, command: float) -> dict[str, tuple[str, np.ndarray]]:
-    """Sums wᵀθ that can be read: each parameter; at a speed the drag, and the thrust of each side at a command.
+    """Meaningful sums wᵀθ: each parameter; the drag at a speed; the thrust of each side at a command and that speed.
 
-    Single parameters are hard to tell apart on a boat that seldom changes speed; what they add up to where it runs is
-    not.
+    On a boat that seldom changes speed, single parameters are hard to distinguish, but their sum at that speed is not.
 
     >>> functionals(["drag_quadratic", "drag_linear"], 2.0, 0.5)["drag at 2 m/s"]
     ('N', array([4., 2.]))
@@ -58,7 +57,7 @@ def functionals(names: Sequence[str], speed: float, command: float) -> dict[str,
 
 
 def course(hours: np.ndarray, state: Any, weights: np.ndarray) -> Course:
-    """wᵀθ over the sets and, where the state has a covariance, its deviation √(σ² wᵀPw).
+    """wᵀθ over the sets and, if the state has a covariance, its standard deviation √(σ² wᵀPw).
 
     Args:
         hours: `(sets,)`.
@@ -76,9 +75,9 @@ def course(hours: np.ndarray, state: Any, weights: np.ndarray) -> Course:
 def parameters_section(
     seasons: Sequence[Season], ensemble: Ensemble, truth: Truth, mission: Mapping[str, np.ndarray]
 ) -> Section | None:
-    """A figure per boat; a table of what was identified at the end, and of the truth.
+    """A figure per boat, and a table of the parameters at the end and of the true ones.
 
-    None where no member identifies the surge dynamics.
+    None if no member identifies the surge dynamics.
 
     Args:
         seasons: of all boats.
@@ -122,13 +121,13 @@ def parameters_section(
     caption = "What was identified over the season" + (f"; {NOISE}" if banded else "")
     if truth:
         caption += (
-            "; dashed: the truth of each mission, scaled by declared over true mass, since surge data tell the "
-            "parameters over the mass alone"
+            "; dashed: the true value in each mission, scaled by declared over true mass, since surge data identify "
+            "the parameters only in proportion to the mass"
         )
     drawn[0] = drawn[0]._replace(caption=f"{caption}.")
     columns = ("boat", "quantity", "unit", "method", "at the end", "±, of the noise alone (90 %)", "truth")
     return Section(
-        "parameters", "Parameters over the season", SAID, _findings(shown, np.array(sides), rows),
+        "parameters", "Parameters over the season", PAPER_RESULT, _findings(shown, np.array(sides), rows),
         drawn, [ResultTable("parameters", columns, rows)],
     )  # fmt: skip
 
@@ -152,12 +151,12 @@ def _ends(season: Season) -> np.ndarray:
 
 def _findings(shown: Sequence[str], sides: np.ndarray, rows: Sequence[tuple]) -> list[str]:
     """Sentences; sides is `(boats, methods and truth, 2)`, N."""
-    told = []
+    here = []
     with np.errstate(divide="ignore", invalid="ignore"):
         bias = np.log(sides[..., 0] / sides[..., 1])  # (boats, methods and truth)
     if sides.shape[1] > len(shown):
         true = bias[:, -1]
-        told.append(
+        here.append(
             f"True bias of the thrusters (left over right at the usual command): {np.exp(true.min()):.2f} to "
             f"{np.exp(true.max()):.2f}."
         )
@@ -167,18 +166,18 @@ def _findings(shown: Sequence[str], sides: np.ndarray, rows: Sequence[tuple]) ->
             ratio = f"; correlation with the truth over boats {np.corrcoef(bias[:, k], true)[0, 1]:.2f}" if ok else ""
             wrong = [row[4] / row[6] - 1 for row in rows if row[3] == name and " at " in row[1] and row[6]]
             medians.append(float(np.median(wrong)))
-            told.append(f"{name}: drag and thrust differ from the truth by {100 * medians[-1]:+.0f} %, median{ratio}.")
+            here.append(f"{name}: drag and thrust differ from the truth by {100 * medians[-1]:+.0f} %, median{ratio}.")
         if max(medians) < 0:
-            told.append("All too small: noise in a regressor, here in the speed, attenuates what it weighs.")
+            here.append("All are too small: noise in a regressor, here in the speed, reduces its parameter.")
     else:
         for k, name in enumerate(shown):
             some = ", ".join(f"{np.exp(b):.2f}" for b in bias[:, k])
-            told.append(f"{name}: thrust left over right: {some}.")
-    return [*told, *_covered(rows)]
+            here.append(f"{name}: thrust left over right: {some}.")
+    return [*here, *_covered(rows)]
 
 
 def _covered(rows: Sequence[tuple]) -> list[str]:
-    """What the ± covers and what not, where there is one."""
+    """A sentence about what the ± covers, if there is one."""
     known = [(value, wide, true) for *_, value, wide, true in rows if wide is not None]
     inside = [abs(value - true) <= wide for value, wide, true in known if true is not None]
     if not known:

@@ -1,4 +1,4 @@
-"""What tuning gained: on the season that it was done on, and on the next one."""
+"""The gain of tuning: on the season of the tuning, and on the next one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from usvlearn.figures import PAPER
 from usvlearn.report.result_table import ResultTable
 from usvlearn.report.section import Section
 
-SAID = (
+PAPER_RESULT = (
     "A coarse grid search and refinement by hand on 29 h of the season before. The authors found a fair comparison "
     "difficult: each method's performance depends on its tuning parameters."
 )
@@ -21,9 +21,9 @@ def tuning_section(
     """The gain of each member, and of the ensemble.
 
     Args:
-        tuned: what `tuning.json` says, by member.
+        tuned: the content of `tuning.json`, by member.
         after: scores of the season with the tuned settings, `boats` of `results.json`.
-        before: likewise with the default ones.
+        before: the same with the default settings.
     """
     with_tuning, without = mean_mae(after), mean_mae(before)
     rows = []
@@ -43,7 +43,7 @@ def tuning_section(
         if value in found.get("ranges", {}).get(path, [])
     ]
     budget = ", ".join(sorted({str(found["evaluations"]) for found in tuned.values()}))
-    told = [
+    here = [
         f"{', '.join(tuned)} took {budget} evaluations each beside the default, on the tuning season alone.",
         *(
             f"{name}: {_percent(row[5])} there, {_percent(row[8])} on the season that it was not tuned on."
@@ -52,15 +52,15 @@ def tuning_section(
         ),
     ]
     if edges:
-        told.append(f"At the edge of its range, so that more may be beyond: {', '.join(edges)}.")
+        here.append(f"At the edge of its range, so that more may be beyond: {', '.join(edges)}.")
     if three := [row for row in rows if row[0] in PAPER]:
         best = [min(three, key=lambda row, k=k: row[k])[0] for k in (6, 7)]
-        told.append(
+        here.append(
             f"The lowest error of {', '.join(r[0] for r in three)}: {best[0]} by default, {best[1]} when tuned."
         )
     known = {row[0]: row for row in rows}
     result_table = ResultTable("tuning", columns, [known[name] for name in by_error(with_tuning)])
-    return Section("tuning", "What tuning gained", SAID, told, (), [result_table])
+    return Section("tuning", "What tuning gained", PAPER_RESULT, here, (), [result_table])
 
 
 def _percent(gain: float | None) -> str:
