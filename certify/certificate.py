@@ -137,7 +137,7 @@ def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verificat
 def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
     """Why a certificate is refused; None where it is valid."""
     if content.get("format") != FORMAT:
-        return f"it has the format {quoted(content.get('format'))}, expected {FORMAT!r}: make it anew"
+        return f"it has the format {quoted(content.get('format'))}, expected {FORMAT!r}: make it again"
     condition, proof = content.get("condition"), content.get("proof")
     if condition not in CONDITIONS:
         return f"it names the condition {quoted(condition)}, expected one of {', '.join(CONDITIONS)}"

@@ -54,7 +54,7 @@ def _print(
 
     Args:
         console: on which it is printed.
-        title: stands above it.
+        title: above the table.
         headings: of the columns; the first is that of the names.
         rows: a cell for each heading.
         texts: headings of the columns that may be folded between words, as the names are where they fill half a line.

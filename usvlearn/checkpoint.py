@@ -31,7 +31,7 @@ from usvlearn.signals import named_leaves, rebuild, sort_of
 SCHEMA = 2  # schema 1 had another square root of the covariance of least squares
 SUFFIX = ".safetensors"
 KEY = "usvlearn"  # of the metadata in the safetensors header
-TOLD = 400  # characters of an error that quotes the file
+QUOTED = 400  # characters of an error that quotes the file
 HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
 LEFT = re.compile(rf"\..+\.{HOST}-(\d{{1,19}})-\d+\.tmp")
 _COUNT, _WRITING = itertools.count(), set[str]()  # of this process's temporary files
@@ -88,7 +88,7 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         found = _digest(leaves, facts)
     except (SafetensorError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise CheckpointError(
-            f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:TOLD]}): use the set saved before it"
+            f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:QUOTED]}): use the set saved before it"
         ) from error
     if facts.get("schema") != SCHEMA:
         raise CheckpointError(

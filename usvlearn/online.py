@@ -127,6 +127,6 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         check(facts["kernel"], leaves)
     except CheckpointError as error:
         raise CheckpointError(
-            f"{path}: {str(error)[: checkpoint.TOLD]}: use the set saved before it, or {torch}"
+            f"{path}: {str(error)[: checkpoint.QUOTED]}: use the set saved before it, or {torch}"
         ) from error
     return leaves, facts

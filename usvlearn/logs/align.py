@@ -101,7 +101,7 @@ class Aligner:
         if channels["surge"].held:
             raise ConfigError("data.channels.surge.held: expected false: an old speed is no measurement")
         self._places = {name: CHANNELS.index(name) for name in channels}
-        logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope stands for a yaw rate
+        logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope replaces a missing yaw rate
         self._settings = compiled.new_settings(
             dt=dt,
             inputs=compiled.INPUTS.index(inputs),

@@ -44,11 +44,11 @@ MEMORY = np.dtype(
     [
         ("newest", "f8"),  # s, newest stamp of any channel
         ("ahead", "f8"),  # s, stamp of the last message that lay beyond an outage
-        ("heard", "f8"),  # s, grid time of the last measured speed
+        ("surge_time", "f8"),  # s, grid time of the last measured speed
         ("tick", "f8"),  # s, the grid time that was emitted last; NaN before the first
         ("known", "i8"),  # whether the speed at that time is known
         ("behind", "i8"),  # how many messages in a row lie far behind the newest
-        ("voices", "i8"),  # a bit for each channel of these messages
+        ("behind_channels", "i8"),  # a bit for each channel of these messages
         ("count", "i8", len(CHANNELS)),  # recent messages of each channel
         ("rejected", "i8", (len(CHANNELS), len(CAUSES))),  # counts
     ]
@@ -74,7 +74,7 @@ def new_memory() -> np.ndarray:
     [-inf]
     """
     memory = np.zeros(1, dtype=MEMORY)
-    for name in ("newest", "ahead", "heard"):
+    for name in ("newest", "ahead", "surge_time"):
         memory[name] = -math.inf
     memory["tick"] = math.nan
     return memory
@@ -94,16 +94,16 @@ def feed(settings, memory, times, values, channels, stamps, numbers, flush):
     rows, count = np.empty((len(stamps) // 4 + 16, COLUMNS)), 0
     for k in range(len(stamps)):
         channel, time, value = channels[k], stamps[k], numbers[k]
-        heard = _hear(settings, memory, channel, time, value)
-        if heard == DROP:
+        action = _action(settings, memory, channel, time, value)
+        if action == DROP:
             continue
-        if heard == ANEW:
+        if action == ANEW:
             rows, count = _advance(settings, memory, times, values, memory.newest, rows, count)
             _restart(settings, memory, times, values)
         if not _keep(settings, memory, times, values, channel, time, value):
             continue
         if channel == SURGE and math.isnan(memory.tick):
-            memory.tick, memory.heard, memory.known = time, time, True
+            memory.tick, memory.surge_time, memory.known = time, time, True
             rows = _room(rows, count)
             _write(rows[count], time, 0.0, value)
             count += 1
@@ -171,7 +171,7 @@ def mean(times, values, start, end):
 
 
 @jit(memory=True)
-def _hear(settings, memory, channel, time, value):
+def _action(settings, memory, channel, time, value):
     """Whether a message is to be dropped, taken, or taken as the first of a new segment."""
     limit = settings.limit[channel]
     if not (math.isfinite(value) and abs(time) < LATEST):
@@ -180,23 +180,23 @@ def _hear(settings, memory, channel, time, value):
     if not -limit <= value <= limit:
         memory.rejected[channel, OUT_OF_RANGE] += 1
         return DROP
-    heard = TAKE
+    action = TAKE
     if time < memory.newest - SLACK:
         memory.behind += 1
-        memory.voices |= 1 << channel
-        if memory.behind < RESETS or memory.voices == 1 << channel:
+        memory.behind_channels |= 1 << channel
+        if memory.behind < RESETS or memory.behind_channels == 1 << channel:
             memory.rejected[channel, BACKWARDS] += 1
             return DROP
-        heard = ANEW  # the clock was set back
+        action = ANEW  # the clock was set back
     elif time > memory.newest + settings.outage and memory.newest > -math.inf:
         stray = abs(time - memory.ahead) > settings.outage
         memory.ahead = time
         if stray:  # unless the next message confirms it
             memory.rejected[channel, AHEAD] += 1
             return DROP
-        heard = ANEW
-    memory.behind, memory.voices = 0, 0
-    return heard
+        action = ANEW
+    memory.behind, memory.behind_channels = 0, 0
+    return action
 
 
 @jit(memory=True)
@@ -262,9 +262,9 @@ def _step(settings, memory, times, values, start, end, row):
     if not measured:
         memory.rejected[SURGE, STALE] += 1
     else:
-        if end - memory.heard > settings.outage:
+        if end - memory.surge_time > settings.outage:
             memory.known = False  # too long ago: the change since then is not one step
-        memory.heard = end
+        memory.surge_time = end
     cut = speeds[i] if measured else end  # with MEAN a prediction may see [start, cut)
     fresh = True
     for c in (LEFT, RIGHT, HEADING, YAW_RATE):

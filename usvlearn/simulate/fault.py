@@ -1,6 +1,6 @@
 """A thruster that fails or fouls: from some minute of the season on, one side of every boat has less thrust.
 
-tau_side ← share · tau_side, at the same command. Neither the rest of the boat nor its autopilot is told.
+tau_side ← share · tau_side, at the same command. The rest of the boat and its autopilot do not change.
 """
 
 from __future__ import annotations

@@ -156,17 +156,17 @@ def sail(
     integral, commands = np.zeros(count), np.empty((ticks, count, 2))
     vessels = {0: vessel} | {tick: changed for tick, changed in (later or {}).items() if tick < ticks}
     for begin, end in pairwise([*sorted(vessels), ticks]):
-        told = Reference(*(leaf[begin:end].flatten(1).numpy() for leaf in reference))
+        part = Reference(*(leaf[begin:end].flatten(1).numpy() for leaf in reference))
         steps = slice(begin * substeps, end * substeps)
-        told = (
+        arguments = (
             kernel.gains(autopilot),
-            told,
+            part,
             *kernel.known(vessels[begin], batch, dt, top, current, direction),
             dt,
             substeps,
         )
         with announced(kernel.__file__, "simulator"):
-            kernel.sail_on(*told, integral, state, surge[steps], heading[steps], commands[begin:end])
+            kernel.sail_on(*arguments, integral, state, surge[steps], heading[steps], commands[begin:end])
     surge[-1], heading[-1] = state.surge, state.heading
     surge, heading, commands = (
         torch.from_numpy(x.reshape(len(x), *batch, *x.shape[2:])) for x in (surge, heading, commands)

@@ -21,7 +21,7 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, UsvlearnError, bad_input, printable
 from usvlearn.evaluation.ranking import differing, ranked_by, scored
 from usvlearn.lock import Lock
-from usvlearn.report.tables import told
+from usvlearn.report.tables import short_settings
 from usvlearn.runs.layout import RESULTS, RUNS, save_results
 
 JOB, TRACEBACK = "job.json", "traceback.txt"
@@ -95,7 +95,7 @@ def run_job(
     0.03
     """
     if settings.get("resume") == "latest":
-        print("error: resume=latest: a sweep goes on from where it stopped by itself: leave it out", file=sys.stderr)
+        print("error: resume=latest: a sweep continues where it stopped without it: leave it out", file=sys.stderr)
         return float("nan")
     try:
         lock = Lock(folder, "hydra.sweep.dir")
@@ -130,11 +130,11 @@ def _run_job(
         made = work(str(folder) if begun else None)
         return _objective({"objective": made, **_read(folder / RESULTS)}, overrides, swept)
     except Exception as error:
-        cause, told = bad_input(error), traceback.format_exc()
+        cause, trace = bad_input(error), traceback.format_exc()
         with suppress(OSError):  # the missing results show that a folder was not writable
             if cause is None:
                 cause = f"{type(error).__name__}: {error} (see {folder / TRACEBACK})"
-                write_atomically(folder / TRACEBACK, told.encode())
+                write_atomically(folder / TRACEBACK, trace.encode())
             save_results(folder, {"error": cause})
         print(f"error: {cause}", file=sys.stderr)
         return float("nan")
@@ -180,7 +180,7 @@ def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
     """The message that a folder holds another job, and the settings that differ."""
     old, new = _by_key(held["overrides"]), _by_key(overrides)
     keys = differing([old, new])
-    other = told(old, keys) if keys else "of configuration files that were another then"
+    other = short_settings(old, keys) if keys else "of configuration files that were another then"
     return f"{folder} holds another job, {other}: repeat the command that made it, or choose another hydra.sweep.dir"
 
 
@@ -207,4 +207,4 @@ def _read(path: Path) -> dict[str, Any]:
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, RecursionError) as error:
-        return {"error": f"{path} is damaged ({error}): run the same command again to have it made anew"}
+        return {"error": f"{path} is damaged ({error}): run the same command again"}

@@ -14,7 +14,7 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import mean_mae
 from usvlearn.evaluation.ranking import differing, ranked, ranked_by, scored
-from usvlearn.report.tables import sweep_table, told
+from usvlearn.report.tables import short_settings, sweep_table
 from usvlearn.report.terminal import console
 from usvlearn.sweeps.jobs import Job, jobs
 from usvlearn.tensorboard import TensorBoardWriter
@@ -114,7 +114,7 @@ def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
 
 def _names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
     """A readable name per job that can name a folder; equal or shortened ones end in the job's own name."""
-    full = [re.sub(r"[^\w.,=+ -]+", "_", told(job.settings, keys)).strip(" .") for job in jobs]
+    full = [re.sub(r"[^\w.,=+ -]+", "_", short_settings(job.settings, keys)).strip(" .") for job in jobs]
     names = []
     for name, job in zip(full, jobs, strict=True):
         whole = name and len(name) <= LONGEST and full.count(name) == 1

@@ -138,7 +138,7 @@ def fit(
     learner = _Learner(objective, parameters, Path(folder))
     if start == "middle":
         learner.to_middle()
-    best = learner.judged(extra)
+    best = learner.evaluated(extra)
     found, curve, used = [default, best.evaluation][: 1 + extra], [], extra
     lanes = run_lanes(objective.fleet, learner.leaves[0].dtype, learner.estimator.surge_limit)
     windows = -(-len(lanes.samples.surge) // window)
@@ -159,14 +159,14 @@ def fit(
             optimizer.step()
             learner.clamp()
             steps += 1
-        current = learner.judged(PASS_COST)
+        current = learner.evaluated(PASS_COST)
         found.append(current.evaluation)
         used += EPOCH_COST + PASS_COST
         best = min(best, current, key=lambda each: each.evaluation.mae)
     return Fitted(found, used, curve)
 
 
-class _Judged(NamedTuple):
+class _Evaluated(NamedTuple):
     """The result of a pass through all runs in order."""
 
     evaluation: Evaluation
@@ -239,7 +239,7 @@ class _Learner:
         norm = torch.nn.utils.clip_grad_norm_(self.leaves, longest)
         return bool(norm.isfinite() & loss.isfinite())
 
-    def judged(self, cost: int) -> _Judged:
+    def evaluated(self, cost: int) -> _Evaluated:
         """A pass through all runs in order with the present parameters, rounded as they are saved."""
         setting: dict[str, Any] = self.setting()
         self.put([torch.full_like(leaf, each.to_scale(setting[each.path]))
@@ -249,7 +249,7 @@ class _Learner:
         maes = fleet_mae(self.estimator, self.objective.fleet, (), lambda share: advance(cost * share), starts.append)
         for each in self.networks:
             setting[pretrained(each.path)] = self._save(each, self._weights(each))
-        return _Judged(
+        return _Evaluated(
             Evaluation(setting, tuple(maes.tolist())), starts, [leaf.detach().clone() for leaf in self.leaves]
         )
 

@@ -45,7 +45,7 @@ class Hyperparameter(NamedTuple):
         return math.log(value) if self.kind is Positive else math.log(value) - math.log1p(-value)
 
     def from_scale(self, x: float) -> float:
-        """The legal value at a place on the scale, rounded to four digits: what is evaluated is what is shown.
+        """The legal value at a place on the scale, rounded to four digits, as it is evaluated and shown.
 
         >>> gain = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
         >>> gain.from_scale(0.5), gain.from_scale(99.0)
@@ -60,7 +60,7 @@ class Hyperparameter(NamedTuple):
         return min(max(value, self.low), self.high)
 
     def spaced(self, low: float, high: float, count: int) -> list[float]:
-        """Values at equal distances on the scale, from `low` to `high`, both on the scale; one value: the middle."""
+        """Values at equal distances from `low` to `high`, both on the scale; a single value is the middle."""
         places = [(low + high) / 2] if count == 1 else [low + (high - low) * k / (count - 1) for k in range(count)]
         return [self.from_scale(x) for x in places]
 

@@ -89,12 +89,12 @@ def search(
     _cut_unfinished(folder / JOURNAL, journal.JournalFileSymlinkLock(str(folder / JOURNAL)))
     storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(folder / JOURNAL)))
     study = optuna.create_study(storage=storage, study_name=STUDY, load_if_exists=True)
-    told = json.dumps(dict(facts), sort_keys=True)
-    if study.user_attrs.get("facts", told) != told:
+    identity = json.dumps(dict(facts), sort_keys=True)
+    if study.user_attrs.get("facts", identity) != identity:
         raise ConfigError(
             f"{folder}: holds another estimator's, range's or fleet's search: choose another hydra.run.dir"
         )
-    study.set_user_attr("facts", told)
+    study.set_user_attr("facts", identity)
     worker, advance = _Worker(folder / WORKERS), objective.advance
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)  # of constant_liar, that parts a batch
@@ -118,9 +118,9 @@ def search(
                 done = len(_complete(study))
                 continue
             settings = [trial.user_attrs["setting"] for trial in trials]
-            judged = objective([*settings, *([] if found else [default])])
-            found, judged = found or judged[-1:], judged[: len(trials)]
-            for trial, evaluation in zip(trials, judged, strict=True):
+            evaluated = objective([*settings, *([] if found else [default])])
+            found, evaluated = found or evaluated[-1:], evaluated[: len(trials)]
+            for trial, evaluation in zip(trials, evaluated, strict=True):
                 maes = [mae if math.isfinite(mae) else None for mae in evaluation.maes]
                 with contextlib.suppress(
                     optuna.exceptions.UpdateFinishedTrialError

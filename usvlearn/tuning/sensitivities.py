@@ -45,7 +45,7 @@ MIXING = {"minimum", "maximum", "linalg_solve_ex", "__radd__", "__rsub__", "__rm
 MIXING |= {name for each in ("add", "sub", "mul", "div", "truediv") for name in (each, f"__{each}__")} | {"rsub"}
 
 
-class _Judge(nn.Module):
+class _FleetMae(nn.Module):
     """`fleet_mae` as a module's forward, so that dual numbers can replace its parameters."""
 
     def __init__(self, estimator: nn.Module):
@@ -99,8 +99,8 @@ def sensitivity(
         ConfigError: an operation of the estimator has no forward derivative.
     """
     p = len(parameters)
-    judge = _Judge(objective.build({path: [[value]] * p for path, value in setting.items()}))
-    leaves = dict(judge.named_parameters())
+    module = _FleetMae(objective.build({path: [[value]] * p for path, value in setting.items()}))
+    leaves = dict(module.named_parameters())
     with torch.no_grad(), dual_level():
         with warnings.catch_warnings():  # from torch, when it loads its derivatives
             warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
@@ -111,7 +111,7 @@ def sensitivity(
         arguments = objective.fleet, (p,), lambda share: objective.advance(COST * p * share)
         try:
             with _AllDual():
-                maes = torch.func.functional_call(judge, duals, arguments)
+                maes = torch.func.functional_call(module, duals, arguments)
         except NotImplementedError as error:
             raise ConfigError(
                 f"tuning.window: found null, which this estimator cannot do ({str(error).partition('.')[0]}): set the "
@@ -155,7 +155,7 @@ def descend(
     found: list[Evaluation] = []
     curve: list[dict[str, float]] = []
 
-    def judged(place: Tensor) -> tuple[Tensor, float, Tensor]:
+    def evaluated(place: Tensor) -> tuple[Tensor, float, Tensor]:
         """The evaluated place, rounded as it is saved; the error; the gradient."""
         setting = {each.path: each.from_scale(x) for each, x in zip(parameters, place.tolist(), strict=True)}
         if not found and setting != default:
@@ -168,7 +168,7 @@ def descend(
         return place, evaluation.mae if finite else torch.inf, gradient
 
     given = [sum(each.span) / 2 if start == "middle" else each.to_scale(each.default) for each in parameters]
-    place, error, gradient = judged(low.new_tensor(given).clamp(low, high))
+    place, error, gradient = evaluated(low.new_tensor(given).clamp(low, high))
     curvature = gradient.abs().clamp(min=FLAT * gradient.abs().max()).diag() / FIRST
     passes, bound = 1, FIRST
     while (passes + 1) * cost <= evaluations and error < torch.inf:
@@ -181,7 +181,7 @@ def descend(
         promise = -float(gradient @ step + step @ curvature @ step / 2)
         if not promise > LEAST * error:
             break
-        tried, tried_error, tried_gradient = judged(place + step)
+        tried, tried_error, tried_gradient = evaluated(place + step)
         passes += 1
         step = tried - place
         if tried_error < torch.inf and step.any():

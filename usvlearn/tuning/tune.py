@@ -190,7 +190,7 @@ def tune(
     asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
     if configuration.get("resume") is not None:
         found = configuration["resume"]
-        raise ConfigError(f"resume: found {found!r} beside {asked_for.way}, which starts anew: leave it out")
+        raise ConfigError(f"resume: found {found!r} with {asked_for.way}, which cannot resume: leave it out")
     check_folder(folder, asked_for.way, asked_for.member)
     with console.status("reading and aligning"), under("data", configuration["data"]):
         fleet = align(instantiate(configuration["data"]), **configuration["align"])

@@ -141,7 +141,7 @@ def experiment(record: Mapping[str, Any]) -> str:
         f"; the default has {_error(default)}{change}; persistence {_error(base)}.",
     ]
     files = [value for path, value in best["setting"].items() if path.rpartition(".")[2] == "pretrained"]
-    head += [f"# Its initial weights stand in {file}: keep that file, and its path up to date." for file in files]
+    head += [f"# Its initial weights are in {file}: keep that file, and its path up to date." for file in files]
     tree: dict[str, Any] = {}
     for path, value in best["setting"].items():
         *parents, last = path.split(".")
