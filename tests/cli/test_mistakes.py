@@ -194,4 +194,4 @@ def test_a_cluster_that_cannot_be_reached_is_told(tmp_path, monkeypatch, capsys)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.defpath}")
     said, arguments = "unable to contact the controller", ["-m", "hydra/launcher=slurm", "hydra.sweep.dir=sweep"]
     error = sentence(train.main, arguments, monkeypatch, capsys, before=f"{said}\n")
-    assert said in error and "go on with: python" in error
+    assert said in error and "continue with: python" in error

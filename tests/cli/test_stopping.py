@@ -16,7 +16,7 @@ from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results
 from usvlearn import checkpoint
 from usvlearn.cli import evaluate, train
-from usvlearn.cli.stopping import Stopped, check_stopped, heeded, heeded_in_worker, until_stopped
+from usvlearn.cli.stopping import Stopped, check_stopped, stoppable, stoppable_worker, until_stopped
 from usvlearn.runs.logger import TensorBoardLogger
 from usvlearn.runs.saved import results as finished
 from usvlearn.tuning.lanes import Objective
@@ -39,7 +39,7 @@ def signalled(monkeypatch, owner, name: str, number: int, after: int = 0) -> Non
 
 def again(error: str) -> list[str]:
     """The arguments of the command that the last line names."""
-    return shlex.split(error.partition("go on with: ")[2])[2:]
+    return shlex.split(error.partition("continue with: ")[2])[2:]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_a_replay_is_saved_and_goes_on_bit_for_bit(number, code, chunks, whole, 
         signalled(patch, TensorBoardLogger, "show", number, after=chunks)
         ended, error = called(train.main, RUN, patch, capsys)
     assert ended == code and len(error.splitlines()) == 1
-    assert error.startswith(f"stopped by {signal.Signals(number).name}; go on with: ")
+    assert error.startswith(f"stopped by {signal.Signals(number).name}; continue with: ")
     partial = results(tmp_path / "run")
     assert partial.keys() == {"partial"} and finished(tmp_path / "run") == {}
     done = sum(map(len, predictions(tmp_path / "run")))
@@ -124,7 +124,7 @@ def test_a_sweep_shows_what_is_finished_and_goes_on(tmp_path, monkeypatch, capsy
 
 def test_a_signal_waits_for_the_chunk_and_not_for_the_first():
     saved, seen = [], []
-    with pytest.raises(Stopped, match="SIGTERM"), heeded():
+    with pytest.raises(Stopped, match="SIGTERM"), stoppable():
         for chunk in until_stopped(iter(range(9)), lambda: saved.append(True)):
             seen.append(chunk)
             if chunk == 3:
@@ -136,13 +136,13 @@ def test_a_signal_waits_for_the_chunk_and_not_for_the_first():
         signal.raise_signal(signal.SIGINT)
         yield 0
 
-    with pytest.raises(Stopped, match="SIGINT"), heeded():
+    with pytest.raises(Stopped, match="SIGINT"), stoppable():
         list(until_stopped(compiling(), lambda: saved.append(True)))
     assert saved == [True]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_a_signal_while_llvm_calls_python_is_heeded_a_moment_later():
+def test_a_signal_while_llvm_calls_python_is_handled_a_moment_later():
     """An error would be lost there, as in any callback from C."""
     reached = []
 
@@ -150,7 +150,7 @@ def test_a_signal_while_llvm_calls_python_is_heeded_a_moment_later():
         signal.raise_signal(signal.SIGINT)
         reached.append(True)
 
-    with pytest.raises(Stopped, match="SIGINT"), heeded():
+    with pytest.raises(Stopped, match="SIGINT"), stoppable():
         _raw_object_cache_notify()
         for _ in range(500):
             time.sleep(0.01)
@@ -165,7 +165,7 @@ def script(body: str) -> subprocess.CompletedProcess:
 
 def test_a_second_signal_ends_at_once():
     done = script(
-        "with heeded():\n"
+        "with stoppable():\n"
         "    for _ in until_stopped(range(9), lambda: time.sleep(60)):\n"
         "        signal.raise_signal(signal.SIGINT)\n"
         "        signal.raise_signal(signal.SIGTERM)\n"
@@ -177,7 +177,7 @@ def test_a_worker_heeds_its_program_alone_and_stays_alive():
     done = script(
         "for k in range(3):\n"
         "    try:\n"
-        "        with heeded_in_worker():\n"
+        "        with stoppable_worker():\n"
         "            signal.raise_signal(signal.SIGINT)\n"
         "            if k: signal.raise_signal(signal.SIGTERM)\n"
         "            print(k)\n"
@@ -191,7 +191,7 @@ def test_a_worker_heeds_its_program_alone_and_stays_alive():
 def test_handlers_of_others_are_left_alone():
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
-        for block in (heeded, heeded_in_worker):
+        for block in (stoppable, stoppable_worker):
             with block():
                 signal.raise_signal(signal.SIGTERM)
                 check_stopped()

@@ -25,7 +25,7 @@ from omegaconf import DictConfig
 
 from usvlearn.cli.composition import configs_folder
 from usvlearn.cli.mistakes import in_one_sentence, known_names
-from usvlearn.cli.stopping import Stopped, heeded, heeded_in_worker, in_program, was_stopped
+from usvlearn.cli.stopping import Stopped, in_program, stoppable, stoppable_worker, was_stopped
 from usvlearn.cli.sweep import Sweep, cut_short, load
 from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, exit_on_user_error
 from usvlearn.runs.layout import JOURNAL, RUNS
@@ -49,7 +49,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
 
         @functools.wraps(task)
         def main() -> None:
-            with exit_on_user_error(), heeded():
+            with exit_on_user_error(), stoppable():
                 flags = parse(sys.argv[1:])
                 check_launcher(flags.overrides)
                 folder, main_file = configs.parent / (flags.config_path or configs), flags.config_name or name
@@ -73,7 +73,7 @@ def _in_program(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
 
 def _in_worker(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
     try:
-        with heeded_in_worker():
+        with stoppable_worker():
             return task(cfg)
     except Stopped:
         return float("nan")
@@ -91,7 +91,7 @@ def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> No
         if Sweep.folder is None or (sentence := cut_short(error)) is None:
             raise
         _show_sweep()
-        raise ConfigError(f"{sentence}; go on with: {_again(Sweep.folder, None)}") from error
+        raise ConfigError(f"{sentence}; continue with: {_again(Sweep.folder, None)}") from error
     finally:
         if Sweep.lock is not None:
             Sweep.lock.release()
@@ -119,7 +119,7 @@ def _end(stopped: Stopped) -> NoReturn:
     """Print the command that continues, and exit."""
     logging.getLogger("torch").setLevel(logging.ERROR)  # a half-imported torch would log at exit
     _show_sweep()
-    print(f"{stopped}; go on with: {_again(Sweep.folder, stopped.folder)}", file=sys.stderr)
+    print(f"{stopped}; continue with: {_again(Sweep.folder, stopped.folder)}", file=sys.stderr)
     sys.exit(stopped.code)
 
 

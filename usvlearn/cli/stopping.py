@@ -90,10 +90,10 @@ def check_stopped() -> None:
 
 
 @contextmanager
-def heeded() -> Iterator[None]:
+def stoppable() -> Iterator[None]:
     """Let SIGINT and SIGTERM raise `Stopped` in this block; handlers that other code has set are kept.
 
-    >>> with heeded():
+    >>> with stoppable():
     ...     signal.raise_signal(signal.SIGTERM)
     Traceback (most recent call last):
     usvlearn.cli.stopping.Stopped: stopped by SIGTERM
@@ -109,7 +109,7 @@ def heeded() -> Iterator[None]:
 
 
 @contextmanager
-def heeded_in_worker() -> Iterator[None]:
+def stoppable_worker() -> Iterator[None]:
     """Let the program's SIGTERM raise `Stopped` in this block of a worker, or at its start if it came earlier.
 
     A worker ignores Ctrl-C, because the program receives it, too. After the block no signal ends the worker. If the
@@ -146,8 +146,8 @@ def in_program() -> bool:
     return _Process.program
 
 
-def hold() -> None:
-    """Defer signals until `release`: workers finish their chunk, and their launcher then ends by itself."""
+def defer_signals() -> None:
+    """Defer signals until `end_deferral`: workers finish their chunk, and their launcher then ends by itself."""
     _Process.at_once = False
     threading.Thread(target=_tell_workers, daemon=True).start()
 
@@ -161,8 +161,8 @@ def _tell_workers() -> None:
                 worker.terminate()
 
 
-def release() -> None:
-    """End the deferral of `hold`: raise `Stopped` if a signal has arrived in the meantime."""
+def end_deferral() -> None:
+    """End the deferral of `defer_signals`: raise `Stopped` if a signal has arrived in the meantime."""
     _Process.at_once = True
     check_stopped()
 

@@ -17,7 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
 from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.cli.stopping import hold, release
+from usvlearn.cli.stopping import defer_signals, end_deferral
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.lock import Lock
 from usvlearn.sweeps.jobs import check_sweep, run_job
@@ -36,7 +36,7 @@ def load(path: Path) -> Any:
             raise ValueError("it has a YAML alias; a few of them can expand to gigabytes")
         return OmegaConf.to_container(OmegaConf.load(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
-        raise ConfigError(f"{path}: is damaged ({' '.join(str(error).split())[:200]}): make that job anew") from error
+        raise ConfigError(f"{path}: is damaged ({' '.join(str(error).split())[:200]}): run that job again") from error
 
 
 def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:
@@ -79,10 +79,10 @@ class Sweep(Callback):
             prepare_workers(Path(usvlearn.__file__).parents[1])
         Sweep.folder = folder
         if "joblib" in config.hydra.launcher._target_:
-            hold()  # a signal is passed on to the workers, which finish their chunk
+            defer_signals()  # a signal is passed on to the workers, which finish their chunk
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
-        release()
+        end_deferral()
         with exit_on_user_error():
             if not leaderboard(Path(config.hydra.sweep.dir), load):
                 sys.exit(2)
