@@ -1,4 +1,4 @@
-"""Judge saved runs, or make a whole study.
+"""Evaluate saved runs, or make a whole study.
 
 python evaluate.py runs=outputs/RUN                 a report: errors, free runs, certificates, parameters
 python evaluate.py runs=multirun/DIR                the jobs of a sweep: the leaderboard

@@ -1,4 +1,4 @@
-"""One process at a time writes to a folder: a lock that the system takes back when its process ends, however it ends.
+"""One process at a time writes to a folder: a lock that the system releases when its process ends, in any way.
 
 The lock is held on the file `.lock` in the folder, which names the process. It is removed when the lock is released;
 one that a killed process has left means nothing.
@@ -109,7 +109,7 @@ def _lock(file: int, shared: bool) -> None:
     """Lock an open file; BlockingIOError or PermissionError where another process holds it."""
     if fcntl is not None:
         fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    elif not shared:  # Windows has none that is shared: who shares does not lock
+    elif not shared:  # Windows has no shared locks: processes that share do not lock
         os.lseek(file, 1 << 30, os.SEEK_SET)  # a byte behind the content, which others may read
         msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
         os.lseek(file, 0, os.SEEK_SET)
