@@ -126,7 +126,7 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
     wanted = dict(named_leaves(template))
     for kind, names in (
         ("lacks", wanted.keys() - leaves.keys()),
-        ("has beyond it", leaves.keys() - wanted.keys()),
+        ("has in addition", leaves.keys() - wanted.keys()),
     ):
         if names:
             raise CheckpointError(

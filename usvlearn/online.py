@@ -119,7 +119,7 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     torch = "Online(ESTIMATOR).load(path), with torch"
     if facts.get("kernel") is None:
         raise CheckpointError(
-            f"{path}: does not say how its estimator is built, or that has no compiled kernel: use {torch}"
+            f"{path}: does not say how its estimator is built, or it has no compiled code: use {torch}"
         )
     try:
         if not isinstance(name := facts.get("estimator"), str):

@@ -75,7 +75,7 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
         return f"{found[1]}: found several values: add -m for a sweep over them, or put a list into brackets"
     if isinstance(cause, OmegaConfBaseException):
         return _of_value(cause, error)
-    return f"{_first_line(error)}: correct that"
+    return f"{_first_line(error)}: correct the command line or the file"
 
 
 def _of_value(cause: OmegaConfBaseException, error: Exception) -> str:
@@ -83,15 +83,14 @@ def _of_value(cause: OmegaConfBaseException, error: Exception) -> str:
     key = cause.full_key or "the configuration"
     if isinstance(cause, InterpolationKeyError):
         missing = re.search(r"'(.+?)'", _first_line(cause))
-        return (
-            f"{key}: refers to {missing[1] if missing else 'a key'}, which is not there: set that, or give it a value"
-        )
+        name = missing[1] if missing else "a key"
+        return f"{key}: refers to {name}, which does not exist: set that, or give {key} a value"
     if isinstance(cause, InterpolationResolutionError) and "Recursive" in str(cause):
         return f"{key}: refers to itself: give it a value"
     if isinstance(cause, ConfigAttributeError | ConfigKeyError):
-        return f"{key}: is missing: leave out what removes it, such as ~{key}"
+        return f"{key}: is missing: leave out the override that removes it, such as ~{key}"
     override = re.search(r"Error merging override (.+)", str(error))
-    return f"{override[1] if override else key}: {_first_line(cause)}: correct that"
+    return f"{override[1] if override else key}: {_first_line(cause)}: correct this value"
 
 
 def _first_line(error: BaseException, but: tuple[str, ...] = ()) -> str:

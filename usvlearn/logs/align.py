@@ -96,10 +96,12 @@ class Aligner:
             raise ConfigError(f"channels: found {', '.join(unknown)}, expected some of {', '.join(CHANNELS)}")
         if channels["surge"].delay:
             raise ConfigError(
-                "data.channels.surge.delay: expected 0: give the inputs the delay with which they act on it"
+                f"data.channels.surge.delay: found {channels['surge'].delay}, expected 0: give that delay to the inputs"
             )
         if channels["surge"].held:
-            raise ConfigError("data.channels.surge.held: expected false: an old speed is no measurement")
+            raise ConfigError(
+                "data.channels.surge.held: found true, expected false: an old speed is not measured again"
+            )
         self._places = {name: CHANNELS.index(name) for name in channels}
         logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope replaces a missing yaw rate
         self._settings = compiled.new_settings(

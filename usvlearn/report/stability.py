@@ -46,7 +46,9 @@ def _verdict(weights: ShallowWeights, numbers: dict[str, float]) -> str:
     conditions, constant = exact.conditions(weights.a, weights.w1), numbers["time_constant"]
     K, held = conditions["tight"].rate, [name for name, condition in conditions.items() if condition.margin > 0]
     if not held:
-        return f"not certified contracting, K = {below(K, 4)} (≥ 1) a step; python -m certify --box may know more"
+        return (
+            f"not certified contracting, K = {below(K, 4)} (≥ 1) a step; python -m certify --box may still certify it"
+        )
     rest = f"; at rest {numbers['equilibrium']:.3f} m/s" if math.isfinite(numbers["equilibrium"]) else ""
     slow = f" ({constant:.3g} s)" if constant > 0 else ""
     return f"certified contracting by {', '.join(held)}, K = {above(K, 4)} a step{slow}{rest}"

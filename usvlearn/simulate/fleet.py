@@ -240,7 +240,7 @@ def fleet(
     if not isinstance(n, int):
         raise ConfigError(f"n: found {n!r}, expected a whole number of boats")
     if n * hours > MOST_HOURS:
-        raise ConfigError(f"hours: found {hours!r} for {n} boats, expected {MOST_HOURS:g} in all at most")
+        raise ConfigError(f"hours: found {hours!r} for {n} boats, expected at most {MOST_HOURS:g} for all together")
     if drift > 1:
         raise ConfigError(f"drift: found {drift!r}, expected a share of 0 to 1")
     if not missions:

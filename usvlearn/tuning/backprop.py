@@ -133,7 +133,7 @@ def fit(
     extra = PASS_COST * (start == "middle")  # one more pass to evaluate it
     if (epochs := (evaluations - extra) // (EPOCH_COST + PASS_COST)) < 1:
         least = EPOCH_COST + PASS_COST + extra
-        raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {least} or more: what learn costs")
+        raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {least} or more, the cost of learn")
     (default,) = objective([{each.path: each.default for each in parameters if each.kind is not RNN}])
     learner = _Learner(objective, parameters, Path(folder))
     if start == "middle":

@@ -144,12 +144,12 @@ def descend(
     check_choice("tuning.start", start, STARTS)
     if weights := [each.path for each in parameters if each.kind is RNN]:
         raise ConfigError(
-            f"tuning.window: found null, and {weights[0]} in the ranges, expected a number of steps, as 100: initial "
-            "weights are too many to carry the sensitivity of each"
+            f"tuning.window: found null, and {weights[0]} in the ranges, expected a number of steps, such as 100: "
+            "initial weights are too many for the exact gradient"
         )
     cost = COST * len(parameters)
     if evaluations < 2 * cost:
-        raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {2 * cost} or more: what learn costs")
+        raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {2 * cost} or more, the cost of learn")
     low, high = torch.tensor([each.span for each in parameters], dtype=torch.float64).T
     default = {each.path: each.default for each in parameters}
     found: list[Evaluation] = []
