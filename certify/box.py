@@ -29,7 +29,7 @@ from certify.weights import ShallowWeights, check
 
 LARGEST = 1e60  # a weight or an end of the box; products of a few are floats
 
-QUIET = np.errstate(all="ignore")  # numbers near the ends of a float's range; what is claimed is checked in integers
+QUIET = np.errstate(all="ignore")  # numbers near the ends of a float's range; every claim is checked in integers
 
 
 class Witness(NamedTuple):

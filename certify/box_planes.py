@@ -17,7 +17,7 @@ from certify.weights import ShallowWeights
 
 
 class Box(NamedTuple):
-    """Where x and the inputs lie. An input with lo = hi is fixed; x has a width, since a rate compares two states."""
+    """The intervals of x and the inputs. An input with lo = hi is fixed; x has a width: a rate compares two states."""
 
     lo: np.ndarray  # (1 + m,) x first, then u₁ … u_m
     hi: np.ndarray  # (1 + m,)

@@ -67,7 +67,7 @@ class _Refused(Exception):
 
 
 class _Statement(Protocol):
-    """What a tree proves: a state for each node, and whether a leaf closes."""
+    """The statement that a tree proves: a state for each node, and whether a leaf proves it there."""
 
     work: int  # bounds of hyperplanes that were computed
 
@@ -78,12 +78,12 @@ class _Statement(Protocol):
 
 
 class _Slope(NamedTuple):
-    """What is known of the slope in a region, in units of 2^−slope_bits."""
+    """The bounds of the slope in a region, in units of 2^−slope_bits."""
 
     free: list[tuple[int, int, int]]  # planes whose sign is open, with the bounds of z
     high: int  # the greatest slope
     low: int  # the least
-    signs: dict[int, int]  # of the planes that were parted
+    signs: dict[int, int]  # of the planes at which the region was split
 
 
 class _Slopes:
@@ -193,7 +193,7 @@ class _Range:
 
 
 def _replay(tree: str, box: Box, statement: _Statement) -> bool:
-    """Whether the text is one whole tree and every leaf closes."""
+    """Whether the text is one complete tree and every leaf proves the statement."""
     tokens = tree.split() if isinstance(tree, str) and tree.isascii() else []
     coordinates = {"x": 0, **{f"u{j}": j for j in range(1, len(box.lo))}}
     halvings = _halvings(tokens, coordinates)

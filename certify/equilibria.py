@@ -235,7 +235,7 @@ def _sweep(network: _Network, u: np.ndarray, lo: float, hi: float) -> _Sweep:
     first, last = first * (den // den_lo), last * (den // den_hi)
     U, eu = _integers(u)
     q = r = 0
-    events = [(first, den, 0, 0), (last, den, 0, 0)]  # point, and what q and r grow by there
+    events = [(first, den, 0, 0), (last, den, 0, 0)]  # point, and the changes of q and r there
     for A, w, V, B in zip(network.A, network.W, network.V, network.B, strict=True):
         W, C = w << eu, (B << eu) + sum(map(mul, V, U))
         at_lo, at_hi = W * first + C * den, W * last + C * den

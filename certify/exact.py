@@ -96,7 +96,7 @@ def multipliers(condition: str, a, w1, rate: Fraction | float = ONE) -> Multipli
     sizes = [(abs(ai) / rate, abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
     if condition == "simple":
         return Multipliers(ONE, [Fraction(1, n + 1)] * n)
-    if condition == "gershgorin":  # what is left of the lemma's sum goes to the λ_i and to both sides of p
+    if condition == "gershgorin":  # the slack of the lemma's sum is shared by the λ_i and both sides of p
         shares = [ai / (1 - wi) for ai, wi in sizes]
         quarter = _power_below((2 - _sum(shares)) / 4)
         lam = [share + quarter / n for share in shares]

@@ -172,7 +172,7 @@ def mean(times, values, start, end):
 
 @jit(memory=True)
 def _action(settings, memory, channel, time, value):
-    """Whether a message is to be dropped, taken, or taken as the first of a new segment."""
+    """What to do with a message: drop it, take it, or take it as the first of a new segment."""
     limit = settings.limit[channel]
     if not (math.isfinite(value) and abs(time) < LATEST):
         memory.rejected[channel, NOT_A_NUMBER] += 1

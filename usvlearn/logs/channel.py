@@ -38,7 +38,7 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Source:
-    """Where a channel is found in a log, and how its numbers become SI units.
+    """The place of a channel in a log, and the conversion of its numbers to SI units.
 
     value_SI = factor(unit) * (value - zero) / span, plus the unit's offset.
 

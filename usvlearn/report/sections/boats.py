@@ -20,7 +20,7 @@ PAPER_RESULT = (
 
 
 def best_sets(seasons: Sequence[Season], errors: Mapping[str, FreeErrors], method: str) -> list[int]:
-    """Of each boat the set whose MSE on the boat's other runs is least, all steps alike; its last, if it has no other.
+    """Each boat's set with the least MSE on the boat's other runs, equal weight per step; its last, if it has no other.
 
     Args:
         seasons: of all boats.
