@@ -52,16 +52,6 @@ class BoxRate(NamedTuple):
     seconds: float
 
 
-class Range(NamedTuple):
-    """Brackets of the least and the greatest f on a box, with outward rounding."""
-
-    least: tuple[float, float]
-    greatest: tuple[float, float]
-    lowest: np.ndarray  # (1 + m,) where the least was seen
-    highest: np.ndarray
-    closed: bool
-
-
 class BoxVerdict(NamedTuple):
     """Whether |slope| < rate on the box, and whether f maps the box into its interval of x."""
 
@@ -205,25 +195,6 @@ def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple
         if search.open == -math.inf and proves_range(weights, box, text := search.text()):
             return "yes", text, None
     return "unknown", None, None
-
-
-@QUIET
-def output_range(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 10.0) -> Range:
-    """The least and the greatest x⁺ on a box, each to a gap relative to the larger of its size and 1.
-
-    >>> fold = ShallowWeights(np.ones(2), np.array([1.0, -1.0]), np.zeros((2, 0)), np.array([-0.5, 0.5]))
-    >>> output_range(fold, operating_box(0)).greatest[0]
-    0.5
-    """
-    weights = _checked(weights, box)
-    found = []
-    for side in (1.0, -1.0):
-        search = Search(lambda best: best + gap * max(abs(best), 1.0), math.inf, time.perf_counter() + seconds / 2)
-        search_range(search, weights, box, ((side, 0.0),))
-        reached = float(value_at(weights, search.point))
-        found.append((reached, side * max(search.upper(), side * reached), search.point, search.open == -math.inf))
-    (high, above, highest, first), (low, below, lowest, second) = found
-    return Range((below, low), (high, above), lowest, highest, first and second)
 
 
 def _witness(weights: ShallowWeights, point: np.ndarray | None) -> Witness | None:

@@ -36,7 +36,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from certify import exact
 from certify.errors import CertifyError
 from certify.weights import ShallowWeights, check
 
@@ -140,25 +139,6 @@ def piecewise(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) -> P
     x = [_float(num, den) for num, den in points]
     y = [_float(q * num + r * den, one * den) for (num, den), (q, r) in zip(points, lines[1:], strict=True)]
     return PiecewiseLinear(np.array(x), np.array(y), np.array([_float(q, one) for q, _ in lines[1:-1]]))
-
-
-def exactly_one(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) -> bool | None:
-    """Whether [lo, hi] contains the only equilibrium of a contracting network; None if it is not known to contract.
-
-    Where K < 1, f has exactly one equilibrium on the real line (Banach), since f(x) − x falls at the rate 1 − K or
-    faster; it lies in [lo, hi] if and only if f(lo) ≥ lo and f(hi) ≤ hi. K and both signs are exact.
-
-    >>> unit = ShallowWeights([0.5], [1.0], [[1.0]], [0.0])
-    >>> exactly_one(unit, [0.25]), exactly_one(unit, [2.0])
-    (True, False)
-    """
-    network = _integer_network(weights)
-    _check_domain(lo, hi)
-    found = _sweep(network, _check_inputs(network, [u])[0], lo, hi)
-    if max(exact.extreme_slopes(weights.a, weights.w1)) >= 1:
-        return None
-    heights = _heights(found)
-    return heights[0] >= 0 >= heights[-1]
 
 
 def surge_inputs(headings, command_left=0.0, command_right=0.0) -> np.ndarray:

@@ -152,6 +152,8 @@ def test_a_start_is_the_speed_to_depart_from(name):
     again, _ = estimator(started, opening._replace(surge=torch.tensor(0.2, dtype=torch.float64)))
     again, _ = estimator(again, opening)
     assert_same(again, started, rtol=0, atol=0)
+    speeds = {key: leaf for key, leaf in leaves(started).items() if key.split(".")[-1] == "surge"}
+    assert speeds and all(torch.equal(leaf, torch.full_like(leaf, 1.3)) for leaf in speeds.values())
 
 
 @each_estimator

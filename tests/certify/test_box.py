@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from certify.box import box, certify, invariance, operating_box, output_range, rate
+from certify.box import box, certify, invariance, operating_box, rate
 from certify.box_planes import planes, slope_at, value_at
 from certify.box_proof import proves, proves_range
 from certify.errors import CertifyError
@@ -181,29 +181,42 @@ def test_a_search_that_is_stopped_gives_a_bracket():
     assert verdict.verdict == "unknown" and verdict.tree is None and verdict.lower <= truth <= verdict.upper
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_the_range_is_that_of_the_vertices_of_the_cells(seed):
-    weights = degenerate(seed) if seed % 2 else network(5, 1, seed)
-    over, H = operating_box(weights.W2.shape[1]), np.c_[weights.w1, weights.W2]
+def ends_of(weights: ShallowWeights, over) -> tuple[float, float]:
+    """The least and the greatest x⁺ on a box: those of the vertices of the cells."""
+    H = np.c_[weights.w1, weights.W2]
     moves = H.any(1)
-    still = float(weights.a[~moves] @ np.maximum(weights.b[~moves], 0))
-    ends = []
+    still, ends = float(weights.a[~moves] @ np.maximum(weights.b[~moves], 0)), []
     for signs in cells(weights, over, moves):
         on, signs = np.array(signs) > 0, np.array(signs)
         slope, height = weights.a[moves][on] @ H[moves][on], weights.a[moves][on] @ weights.b[moves][on] + still
         limits = dict(A_ub=-signs[:, None] * H[moves], b_ub=signs * weights.b[moves], bounds=np.c_[over.lo, over.hi])
         ends += [side * linprog(side * slope, **limits).fun + height for side in (1, -1)]
-    found = output_range(weights, over)
-    assert found.closed and found.least[0] <= found.least[1] and found.greatest[0] <= found.greatest[1]
-    assert found.least == pytest.approx((min(ends),) * 2, abs=1e-5)
-    assert found.greatest == pytest.approx((max(ends),) * 2, abs=1e-5)
-    assert float(value_at(weights, found.highest)) == pytest.approx(found.greatest[0], abs=1e-15)
-    verdict, tree, escape = invariance(weights, over)
-    if min(ends) < -1e-9 or max(ends) > 1 + 1e-9:
-        assert verdict == "no" and not 0 <= value_at(weights, escape) <= 1
-        assert (over.lo <= escape).all() and (escape <= over.hi).all() and tree is None
-    else:
-        assert verdict == "yes" and proves_range(weights, over, tree)
+    return min(ends), max(ends)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_invariance_is_decided_as_by_the_vertices_of_the_cells(seed):
+    """Of the network, and of networks whose output is scaled and shifted to just inside and just beyond [0, 1]."""
+    weights = degenerate(seed) if seed % 2 else network(5, 1, seed)
+    over = operating_box(weights.W2.shape[1])
+    least, greatest = ends_of(weights, over)
+    drawn = [weights]
+    for below, above in ((1e-5, 1e-5), (-1e-5, 1e-5), (1e-5, -1e-5)):  # the room that is left at 0 and at 1
+        scale = (1 - below - above) / max(greatest - least, 1e-3)
+        a, w1, W2, b = weights
+        shift = np.array([below - scale * least])
+        drawn.append(ShallowWeights(np.r_[scale * a, shift], np.r_[w1, 0.0], np.r_[W2, 0 * W2[:1]], np.r_[b, 1.0]))
+    verdicts = []
+    for each in drawn:
+        low, high = ends_of(each, over)
+        verdict, tree, escape = invariance(each, over)
+        if low < -1e-9 or high > 1 + 1e-9:
+            assert verdict == "no" and not 0 <= value_at(each, escape) <= 1
+            assert (over.lo <= escape).all() and (escape <= over.hi).all() and tree is None
+        else:
+            assert verdict == "yes" and proves_range(each, over, tree)
+        verdicts.append(verdict)
+    assert greatest - least < 1e-3 or verdicts[1:] == ["yes", "no", "no"]
 
 
 def test_invariance_is_exact_at_its_edge():

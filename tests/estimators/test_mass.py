@@ -6,7 +6,7 @@ import torch
 from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, Sample, SurgeDynamics, rollout
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.mass import NAMES, null_vector, recover_mass
+from usvlearn.estimators.mass import NAMES, recover_mass
 from usvlearn.estimators.regressors.layer import surge_regressor
 
 MASS = 28.0
@@ -50,20 +50,6 @@ def test_a_boat_twice_as_heavy_and_strong_gives_the_same_data():
     half, double = (recover_mass(per_mass, {"thrust_quadratic_left": d}) for d in (20.0, 40.0))
     torch.testing.assert_close(2 * half.mass, double.mass)
     torch.testing.assert_close(2 * half.parameters, double.parameters)
-
-
-def test_null_vector_is_the_singular_vector_of_the_data():
-    """The last right singular vector of the rows [surge_dot, −W], by SVD."""
-    samples, rows, v = boat(200), [], torch.zeros((), dtype=torch.float64)
-    for k in range(200):
-        W = surge_regressor(v, Inputs(*(x[k] for x in samples.inputs)))
-        rows.append(torch.cat([(samples.surge[k] - v)[None] / 0.4, -W]))
-        v = samples.surge[k]
-    _, singular, right = torch.linalg.svd(torch.stack(rows))
-    assert singular[-1] < 1e-12 < 1e-3 < singular[-2]
-    found = null_vector((THETA / MASS).expand(2, 9))
-    torch.testing.assert_close(found, (right[-1] * right[-1][0].sign()).expand(2, 10), rtol=1e-9, atol=1e-9)
-    torch.testing.assert_close(found[..., 1:] / found[..., :1], (THETA / MASS).expand(2, 9))
 
 
 @pytest.mark.parametrize(

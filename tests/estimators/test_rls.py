@@ -187,3 +187,9 @@ def test_learn_is_update_and_predict_also_beyond_the_physical_limit(kind, feedba
 def test_illegal_hyperparameters_are_refused(wrong):
     with pytest.raises(ConfigError, match="expected"):
         RLS(**wrong)
+
+
+def test_a_covariance_beyond_the_limit_is_not_deflated():
+    rls = RLS()
+    wide = rls.init()._replace(factor=1e6 * rls.init().factor)
+    assert torch.equal(rls.inflate_covariance(wide, torch.tensor(4.0, dtype=torch.float64)).factor, wide.factor)

@@ -253,3 +253,9 @@ def test_finite_looks_at_every_lane_of_every_leaf():
 def test_illegal_hyperparameters_are_refused(wrong):
     with pytest.raises(ConfigError, match="expected"):
         Robust(AID(28.0), **wrong)
+
+
+def test_a_segments_start_forgets_the_run_of_clipped_samples():
+    robust = Robust(AID(28.0))
+    state = robust.init()._replace(run=torch.tensor(3.0, dtype=torch.float64))
+    assert robust.start(state, torch.tensor(1.0, dtype=torch.float64)).run == 0

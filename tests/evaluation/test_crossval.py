@@ -92,6 +92,21 @@ def test_lanes_equal_single_simulations(ensemble, sets, lanes):
                 assert found.diverged[k, j, m] == diverged, (k, j, name)
 
 
+@pytest.mark.parametrize("backend", ["kernel", "torch"])
+def test_a_simulation_that_leaves_the_limit_backwards_counts_as_the_limit(ensemble, sets, backend):
+    rls = sets.members["rls"]
+    theta = torch.zeros_like(rls.theta)
+    theta[:, 3] = -1e4  # thrust backwards, and no drag
+    sets = sets._replace(members=sets.members | {"rls": rls._replace(theta=theta)})
+    run = spoilt(30, 0)
+    found, m = cross_validate(ensemble, sets, [numpied(run)], backend=backend), methods(ensemble).index("rls")
+    for k in range(3):
+        expected = plain(ensemble, tree_map(lambda x, k=k: x[k], sets), run)["rls"]
+        assert expected[2] and expected[0] > ensemble.surge_max
+        assert (found.mae[k, 0, m], found.mse[k, 0, m]) == pytest.approx(expected[:2], rel=1e-10)
+        assert found.diverged[k, 0, m]
+
+
 def test_a_free_run_sees_no_speed_but_that_of_a_start(ensemble, sets):
     run = spoilt(60, 1)
     other = run._replace(surge=torch.where(run.inputs.dt == 0, run.surge, run.surge + 3.0))

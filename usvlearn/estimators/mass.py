@@ -46,16 +46,6 @@ class Mass(NamedTuple):
     deviations: Tensor  # (*batch, p) of the parameters, likewise
 
 
-def null_vector(per_mass: Tensor) -> Tensor:
-    """The unit vector along [m, θ], `(*batch, p + 1)`, from η, `(*batch, p)`: what surge data alone can tell.
-
-    >>> null_vector(torch.tensor([0.75]))
-    tensor([0.8000, 0.6000])
-    """
-    whole = torch.cat([torch.ones_like(per_mass[..., :1]), per_mass], -1)
-    return whole / torch.linalg.vector_norm(whole, dim=-1, keepdim=True)
-
-
 def known_rows(known: Mapping[str, float], names: Sequence[str]) -> tuple[list[list[float]], list[float]]:
     """The coefficients A and the values d of known quantities: names of parameters, or sums of them.
 
