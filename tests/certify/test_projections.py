@@ -11,6 +11,7 @@ from certify import conditions, exact
 from certify.errors import CertifyError
 from certify.projections import project
 from certify.weights import ShallowWeights
+from tests.support import over
 
 BOUNDS = torch.tensor([0.0, 0, 0, -1, -1]).double(), torch.ones(5).double()
 CASES = [("simple", "literal"), ("simple", "best"), ("gershgorin", "literal"), ("gershgorin", "best"),
@@ -96,9 +97,9 @@ def test_projection_is_the_solution_of_a_quadratic_program(condition, gauge):
     assert torch.equal(near.w1, weights.w1) and torch.equal(near.W2, weights.W2)
 
 
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
-@pytest.mark.parametrize("size", [0.1, 1.0, 1e6])
 @pytest.mark.parametrize(("condition", "gauge"), CASES)
+@over("dtype", [torch.float64, torch.float32])
+@over("size", [0.1, 1.0, 1e6])
 def test_inside_exactly(condition, gauge, size, dtype):
     bounds = tuple(x.to(dtype) for x in BOUNDS)
     weights = networks((40,), n=20, size=size, seed=1, dtype=dtype)

@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pytest
 
+from tests.support import over
 from tests.support.recordings import channel, in_order, log
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.align import REQUIRED, Aligner, align
@@ -275,7 +276,7 @@ def test_live_messages_make_the_samples_of_the_replay():
     np.testing.assert_allclose([s.inputs.yaw_rate for _, s in live], whole.samples.inputs.yaw_rate)
 
 
-@pytest.mark.parametrize("patience", [0.0, 1.0, 8.0])
+@over("patience", [0.0, 1.0, 8.0])
 @pytest.mark.parametrize("inputs", ["mean", "last", "next"])
 def test_a_boat_that_forgets_makes_the_samples_of_a_whole_log_bit_for_bit(inputs, patience):
     """Late, lost, repeated and stray stamps, outages, a clock set back: however the messages come in pieces."""

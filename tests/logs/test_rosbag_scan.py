@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support import over
 from tests.support.bags import SOURCES, STEPS, unindexed, write_bag
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.read import read_recordings
@@ -160,8 +161,8 @@ def test_damage_anywhere_is_refused_or_read_around(tmp_path, compression):
             assert "\n" not in str(error) and len(str(error)) < 800
 
 
-@pytest.mark.parametrize("content", [b"", MAGIC, MAGIC + bytes(9000), b"#ROSBAG V1.2\n", b"\xff" * 9000, b"PK\3\4"])
-@pytest.mark.parametrize("name", ["a.bag", "a.bag.active", "a.mcap"])
+@over("content", [b"", MAGIC, MAGIC + bytes(9000), b"#ROSBAG V1.2\n", b"\xff" * 9000, b"PK\3\4"])
+@over("name", ["a.bag", "a.bag.active", "a.mcap"])
 def test_what_holds_no_message_is_refused(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(LogFormatError, match=r"whole ROS bag.*no message could be recovered"):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from tests.support import ROOT
+from tests.support import ROOT, over
 from usvlearn.evaluation.metrics import scores
 from usvlearn.report.tables import report, sweep_table, tuning_table
 from usvlearn.report.terminal import Blocks, console
@@ -41,8 +41,8 @@ def fleet(count: int, name: str = "heron") -> dict[str, dict]:
 
 
 @pytest.mark.parametrize("width", WIDTHS)
-@pytest.mark.parametrize("name", ["heron", "blueboat_of_the_northern_harbour_"])
-@pytest.mark.parametrize("count", [1, 8, 20])
+@over("name", ["heron", "blueboat_of_the_northern_harbour_"])
+@over("count", [1, 8, 20])
 def test_the_tables_of_a_run_are_whole(count, name, width):
     boats = fleet(count, name)
     channels = {

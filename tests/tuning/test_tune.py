@@ -12,7 +12,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
-from tests.support import ROOT
+from tests.support import ROOT, over
 from tests.support.commands import ENVIRONMENT, command, results
 from tests.support.configured import TWO_BOATS, configured, replayed, request
 from usvlearn import RNN, Estimator, Persistence, Positive, UnitInterval, UsvlearnError
@@ -105,7 +105,7 @@ class Bowl:
 
 
 @pytest.mark.parametrize("evaluations, rounds", [(64, 2), (64, 1), (30, 3), (5, 2), (1, 1), (2, 2)])
-@pytest.mark.parametrize("best", [{"a": 2.3}, {"a": 0.013, "b": 7.0}, {"a": 99.0, "b": 0.5, "c": 1.0}])
+@over("best", [{"a": 2.3}, {"a": 0.013, "b": 7.0}, {"a": 99.0, "b": 0.5, "c": 1.0}])
 def test_refinement_contains_the_best_and_never_loses_it(evaluations, rounds, best):
     bowl = Bowl(**best)
     found, used = grid(bowl, [Hyperparameter(k, Positive, 1.0, 0.01, 100.0) for k in best], evaluations, rounds)
