@@ -222,6 +222,14 @@ def test_help_of_certify_waits_for_nothing_heavy():
     assert not loaded(code) & HEAVY
 
 
+def test_type_checkers_see_the_names_that_are_imported_lazily():
+    import usvlearn
+
+    block, _ = [node for node in ast.parse(Path(usvlearn.__file__).read_text()).body if isinstance(node, ast.If)]
+    seen = {(alias.name, alias.asname, node.module) for node in block.body for alias in node.names}
+    assert seen == {(name, name, f"usvlearn.{home}") for name, home in usvlearn._HOME.items()}
+
+
 def test_public_names_are_there():
     import usvlearn
 

@@ -4,6 +4,40 @@ Names are imported when they are first used: importing the package imports no to
 """
 
 import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with _HOME
+    from usvlearn.api import learn as learn
+    from usvlearn.api import read as read
+    from usvlearn.errors import UsvlearnError as UsvlearnError
+    from usvlearn.estimator import Estimator as Estimator
+    from usvlearn.estimators.aid.layer import AID as AID
+    from usvlearn.estimators.baselines.acceleration import Acceleration as Acceleration
+    from usvlearn.estimators.baselines.persistence import Persistence as Persistence
+    from usvlearn.estimators.ensemble.combiners import BOA as BOA
+    from usvlearn.estimators.ensemble.combiners import Average as Average
+    from usvlearn.estimators.ensemble.combiners import ExponentialWeights as ExponentialWeights
+    from usvlearn.estimators.ensemble.combiners import FixedWeights as FixedWeights
+    from usvlearn.estimators.ensemble.combiners import RecursiveWeights as RecursiveWeights
+    from usvlearn.estimators.ensemble.layer import Bank as Bank
+    from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
+    from usvlearn.estimators.least_squares.projected import Projected as Projected
+    from usvlearn.estimators.least_squares.rls import RLS as RLS
+    from usvlearn.estimators.least_squares.sift import SIFtRLS as SIFtRLS
+    from usvlearn.estimators.regressors.layer import QuasiStatic as QuasiStatic
+    from usvlearn.estimators.regressors.layer import SurgeDynamics as SurgeDynamics
+    from usvlearn.estimators.rnn.layer import RNN as RNN
+    from usvlearn.estimators.wrappers.memory import WithMemory as WithMemory
+    from usvlearn.estimators.wrappers.robust import Robust as Robust
+    from usvlearn.hyper import Positive as Positive
+    from usvlearn.hyper import UnitInterval as UnitInterval
+    from usvlearn.logs.align import Aligner as Aligner
+    from usvlearn.online import Online as Online
+    from usvlearn.rollouts import rollout as rollout
+    from usvlearn.signals import Fleet as Fleet
+    from usvlearn.signals import Inputs as Inputs
+    from usvlearn.signals import Run as Run
+    from usvlearn.signals import Sample as Sample
 
 _HOME = {
     "Inputs": "signals",
@@ -42,10 +76,12 @@ __all__ = sorted(_HOME)
 __version__ = "0.1.0"
 
 
-def __getattr__(name: str):
-    if name in _HOME:
-        return getattr(importlib.import_module(f"usvlearn.{_HOME[name]}"), name)
-    raise AttributeError(f"module 'usvlearn' has no attribute {name!r}")
+if not TYPE_CHECKING:  # to a type checker a name that is not above is an error
+
+    def __getattr__(name: str) -> Any:
+        if name in _HOME:
+            return getattr(importlib.import_module(f"usvlearn.{_HOME[name]}"), name)
+        raise AttributeError(f"module 'usvlearn' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
