@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
 import re
@@ -35,6 +36,10 @@ python -m certify compare                                 the conditions against
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command; returns its exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if sys.stdout is None:  # closed
+        sys.stdout = open(os.devnull, "w")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
     try:
         if arguments[:1] == ["compare"]:
             from certify.compare import main as compare
@@ -92,7 +97,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     def refuse(message: str) -> NoReturn:
         raise CertifyError(f"{message}: see --help")
 
-    parser.error = refuse
+    parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
     options = parser.parse_args(_joined(arguments))
     if options.box and ":" not in options.box:  # --box PATH
         options.paths, options.box = [options.box, *options.paths], ""
@@ -305,7 +310,4 @@ def _is_file(path: Path) -> bool:
 
 
 if __name__ == "__main__":
-    if sys.stdout is None:  # closed
-        sys.stdout = open(os.devnull, "w")
-    sys.stdout.reconfigure(errors="replace")
     sys.exit(main())

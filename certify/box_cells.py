@@ -202,4 +202,8 @@ def _cancelling(columns: list[list[int]], near: list[Fraction]) -> list[Fraction
                 rows[r] = [x - rows[r][k] * y for x, y in zip(rows[r], rows[row], strict=True)]
         pivots[k] = row
     free = {k: x.limit_denominator(2**30) for k, x in enumerate(near) if k not in pivots}
-    return [free[k] if k in free else -sum(rows[pivots[k]][i] * x for i, x in free.items()) for k in range(len(near))]
+    zero = Fraction(0)
+    return [
+        free[k] if k in free else -sum((rows[pivots[k]][i] * x for i, x in free.items()), zero)
+        for k in range(len(near))
+    ]

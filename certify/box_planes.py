@@ -78,8 +78,11 @@ def planes(weights: ShallowWeights, box: Box) -> Planes:
         key = (constant // unit, *(k // unit for k in row))
         g = groups.setdefault(key, len(groups))
         if g == len(merged.rows):
-            for column, value in zip(merged[:5], (i, row, constant, 0, 0), strict=True):
-                column.append(value)
+            merged.neuron.append(i)
+            merged.rows.append(row)
+            merged.constants.append(constant)
+            merged.above.append(0)
+            merged.below.append(0)
         (merged.above if w[i] * w[merged.neuron[g]] > 0 else merged.below)[g] += s
     return merged
 

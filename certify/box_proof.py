@@ -120,20 +120,21 @@ class _Slopes:
         above, below = self.planes.above[g], self.planes.below[g]
         free = [each for each in state.free if each[0] != g]
         if len(free) == len(state.free):
-            return tuple(state._replace(signs={**state.signs, g: sign}) for sign in (-1, 1))
+            return state._replace(signs={**state.signs, g: -1}), state._replace(signs={**state.signs, g: 1})
         high, low = state.high - max(above, below), state.low - min(above, below)
-        return tuple(
-            _Slope(free, high + value, low + value, {**state.signs, g: sign})
-            for sign, value in ((-1, below), (1, above))
+        return (
+            _Slope(free, high + below, low + below, {**state.signs, g: -1}),
+            _Slope(free, high + above, low + above, {**state.signs, g: 1}),
         )
 
     def closes(self, here: Region, state: _Slope, token: str) -> bool:
         if token == ".":
             return state.high < self.limit and -state.low < self.limit
         pairs = [MULTIPLIER.fullmatch(pair) for pair in token[1:].split(",")]
-        if not all(pairs):
+        matched = [pair for pair in pairs if pair is not None]
+        if len(matched) < len(pairs):
             return False
-        multipliers = {self.names[f"z{pair[1]}"]: int(pair[2]) for pair in pairs}
+        multipliers = {self.names[f"z{pair[1]}"]: int(pair[2]) for pair in matched}
         self.work += len(pairs)
         signed = all(mu * state.signs[g] > 0 for g, mu in multipliers.items())
         return len(multipliers) == len(pairs) and signed and excluded(self.planes, here, multipliers)

@@ -49,7 +49,13 @@ def forms_of(weights: ShallowWeights, box: Box) -> Forms:
             start += min(above, below)
         else:
             start += above if least >= 0 else below
-    found = Planes(*([column[g] for g in crossing] for column in found[:5]), *found[5:])
+    found = found._replace(
+        neuron=[found.neuron[g] for g in crossing],
+        rows=[found.rows[g] for g in crossing],
+        constants=[found.constants[g] for g in crossing],
+        above=[found.above[g] for g in crossing],
+        below=[found.below[g] for g in crossing],
+    )
     unit, slope_unit = 1 << found.z_bits, 1 << found.slope_bits
     H = np.array([[k / unit for k in row] for row in found.rows]).reshape(len(crossing), len(box.lo))
     c = np.array([k / unit for k in found.constants])
@@ -116,7 +122,8 @@ class Search:
         """
         names = np.array(["x", *(f"u{j}" for j in range(1, len(box.lo)))], dtype=object)
 
-        climbed, least, aside = 1, small * (box.hi - box.lo), []
+        climbed, least = 1, small * (box.hi - box.lo)
+        aside: list[list[np.ndarray]] = []
 
         def see(lo, hi, signs, ids):
             nonlocal climbed
@@ -201,8 +208,8 @@ def climb(forms: Forms, box: Box, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
         order = crossed.argsort(1)
         first = start + (h < 0) @ gain + ((z > 0) & (h == 0)) @ gain
         slopes = np.concatenate([first[:, None], first[:, None] + (np.sign(h) * gain)[order].cumsum(1)], 1)
-        ends = np.full((P, 1), box.lo[j]), np.take_along_axis(crossed, order, 1), np.full((P, 1), box.hi[j])
-        ends = np.concatenate(ends, 1)
+        least, most = np.full((P, 1), box.lo[j]), np.full((P, 1), box.hi[j])
+        ends = np.concatenate([least, np.take_along_axis(crossed, order, 1), most], 1)
         wide = np.diff(ends) > 1e-9 * (box.hi[j] - box.lo[j])
         k = np.where(wide, np.abs(slopes), -1.0).argmax(1)
         y[lanes, j] = (ends[lanes, k] + ends[lanes, k + 1]) / 2

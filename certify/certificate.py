@@ -93,9 +93,9 @@ def make(
         found = exact.conditions(weights.a, weights.w1)[condition].rate
         kappa = provable_rate(found) if rate is None and found is not None else rate
         proof = None if found is None or kappa is None else exact.multipliers(condition, weights.a, weights.w1, kappa)
-        if proof is None:
+        if proof is None or kappa is None:
             return None
-        parts = {"metric": str(proof.metric), "multipliers": [str(x) for x in proof.multipliers]}
+        parts: dict[str, Any] = {"metric": str(proof.metric), "multipliers": [str(x) for x in proof.multipliers]}
     elif condition in ("interval", "box"):
         if box is None:
             raise CertifyError(f"{condition}: found no box, expected the box on which the condition is to hold")
@@ -138,7 +138,8 @@ def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
     """Why a certificate is refused; None where it is valid."""
     if content.get("format") != FORMAT:
         return f"it has the format {quoted(content.get('format'))}, expected {FORMAT!r}: make it again"
-    condition, proof = content.get("condition"), content.get("proof")
+    condition: Any = content.get("condition")
+    proof: Any = content.get("proof")
     if condition not in CONDITIONS:
         return f"it names the condition {quoted(condition)}, expected one of {', '.join(CONDITIONS)}"
     closed = condition in CLOSED_FORMS

@@ -41,7 +41,7 @@ def examine(weights: ShallowWeights, solve: Callable | None, seconds: float) -> 
     verdict = box_search.certify(weights, box, seconds=seconds).verdict
     interval = conditions.interval(*_tensors(weights, box))
     rates = {name: None if each.rate is None else float(each.rate) for name, each in found.items()}
-    row = {
+    row: dict[str, Any] = {
         "K": rates["tight"],
         "K_box": [bracket.lower, bracket.upper],
         "certified": {name: each.margin > 0 for name, each in found.items()},

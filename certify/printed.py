@@ -93,7 +93,7 @@ def _table(
     title = f"Below {shared}: margins, > 0 where a condition holds, and rates" + f"; {marks}" * (solved or boxed)
     headings = ["parameter set", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
     headings += ["LMI lmi, tight"] * solved + ["on the box"] * boxed + ["equilibria"]
-    found = []
+    found: list[list[str | Text]] = []
     for row, path in zip(rows, paths, strict=True):
         margins = [
             Text(below(row["margins"][name], 3), "green" if row["certified"][name] else "red") for name in MARGINS
@@ -101,8 +101,7 @@ def _table(
         cells = [_lmi(row["lmi"])] if solved else []
         cells += [_box(row["box"])] if boxed else []
         constant = time_constant(row["time_constant"], dt)
-        cells = [path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _places(row["equilibria"])]
-        found.append(cells)
+        found.append([path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _places(row["equilibria"])])
     return title, headings, found, ["equilibria"]
 
 

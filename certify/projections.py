@@ -71,7 +71,7 @@ def project(
     elif condition == "gershgorin":
         cost, radius = (1 / (1 - w), 2 * kappa) if gauge == "literal" else (w, kappa / 2)
         nearest = a.sign() * _shrink(size, cost, radius)
-    elif condition == "interval":
+    elif condition == "interval" and bounds is not None:
         nearest = _nearest_on_box(weights, kappa[..., 0], *bounds)
     else:
         positive = a * w1 > 0
@@ -85,7 +85,7 @@ def _times(condition: str) -> int:
     return {"lmi": 2, "tight": 1}[condition]
 
 
-def _check(condition: str, rate: Tensor | float, gauge: str, bounds: Bounds | None) -> None:
+def _check(condition: str, rate: Tensor | float, gauge: str, bounds: Bounds | tuple[()] | None) -> None:
     known = (*conditions.CONDITIONS, "interval")
     if condition not in known:
         raise CertifyError(f"condition: found {condition!r}, expected one of {', '.join(known)}")
@@ -122,7 +122,7 @@ def _scale(weights: ShallowWeights, condition: str, rate: Tensor | float, gauge:
         times = _times(condition)
         up, down = (factor(times * extreme) for extreme in extreme_slopes(a, w1))
         return weights._replace(a=a * torch.where(a * w1 > 0, up, down))
-    if condition == "interval":
+    if condition == "interval" and bounds is not None:
         rounding = 4 * a.shape[-1] * torch.finfo(a.dtype).eps  # neurons that are always on may cancel
         found = conditions.interval(weights, *bounds).rate + rounding * (a * w1).abs().sum(-1)
     else:
@@ -196,8 +196,8 @@ def _balance(above: _Prefixes, below: _Prefixes, kappa, S, W, least, most) -> Te
     safe = torch.where(W > 0, W, 1.0)
     places = torch.cat([(radii(above) - kappa + S) / safe, (kappa + S - radii(below)) / safe, least, most], -1)
     places = places.maximum(least).minimum(most)
-    lanes = [_Prefixes(*(x[..., None, :] for x in side)) for side in (above, below)]
-    (up, _), (down, _) = _thresholds(*lanes, kappa[..., None], S[..., None], W[..., None], places[..., None])
+    wider, deeper = (_Prefixes(*(x[..., None, :] for x in side)) for side in (above, below))
+    (up, _), (down, _) = _thresholds(wider, deeper, kappa[..., None], S[..., None], W[..., None], places[..., None])
     excess = (up - down)[..., 0] - places
     low, high = (torch.where(excess >= 0, places, least), torch.where(excess <= 0, places, most))
     low, high = low.amax(-1, keepdim=True), high.amin(-1, keepdim=True)

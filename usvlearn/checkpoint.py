@@ -213,7 +213,9 @@ def _runs_elsewhere(process: int) -> bool:
     if process == os.getpid():
         return False
     try:
-        return os.name != "posix" or os.kill(process, 0) is None
+        if os.name == "posix":
+            os.kill(process, 0)
+        return True
     except ProcessLookupError:
         return False
     except (PermissionError, OverflowError):

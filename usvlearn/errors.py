@@ -115,7 +115,7 @@ def under(key: str, names: Container[str] | None = None) -> Iterator[None]:
     try:
         yield
     except UsvlearnError as error:
-        first = re.match(r"\w*", str(error))[0]
+        first = re.split(r"\W", str(error), maxsplit=1)[0]
         if key and (names is None or first in names):
             error.args = (f"{key}.{error}",)
         raise

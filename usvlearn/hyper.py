@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,12 @@ from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, ShapeError
 
+# What a hyperparameter is given as: a number, or numbers of any shape. A recursive type would let a str through.
+Hyper = float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | Tensor
 
-def as_tensor(value, name: str = "value") -> Tensor:
-    """A float64 tensor from numbers or a tensor; float32 cannot distinguish forgetting factors near 1."""
+
+def as_tensor(value: Hyper, name: str = "value") -> Tensor:
+    """A float64 tensor from numbers or a tensor: float32 cannot distinguish forgetting factors near 1."""
     if isinstance(value, Tensor):
         return value.detach().to(torch.float64, copy=True)
     try:
@@ -36,12 +40,12 @@ class Positive(nn.Module):
     tensor(0.5000, dtype=torch.float64, grad_fn=<ExpBackward0>)
     """
 
-    def __init__(self, value, name: str = "value", learnable: bool = True):
+    def __init__(self, value: Hyper, name: str = "value", learnable: bool = True):
         super().__init__()
-        self.name, value = name, as_tensor(value, name)
-        if not bool(((value > 0) & value.isfinite()).all()):
-            raise ConfigError(f"{name}: found {value.tolist()}, expected a positive number")
-        self.log = nn.Parameter(value.log(), requires_grad=learnable)
+        self.name, given = name, as_tensor(value, name)
+        if not bool(((given > 0) & given.isfinite()).all()):
+            raise ConfigError(f"{name}: found {given.tolist()}, expected a positive number")
+        self.log = nn.Parameter(given.log(), requires_grad=learnable)
 
     def forward(self) -> Tensor:
         return self.log.exp()
@@ -57,12 +61,12 @@ class UnitInterval(nn.Module):
     0.995
     """
 
-    def __init__(self, value, name: str = "value", learnable: bool = True):
+    def __init__(self, value: Hyper, name: str = "value", learnable: bool = True):
         super().__init__()
-        self.name, value = name, as_tensor(value, name)
-        if not bool(((value > 0) & (value < 1)).all()):
-            raise ConfigError(f"{name}: found {value.tolist()}, expected a number between 0 and 1, both excluded")
-        self.logit = nn.Parameter(value.logit(), requires_grad=learnable)
+        self.name, given = name, as_tensor(value, name)
+        if not bool(((given > 0) & (given < 1)).all()):
+            raise ConfigError(f"{name}: found {given.tolist()}, expected a number between 0 and 1, both excluded")
+        self.logit = nn.Parameter(given.logit(), requires_grad=learnable)
 
     def forward(self) -> Tensor:
         return self.logit.sigmoid()

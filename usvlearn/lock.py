@@ -9,17 +9,17 @@ from __future__ import annotations
 import atexit
 import os
 import stat
+import sys
 import warnings
 from contextlib import suppress
 from pathlib import Path
 
 from usvlearn.errors import ConfigError
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    fcntl = None
+if sys.platform == "win32":
     import msvcrt
+else:
+    import fcntl
 
 NAME = ".lock"
 
@@ -48,12 +48,12 @@ class Lock:
         self.path, self._process = folder / NAME, os.getpid()
         folder.mkdir(parents=True, exist_ok=True)
         while True:
-            self._file: int | None = _opened(self.path)
+            file = _opened(self.path)
             try:
-                _lock(self._file, shared)
+                _lock(file, shared)
             except (BlockingIOError, PermissionError):
-                holder = os.read(self._file, 20).decode(errors="replace").strip()
-                os.close(self._file)
+                holder = os.read(file, 20).decode(errors="replace").strip()
+                os.close(file)
                 holder = f"process {holder}" if holder else "another process"
                 raise ConfigError(
                     f"{folder}: {holder} is writing there: wait for its end, or choose another {other}"
@@ -62,11 +62,12 @@ class Lock:
                 warnings.warn(
                     f"{folder}: cannot be locked ({error.strerror}): let no other process write there", stacklevel=2
                 )
-            if self._is_current():
+            if self._is_current(file):
                 break
-            os.close(self._file)  # of a process that has just removed it
-        os.ftruncate(self._file, 0)
-        os.write(self._file, str(self._process).encode())
+            os.close(file)  # of a process that has just removed it
+        self._file: int | None = file
+        os.ftruncate(file, 0)
+        os.write(file, str(self._process).encode())
         atexit.register(self.release)
 
     def release(self) -> None:
@@ -89,10 +90,10 @@ class Lock:
     def __exit__(self, *_) -> None:
         self.release()
 
-    def _is_current(self) -> bool:
+    def _is_current(self, file: int) -> bool:
         """Whether the locked file is still the one of that name."""
         try:
-            return os.path.samestat(os.fstat(self._file), os.stat(self.path))
+            return os.path.samestat(os.fstat(file), os.stat(self.path))
         except FileNotFoundError:
             return False
 
@@ -107,7 +108,7 @@ def _opened(path: Path) -> int:
 
 def _lock(file: int, shared: bool) -> None:
     """Lock an open file; BlockingIOError or PermissionError where another process holds it."""
-    if fcntl is not None:
+    if sys.platform != "win32":
         fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     elif not shared:  # Windows has no shared locks: processes that share do not lock
         os.lseek(file, 1 << 30, os.SEEK_SET)  # a byte behind the content, which others may read

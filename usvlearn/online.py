@@ -48,7 +48,7 @@ class Online:
         from usvlearn.estimator import spec_of
         from usvlearn.rollouts import Stepper, live
 
-        self._template = Stepper(estimator, batch)  # torch's steps, and the shape of the state
+        self._template: Stepper | None = Stepper(estimator, batch)  # torch's steps, and the shape of the state
         self._name, self._description = type(estimator).__name__, spec_of(estimator)
         self._live = live(estimator, self._template.state, backend) or self._template
 
@@ -81,8 +81,8 @@ class Online:
 
     @property
     def names(self) -> tuple[str, ...]:
-        if self._template is not None:
-            return getattr(self._template.estimator, "names", ())
+        if self._template is not None or self._description is None:
+            return getattr(getattr(self._template, "estimator", None), "names", ())
         return (*self._description.get("columns", ()), *self._description.get("rules", ()))
 
     def predict(self, inputs: Inputs) -> float | np.ndarray:

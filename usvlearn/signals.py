@@ -6,7 +6,7 @@ A *tree* is an array or tensor, a NamedTuple of trees, or a dict of trees.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from numbers import Integral, Real
 from typing import Any, NamedTuple
 
@@ -154,7 +154,7 @@ def _kind(value: Any) -> str:
     if isinstance(value, bool):
         return "b"
     if isinstance(value, Integral):
-        return "i" if abs(value) < 10**300 else "O"  # beyond any float
+        return "i" if abs(int(value)) < 10**300 else "O"  # beyond any float
     if isinstance(value, Real):
         return "f"
     if isinstance(value, np.ma.MaskedArray):
@@ -177,7 +177,7 @@ def sort_of(dtype: Any) -> str:
     return str(dtype).removeprefix("torch.").rstrip("0123456789")
 
 
-def tree_map(f: Callable, *trees):
+def tree_map(f: Callable[..., Any], *trees: Any) -> Any:
     """Apply `f` to corresponding leaves of equally structured trees.
 
     >>> tree_map(lambda x, y: x + y, {"a": 1, "b": 2}, {"a": 10, "b": 20})
@@ -191,16 +191,16 @@ def tree_map(f: Callable, *trees):
     return f(*trees)
 
 
-def named_leaves(tree, name: str = "") -> Iterator[tuple[str, Array]]:
+def named_leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Array]]:
     """Yield every leaf with its dotted path.
 
     >>> dict(named_leaves({"aid": {"theta": 1}, "surge": 2}))
     {'aid.theta': 1, 'surge': 2}
     """
     if isinstance(tree, dict):
-        items = tree.items()
+        items: Iterable[tuple[str, Any]] = tree.items()
     elif isinstance(tree, tuple):
-        items = zip(tree._fields, tree, strict=True)
+        items = tree._asdict().items()  # type: ignore[attr-defined]  # a NamedTuple, of which there is no common class
     else:
         yield name, tree
         return
@@ -208,7 +208,7 @@ def named_leaves(tree, name: str = "") -> Iterator[tuple[str, Array]]:
         yield from named_leaves(child, f"{name}.{key}" if name else key)
 
 
-def rebuild(template, leaves: dict[str, Array], name: str = ""):
+def rebuild(template: Any, leaves: dict[str, Array], name: str = "") -> Any:
     """The inverse of `named_leaves`: a tree shaped like `template` from leaves by dotted path.
 
     >>> rebuild({"aid": {"theta": 0}, "surge": 0}, {"aid.theta": 1, "surge": 2})

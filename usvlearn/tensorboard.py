@@ -44,9 +44,10 @@ class TensorBoardWriter:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of TensorBoard's own imports
             from torch.utils.tensorboard import SummaryWriter
-        threading.excepthook = functools.partial(_unless_tensorboard, threading.excepthook)
+        before: Callable[[Any], object] = threading.excepthook
+        threading.excepthook = functools.partial(_unless_tensorboard, before)
         try:
-            self._writer = SummaryWriter(str(folder), max_queue=1000, flush_secs=30)
+            self._writer: Any = SummaryWriter(str(folder), max_queue=1000, flush_secs=30)
         except BaseException:
             _restore_excepthook()
             raise
@@ -106,15 +107,16 @@ class TensorBoardWriter:
         self.close()
 
 
-def _unless_tensorboard(before: Callable[[Any], None], failed: Any) -> None:
+def _unless_tensorboard(before: Callable[[Any], object], failed: Any) -> None:
     """Keep quiet of TensorBoard's thread: what it raises, such as on a full disk, is raised again by the next write."""
     if not type(failed.thread).__module__.startswith("tensorboard"):
         before(failed)
 
 
 def _restore_excepthook() -> None:
-    if getattr(threading.excepthook, "func", None) is _unless_tensorboard:
-        threading.excepthook = threading.excepthook.args[0]
+    hook = threading.excepthook
+    if isinstance(hook, functools.partial) and hook.func is _unless_tensorboard:
+        threading.excepthook = hook.args[0]
 
 
 def _flatten(tree: Mapping, prefix: str = ""):

@@ -166,5 +166,5 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             raise ConfigError(f"{message}: put all flags before KEY=VALUE, or behind")
         raise ConfigError(f"{message}{(wrong and did_you_mean(wrong[1], flags)) or ': see the flags by --hydra-help'}")
 
-    parser.error = refuse
+    parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
     return parser.parse_args(arguments)

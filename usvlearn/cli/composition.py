@@ -46,6 +46,13 @@ def recordings_of(data: str, changes: Mapping[str, Any]) -> tuple[Iterable[Recor
         with initialize_config_dir(str(configs), version_base="1.3"):
             settings = compose("train", [f"data={data}"])
         OmegaConf.set_struct(settings, False)
-        settings = OmegaConf.merge(settings, OmegaConf.create(dict(changes)))
+        settings.merge_with(OmegaConf.create(dict(changes)))
     check_settings(settings)
-    return instantiate(settings.data), OmegaConf.to_container(settings, resolve=True)
+    return instantiate(settings.data), plain(settings)
+
+
+def plain(cfg: Any) -> dict[str, Any]:
+    """A configuration as dictionaries, lists and scalars, with its references resolved."""
+    found = OmegaConf.to_container(cfg, resolve=True)
+    assert isinstance(found, dict)
+    return {str(key): value for key, value in found.items()}

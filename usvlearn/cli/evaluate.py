@@ -1,12 +1,12 @@
 """The job of evaluate.py and `usvlearn evaluate`: judge saved runs, compare those of a sweep, or make a study."""
 
-from functools import partial
 from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
 from usvlearn.cli.command import command
+from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
 from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
@@ -23,11 +23,10 @@ def study(cfg: DictConfig, tools) -> None:
     from usvlearn.report.study import Study
     from usvlearn.tuning.tune import request
 
-    plain = partial(OmegaConf.to_container, resolve=True)
     made = Study(
         Path(cfg.folder), plain(cfg.study), tools.say, choose=lambda folder: start_of(folder, tools),
-        run=lambda overrides, folder: work(hydra.compose("train", overrides), folder, overrides),
-        check=lambda overrides: request(plain(hydra.compose("train", overrides)), instantiate),
+        run=lambda overrides, folder: work(hydra.compose("train", list(overrides)), folder, overrides),
+        check=lambda overrides: request(plain(hydra.compose("train", list(overrides))), instantiate),
     )  # fmt: skip
     season, gained = made.make()
     evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands)

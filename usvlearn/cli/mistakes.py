@@ -121,7 +121,8 @@ def known_names(
                     cfg = compose(name, [*search, *each], return_hydra_config=True)
             except (HydraException, OmegaConfBaseException, ValueError):
                 continue
-            return [*cfg.hydra.runtime.choices, *_keys(OmegaConf.to_container(cfg))]
+            tree: Any = OmegaConf.to_container(cfg)
+            return [*cfg.hydra.runtime.choices, *_keys(tree)]
         return []
 
     return find

@@ -27,13 +27,13 @@ def check_settings(cfg: DictConfig) -> None:
 
     It imports no torch, so that the answer is quick. Constructors check the values that they receive.
     """
-    plain = OmegaConf.to_container(cfg)
+    given: Any = OmegaConf.to_container(cfg)
     for name in SECTIONS:
-        if not isinstance(plain.get(name), dict):
-            found = repr(plain[name]) if name in plain else "nothing"
+        if not isinstance(given.get(name), dict):
+            found = repr(given[name]) if name in given else "nothing"
             raise ConfigError(f"{name}: found {found}, expected {name}.KEY=VALUE: leave out {name}=… or ~{name}")
     with in_one_sentence():
-        settings = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
+        settings: Any = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
     options = [name for name in inspect.signature(Aligner).parameters if name != "channels"]
     for name in settings["align"]:
         if name not in options:
@@ -64,14 +64,15 @@ def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:
     """Raise a constructor's own error about its arguments; an error that is a bug is raised unchanged."""
     text, cause = " ".join(str(error).split()), error.__cause__
-    found, target = re.search(r"full_key: (\S+)", text), re.search(r"target '([^']+)'", text)
-    key, target = found[1] if found else "", target[1] if target else ""
+    found, named = re.search(r"full_key: (\S+)", text), re.search(r"target '([^']+)'", text)
+    key, target = found[1] if found else "", named[1] if named else ""
     place = f"{key}." if key else ""
     if isinstance(cause, UsvlearnError):
         with under(key, names):
             raise cause
     if argument := re.search(r"unexpected keyword argument '(\w+)'", str(cause)):
-        known = [f"{place}{name}" for name in inspect.signature(pydoc.locate(target)).parameters]
+        called: Any = pydoc.locate(target)
+        known = [f"{place}{name}" for name in inspect.signature(called).parameters]
         name = f"{place}{argument[1]}"
         raise ConfigError(f"{name}: {target} has no such argument{did_you_mean(name, known)}") from error
     if "Error locating target" in text:

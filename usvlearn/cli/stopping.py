@@ -129,8 +129,8 @@ def _install(on_terminate: Any, on_interrupt: Any = None) -> dict[int, Any]:
     """Replace default handlers and return them; a handler that other code has set is kept."""
     if threading.current_thread() is not threading.main_thread():
         return {}
-    wanted = {signal.SIGTERM: on_terminate, signal.SIGINT: on_interrupt or on_terminate}
-    before = {number: signal.getsignal(number) for number in wanted}
+    wanted: dict[int, Any] = {signal.SIGTERM: on_terminate, signal.SIGINT: on_interrupt or on_terminate}
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in wanted}
     before = {number: each for number, each in before.items() if each in (signal.SIG_DFL, signal.default_int_handler)}
     for number in before:
         signal.signal(number, wanted[number])

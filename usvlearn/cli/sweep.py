@@ -13,6 +13,7 @@ import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
@@ -43,9 +44,10 @@ def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:
     """Run train.py's work, alone or as one job of a sweep. Returns the objective, m/s."""
     job, folder = HydraConfig.get(), Path(HydraConfig.get().runtime.output_dir)
     ask = partial(work, cfg, folder, job.overrides.task, quiet=job.runtime.choices["hydra/launcher"] == "joblib")
-    if job.mode.name != "MULTIRUN":
+    if job.mode is not RunMode.MULTIRUN:
         return ask()
-    return run_job(folder, OmegaConf.to_container(cfg), job.overrides.task, ask, swept(Path(job.sweep.dir)))
+    settings: Any = OmegaConf.to_container(cfg)
+    return run_job(folder, settings, job.overrides.task, ask, swept(Path(job.sweep.dir)))
 
 
 def swept(folder: Path) -> list[str]:
@@ -73,9 +75,10 @@ class Sweep(Callback):
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
+        own: Any = OmegaConf.to_container(config.hydra)
         with exit_on_user_error():
             check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
-            check_sweep(folder, load, OmegaConf.to_container(config.hydra))
+            check_sweep(folder, load, own)
             prepare_workers(Path(usvlearn.__file__).parents[1])
         Sweep.folder = folder
         if "joblib" in config.hydra.launcher._target_:

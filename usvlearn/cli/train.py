@@ -4,13 +4,15 @@ What needs torch is imported where it is used: --help must not wait for it.
 """
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from rich.console import Console
 from rich.progress import Progress
 
 from usvlearn.cli.command import command
+from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import check_settings, ensemble_of, instantiate
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
@@ -21,7 +23,7 @@ from usvlearn.report.tables import report, summary_lines
 from usvlearn.sweeps.launchers import set_threads
 
 
-def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None = None, quiet=False) -> float:
+def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
     """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the MAE, m/s."""
     check_settings(cfg)
     from usvlearn.tuning import tune as tuning
@@ -29,7 +31,7 @@ def work(cfg: DictConfig, folder: Path, overrides: list[str], resume: str | None
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     if not tuning.asked(cfg):
         return train(cfg, folder, console, resume or cfg.resume)
-    return tuning.tune(OmegaConf.to_container(cfg, resolve=True), folder, instantiate, align_fleet, overrides, console)
+    return tuning.tune(plain(cfg), folder, instantiate, align_fleet, overrides, console)
 
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
@@ -40,7 +42,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
     from usvlearn.runs.replay import replay
     from usvlearn.runs.run_folder import RunFolder
 
-    began, settings = time.perf_counter(), {**OmegaConf.to_container(cfg, resolve=True), "resume": None}
+    began, settings = time.perf_counter(), {**plain(cfg), "resume": None}
     set_threads(cfg.threads)
     save_minutes = check_positive("save_minutes", cfg.save_minutes, "of min")
     save_every = max(1, round(60 * save_minutes / check_positive("align.dt", cfg.align.dt)))
@@ -60,7 +62,12 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
         found = run.finish(ensemble, time.perf_counter() - began)
         logger.finish(settings, found["boats"], run.published, found["alarms"])
     console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)))
-    console.print(*stability(ensemble, run.state, fleet.boats), *summary_lines(found, folder), sep="\n", soft_wrap=True)
+    console.print(
+        *stability(ensemble, run.state or start.state, fleet.boats),
+        *summary_lines(found, folder),
+        sep="\n",
+        soft_wrap=True,
+    )
     return found["objective"]
 
 

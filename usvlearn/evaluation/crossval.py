@@ -127,7 +127,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
         totals = free_totals(description, state, whole, rules)
         advance(scored.sum().item() * sets)
         return totals[..., 0], totals[..., 1], totals[..., 2] > 0, scored
-    total = [0.0, 0.0, False]
+    total: list[Any] = [0.0, 0.0, False]
     for begin in range(0, len(samples.surge), CHUNK):
         part = tree_map(lambda x, b=begin: x[b : b + CHUNK], whole)
         state, _, published = simulate(ensemble, state, part, lambda s: s.predictions, backend="torch")
@@ -163,9 +163,9 @@ def _side_by_side(runs: Sequence[Sample], dtype: torch.dtype) -> Sample:
     longest = max(len(run.surge) for run in runs)
 
     def padded(*leaves) -> Tensor:
-        leaves = [torch.as_tensor(leaf) for leaf in leaves]
-        whole = torch.zeros((longest, len(leaves)), dtype=dtype if leaves[0].is_floating_point() else torch.bool)
-        for lane, leaf in enumerate(leaves):
+        lanes = [torch.as_tensor(leaf) for leaf in leaves]
+        whole = torch.zeros((longest, len(lanes)), dtype=dtype if lanes[0].is_floating_point() else torch.bool)
+        for lane, leaf in enumerate(lanes):
             whole[: len(leaf), lane] = leaf
         return whole
 

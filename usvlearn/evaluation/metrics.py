@@ -111,9 +111,12 @@ def by_error(errors: Mapping[str, float | None]) -> list[str]:
     >>> by_error({"a": None, "b": 0.3, "c": float("nan"), "d": 0.1})
     ['d', 'b', 'a', 'c']
     """
-    return sorted(
-        errors, key=lambda name: np.inf if errors[name] is None or errors[name] != errors[name] else errors[name]
-    )
+
+    def key(name: str) -> float:
+        error = errors[name]
+        return np.inf if error is None or error != error else error
+
+    return sorted(errors, key=key)
 
 
 def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:

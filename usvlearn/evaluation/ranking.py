@@ -55,7 +55,7 @@ def ranked_by(swept: Iterable[str], settings: Iterable[Mapping[str, str]], resul
     >>> ranked_by(["estimators.rnn.neurons"], [{}], [{"boats": {"heron": {"rnn": {"mae": 0.1}}}}])
     'rnn'
     """
-    names = {named(key) for key in swept} - {None}
+    names = {name for key in swept if (name := named(key)) is not None}
     if len(names) != 1 or any("output" in each for each in settings):
         return None
     (name,) = names

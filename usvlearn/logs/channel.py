@@ -170,7 +170,7 @@ def build_channel(
     """
     usable = np.isfinite(time) & np.isfinite(raw)
     dropped: Counter[str] = Counter()
-    for row in np.flatnonzero(~usable):
+    for row in np.flatnonzero(~usable).tolist():
         if cells is not None and isinstance(cells[row], str) and not cells[row].strip():
             dropped["empty"] += 1
         else:
@@ -182,6 +182,6 @@ def build_channel(
             f"{where}: expected numbers in {source.name!r}, found none among its {len(raw)} values{shown}: "
             "name another source, or leave this log out"
         )
-    order = np.asarray(order, dtype=np.int64)[usable]
-    channel = Channel(time[usable], source.convert(raw[usable]), order, source.held, source.window, source.delay)
+    places = np.asarray(order, dtype=np.int64)[usable]
+    channel = Channel(time[usable], source.convert(raw[usable]), places, source.held, source.window, source.delay)
     return channel, dict(dropped)

@@ -70,7 +70,7 @@ def _opened(compression: str, file: BinaryIO) -> Any:
 
         return LZ4FrameFile(file)
     if compression == "zstd":
-        from rosbags.rosbag2.storage_mcap import zstd
+        from rosbags.rosbag2.storage_mcap import zstd  # type: ignore[attr-defined]  # of Python, or its backport
 
         return zstd.ZstdFile(file)
     raise ValueError(f"compression {compression!r}")

@@ -82,8 +82,8 @@ def read_recordings(
             unread.append(error)
     if not recordings:
         raise unread[0]
-    for error in unread:
-        warnings.warn(f"log left out: {error}", stacklevel=2)
+    for each in unread:
+        warnings.warn(f"log left out: {each}", stacklevel=2)
     return recordings
 
 

@@ -64,7 +64,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
 def _side_by_side(lanes: list[tuple[str, Aligned] | None]) -> Run:
     """One run per boat, padded to the longest with samples that are neither fresh nor measured."""
     lengths = [0 if lane is None else len(lane[1].time) for lane in lanes]
-    longest = lanes[int(np.argmax(lengths))][1]
+    longest = max((lane[1] for lane in lanes if lane is not None), key=lambda aligned: len(aligned.time))
     shape = (max(lengths), len(lanes))
 
     def empty(fill) -> np.ndarray:

@@ -139,7 +139,7 @@ class Rosbag:
 
     def _stamp(self, message, received: int) -> int:
         """Nanoseconds since 1970."""
-        clock = getattr(getattr(message, "header", None), "stamp", None)
+        clock: Any = getattr(getattr(message, "header", None), "stamp", None)
         if self.clock == "receive" or not hasattr(clock, "nanosec"):
             return received
         stamp = clock.sec * 10**9 + clock.nanosec

@@ -62,7 +62,7 @@ def assemble(
         for season in seasons
     }
     beside = remarks(ensemble)
-    sections = [
+    sections: list[Section | None] = [
         online_section(seasons, ensemble.names, beside, explained(ensemble)),
         cross_section(seasons, errors, beside),
     ]
@@ -114,7 +114,8 @@ def _each_on_all(
 def _between(
     ensemble: Ensemble, seasons: Sequence[Season], errors: Mapping[str, FreeErrors], advance: Callable[[int], object]
 ) -> Section:
-    matrices, best = {}, {}
+    matrices: dict[str, np.ndarray] = {}
+    best: dict[str, list[float]] = {}
     for method in _compared(ensemble):
         chosen = best_sets(seasons, errors, method)
         between = _each_on_all(ensemble, seasons, chosen, advance)

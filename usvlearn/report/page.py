@@ -77,11 +77,11 @@ def write_report(
     drawings = {drawn.name: _drawing(drawn) for section in sections for drawn in section.figures}
     for old in _written(folder):
         (folder / old).unlink(missing_ok=True)
+    inline = {name: drawing for name, (drawing, _, _) in drawings.items()}
     images = {name: png for name, (_, _, png) in drawings.items()}
-    for name, (inline, whole, png) in drawings.items():
+    for name, (_, whole, png) in drawings.items():
         write_atomically(folder / "figures" / f"{name}.svg", whole)
         write_atomically(folder / "figures" / f"{name}.png", png)
-        drawings[name] = inline
     for section in sections:
         for each in section.sheets:
             write_atomically(folder / "tables" / f"{each.name}.csv", each.csv().encode())
@@ -100,7 +100,7 @@ def write_report(
     page = folder / "index.html"
     names = sorted(f"{kind}/{path.name}" for kind in FOLDERS for path in (folder / kind).iterdir() if path.is_file())
     write_atomically(folder / FILES, json.dumps(names, indent=2).encode())
-    write_atomically(page, _html(facts, sections, commands, drawings).encode())
+    write_atomically(page, _html(facts, sections, commands, inline).encode())
     return page
 
 

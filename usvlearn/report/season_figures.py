@@ -164,7 +164,7 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
             for column in range(matrix.shape[1]):
                 if np.isfinite(matrix[:, column]).any():
                     best = int(np.nanargmin(matrix[:, column]))
-                    frame = {"fill": False, "edgecolor": WORSE, "linewidth": 1.8}
+                    frame: dict[str, Any] = {"fill": False, "edgecolor": WORSE, "linewidth": 1.8}
                     panel.add_patch(Rectangle((column - 0.47, best - 0.47), 0.94, 0.94, **frame))
             panel.set_xticks(range(len(boats)), boats, rotation=45, ha="right", rotation_mode="anchor", fontsize=8)
             panel.set_yticks(range(len(boats)), boats, fontsize=8)

@@ -12,7 +12,7 @@ trajectory has gradients with respect to them.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -79,7 +79,8 @@ def drag(vessel: Vessel, surge: Tensor, yaw_rate: Tensor | float = 0.0) -> Tenso
     >>> round(float(drag(heron(), torch.tensor(2.0, dtype=torch.float64))), 3)
     -44.668
     """
-    return resistance(vessel, abs(surge), vessel.drag_cross * abs(yaw_rate)) * surge
+    turning: Any = abs(yaw_rate)
+    return resistance(vessel, abs(surge), vessel.drag_cross * turning) * surge
 
 
 def resistance(vessel: Vessel, speed: Tensor, cross: Tensor) -> Tensor:

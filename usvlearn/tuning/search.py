@@ -121,11 +121,9 @@ def search(
             evaluated = objective([*settings, *([] if found else [default])])
             found, evaluated = found or evaluated[-1:], evaluated[: len(trials)]
             for trial, evaluation in zip(trials, evaluated, strict=True):
-                maes = [mae if math.isfinite(mae) else None for mae in evaluation.maes]
-                with contextlib.suppress(
-                    optuna.exceptions.UpdateFinishedTrialError
-                ):  # it was given back in the meantime
-                    trial.set_user_attr("maes", maes)
+                finite = [mae if math.isfinite(mae) else None for mae in evaluation.maes]
+                with contextlib.suppress(optuna.exceptions.UpdateFinishedTrialError):  # it was given back meanwhile
+                    trial.set_user_attr("maes", finite)
                     study.tell(trial.number, evaluation.mae, skip_if_finished=True)
             done = len(_complete(study))
     finally:

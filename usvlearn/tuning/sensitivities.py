@@ -30,6 +30,7 @@ from torch.autograd.forward_ad import dual_level, make_dual, unpack_dual
 from torch.overrides import TorchFunctionMode
 
 from usvlearn.errors import ConfigError, check_choice
+from usvlearn.estimator import Estimator
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.tuning.backprop import STARTS, Fitted
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting, fleet_mae
@@ -48,7 +49,7 @@ MIXING |= {name for each in ("add", "sub", "mul", "div", "truediv") for name in 
 class _FleetMae(nn.Module):
     """`fleet_mae` as a module's forward, so that dual numbers can replace its parameters."""
 
-    def __init__(self, estimator: nn.Module):
+    def __init__(self, estimator: Estimator):
         super().__init__()
         self.estimator = estimator
 

@@ -119,8 +119,10 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
                 f"{way}={member}: has no range to tune in: add '+tuning.ranges.{member}={{PATH: [LOW, HIGH]}}'; it has "
                 f"{', '.join(hyperparameters(estimator)) or 'no hyperparameter that could be tuned'}"
             )
-        parameters = [hyperparameter(estimator, path, *_bounds(f"tuning.ranges.{member}.{path}", each),
-                                     f"tuning.ranges.{member}.{path}") for path, each in ranges.items()]  # fmt: skip
+        parameters = []
+        for path, each in ranges.items():
+            low, high = _bounds(key := f"tuning.ranges.{member}.{path}", each)
+            parameters.append(hyperparameter(estimator, path, low, high, key))
     if way != "learn" and any(each.kind is RNN for each in parameters):
         raise ConfigError(f"{way}={member}: initial weights are learned by gradient alone: use learn={member}")
     return Request(way, member, parameters, values, options["evaluations"], options, members[member], build)

@@ -59,7 +59,8 @@ def fleet_section(
         best: hours at which each boat's best set was saved, by method.
     """
     boats = [season.boat for season in seasons]
-    here, rows = [], []
+    here: list[str] = []
+    rows: list[tuple[str | float, ...]] = []
     for name, matrix in matrices.items():
         own = sum(int(np.nanargmin(matrix[:, k]) == k) for k in range(len(boats)) if np.isfinite(matrix[:, k]).any())
         away = matrix[~np.eye(len(boats), dtype=bool)]

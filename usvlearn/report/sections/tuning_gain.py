@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 from usvlearn.evaluation.metrics import by_error, mean_mae
 from usvlearn.figures import PAPER
@@ -29,7 +30,7 @@ def tuning_section(
     rows = []
     for name in with_tuning:
         found = tuned.get(name)
-        own = (None,) * 5
+        own: tuple[Any, ...] = (None,) * 5
         if found:
             settings = ", ".join(f"{key} {value:.4g}" for key, value in found["best"]["setting"].items())
             own = found["evaluations"], settings, found["default"]["mae"], found["best"]["mae"], found["best"]["gain"]
