@@ -187,7 +187,7 @@ def logging(fleet: Fleet, effort: Effort) -> str:
         with (
             tempfile.TemporaryDirectory() as folder,
             TensorBoardLogger(folder, fleet, model) as watch,
-            RunFolder(folder, fleet, {}) as archive,
+            RunFolder(folder, fleet, {}, model.names) as archive,
         ):
             start = archive.begin(model.init((len(fleet.boats),)), None)
             began, spent = time.perf_counter(), 0.0

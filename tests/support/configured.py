@@ -27,7 +27,8 @@ def replayed(fleet, estimator: Estimator) -> list[float]:
     """MAE of each boat, by the main job's own replay and scores."""
     ensemble = Ensemble({"one": estimator, "persistence": Persistence()})
     chunks = list(replay(ensemble, fleet, ensemble.init((len(fleet.boats),))))
-    scores = fleet_scores(fleet, {"predictions": [chunk.predictions for chunk in chunks]}, ensemble.names)
+    published = [(*chunk.begin, {"predictions": chunk.predictions}) for chunk in chunks]
+    scores = fleet_scores(fleet, published, ensemble.names)
     return [scores[boat]["one"]["mae"] for boat in fleet.boats]
 
 

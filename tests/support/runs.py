@@ -24,7 +24,7 @@ def model() -> Ensemble:
 
 def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> RunFolder:
     ensemble = model()
-    folder = RunFolder(folder, fleet, metadata)
+    folder = RunFolder(folder, fleet, metadata, ensemble.names)
     start = folder.begin(ensemble.init((2,)), resume)
     with folder:
         for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):
@@ -38,7 +38,15 @@ def contents(folder) -> dict[str, np.ndarray]:
     for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
         for name, leaf in checkpoint.load(path)[0].items():
             found[f"{path.relative_to(folder.path)}:{name}"] = leaf
-    return found | {f"run {k}": array for k, array in enumerate(folder.published["predictions"])}
+    return found | {f"run {k}": array for k, array in enumerate(published(folder, "predictions"))}
+
+
+def published(folder: RunFolder, name: str) -> list[np.ndarray]:
+    """What was published, an array per run."""
+    runs: dict[int, list[np.ndarray]] = {}
+    for run, _, arrays in folder.published:
+        runs.setdefault(run, []).append(arrays[name])
+    return [np.concatenate(parts) for parts in runs.values()]
 
 
 def assert_same(found, expected) -> None:

@@ -49,7 +49,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
     ensemble = ensemble_of(cfg)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
-    run = RunFolder(folder, fleet, {"configuration": settings, "kernel": ensemble.spec()})
+    run = RunFolder(folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names)
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
     logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble)
     with run, logger, Progress(console=console) as progress:

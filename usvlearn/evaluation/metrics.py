@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from usvlearn.signals import PLAUSIBLE, Fleet, masks, tree_map
 
 PERSISTENCE = "persistence"  # the estimator that skill refers to
+AT_ONCE = 2**25  # numbers of predictions and half-widths that are held at a time
+Stretch = tuple[int, int, Mapping[str, np.ndarray]]  # index of a run, first step, what was published, (time, boats, …)
 
 
 def scores(
@@ -55,39 +57,50 @@ def scores(
 
 
 def fleet_scores(
-    fleet: Fleet,
-    published: Mapping[str, Sequence[np.ndarray]],
-    names: Sequence[str],
-    surge_limit: float = PLAUSIBLE,
+    fleet: Fleet, published: Iterable[Stretch], names: Sequence[str], surge_limit: float = PLAUSIBLE
 ) -> dict[str, dict]:
-    """`scores` per boat over what was published of its runs, arrays `(time, boats, estimators)` per run.
+    """`scores` per boat over what was published of its runs.
 
     Args:
         fleet: what was replayed.
-        published: `predictions`, and perhaps `halfwidths`, per run.
+        published: stretches in order, which are gone through again and again: medians need all errors of a boat, so
+            that so many boats are judged at a time as have AT_ONCE numbers.
         names: of the estimators.
         surge_limit: m/s, of the ensemble that made the predictions.
     """
-    found, lengths = {}, [len(run) for run in published["predictions"]]  # fewer and shorter where it was stopped
-    for lane, boat in enumerate(fleet.boats):  # one boat at a time, to limit the memory
-        mine = {name: np.concatenate([run[:, lane] for run in runs]) for name, runs in published.items()}
-        runs = zip(fleet.runs, lengths, strict=False)
-        samples = [tree_map(lambda x, n=n, k=lane: x[:n, k], run.samples) for run, n in runs]
-        surge = np.concatenate([np.where(masks(x, surge_limit).learns, x.surge, np.nan) for x in samples])
-        found[boat] = scores(mine["predictions"], surge, names, mine.get("halfwidths"))
+    found, at_once = {}, max(1, AT_ONCE // max(1, 2 * fleet.steps * len(names)))
+    nothing = np.empty((0, len(names)))
+    for first in range(0, len(fleet.boats), at_once):
+        lanes = range(len(fleet.boats))[first : first + at_once]
+        parts: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]] = {lane: [] for lane in lanes}
+        for run, step, arrays in published:
+            predictions, widths = arrays["predictions"], arrays.get("halfwidths")
+            part = slice(step, step + len(predictions))
+            samples = tree_map(lambda x, part=part: x[part], fleet.runs[run].samples)
+            surge = np.where(masks(samples, surge_limit).learns, samples.surge, np.nan)
+            for lane in lanes:
+                width = None if widths is None else widths[:, lane].copy()
+                parts[lane].append((predictions[:, lane].copy(), surge[:, lane], width))
+        for lane in lanes:
+            predictions, surge, widths = zip(*parts.pop(lane) or [(nothing, nothing[:, 0], nothing)], strict=True)
+            widths = None if widths[0] is None else np.concatenate(widths)
+            found[fleet.boats[lane]] = scores(np.concatenate(predictions), np.concatenate(surge), names, widths)
     return found
 
 
-def alarms(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]]) -> dict[str, list[dict]]:
-    """The thruster alarms of each boat: run, time in the run, s, side, and the share of thrust that is left.
+def alarms(fleet: Fleet, published: Iterable[Stretch]) -> dict[str, list[dict]]:
+    """When a thruster seemed to have lost thrust, per boat: run, time in it, s, side, and the share that is left.
 
     Args:
-        fleet: the replayed runs.
-        published: `thrusters` per run, see `usvlearn.runs.replay.PUBLISHED`; missing if thrusters were not monitored.
+        fleet: what was replayed.
+        published: stretches in order; `thrusters` as `usvlearn.runs.published` says, none where nobody watched.
     """
     found: dict[str, list[dict]] = {boat: [] for boat in fleet.boats}
     on = np.zeros(len(fleet.boats), dtype=bool)
-    for run, health in zip(fleet.runs, published.get("thrusters", []), strict=False):
+    for index, step, arrays in published:
+        if (health := arrays.get("thrusters")) is None:
+            continue
+        run = fleet.runs[index]
         for lane, boat in enumerate(fleet.boats):
             stepped = np.flatnonzero(np.isfinite(health[:, lane, 4]))
             raised = health[stepped, lane, 4] > 0
@@ -96,7 +109,7 @@ def alarms(fleet: Fleet, published: Mapping[str, Sequence[np.ndarray]]) -> dict[
                 found[boat].append(
                     {
                         "run": run.names[lane],
-                        "time": float(run.time[k, lane]),
+                        "time": float(run.time[step + k, lane]),
                         "side": ("left", "right")[side],
                         "effectiveness": float(health[k, lane, side]),
                     }

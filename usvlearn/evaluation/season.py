@@ -16,7 +16,7 @@ class SeasonRun(NamedTuple):
     name: str
     key: str  # a sha256 of the samples
     samples: Sample  # leaves (time,), NumPy
-    published: dict[str, np.ndarray]  # (time, ...) online predictions (`usvlearn.runs.replay.PUBLISHED`), or empty
+    published: dict[str, np.ndarray]  # (time, ...) online predictions (`usvlearn.runs.published`), or empty
     surge_limit: float = PLAUSIBLE  # m/s, of the ensemble that is judged
 
     @property

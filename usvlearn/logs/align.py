@@ -117,7 +117,7 @@ class Aligner:
         self._times, self._values = np.empty((2, len(CHANNELS), ROOM))  # recent messages
         self._room = ROOM  # messages until some are to be forgotten
         none = np.empty(0)
-        with announced(str(compiled.__file__), "alignment"):  # compile now, so that a boat's first message need not wait
+        with announced(str(compiled.__file__), "alignment"):  # so that a boat's first message need not wait
             self.feed(none.astype(np.int64), none, none)
 
     def __copy__(self) -> Aligner:  # a shallow copy would share its messages

@@ -19,6 +19,7 @@ from usvlearn.evaluation.metrics import PERSISTENCE, mean_mae
 from usvlearn.figures import PAPER, prediction_figure
 from usvlearn.rollouts import stack
 from usvlearn.runs.fault_figure import fault_figure
+from usvlearn.runs.published import Published
 from usvlearn.runs.replay import Chunk
 from usvlearn.signals import Fleet, masks, tree_map
 from usvlearn.tensorboard import TensorBoardWriter
@@ -111,7 +112,7 @@ class TensorBoardLogger:
         self,
         settings: Mapping,
         boats: Mapping[str, Mapping[str, Mapping]],
-        published: Mapping[str, Sequence[np.ndarray]],
+        published: Published,
         alarms: Mapping[str, Sequence[Mapping]],
     ) -> None:
         """The record of the run, the counts of what was rejected, a figure of the end of each boat's last run.
@@ -124,7 +125,7 @@ class TensorBoardLogger:
         Args:
             settings: the run's configuration.
             boats: scores of the estimators; see `usvlearn.evaluation.metrics.fleet_scores`.
-            published: what `usvlearn.runs.replay.PUBLISHED` says, an array per run.
+            published: of the run.
             alarms: per boat; see `usvlearn.evaluation.metrics.alarms`.
         """
         self._write()
@@ -143,21 +144,21 @@ class TensorBoardLogger:
         except MissingExtraError as error:
             warnings.warn(f"no figure of the predictions: {error}", stacklevel=2)
 
-    def _draw_alarm(self, lane: int, published: Mapping, alarms: Sequence[Mapping], data: Mapping, step: int) -> None:
+    def _draw_alarm(self, lane: int, published: Published, alarms: Sequence[Mapping], data: Mapping, step: int) -> None:
         """The run of the first alarm; where the log is simulated, with the fault."""
         boat = self.fleet.boats[lane]
         index = next(k for k, run in enumerate(self.fleet.runs) if run.names[lane] == alarms[0]["run"])
-        run, health = self.fleet.runs[index], published["thrusters"][index][:, lane]
+        run, found = self.fleet.runs[index], published.lane(index, lane)
         part = slice(0, run.lengths[lane])
         shown = [name for name in (self.ensemble.output, "aid") if name in self.ensemble.names]
-        predictions = published["predictions"][index][part, lane]
+        predictions, health = found["predictions"][part], found["thrusters"][part]
         fault = data.get("fault")
         figure = fault_figure(
             run.time[part, lane],
-            health[part, :2],
+            health[:, :2],
             np.where(run.samples.measured[part, lane], run.samples.surge[part, lane], np.nan),
             {name: predictions[:, self.ensemble.names.index(name)] for name in shown},
-            health[part, 2:4],
+            health[:, 2:4],
             THRESHOLD,
             None if fault is None else 60 * (fault["minute"] - index * data["mission_minutes"]),
             [each["time"] for each in alarms if each["run"] == run.names[lane]],
@@ -165,7 +166,7 @@ class TensorBoardLogger:
         )
         self.board.figure(f"thrusters/{boat}", figure, step)
 
-    def _draw(self, lane: int, published: Mapping[str, Sequence[np.ndarray]], step: int) -> None:
+    def _draw(self, lane: int, published: Published, step: int) -> None:
         """The ensemble's own prediction and interval, beside the paper's three estimators, or the first three."""
         index = max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane])
         run, boat = self.fleet.runs[index], self.fleet.boats[lane]
@@ -176,7 +177,8 @@ class TensorBoardLogger:
         shown = [name for name in (*PAPER, *names) if name in names and name != self.ensemble.output]
         shown = [*list(dict.fromkeys(shown))[:3], self.ensemble.output]
         places = [names.index(name) for name in shown]
-        predictions, halfwidths = (published[key][index][part, lane] for key in ("predictions", "halfwidths"))
+        found, steps = published.lane(index, lane, part.start), part.stop - part.start
+        predictions, halfwidths = found["predictions"][:steps], found["halfwidths"][:steps]
         time, own = run.time[part, lane], halfwidths[:, places[-1]]
         figure = prediction_figure(time, surge, predictions[:, places], shown, title, own)
         self.board.figure(f"prediction/{boat}", figure, step)

@@ -11,23 +11,10 @@ import torch
 from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
 from usvlearn.estimators.ensemble.monitors import effectiveness
 from usvlearn.rollouts import rollout
+from usvlearn.runs.published import BEGIN, Position
 from usvlearn.signals import Fleet, Sample, tree_map
 
-
-class Position(NamedTuple):
-    """A place in a fleet's runs: so many steps of the run with that index are done."""
-
-    run: int
-    step: int
-
-
-BEGIN = Position(0, 0)
 THRUSTERS = "monitors.thrusters."  # before the names of a state's leaves
-PUBLISHED = {
-    "predictions": "(time, boats, estimators), m/s",
-    "halfwidths": "(time, boats, estimators), of their intervals, m/s",
-    "thrusters": "(time, boats, 5): effectiveness left and right, evidence of a loss left and right, 1 in an alarm",
-}
 
 
 class Chunk(NamedTuple):
@@ -36,7 +23,7 @@ class Chunk(NamedTuple):
     begin: Position
     end: Position
     state: EnsembleState  # at the end; leaves (boats, ...)
-    published: dict[str, np.ndarray]  # by PUBLISHED, (time, boats, …), NaN where no step was made
+    published: dict[str, np.ndarray]  # see `runs.published`, (time, boats, …), NaN where no step was made
     save: bool  # whether parameter sets are due at the end
 
     @property

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import time
 import warnings
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cached_property
@@ -27,11 +24,9 @@ from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.rollouts import stack
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
-from usvlearn.runs.replay import BEGIN, PUBLISHED, Chunk, Position
+from usvlearn.runs.published import BEGIN, Position, Published, joined, packed, position, stem
+from usvlearn.runs.replay import Chunk
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
-
-# what a damaged .npz raises
-DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 class Start(NamedTuple):
@@ -58,11 +53,12 @@ class RunFolder:
         fleet: what is replayed.
         metadata: JSON values that every checkpoint carries (configuration; `kernel`, how the ensemble is
             built, of all boats).
+        names: of the estimators, as `Ensemble.names`.
     """
 
-    def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any]):
-        self.path, self.fleet, self.metadata = Path(path), fleet, {"version": usvlearn.__version__, **metadata}
-        self._chunks: list[list[dict[str, np.ndarray]]] = [[] for _ in fleet.runs]  # what was published, per run
+    def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str]):
+        self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
+        self.metadata = {"version": usvlearn.__version__, **metadata}
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
         self._writer = ThreadPoolExecutor(1)
@@ -70,11 +66,14 @@ class RunFolder:
         self.state: EnsembleState | None = None  # the newest, leaves (boats, ...)
 
     @property
-    def published(self) -> dict[str, list[np.ndarray]]:
-        """What was published so far, by `replay.PUBLISHED`, an array per run; earlier sessions included."""
-        self._chunks = [[_joined(chunks)] if chunks else [] for chunks in self._chunks]  # in place of their parts
-        runs = [run for chunks in self._chunks for run in chunks]
-        return {name: [run[name] for run in runs] for name in (runs[0] if runs else {})}
+    def published(self) -> Published:
+        """What was published up to the last save, earlier sessions included."""
+        self._wait()
+        return self._published(self.path)
+
+    def _published(self, folder: Path) -> Published:
+        lengths = [len(run.time) for run in self.fleet.runs]
+        return Published(folder, lengths, len(self.fleet.boats), len(self.names))
 
     def begin(self, state: EnsembleState, resume: str | None) -> Start:
         """Where to start from: `state`, or what `resume` ("latest", a run's folder or a checkpoint) has saved.
@@ -124,7 +123,6 @@ class RunFolder:
     def save(self, chunk: Chunk) -> None:
         """Write what a chunk makes due: predictions first, since a state is gone on from only with them."""
         self.state, self._reached = chunk.state, chunk.end
-        self._chunks[chunk.end.run].append(chunk.published)
         self._pending.append(chunk.published)
         if chunk.save:
             self._hand_on()
@@ -144,11 +142,11 @@ class RunFolder:
 
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
         """Predictions and sets of one place; a disk is slow, so that the replay goes on meanwhile."""
-        content = io.BytesIO()
-        np.savez_compressed(content, **_joined(published))
+        run = self.fleet.runs[place.run]
+        content = packed(joined(published), run, place.step, self.fleet.boats, self.names)
         folder = self.path / PREDICTIONS
         folder.mkdir(exist_ok=True)
-        write_atomically(folder / f"{_stem(place)}.npz", content.getvalue())
+        write_atomically(folder / f"{stem(place)}.npz", content)
         for each in sets:
             save_checkpoint(each.path, each.state, **each.facts)
 
@@ -181,7 +179,11 @@ class RunFolder:
         self._wait()
         published = self.published
         boats = fleet_scores(self.fleet, published, ensemble.names, ensemble.surge_limit)
-        found = {"boats": boats, "alarms": alarms(self.fleet, published), "rejected": self.fleet.rejected}
+        found = {
+            "boats": boats,
+            "alarms": alarms(self.fleet, published.stretches(["thrusters"])),
+            "rejected": self.fleet.rejected,
+        }
         return found | {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
 
     def _lane_set(self, state: EnsembleState, lane: int, boat: str, place: Position) -> Set:
@@ -247,25 +249,20 @@ class RunFolder:
 
     def _continued(self, source: Path, start: Start) -> Start:
         """Go on from the newest place at which every boat and all predictions can be read."""
-        places = sorted(filter(None, map(position, (source / PREDICTIONS).glob("*.npz"))))
-        readable: list[tuple[Position, dict[str, np.ndarray]]] = []
-        for place in places:
-            path, before = source / PREDICTIONS / f"{_stem(place)}.npz", readable[-1][0] if readable else BEGIN
-            if before.run < place.run and before.step in (0, len(self.fleet.runs[before.run].time)):
-                before = Position(before.run + (before.step > 0), 0)
-            steps, boats = place.step - before.step, len(self.fleet.boats)
+        published, readable, before = self._published(source), [], BEGIN
+        for run, step, end in published.places():
             try:
-                published = read_published(path, steps, boats, start.state.predictions.shape[-1])
-                found = len(published["predictions"])
-                if place.run != before.run or found != steps:
-                    raise ValueError(f"it holds {found} steps, expected {steps}")
-            except DAMAGE as error:
-                warnings.warn(f"{path}: is damaged ({error}); going on from before it", stacklevel=2)
+                if run != before.run and (run - 1 != before.run or before.step != len(self.fleet.runs[run - 1].time)):
+                    raise CheckpointError(f"{source}: predictions of the end of run {before.run + 1} are missing")
+                published.read(run, step, end)
+            except CheckpointError as error:
+                warnings.warn(f"{error}; going on from before it", stacklevel=2)
                 break
-            readable.append((place, published))
+            before = Position(run, end)
+            readable.append(before)
         paths: list[Path] = []
         while readable:
-            place = readable[-1][0]
+            place = readable[-1]
             paths = [_set(source, boat, self._own(lane, place)) for lane, boat in enumerate(self.fleet.boats)]
             try:
                 for path in paths:
@@ -283,8 +280,6 @@ class RunFolder:
         else:
             note = f"going on after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
         lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
-        for (run, _), published in readable:
-            self._chunks[run].append(published)
         self._bring(source, place)
         return Start(stack(lanes), place, note)
 
@@ -314,34 +309,6 @@ class RunFolder:
                 old.unlink()
 
 
-def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Stretches of what was published, one after the other."""
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-
-
-def read_published(path: Path, steps: int, boats: int, columns: int) -> dict[str, np.ndarray]:
-    """The arrays of a file of predictions, by PUBLISHED; one of DAMAGE where it cannot be read.
-
-    Args:
-        path: of the file.
-        steps, boats, columns: how large the predictions can be. A file with much more is not unpacked, and one of other
-            boats or columns is damaged.
-    """
-    most = (1 << 16) + 4 * 8 * max(0, steps) * boats * (2 * columns + 5)
-    if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
-        raise ValueError("it is no archive of arrays")
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
-            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
-        found = {name: archive[name] for name in PUBLISHED if name in archive}
-    shape = found["predictions"].shape
-    for name, array in found.items():
-        width = 5 if name == "thrusters" else columns
-        if array.dtype.kind != "f" or array.shape != (shape[0], boats, width):
-            raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of (time, {boats}, {width})")
-    return found
-
-
 def begun(folder: Path) -> tuple[int, int, Position, str]:
     """A key that sorts the runs in one folder by when they began, or last went on.
 
@@ -362,18 +329,8 @@ def _number(folder: Path) -> int:
     return number if type(number) is int and 0 < number < 2**53 else 0
 
 
-def position(path: Path) -> Position | None:
-    """What a file's name says, None where it is none of ours."""
-    run, _, step = path.stem.partition("_")
-    return Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
-
-
-def _stem(place: Position) -> str:
-    return f"{place.run:05d}_{place.step:07d}"
-
-
 def _set(folder: Path, boat: str, place: Position) -> Path:
-    return folder / CHECKPOINTS / boat / f"{_stem(place)}{SUFFIX}"
+    return folder / CHECKPOINTS / boat / f"{stem(place)}{SUFFIX}"
 
 
 def digest(run: Run, lane: int) -> str:

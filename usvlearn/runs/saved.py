@@ -17,7 +17,8 @@ from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.rollouts import stack
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
 from usvlearn.runs.legacy import current
-from usvlearn.runs.run_folder import DAMAGE, begun, digest, position, read_published
+from usvlearn.runs.published import DAMAGE, position, read_published
+from usvlearn.runs.run_folder import begun, digest
 from usvlearn.runs.trust import check_settings
 from usvlearn.signals import Fleet, tree_map
 

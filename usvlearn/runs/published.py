@@ -1,0 +1,180 @@
+"""What a run publishes of each step, as its files keep it: `predictions/RRRRR_SSSSSSS.npz`.
+
+A file holds the steps of one run since the file before. It can be used alone, and opens without pickle. With n steps,
+b boats and m estimators:
+
+    predictions      (n, b, m)  m/s; NaN where no step was made
+    halfwidths       (n, b, m)  m/s, of the intervals about them
+    thrusters        (n, b, 5)  effectiveness left and right, evidence of a loss left and right, 1 in an alarm
+    time             (n, b)     s since the log's start; NaN behind the end of a boat's shorter run
+    measured_surge   (n, b)     m/s; NaN where it was not measured
+    command_left, command_right, heading, yaw_rate, dt    (n, b)    what was known before each prediction
+    fresh, measured  (n, b)     bool: every input was recent; and so was the speed
+    boats, runs      (b,)       names; a boat without such a run has an empty name there
+    estimators       (m,)       names of the last axis of predictions and halfwidths
+    units            (k, 2)     name and unit of all that has one
+
+Older files have the first three alone.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import CheckpointError
+from usvlearn.runs.layout import PREDICTIONS
+from usvlearn.signals import Run
+
+# what a damaged .npz raises
+DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
+PUBLISHED = ("predictions", "halfwidths", "thrusters")
+UNITS = {
+    "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1", "time": "s",
+    "measured_surge": "m/s", "command_left": "share of full scale", "command_right": "share of full scale",
+    "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s",
+}  # fmt: skip
+
+
+class Position(NamedTuple):
+    """A place in a fleet's runs: so many steps of the run with that index are done."""
+
+    run: int
+    step: int
+
+
+BEGIN = Position(0, 0)
+
+
+class Stretch(NamedTuple):
+    """Steps of one run that one file holds."""
+
+    run: int  # its index
+    step: int  # the first
+    arrays: dict[str, np.ndarray]  # by PUBLISHED, (time, boats, …)
+
+
+class Published:
+    """The stretches that a run's folder holds, in order; each is read when it is needed, so that memory holds one.
+
+    Args:
+        folder: of the run.
+        lengths: steps of each run.
+        boats, columns: how many there are.
+    """
+
+    def __init__(self, folder: Path, lengths: Sequence[int], boats: int, columns: int):
+        self._folder, self._lengths, self._boats, self._columns = folder / PREDICTIONS, lengths, boats, columns
+
+    def places(self) -> list[tuple[int, int, int]]:
+        """Index of the run, first step and end of each stretch, by the names of the files."""
+        found, before = [], BEGIN
+        for place in sorted(filter(None, map(position, self._folder.glob("*.npz")))):
+            found.append((place.run, before.step if place.run == before.run else 0, place.step))
+            before = place
+        return found
+
+    def read(self, run: int, step: int, end: int, names: Sequence[str] = PUBLISHED) -> Stretch:
+        """One of the places: the arrays of these names that its file has.
+
+        Raises:
+            CheckpointError: its file is damaged, or holds other steps.
+        """
+        path = self._folder / f"{stem(Position(run, end))}.npz"
+        try:
+            arrays = read_published(path, min(end, self._lengths[run]) - step, self._boats, self._columns, names)
+            if other := [len(array) for array in arrays.values() if len(array) != end - step]:
+                raise ValueError(f"it holds {other[0]} steps, expected {end - step}")
+        except DAMAGE as error:
+            raise CheckpointError(f"{path}: is damaged ({error})") from error
+        return Stretch(run, step, arrays)
+
+    def stretches(self, names: Sequence[str] = PUBLISHED) -> Iterator[Stretch]:
+        """All of them, one after the other."""
+        return (self.read(*place, names) for place in self.places())
+
+    __iter__ = stretches
+
+    def lane(self, run: int, lane: int, first: int = 0) -> dict[str, np.ndarray]:
+        """One boat's arrays, `(time, …)`, of a run from a step on."""
+        parts = []
+        for place in self.places():
+            if place[0] == run and place[2] > first:
+                skip = max(0, first - place[1])
+                parts.append({name: array[skip:, lane] for name, array in self.read(*place).arrays.items()})
+        return joined(parts)
+
+
+def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """Stretches of what was published, one after the other."""
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def packed(
+    published: Mapping[str, np.ndarray], run: Run, end: int, boats: Sequence[str], estimators: Sequence[str]
+) -> bytes:
+    """The content of a file: what was published of the last steps of a run before `end`, and what it rests on."""
+    part = slice(end - len(published["predictions"]), end)
+    inputs, surge, fresh, measured = run.samples
+    arrays = {
+        **published,
+        "time": run.time[part],
+        "measured_surge": np.where(measured[part], surge[part], np.nan),
+        **{name: values[part] for name, values in inputs._asdict().items()},
+        "fresh": fresh[part],
+        "measured": measured[part],
+        "boats": np.array(boats, str),
+        "runs": np.array(run.names, str),
+        "estimators": np.array(estimators, str),
+    }
+    arrays["units"] = np.array([(name, unit) for name, unit in UNITS.items() if name in arrays])
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:  # 6 takes 2.5 times as long
+        for name, array in arrays.items():  # and makes it 1 % smaller
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+    return content.getvalue()
+
+
+def read_published(
+    path: Path, steps: int, boats: int, columns: int, names: Sequence[str] = PUBLISHED
+) -> dict[str, np.ndarray]:
+    """The arrays of a file of predictions, by PUBLISHED; one of DAMAGE where it cannot be read.
+
+    Args:
+        path: of the file.
+        steps, boats, columns: how large the predictions can be. A file with much more is not unpacked, and one of other
+            boats or columns is damaged.
+        names: of the arrays; without predictions a file is damaged, without others it is of an older version.
+    """
+    most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (2 * columns + 12)) * boats  # 2048: names
+    if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
+        raise ValueError("it is no archive of arrays")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
+            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
+        found = {name: archive[name] for name in names if name in archive or name == "predictions"}
+    for name, array in found.items():
+        width = 5 if name == "thrusters" else columns
+        if array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (boats, width):
+            raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of (time, {boats}, {width})")
+    if len({len(array) for array in found.values()}) > 1:
+        raise ValueError("its arrays differ in length")
+    return found
+
+
+def position(path: Path) -> Position | None:
+    """What a file's name says, None where it is none of ours."""
+    run, _, step = path.stem.partition("_")
+    return Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
+
+
+def stem(place: Position) -> str:
+    """The name of a place's files."""
+    return f"{place.run:05d}_{place.step:07d}"
