@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -90,6 +90,47 @@ def simulate(
         return run(description, state, samples, record, free=True)
     steps = clean(samples, estimator.surge_limit)
     return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
+
+
+def stretches(
+    estimator: Estimator, state: State, samples: Iterable[Sample], record: Sequence[str]
+) -> Iterator[tuple[State, dict[str, np.ndarray]]]:
+    """`rollout` without gradients, on NumPy's samples that come in stretches: the kernels read them as they are.
+
+    Args:
+        estimator, state: as of `rollout`.
+        samples: arrays `(time, *batch)` each; numbers of another size become the state's.
+        record: names of leaves of the state.
+
+    Yields:
+        The state after each stretch; the leaves after each of its steps, `(time, *batch, …)`.
+
+    Raises:
+        ShapeError: the first samples do not fit the state.
+    """
+    from usvlearn.engine.run import roll
+
+    leaves, first = _arrays(state), True
+    dtype = next(leaf.dtype for leaf in leaves.values() if leaf.dtype != bool)
+    for part in samples:
+        part = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
+        with torch.no_grad():
+            if first:
+                _check(state, whole := tree_map(torch.from_numpy, part))
+                description, first = choose(estimator, state, whole, "auto"), False
+            if description is not None:
+                leaves, _, kept = roll(description, leaves, part, record=record, threads=torch.get_num_threads())
+                state = _tree(state, leaves)
+            else:
+                state, _, named = rollout(estimator, state, tree_map(torch.from_numpy, part), record, backend="torch")
+                kept = tree_map(_array, named)
+        yield state, kept
+
+
+def tensors(samples: Sample, dtype: torch.dtype) -> Sample:
+    """NumPy's samples as tensors; numbers have the dtype, masks are what they were."""
+    as_tensors = tree_map(torch.from_numpy, samples)
+    return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, as_tensors)
 
 
 def _run(estimator: Estimator, state: State, steps: Step, pick: Callable | None):
@@ -209,7 +250,7 @@ def free_totals(description: dict[str, Any], state: Any, samples: Sample, learni
 
 def _array(x: Tensor) -> np.ndarray:
     """A tensor as an array that shares its memory where it can."""
-    return x.numpy(force=True)
+    return x.detach().cpu().numpy()  # numpy(force=True) takes ten times as long
 
 
 def _arrays(state: Any) -> dict[str, np.ndarray]:

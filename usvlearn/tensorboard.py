@@ -25,11 +25,14 @@ The horizontal axis counts the steps of the grid. The CUSTOM SCALARS page draws 
 from __future__ import annotations
 
 import functools
+import io
 import threading
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 
 class TensorBoardWriter:
@@ -44,6 +47,7 @@ class TensorBoardWriter:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)  # of TensorBoard's own imports
             from torch.utils.tensorboard import SummaryWriter
+        _speed_up()
         before: Callable[[Any], object] = threading.excepthook
         threading.excepthook = functools.partial(_unless_tensorboard, before)
         try:
@@ -56,8 +60,12 @@ class TensorBoardWriter:
         """One point of each curve `prefix/name`, all in one record: a record each takes ten times as long."""
         from tensorboard.compat.proto.summary_pb2 import Summary
 
-        points = [Summary.Value(tag=f"{prefix}/{name}", simple_value=value) for name, value in values.items()]
-        self._writer.file_writer.add_summary(Summary(value=points), step)
+        record, places = _template(prefix, tuple(values))
+        with np.errstate(over="ignore"):  # beyond float32 it is infinite
+            record[places] = (
+                np.fromiter(values.values(), float, len(values)).astype("<f4").view(np.uint8).reshape(-1, 4)
+            )
+        self._writer.file_writer.add_summary(Summary.FromString(record.tobytes()), step)
 
     def charts(self, pages: Mapping[str, Mapping[str, list[str]]]) -> None:
         """What the CUSTOM SCALARS page draws together: page -> chart -> tags."""
@@ -69,15 +77,17 @@ class TensorBoardWriter:
 
     def figure(self, tag: str, figure, step: int) -> None:
         """A matplotlib figure."""
-        self._writer.add_figure(tag, figure, step)
+        png = io.BytesIO()
+        figure.savefig(png, format="png", pil_kwargs={"compress_level": 1})  # add_figure imports pyplot for that
+        self.image(tag, png.getvalue(), step)
 
-    def image(self, tag: str, png: bytes) -> None:
+    def image(self, tag: str, png: bytes, step: int = 0) -> None:
         """A picture that has been drawn already."""
         from tensorboard.compat.proto.summary_pb2 import Summary
 
         width, height = (int.from_bytes(png[at : at + 4]) for at in (16, 20))  # of the header, whose place is fixed
         image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
-        self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), 0)
+        self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
 
     def text(self, tag: str, markdown: str) -> None:
         """A text, for the TEXT page."""
@@ -105,6 +115,35 @@ class TensorBoardWriter:
 
     def __exit__(self, *_) -> None:
         self.close()
+
+
+def _speed_up() -> None:
+    """Let TensorBoard take its checksums from compiled code, where numba is installed and compiles."""
+    from tensorboard.summary.writer import record_writer
+
+    try:
+        from numba import config
+
+        from usvlearn.crc import masked_crc32c
+    except ImportError:
+        return
+    if hasattr(record_writer, "masked_crc32c") and not config.DISABLE_JIT:
+        masked_crc32c(b"")  # compiles
+        record_writer.masked_crc32c = masked_crc32c
+
+
+@functools.lru_cache(maxsize=1024)
+def _template(prefix: str, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The bytes of a record of points, and where their values lie in it, `(names, 4)`.
+
+    To fill these in takes a tenth of the time that an object for each point takes.
+    """
+    from tensorboard.compat.proto.summary_pb2 import Summary
+
+    points = [Summary(value=[Summary.Value(tag=f"{prefix}/{name}", simple_value=1.0)]) for name in names]
+    parts = [point.SerializeToString() for point in points]  # each ends with its value
+    ends = np.cumsum([len(part) for part in parts], dtype=int)
+    return np.frombuffer(b"".join(parts), np.uint8).copy(), ends[:, None] + np.arange(-4, 0)
 
 
 def _unless_tensorboard(before: Callable[[Any], object], failed: Any) -> None:

@@ -47,7 +47,8 @@ class TensorBoardLogger:
         self.every = max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))  # steps between points
         self._points: list[tuple[int, np.ndarray, EnsembleState]] = []  # step, MAE (boats, estimators), state
         self._written = time.monotonic()
-        self._errors: deque[np.ndarray] = deque()  # (time, boats, estimators), the last WINDOW steps or a little more
+        self._errors: deque[tuple[int, np.ndarray, np.ndarray]] = deque()  # of a chunk: steps, Σ |error| and how many,
+        # (boats, estimators); of the last WINDOW steps or a little more
         charts = {
             boat: {
                 f"{number}, {unit}": [f"online/{number}/{boat}/{name}" for name in ensemble.names]
@@ -78,13 +79,14 @@ class TensorBoardLogger:
         part = slice(chunk.begin.step, chunk.end.step)
         samples = tree_map(lambda x: x[part], self.fleet.runs[chunk.end.run].samples)
         surge = np.where(masks(samples, self.ensemble.surge_limit).learns, samples.surge, np.nan)
-        self._errors.append(np.abs(chunk.predictions - surge[..., None]))
-        while sum(map(len, self._errors)) - len(self._errors[0]) >= WINDOW:
-            self._errors.popleft()
-        errors = np.concatenate(self._errors)
+        errors = np.abs(chunk.predictions - surge[..., None])
         seen = np.isfinite(errors)
-        counts = np.where(seen.any(0), seen.sum(0), np.nan)
-        mae = np.where(seen, errors, 0.0).sum(0) / counts
+        self._errors.append((len(errors), errors.sum(0, where=seen), seen.sum(0)))
+        while sum(steps for steps, *_ in self._errors) - self._errors[0][0] >= WINDOW:
+            self._errors.popleft()
+        _, sums, counts = zip(*self._errors, strict=True)
+        count = sum(counts)
+        mae = sum(sums) / np.where(count, count, np.nan)
         self._points.append((self.fleet.steps_before(*chunk.end), mae, chunk.state))
         if len(self._points) == BATCH or time.monotonic() - self._written > PATIENCE:
             self._write()

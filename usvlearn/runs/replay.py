@@ -10,11 +10,11 @@ import torch
 
 from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
 from usvlearn.estimators.ensemble.monitors import effectiveness
-from usvlearn.rollouts import rollout
+from usvlearn.rollouts import stretches
 from usvlearn.runs.published import BEGIN, Position
-from usvlearn.signals import Fleet, Sample, tree_map
+from usvlearn.signals import Fleet, tree_map
 
-THRUSTERS = "monitors.thrusters."  # before the names of a state's leaves
+THRUSTERS, HEALTH = "monitors.thrusters.", ("evidence", "sums", "raised")  # of a state's leaves
 
 
 class Chunk(NamedTuple):
@@ -55,45 +55,38 @@ def replay(
     Yields:
         Chunks in order; together they cover each run once.
     """
-    dtype = state.predictions.dtype
+    places = list(_places(fleet, begin, every, save_every))
+    parts = (tree_map(lambda x, a=a, b=b: x[a:b], fleet.runs[run].samples) for run, a, b, _ in places)
+    replayed = stretches(ensemble, state, parts, _recorded(state))
+    for (run, done, stop, save), (state, kept) in zip(places, replayed, strict=True):
+        part = tree_map(lambda x, a=done, b=stop: x[a:b], fleet.runs[run].samples)
+        stepped = (part.fresh & (part.inputs.dt != 0))[..., None]
+        published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, kept).items()}
+        yield Chunk(Position(run, done), Position(run, stop), state, published, save)
+
+
+def _places(fleet: Fleet, begin: Position, every: int, save_every: int) -> Iterator[tuple[int, int, int, bool]]:
+    """Of each chunk the run, the first step and the end, and whether sets are due there."""
     for index in range(begin.run, len(fleet.runs)):
-        samples, length = fleet.runs[index].samples, len(fleet.runs[index].time)
-        done = begin.step if index == begin.run else 0
+        length, done = len(fleet.runs[index].time), begin.step if index == begin.run else 0
         for stop in sorted({*range(every, length, every), *range(save_every, length, save_every), length}):
-            if stop <= done:
-                continue
-            part = tree_map(lambda x, a=done, b=stop: x[a:b], samples)
-            with torch.no_grad():
-                state, _, kept = rollout(ensemble, state, tensors(part, dtype), record=_recorded(state))
-                published = _published(state, kept)
-            stepped = (part.fresh & (part.inputs.dt != 0))[..., None]
-            yield Chunk(
-                Position(index, done),
-                Position(index, stop),
-                state,
-                {name: np.where(stepped, array.numpy(), np.nan) for name, array in published.items()},
-                stop == length or stop % save_every == 0,
-            )
-            done = stop
+            if stop > done:
+                yield index, done, stop, stop == length or stop % save_every == 0
+                done = stop
 
 
 def _recorded(state: EnsembleState) -> list[str]:
     """The leaves that are kept of every step."""
-    thrusters = [f"{THRUSTERS}{leaf}" for leaf in ("evidence", "sums", "raised")] if state.monitors else []
+    thrusters = [f"{THRUSTERS}{leaf}" for leaf in HEALTH] if state.monitors else []
     return ["predictions", "halfwidths", *thrusters]
 
 
-def _published(state: EnsembleState, kept: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _published(state: EnsembleState, kept: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """What is published of every step, from the leaves that were kept."""
     published = {name: kept[name] for name in ("predictions", "halfwidths")}
     if not state.monitors:
         return published
-    health = state.monitors.thrusters._replace(evidence=kept[f"{THRUSTERS}evidence"], sums=kept[f"{THRUSTERS}sums"])
-    alarm = kept[f"{THRUSTERS}raised"].amax(-1, keepdim=True)
-    return published | {"thrusters": torch.cat([effectiveness(health)[0], health.evidence, alarm], -1)}
-
-
-def tensors(samples: Sample, dtype: torch.dtype) -> Sample:
-    """Samples of a fleet as tensors; numbers have the dtype, masks are what they were."""
-    as_tensors = tree_map(torch.from_numpy, samples)
-    return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, as_tensors)
+    evidence, sums, raised = (kept[f"{THRUSTERS}{name}"] for name in HEALTH)
+    health = state.monitors.thrusters._replace(evidence=torch.from_numpy(evidence), sums=torch.from_numpy(sums))
+    left = effectiveness(health)[0].numpy()
+    return published | {"thrusters": np.concatenate([left, evidence, raised.max(-1, keepdims=True)], -1)}

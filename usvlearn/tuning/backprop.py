@@ -29,8 +29,7 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, check_choice
 from usvlearn.estimator import Estimator, clean
 from usvlearn.estimators.rnn.layer import RNN
-from usvlearn.rollouts import rollout
-from usvlearn.runs.replay import tensors
+from usvlearn.rollouts import rollout, tensors
 from usvlearn.signals import PLAUSIBLE, Fleet, Sample, masks, tree_map
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae
 

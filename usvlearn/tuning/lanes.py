@@ -18,8 +18,7 @@ from usvlearn.estimator import Estimator, check_estimator, clean
 from usvlearn.estimators.ensemble.layer import Bank
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.hyper import Positive, UnitInterval, as_tensor
-from usvlearn.rollouts import rollout
-from usvlearn.runs.replay import tensors
+from usvlearn.rollouts import rollout, tensors
 from usvlearn.signals import Fleet, tree_map
 
 Setting = dict[str, float]  # dotted path -> value
