@@ -40,9 +40,9 @@ def test_a_fleets_scores_count_the_steps_that_an_ensemble_learns_from():
     fleet = Fleet(("heron",), (Run(np.cumsum(dt, 0), samples, ("1",), (7,)),), {})
     predictions = surge[..., None] + 0.5
     for limit, steps in ((10.0, 2), (50.0, 3)):
-        row = fleet_scores(fleet, {"predictions": [predictions]}, ["aid"], limit)["heron"]["aid"]
+        row = fleet_scores(fleet, [(0, 0, {"predictions": predictions})], ["aid"], limit)["heron"]["aid"]
         assert (row["steps"], row["diverged"], row["mae"]) == (steps, 0, 0.5)
-    stopped = fleet_scores(fleet, {"predictions": [predictions[:4]]}, ["aid"], 10.0)["heron"]["aid"]
+    stopped = fleet_scores(fleet, [(0, 0, {"predictions": predictions[:4]})], ["aid"], 10.0)["heron"]["aid"]
     assert stopped["steps"] == 1
 
 
