@@ -193,6 +193,19 @@ def test_a_job_is_done_once_and_gone_on_with_if_it_was_begun(tmp_path):
     assert np.isnan(attempt(tmp_path, never))
 
 
+def test_a_finished_tuning_is_not_taken_for_a_job_of_other_settings(tmp_path, capsys):
+    """A tuning leaves results, and no file of runs."""
+
+    def tune(resume) -> float:
+        found = {"boats": {"heron": {"aid": {"mae": 0.03}}}, "objective": 0.03, "output": "aid"}
+        (tmp_path / "results.json").write_text(json.dumps(found))
+        return 0.03
+
+    assert attempt(tmp_path, tune) == 0.03 and not (tmp_path / "runs.json").exists()
+    assert np.isnan(attempt(tmp_path, never, {"a": 2}, ["a=2"]))
+    assert "holds another job" in capsys.readouterr().err
+
+
 def test_a_failed_job_is_recorded_and_tried_again(tmp_path, capsys):
     def bad(resume):
         raise ConfigError("dt: found -1, expected more")
