@@ -49,7 +49,7 @@ MISTAKES = {
     "a section that is itself": (["align=${align}"], ["align", "${align}"]),
     "a circle": (["align.dt=${threads}", "threads=${align.dt}"], ["align.dt", "refers to itself"]),
     "a folder that is itself": (["hydra.run.dir=${hydra.run.dir}"], ["hydra.run.dir", "refers to itself"]),
-    "a reference to nothing": (["align.dt=${align.dtt}"], ["align.dt", "align.dtt", "not there"]),
+    "a reference to nothing": (["align.dt=${align.dtt}"], ["align.dt", "align.dtt", "does not exist"]),
     "no value yet": (["data=csv", "data.path=???"], ["data.path"]),
     "option of align": (["+align.dtt=3"], ["align.dtt", "did you mean align.dt?"]),
 }
