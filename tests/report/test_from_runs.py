@@ -336,7 +336,7 @@ def test_no_band_of_parameters_stands_without_its_caveat(saved):
         section = parameters_section(seasons, ensemble, known, mission)
         (caveat,) = (sentence for sentence in section.here if "±" in sentence)
         for text in (caveat, *(drawn.caption for drawn in section.figures)):
-            assert "noise of the samples" in text and "nothing of the bias of the model" in text
+            assert "noise of the samples" in text and "not the bias of the model" in text
         assert len(section.figures) == 2
         for drawn in section.figures:  # also where it is a file of its own
             labels = {text.get_text() for text in drawn.figure.legends[0].get_texts()}

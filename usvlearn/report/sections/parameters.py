@@ -27,9 +27,9 @@ PAPER_RESULT = (
 )
 NOISE = (
     "the band and the ± (1.645 standard deviations from the covariance of least squares) cover 90 % of the effect of "
-    "the samples' noise. They do not cover the bias of the model (current, lags, a dead band, noise in the speed)"
+    "the noise of the samples, but not the bias of the model (current, lags, a dead band, noise in the speed)"
 )
-BAND = "Band: 90 % of the effect of the samples' noise; the bias of the model is not included."
+BAND = "Band: 90 % of the effect of the noise of the samples, but not the bias of the model."
 SHOWN = ("aid", "steady_rls", "dynamic_rls")  # if there are many members, the first two of these are shown
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
 
