@@ -12,6 +12,7 @@ import usvlearn
 COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "train": ("usvlearn.cli.train", "replay logs through estimators online, save parameter sets and predictions"),
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
+    "warm": ("usvlearn.engine.warm", "compile the kernels ahead of need, when a boat's computer is set up"),
     "certify": ("certify.__main__", "prove whether the networks in parameter sets contract"),
 }
 USAGE = "usage: usvlearn COMMAND ARGUMENTS, usvlearn COMMAND --help or usvlearn --version"
@@ -21,7 +22,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Hand the arguments to a command; returns the exit code.
 
     >>> main(["--version"])
-    usvlearn 0.1.0
+    usvlearn 0.2.0.dev0
     0
     """
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]

@@ -119,10 +119,12 @@ def learn(
     for chunk in replay(ensemble, fleet, state):
         parts[chunk.end.run].append(chunk.published)
         state = chunk.state
-    published = {name: [np.concatenate([part[name] for part in run]) for run in parts] for name in parts[0][0]}
-    found = predictions_of(fleet, ensemble.names, published)
-    scores = fleet_scores(fleet, published, ensemble.names)
-    return Learned(logs, ensemble, state, found, scores, alarms(fleet, published))
+    whole = [{name: np.concatenate([part[name] for part in run]) for name in run[0]} for run in parts]
+    published = [(index, 0, arrays) for index, arrays in enumerate(whole)]
+    scores = fleet_scores(fleet, published, ensemble.names, ensemble.surge_limit)
+    return Learned(
+        logs, ensemble, state, predictions_of(fleet, ensemble.names, whole), scores, alarms(fleet, published)
+    )
 
 
 def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:

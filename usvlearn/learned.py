@@ -159,8 +159,7 @@ class Learned:
         import torch
 
         from usvlearn.evaluation.metrics import fleet_scores
-        from usvlearn.rollouts import simulate
-        from usvlearn.runs.replay import tensors
+        from usvlearn.rollouts import simulate, tensors
 
         lanes = [self._lane(boat) for boat in logs.boats]
         state = tree_map(lambda leaf: leaf[lanes], self.state)
@@ -170,9 +169,10 @@ class Learned:
                 samples = tensors(run.samples, state.predictions.dtype)
                 _, _, kept = simulate(self.ensemble, state, samples, record=["predictions"])
             stepped = run.samples.fresh & (run.samples.inputs.dt != 0)
-            published.append(np.where(stepped[..., None], kept["predictions"].numpy(), np.nan))
-        names, arrays = self.ensemble.names, {"predictions": published}
-        return Simulated(predictions_of(logs.fleet, names, arrays), fleet_scores(logs.fleet, arrays, names))
+            published.append({"predictions": np.where(stepped[..., None], kept["predictions"].numpy(), np.nan)})
+        names, stretches = self.ensemble.names, [(index, 0, arrays) for index, arrays in enumerate(published)]
+        scores = fleet_scores(logs.fleet, stretches, names, self.ensemble.surge_limit)
+        return Simulated(predictions_of(logs.fleet, names, published), scores)
 
     def save(self, path: PathLike, boat: str | None = None) -> Path:
         """Write a boat's parameter set, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.
@@ -224,15 +224,15 @@ class Learned:
 
 
 def predictions_of(
-    fleet: Fleet, names: Sequence[str], published: Mapping[str, Sequence[np.ndarray]]
+    fleet: Fleet, names: Sequence[str], published: Sequence[Mapping[str, np.ndarray]]
 ) -> tuple[Predictions, ...]:
-    """What was published of a fleet, arrays `(time, boats, names)` per run, by run and boat."""
+    """What was published of each run of a fleet, arrays `(time, boats, names)`, by run and boat."""
     found = []
     for index, run in enumerate(fleet.runs):
         for lane, boat in enumerate(fleet.boats):
             if n := run.lengths[lane]:
                 by_name = [
-                    dict(zip(names, published[key][index][:n, lane].T, strict=True)) if key in published else {}
+                    dict(zip(names, published[index][key][:n, lane].T, strict=True)) if key in published[index] else {}
                     for key in ("predictions", "halfwidths")
                 ]
                 measured = _measured(_lane(run.samples, n, lane))

@@ -1,4 +1,4 @@
-"""Compiling ahead of need: `python -m usvlearn.engine.warm [float32]`, say when a boat's computer is set up."""
+"""Compiling ahead of need, when the computer of a boat is set up: `usvlearn warm [float32]`."""
 
 from __future__ import annotations
 
@@ -52,5 +52,16 @@ def warm(float32: bool = False) -> Path:
     return folder(Path(dispatch.__file__)).parent
 
 
+def main() -> int:
+    """`usvlearn warm [float32]`; returns the exit code."""
+    arguments = sys.argv[1:]
+    if arguments not in ([], ["float32"]):
+        wanted = "nothing, or float32 to compile the kernels of float32, too"
+        print(f"usage: usvlearn warm [float32]; found {' '.join(arguments)}, expected {wanted}", file=sys.stderr)
+        return 0 if arguments in (["-h"], ["--help"]) else 2
+    print(f"usvlearn: the kernels are compiled; they are kept in {warm(bool(arguments))}")
+    return 0
+
+
 if __name__ == "__main__":
-    print(f"usvlearn: the kernels are compiled; they are kept in {warm('float32' in sys.argv[1:])}")
+    sys.exit(main())
