@@ -345,3 +345,20 @@ def test_a_copy_of_an_aligner_goes_its_own_way():
     for one in (*others, aligner):
         assert feed(one, 6, 30) == expected and len(expected) > 5
         assert one.rejected == whole.rejected
+
+
+def test_a_mean_sees_nothing_that_is_stamped_after_the_speed():
+    """The speed of the step to 0.4 s is stamped 0.35 s, a new command 0.36 s."""
+    speeds = channel([0.0, 0.35, 0.75], [0.0, 0.1, 0.2], window=0.3)
+    samples = align(log(0.8, surge=speeds, command_left=channel([0.0, 0.36], [0.0, 1.0], held=True))).samples
+    assert samples.measured[1] and samples.inputs.command_left[1] == 0.0
+
+
+def test_every_step_waits_for_stragglers():
+    """Also the steps of a gap, which become due together."""
+    aligner, made = Aligner({name: channel([], []) for name in REQUIRED}, patience=0.2), []
+    for time in (0.0, 1.3, 1.45):
+        for name in REQUIRED:
+            made += [(at, time) for at, _ in aligner.push(name, time, 0.1)]
+    assert max(at for at, _ in made) == pytest.approx(1.2)
+    assert all(at <= newest - 0.2 + 1e-9 for at, newest in made[1:])
