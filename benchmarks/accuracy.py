@@ -19,7 +19,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
-from usvlearn.estimators.baselines.persistence import PersistenceState
+from usvlearn.estimators.baselines.persistence.layer import PersistenceState
 from usvlearn.evaluation.metrics import scores
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.rollouts import simulate

@@ -1,8 +1,12 @@
 """The examples of README and CONTRIBUTING run; every YAML composes and instantiates."""
 
 import itertools
+import os
 import re
+import shutil
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from hydra import compose, initialize_config_dir
@@ -56,6 +60,61 @@ def test_every_section_of_the_theory_that_is_cited_exists():
             cited += 1
         assert not re.search(r"\(theory[, ]", text), f"{path}: cites a theory without naming its file"
     assert cited >= 5
+
+
+def insert(path: Path, after: str, line: str) -> None:
+    """Put a line behind the first that begins so."""
+    head, found, tail = path.read_text().partition(after)
+    assert found, f"{path}: has no {after!r}"
+    path.write_text(f"{head}{found}\n{line}{tail}")
+
+
+@pytest.fixture
+def with_smoothing(tmp_path):
+    """A copy of the repository with the files and the lines that CONTRIBUTING shows."""
+    text = (ROOT / "CONTRIBUTING.md").read_text().partition("## Add an estimator")[2]
+    for part in ("usvlearn", "certify", "configs", "tests", "benchmarks"):
+        shutil.copytree(ROOT / part, tmp_path / part, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    files = re.findall(
+        r"`((?:usvlearn|configs)/[^`]*smoothing[^`]*)`[^`]*(?:`[^`\n]*`[^`]*)*?```\w+\n(.*?)```", text, re.DOTALL
+    )
+    assert [Path(name).name for name, _ in files] == ["state.py", "layer.py", "kernel.py", "smoothing.yaml"]
+    for name, content in files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    line, place = re.search(r"`([^`]+)` in `COMPILED` of `([^`]+)`", text).groups()
+    # Machine code of the other families takes a minute to compile, and the example needs none of them.
+    families = tmp_path / place
+    families.write_text(
+        re.sub(r"COMPILED = \(.*?\)", 'COMPILED = (\n    "baselines.persistence",\n)', families.read_text(), flags=re.S)
+    )
+    insert(families, "COMPILED = (", f"    {line}")
+    line, place, imported = re.search(r"`([^`]+)` in\s+`ESTIMATORS` of `([^`]+)`,[^`]*`([^`]+)`", text).groups()
+    insert(tmp_path / place, "ESTIMATORS = {", f"    {line}")
+    insert(tmp_path / place, "from pathlib import Path\n", imported)
+    return tmp_path
+
+
+def test_the_new_estimator_of_contributing_has_every_property(with_smoothing):
+    """The contracts; and the kernel equals torch in both precisions, over lanes, faults, free runs and sets on disk."""
+    environment = os.environ | {"PYTHONPATH": str(with_smoothing), "NUMBA_CACHE_DIR": str(with_smoothing / "cache")}
+    tests = ["tests/test_contracts.py", "tests/engine/test_kernels.py", "tests/engine/test_descriptions.py"]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "smoothing", *tests]
+    done = subprocess.run(command, cwd=with_smoothing, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    assert int(re.search(r"(\d+) passed", done.stdout).group(1)) >= 25 and "skipped" not in done.stdout
+
+
+def test_a_hyperparameter_is_in_the_files_that_contributing_names():
+    text = (ROOT / "CONTRIBUTING.md").read_text().partition("**A hyperparameter more**")[2].partition("**A new")[0]
+    named = set(re.findall(r"`((?:usvlearn|configs)/[^`]+)`", text))
+    sources = [
+        path for folder in ("usvlearn", "configs") for path in (ROOT / folder).rglob("*") if path.suffix in SOURCES
+    ]
+    found = {path.relative_to(ROOT).as_posix() for path in sources if "dead_zone" in path.read_text().lower()}
+    assert len(named) == 4 and named <= found
+    assert found - named == {"configs/estimator/memory_aid.yaml"}  # another call of the constructor
 
 
 @pytest.mark.parametrize("data", DATA)

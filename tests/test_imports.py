@@ -33,7 +33,7 @@ OURS = {
     "usvlearn.simulate": LIGHT | {"usvlearn.jit", "usvlearn.simulate", "usvlearn.logs.channel"},
     "usvlearn.hyper": LIGHT,
     "usvlearn.figures": LIGHT,
-    "usvlearn.estimator": LIGHT,
+    "usvlearn.estimator": LIGHT | {"usvlearn.family", "usvlearn.hyper"},
     "usvlearn.estimators": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "certify",
                                     *KERNELS},
     "usvlearn.engine": LIGHT | {"usvlearn.engine", "usvlearn.estimators", *KERNELS},

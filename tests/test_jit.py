@@ -95,7 +95,15 @@ def copied(tmp_path, monkeypatch):
     [
         ("signals.py", "PLAUSIBLE = 100.0", "PLAUSIBLE = 101.0"),  # a constant in machine code, in a file without @jit
         ("family.py", "MOST = 1e-30, 1e30", "MOST = 1e-30, 1e31"),
-        ("estimators/aid/kernel.py", "def learn_aid", "def learn_aid"),
+        ("estimators/aid/kernel.py", "def adapt(", "def adapt("),
+        (
+            "estimators/aid/state.py",
+            "    GAIN = POSITIVE\n    LEAK = POSITIVE",
+            "    LEAK = POSITIVE\n    GAIN = POSITIVE",
+        ),
+        ("estimators/baselines/persistence/kernel.py", "def coast", "def coast"),
+        ("estimators/__init__.py", '"least_squares",\n    "aid",', '"aid",\n    "least_squares",'),
+        ("engine/chains.py", "def chain(", "def chain("),
         ("jit.py", '"nogil": True', '"nogil": False'),
     ],
 )
@@ -141,7 +149,7 @@ def test_a_family_declared_in_another_file_is_in_the_folder(copied):
 
 def test_the_kernels_know_all_families_and_no_layer():
     found = {path.relative_to(compiled.HERE).as_posix() for path in compiled.sources(Path(dispatch.__file__))}
-    kernels = {path.relative_to(compiled.HERE).as_posix() for path in compiled.HERE.glob("estimators/*/*kernel.py")}
+    kernels = {path.relative_to(compiled.HERE).as_posix() for path in compiled.HERE.glob("estimators/**/*kernel.py")}
     assert kernels | {"signals.py", "family.py", "rows.py", "arrays.py", "jit.py"} <= found
     assert not any("layer" in name for name in found)
 

@@ -12,14 +12,13 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.errors import UsvlearnError as UsvlearnError
     from usvlearn.estimator import Estimator as Estimator
     from usvlearn.estimators.aid.layer import AID as AID
-    from usvlearn.estimators.baselines.acceleration import Acceleration as Acceleration
-    from usvlearn.estimators.baselines.persistence import Persistence as Persistence
-    from usvlearn.estimators.ensemble.combiners import BOA as BOA
-    from usvlearn.estimators.ensemble.combiners import Average as Average
-    from usvlearn.estimators.ensemble.combiners import ExponentialWeights as ExponentialWeights
-    from usvlearn.estimators.ensemble.combiners import FixedWeights as FixedWeights
-    from usvlearn.estimators.ensemble.combiners import RecursiveWeights as RecursiveWeights
-    from usvlearn.estimators.ensemble.layer import Bank as Bank
+    from usvlearn.estimators.baselines.acceleration.layer import Acceleration as Acceleration
+    from usvlearn.estimators.baselines.persistence.layer import Persistence as Persistence
+    from usvlearn.estimators.ensemble.combiners.layer import BOA as BOA
+    from usvlearn.estimators.ensemble.combiners.layer import Average as Average
+    from usvlearn.estimators.ensemble.combiners.layer import ExponentialWeights as ExponentialWeights
+    from usvlearn.estimators.ensemble.combiners.layer import FixedWeights as FixedWeights
+    from usvlearn.estimators.ensemble.combiners.layer import RecursiveWeights as RecursiveWeights
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
     from usvlearn.estimators.least_squares.projected import Projected as Projected
     from usvlearn.estimators.least_squares.rls import RLS as RLS
@@ -27,8 +26,9 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.regressors.layer import QuasiStatic as QuasiStatic
     from usvlearn.estimators.regressors.layer import SurgeDynamics as SurgeDynamics
     from usvlearn.estimators.rnn.layer import RNN as RNN
-    from usvlearn.estimators.wrappers.memory import WithMemory as WithMemory
-    from usvlearn.estimators.wrappers.robust import Robust as Robust
+    from usvlearn.estimators.wrappers.bank import Bank as Bank
+    from usvlearn.estimators.wrappers.memory.layer import WithMemory as WithMemory
+    from usvlearn.estimators.wrappers.robust.layer import Robust as Robust
     from usvlearn.hyper import Positive as Positive
     from usvlearn.hyper import UnitInterval as UnitInterval
     from usvlearn.logs.align import Aligner as Aligner
@@ -51,19 +51,19 @@ _HOME = {
     "AID": "estimators.aid.layer",
     "RLS": "estimators.least_squares.rls",
     "SIFtRLS": "estimators.least_squares.sift",
-    "WithMemory": "estimators.wrappers.memory",
-    "Robust": "estimators.wrappers.robust",
+    "WithMemory": "estimators.wrappers.memory.layer",
+    "Robust": "estimators.wrappers.robust.layer",
     "Projected": "estimators.least_squares.projected",
     "RNN": "estimators.rnn.layer",
-    "Persistence": "estimators.baselines.persistence",
-    "Acceleration": "estimators.baselines.acceleration",
+    "Persistence": "estimators.baselines.persistence.layer",
+    "Acceleration": "estimators.baselines.acceleration.layer",
     "Ensemble": "estimators.ensemble.layer",
-    "Bank": "estimators.ensemble.layer",
-    "Average": "estimators.ensemble.combiners",
-    "FixedWeights": "estimators.ensemble.combiners",
-    "RecursiveWeights": "estimators.ensemble.combiners",
-    "ExponentialWeights": "estimators.ensemble.combiners",
-    "BOA": "estimators.ensemble.combiners",
+    "Bank": "estimators.wrappers.bank",
+    "Average": "estimators.ensemble.combiners.layer",
+    "FixedWeights": "estimators.ensemble.combiners.layer",
+    "RecursiveWeights": "estimators.ensemble.combiners.layer",
+    "ExponentialWeights": "estimators.ensemble.combiners.layer",
+    "BOA": "estimators.ensemble.combiners.layer",
     "SurgeDynamics": "estimators.regressors.layer",
     "QuasiStatic": "estimators.regressors.layer",
     "Online": "online",

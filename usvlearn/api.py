@@ -130,8 +130,8 @@ def learn(
 def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
     """The ensemble that `learn` was asked for."""
     from usvlearn.estimator import check_estimator
-    from usvlearn.estimators.baselines.persistence import Persistence
-    from usvlearn.estimators.ensemble.combiners import Average
+    from usvlearn.estimators.baselines.persistence.layer import Persistence
+    from usvlearn.estimators.ensemble.combiners.layer import Average
     from usvlearn.estimators.ensemble.layer import Ensemble
     from usvlearn.evaluation.metrics import PERSISTENCE
 

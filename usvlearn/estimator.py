@@ -11,6 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError
+from usvlearn.family import Family, Numbers, Vectors
+from usvlearn.hyper import numbers
 from usvlearn.signals import PLAUSIBLE, Inputs, Sample, masks, tree_map, where
 
 State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
@@ -60,9 +62,9 @@ class Estimator(nn.Module, abc.ABC):
         return self.update(state, inputs, surge), self.predict(state, inputs)[1]
 
     def spec(self) -> dict[str, Any] | None:
-        """What the compiled kernels need to know to make these steps (`kernels.plan`); None: torch makes them.
+        """What the engine needs to know to make these steps by compiled code (`describe`); None: torch makes them.
 
-        It speaks for this very class: a subclass, whose steps may be others, has none unless it says so itself.
+        It is about this very class: a subclass may have other steps, so it has none unless it defines its own.
         """
         return None
 
@@ -142,7 +144,7 @@ def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tupl
 
 
 def spec_of(part: Any) -> dict[str, Any] | None:
-    """What `kernel` of an estimator, or of a part of one, says; None where its class says nothing, or it was changed.
+    """The `spec()` of an estimator, or of a part of one; None where its class defines none, or a method was replaced.
 
     >>> from usvlearn import Persistence
     >>> spec_of(Persistence())["kind"]
@@ -150,3 +152,35 @@ def spec_of(part: Any) -> dict[str, Any] | None:
     """
     changed = vars(part).keys() & {"predict", "update", "learn", "start", "inflate_covariance", "combine", "forward"}
     return part.spec() if "spec" in vars(type(part)) and not changed else None
+
+
+def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
+    """A specification: what a family declares, as the attributes of these names have it.
+
+    Args:
+        family: of the part.
+        part: an estimator.
+        own: what is not an attribute of that name, and what the specification has beside.
+
+    >>> from usvlearn import Persistence
+    >>> from usvlearn.estimators.baselines.persistence.state import FAMILY
+    >>> describe(FAMILY, Persistence())
+    {'kind': 'persistence', 'size': 0, 'numbers': {}}
+    """
+    found = {"kind": own.get("kind", family.kinds[0]), "size": own.get("size", 0)}
+    for choice in family.choices:
+        if choice not in family.optional:
+            found[choice.key] = own[choice.key] if choice.key in own else getattr(part, choice.key)
+    found["numbers"] = numbers_of(family.numbers, part, **own)
+    return found | ({"vectors": numbers_of(family.vectors, part, **own)} if len(family.vectors) else {})
+
+
+def numbers_of(declared: type[Numbers] | type[Vectors], part: Any, **own: Any) -> dict[str, Any]:
+    """The numbers that are declared, in values that fit into JSON: attributes of a part, or `own`.
+
+    >>> from usvlearn import AID
+    >>> from usvlearn.estimators.wrappers.memory.state import Number
+    >>> numbers_of(Number, AID(), surge_dot_max=2)
+    {'surge_dot_max': 2.0}
+    """
+    return numbers(**{each.key: own[each.key] if each.key in own else getattr(part, each.key) for each in declared})

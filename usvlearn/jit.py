@@ -77,6 +77,8 @@ def _imported(path: Path) -> Iterator[Path]:
             places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
             files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
             yield from [file for file in files if file.is_file()][:1]
+            if f"{HERE.name}.estimators.COMPILED" in names:  # who reads this list imports the kernels of its families
+                yield from (HERE / "estimators").rglob("kernel.py")
 
 
 @cache
@@ -95,22 +97,28 @@ def _temporary() -> Path:
 
 
 def jit(
-    function: Callable | None = None, *, entry: bool = False, reorder: bool = False, memory: bool = False
+    function: Callable | None = None,
+    *,
+    entry: bool = False,
+    inline: bool = False,
+    reorder: bool = False,
+    memory: bool = False,
 ) -> Callable:
     """Compile a function when it is first called; without the GIL, and with division as NumPy's.
 
     Args:
         function: of numbers and arrays.
         entry: whether Python calls it. What only compiled functions call has no machine code of its own (`parts`).
+        inline: whether it always becomes a part of its callers: arrays that are handed on cost some ns in each call.
         reorder: whether sums may be taken several terms at a time: for long ones.
         memory: whether it may make arrays. Without, an array or a part of one is handed on without counting references
             to it, which takes longer than most of what is done here with one.
     """
     if function is None:
-        return partial(jit, entry=entry, reorder=reorder, memory=memory)
+        return partial(jit, entry=entry, inline=inline, reorder=reorder, memory=memory)
     fastmath = {"contract", "reassoc"} if reorder else {"contract"}
     options = {"nogil": True, "error_model": "numpy", "fastmath": not memory and fastmath, "_nrt": memory}
-    options["no_cfunc_wrapper"] = True
+    options |= {"no_cfunc_wrapper": True, "forceinline": inline}
     alone = partial(_alone, options=options)
     return alone(function) if entry or Part is None or numba.config.DISABLE_JIT else Part(function, options, alone)
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.autograd.forward_ad import unpack_dual
 
-from usvlearn.engine import compilable
+from usvlearn.engine.kinds import compilable
 from usvlearn.errors import ConfigError, ShapeError, check_choice
 from usvlearn.estimator import Estimator, Kinds, State, Step, advance, clean, spec_of
 from usvlearn.signals import Inputs, Sample, check_inputs, check_sample, named_leaves, one_number, rebuild, tree_map

@@ -16,8 +16,8 @@ import torch
 from tests.support import ESTIMATORS
 from tests.support.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
 from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
-from usvlearn.estimators.ensemble.conformal import LEAST
-from usvlearn.estimators.ensemble.monitors import THRESHOLD
+from usvlearn.estimators.ensemble.conformal.layer import LEAST
+from usvlearn.estimators.ensemble.monitors.layer import THRESHOLD
 from usvlearn.estimators.rnn.projection_kernel import threshold
 from usvlearn.rollouts import simulate
 from usvlearn.signals import named_leaves, tree_map

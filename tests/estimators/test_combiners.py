@@ -8,7 +8,7 @@ import torch
 
 from usvlearn import BOA, Average, ExponentialWeights, FixedWeights, RecursiveWeights
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.ensemble.combiners import fill_sleeping
+from usvlearn.estimators.ensemble.combiners.layer import fill_sleeping
 
 NAMES = ["a", "b", "c", "d"]
 ZERO = torch.zeros((), dtype=torch.float64)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from usvlearn.estimators.ensemble.conformal import (
+from usvlearn.estimators.ensemble.conformal.layer import (
     BOOST,
     LEAST,
     RATE,

@@ -26,8 +26,8 @@ from usvlearn import (
     rollout,
 )
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.baselines.persistence import PersistenceState
-from usvlearn.estimators.ensemble.conformal import conformal_start, conformal_step
+from usvlearn.estimators.baselines.persistence.layer import PersistenceState
+from usvlearn.estimators.ensemble.conformal.layer import conformal_start, conformal_step
 from usvlearn.signals import tree_map
 
 

@@ -8,7 +8,7 @@ import torch
 from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, Robust, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.estimators.baselines.persistence import Persistence, PersistenceState
+from usvlearn.estimators.baselines.persistence.layer import Persistence, PersistenceState
 from usvlearn.signals import tree_map
 
 

@@ -9,8 +9,10 @@ import torch
 from tests.support import random_samples
 from usvlearn import RLS, Inputs, SurgeDynamics, rollout
 from usvlearn import rows as samples
-from usvlearn.estimators.ensemble import monitors
-from usvlearn.estimators.ensemble import monitors_kernel as compiled
+from usvlearn.estimators.ensemble.monitors import kernel as compiled
+from usvlearn.estimators.ensemble.monitors import layer as monitors
+from usvlearn.estimators.ensemble.monitors.state import AT, Number
+from usvlearn.family import WIDTH, Node
 from usvlearn.runs.fault_figure import fault_figure
 from usvlearn.signals import named_leaves, tree_map
 
@@ -188,9 +190,11 @@ def kernel_step(state, inputs):
     sample = np.zeros(samples.ROW, row.dtype)
     sample[[samples.LEFT, samples.RIGHT, samples.YAW_RATE, samples.DT]] = inputs.command_left, inputs.command_right, \
         inputs.yaw_rate, inputs.dt  # fmt: skip
-    numbers = np.array([monitors.spec()[name] for name in compiled.MONITOR_NUMBERS], row.dtype)
-    compiled.observe_thrusters(row, sample, numbers, np.empty(256, row.dtype))
-    parts = np.split(row, np.cumsum([leaf.size for leaf in leaves])[:-1])
+    numbers = np.array([monitors.spec()[number.key] for number in Number], row.dtype)
+    places, node = np.cumsum([0, *(leaf.size for leaf in leaves[:-1])]), np.full(WIDTH, -1)
+    node[Node.NUMBERS], node[list(AT.thrusters)] = 0, places
+    compiled.observe_thrusters(node, row, numbers, sample, np.empty(256, row.dtype))
+    parts = np.split(row, places[1:])
     return type(state)(*(torch.from_numpy(x.reshape(leaf.shape)) for x, leaf in zip(parts, leaves, strict=True)))
 
 

@@ -10,7 +10,7 @@ from scipy import integrate, stats
 from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, QuasiStatic, Robust, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.wrappers.robust import clipped_moment, finite
+from usvlearn.estimators.wrappers.robust.layer import clipped_moment, finite
 from usvlearn.signals import named_leaves, tree_map
 
 TRUTH = torch.tensor([0.8, -0.5, 0.3, 1.2], dtype=torch.float64)

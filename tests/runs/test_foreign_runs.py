@@ -167,7 +167,7 @@ FORGERIES = {
     "a list for a name": lambda c: c.update(output=["a"]),
     "data that are none": lambda c: c.update(data={"a": 1}),
     "an estimator for data": lambda c: c.update(
-        data={"_target_": "usvlearn.estimators.baselines.persistence.Persistence"}
+        data={"_target_": "usvlearn.estimators.baselines.persistence.layer.Persistence"}
     ),
     "one estimator for all": lambda c: c.update(estimators={"_target_": "usvlearn.estimators.aid.layer.AID"}),
     "a size beyond all measure": lambda c: c["estimators"].update(

@@ -15,6 +15,7 @@ from usvlearn import (
     BOA,
     RLS,
     RNN,
+    Acceleration,
     Average,
     Bank,
     Ensemble,
@@ -59,6 +60,7 @@ ESTIMATORS = {
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3, unroll=2, decay=None),
     "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
     "persistence": Persistence,
+    "acceleration": Acceleration,
     "average": lambda: Ensemble(_members()),
     "fixed": lambda: Ensemble(_members(), {"fixed": FixedWeights({"aid": 0.5, "rls": 0.2, "rnn": 0.3})}),
     "weighted": lambda: Ensemble(

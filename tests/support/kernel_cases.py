@@ -10,6 +10,7 @@ from usvlearn import (
     BOA,
     RLS,
     RNN,
+    Acceleration,
     Average,
     Bank,
     Ensemble,
@@ -26,7 +27,6 @@ from usvlearn import (
     SurgeDynamics,
     WithMemory,
 )
-from usvlearn.estimators.baselines.acceleration import Acceleration
 from usvlearn.signals import named_leaves, tree_map
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
@@ -170,7 +170,6 @@ VARIANTS = {
     "memory_around_robust": lambda: WithMemory(Robust(RLS(SurgeDynamics(28.0, **FULL)), threshold=1.0, patience=1)),
     "memory_around_robust_aid": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, memory=True)), threshold=0.7)),
     "memory_around_nothing": lambda: WithMemory(Persistence()),
-    "acceleration": Acceleration,
     "acceleration_limited": lambda: Acceleration(surge_dot_max=0.1, surge_max=1.0),
     **{
         f"rnn_{condition}_{gauge}_{unroll}": lambda c=condition, g=gauge, u=unroll: RNN(

@@ -1,42 +1,23 @@
-"""Compiled twins of the estimators' steps: the same steps on the same states, equal to them to rounding; no torch.
+"""Runs of compiled code: the same steps on the same states as torch's, equal to rounding; no torch.
 
-One program serves every estimator: a table of numbers says what it is made of (`plan`), and the kernels interpret it,
-so that nothing is compiled anew for another ensemble. A state is one row of numbers per lane, of which its leaves are
-views. The files, in the order in which they build on each other:
+The engine knows the layout of no family. Each declares its own (`usvlearn.family`); its `kernel.py` makes its steps.
+One program serves every estimator: a table says what it is made of, and the kernels interpret it. So nothing is
+compiled anew for another ensemble. A state is one row of numbers per lane; its leaves are views of that row. The files,
+in the order in which they build on each other:
 
-    arrays samples ranges            sums and copies; samples as the kernels read them; which numbers are legal
-    regressors rls aid rnn stable    one file per family of estimators; `stable` projects the network's weights
-    combiners monitors               what an ensemble does with its members' predictions
-    step          one estimator, one ensemble, one step; runs over (time, lanes)
-    leaves        which leaves the state of a described estimator has
-    plan          from an estimator's `kernel()` to the table, the parameters and the places of the leaves
-    describe      whether what a file says of an estimator and its state is legal
-    run           what the rest of the library calls
+    kinds         the families that have a kernel; whether an estimator is made of them alone
+    chains        one function for each verb, which calls the kernel of the family at hand
+    dispatch      one estimator with its wrappers, one ensemble, one step; runs over (time, lanes)
+    leaves        which leaves the state of a specified estimator has
+    program       from a specification (`Estimator.spec`) to the table, the numbers and the places of the leaves
+    check         whether a specification and a state from a file are legal
+    run, live, free_runs    what the rest of the library calls
 """
 
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-
-
-def compilable(description: Mapping[str, Any] | None) -> bool:
-    """Whether the kernels can make the steps of an estimator that describes itself so (`Estimator.spec`).
-
-    >>> compilable({"kind": "robust", "inner": {"kind": "persistence"}}), compilable(None)
-    (True, False)
-    """
-    if description is None:
-        return False
-    if description["kind"] == "ensemble":
-        members = description["members"].values()
-        return all(compilable(x["inner"] if x["kind"] == "bank" else x) and x["kind"] != "ensemble" for x in members)
-    wrappers = []
-    while description["kind"] in ("robust", "memory"):
-        wrappers.append(description["kind"])
-        description = description["inner"]
-    alone = len(set(wrappers)) == len(wrappers) and description["kind"] not in ("bank", "ensemble")
-    return alone and ("memory" in wrappers or "memory" not in description.get("terms", ()))
 
 
 def of_lane(description: Any, lanes: int, lane: int, depth: int = 0) -> Any:

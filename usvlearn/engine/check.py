@@ -14,17 +14,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.engine.dispatch import ENSEMBLE_PARAMETERS, FAMILIES, WRAPPERS
+from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.engine.leaves import batch_of, leaves_of
 from usvlearn.errors import CheckpointError, ShapeError
-from usvlearn.estimators.ensemble.combiners_kernel import CONFORMAL_NUMBERS, RULES
-from usvlearn.estimators.ensemble.monitors_kernel import MONITOR_NUMBERS
-from usvlearn.estimators.least_squares.kernel import ITERATIONS
-from usvlearn.estimators.regressors.kernel import LEGAL_TERMS, parameters
-from usvlearn.family import Field, Range
+from usvlearn.estimators.ensemble import state as ensemble
+from usvlearn.estimators.ensemble.combiners.state import RULES
+from usvlearn.estimators.ensemble.conformal import state as conformal
+from usvlearn.estimators.ensemble.monitors import state as monitors
+from usvlearn.family import WIDTH, Choices, Field, Range
+from usvlearn.family import Numbers as Declared
 
 LARGEST = 2**20  # numbers of a lane: its state, its parameters, its table
-CELLS = 16  # of the table, of each estimator and rule, beside the members of a rule
+CELLS = 3 * WIDTH  # of the table, of each estimator and rule, with its wrappers, beside the members of a rule
 SETTINGS = Range(1, LARGEST)  # of a bank
 DTYPES = (np.dtype(np.float64), np.dtype(np.float32))
 
@@ -74,8 +75,9 @@ def _check_state(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) 
     except ShapeError as error:
         raise CheckpointError(f"state.{error}") from error
     dtype = next(leaves[name].dtype for name, field in fields.items() if not field.flag)
-    for name, (own, legal, flag) in fields.items():
-        leaf, shape, wanted = leaves[name], (*batch, *own), np.dtype(bool) if flag else dtype
+    for name, field in fields.items():
+        flag, legal = field.flag, field.legal
+        leaf, shape, wanted = leaves[name], (*batch, *field.shape), np.dtype(bool) if flag else dtype
         if leaf.shape != shape or leaf.size == 0:
             raise CheckpointError(f"state.{name}: found the shape {leaf.shape}, expected {shape}, none of them 0")
         if leaf.dtype != wanted or not (flag or dtype in DTYPES):
@@ -139,10 +141,10 @@ class _Reading:
         widest = max(self._rule(f"kernel.rules.{name}", name, rule, count) for name, rule in rules.items())
         self.cells = (count + len(rules)) * (CELLS + widest)
         _choose("kernel.output", description["output"], list(rules))
-        self._parameters("kernel.numbers", description["numbers"], ENSEMBLE_PARAMETERS)
-        self._parameters("kernel.conformal", description["conformal"], CONFORMAL_NUMBERS)
+        self._parameters("kernel.numbers", description["numbers"], ensemble.Number)
+        self._parameters("kernel.conformal", description["conformal"], conformal.Number)
         if description["monitors"] is not None:
-            self._parameters("kernel.monitors", description["monitors"], MONITOR_NUMBERS)
+            self._parameters("kernel.monitors", description["monitors"], monitors.Number)
 
     def _member(self, entry: str, member: Any) -> int:
         """A member of an ensemble; returns how many columns it has."""
@@ -161,58 +163,67 @@ class _Reading:
             _keys(entry, member, ("kind", "inner", "numbers"))
             self._parameters(f"{entry}.numbers", member["numbers"], left.pop(kind).numbers, settings)
             entry, member = f"{entry}.inner", member["inner"]
-        family = FAMILIES[_choose(f"{entry}.kind", kind, [*FAMILIES, *left])]
-        signs = ("signs", "iterations") if family.projects and ("signs" in member or "iterations" in member) else ()
-        terms = ("terms",) if family.size is None else ()
-        vectors = ("vectors",) if family.vectors else ()
-        _keys(entry, member, ("kind", "size", "numbers", *family.choices, *terms, *vectors, *signs))
-        for key, choices in family.choices.items():
-            _choose(f"{entry}.{key}", member[key], choices)
-        if legal := family.size:
-            size = _number(f"{entry}.size", member["size"], legal)
-        else:  # terms of memory need what the wrapper remembers
-            remembers = [each for each in LEGAL_TERMS if "memory" not in left or "memory" not in each]
-            size = parameters(_choose(f"{entry}.terms", member["terms"], remembers))
+        family = KINDS[_choose(f"{entry}.kind", kind, [*KINDS, *left])]
+        chosen = family.chosen(member)
+        vectors = ("vectors",) if len(family.vectors) else ()
+        _keys(entry, member, ("kind", "size", "numbers", *(choice.key for choice in chosen), *vectors))
+        for choice in chosen:
+            if choice.each is None:
+                self._choice(entry, choice, member[choice.key])
+        if "memory" in left and family.remembers(member):
+            raise CheckpointError(f"{entry}: found memory terms without 'memory' around it, expected terms without")
+        if isinstance(family.size, Range):
+            size = _number(f"{entry}.size", member["size"], family.size)
+        else:
+            size = family.size(member)
             _number(f"{entry}.size", member["size"], Range(size, size))
         self._parameters(f"{entry}.numbers", member["numbers"], family.numbers, settings)
         if vectors:
-            _keys(f"{entry}.vectors", member["vectors"], family.vectors)
-        for name, (length, legal) in family.vectors.items():
-            own = (*settings, length(size))
-            self.numbers.append(Numbers(f"{entry}.vectors.{name}", member["vectors"][name], legal, own, True))
-        if signs:
-            for k, sign in enumerate(_list(f"{entry}.signs", member["signs"], Range(size, size))):
-                _choose(f"{entry}.signs[{k}]", sign, (-1, 0, 1))
-            _number(f"{entry}.iterations", member["iterations"], ITERATIONS)
+            _keys(f"{entry}.vectors", member["vectors"], [vector.key for vector in family.vectors])
+        for vector in family.vectors:
+            own, value = (*settings, vector.length(size)), member["vectors"][vector.key]
+            self.numbers.append(Numbers(f"{entry}.vectors.{vector.key}", value, vector.legal, own, True))
+        for choice in chosen:
+            if choice.each is not None:
+                for k, one in enumerate(_list(f"{entry}.{choice.key}", member[choice.key], Range(size, size))):
+                    _choose(f"{entry}.{choice.key}[{k}]", one, choice.each)
+
+    def _choice(self, entry: str, choice: Choices, found: Any) -> None:
+        """What was chosen: a whole number, or one of some values."""
+        if choice.whole is not None:
+            _number(f"{entry}.{choice.key}", found, choice.whole)
+        else:
+            _choose(f"{entry}.{choice.key}", found, choice.allowed)
 
     def _rule(self, entry: str, name: str, rule: Any, count: int) -> int:
         """A rule over so many columns; returns how many are its own."""
         if not name or "." in name:
             raise wrong("kernel.rules", name, "names without a dot")
         family = RULES[_choose(f"{entry}.kind", _kind(entry, rule), list(RULES))]
-        _keys(entry, rule, ("kind", "columns", "numbers", *family.choices, *(("vector",) if family.vectors else ())))
+        vectors = ("vector",) if len(family.vectors) else ()
+        _keys(entry, rule, ("kind", "columns", "numbers", *(choice.key for choice in family.choices), *vectors))
         columns = _list(f"{entry}.columns", rule["columns"], Range(1, count))
         for k, column in enumerate(columns):
             _number(f"{entry}.columns[{k}]", column, Range(0, count - 1))
         if len(set(columns)) < len(columns):
             raise wrong(f"{entry}.columns", columns, "each once")
-        for key, choices in family.choices.items():
-            _choose(f"{entry}.{key}", rule[key], choices)
+        for choice in family.choices:
+            self._choice(entry, choice, rule[choice.key])
         self._parameters(f"{entry}.numbers", rule["numbers"], family.numbers)
-        lengths = [each.length(len(columns)) for each in family.vectors.values()]
+        lengths = [vector.length(len(columns)) for vector in family.vectors]
         if lengths:
-            vector = _list(f"{entry}.vector", rule["vector"], Range(sum(lengths), sum(lengths)))
+            flat = _list(f"{entry}.vector", rule["vector"], Range(sum(lengths), sum(lengths)))
         begin = 0
-        for length, (_, legal) in zip(lengths, family.vectors.values(), strict=True):
-            part = vector[begin : begin + length]
-            self.numbers.append(Numbers(f"{entry}.vector[{begin}:]", part, legal, (length,), True))
+        for length, vector in zip(lengths, family.vectors, strict=True):
+            part = flat[begin : begin + length]
+            self.numbers.append(Numbers(f"{entry}.vector[{begin}:]", part, vector.legal, (length,), True))
             begin += length
         return len(columns)
 
-    def _parameters(self, entry: str, values: Any, legal: Mapping[str, Range], settings: tuple[int, ...] = ()) -> None:
+    def _parameters(self, entry: str, values: Any, legal: type[Declared], settings: tuple[int, ...] = ()) -> None:
         """Numbers by name."""
-        _keys(entry, values, legal)
-        self.numbers += [Numbers(f"{entry}.{name}", values[name], each, settings) for name, each in legal.items()]
+        _keys(entry, values, [each.key for each in legal])
+        self.numbers += [Numbers(f"{entry}.{each.key}", values[each.key], each.legal, settings) for each in legal]
 
 
 def wrong(entry: str, found: Any, expected: str) -> CheckpointError:

@@ -7,21 +7,14 @@ from functools import cache
 
 import numpy as np
 
-from usvlearn.engine.dispatch import (
-    ESTIMATORS,
-    LIMIT,
-    NAMES,
-    PREDICTIONS,
-    RULE_NUMBERS,
-    RULE_STATE,
-    mask_diverged,
-    step,
-)
+from usvlearn.engine.dispatch import Whole, mask_diverged, step, surge_max
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import plan_for
 from usvlearn.engine.run import in_parallel, prepared
 from usvlearn.engine.warm import compile_steps
-from usvlearn.estimators.ensemble.combiners_kernel import combine, fill_sleeping, learn_rule
+from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_sleeping, learn_rule
+from usvlearn.estimators.ensemble.state import AT
+from usvlearn.family import WIDTH
 from usvlearn.jit import announced, jit
 from usvlearn.rows import DT, LEARN, MODE, PREDICT, ROW, START, SURGE
 from usvlearn.signals import Sample
@@ -46,11 +39,11 @@ def assess(program, states, others, q, rows, columns, learning, totals, work, fi
     `totals` is `(lanes, names + learning, 3)`, and is added to.
     """
     whole = program[0]
-    n, names, limit = whole[ESTIMATORS], whole[NAMES], q[0, whole[LIMIT]]
+    n, names, limit = whole[Whole.ESTIMATORS], whole[Whole.NAMES], surge_max(program, q[0])
     awake, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
     for lane in range(first, last):
         s, other, numbers, total = states[lane], others[lane], q[lane if len(q) > 1 else 0], totals[lane]
-        predictions = s[whole[PREDICTIONS] : whole[PREDICTIONS] + names]
+        predictions = s[whole[AT.predictions] : whole[AT.predictions] + names]
         for k in range(rows.shape[1]):
             row = rows[columns[lane], k]
             learns = row[MODE] == LEARN
@@ -62,11 +55,10 @@ def assess(program, states, others, q, rows, columns, learning, totals, work, fi
             mask_diverged(predictions, limit, awake)
             for i in range(len(learning)):
                 rule = program[1 + n + learning[i]]
-                own, c = other[rule[RULE_STATE] :], numbers[rule[RULE_NUMBERS] :]
-                asleep = fill_sleeping(rule, own, c, awake, x)
-                add_up(combine(rule, own, c, x), row[SURGE], limit, learns, total[names + i])
+                asleep = fill_sleeping(rule, other, numbers, awake, x)
+                add_up(combine(rule, other, numbers, x), row[SURGE], limit, learns, total[names + i])
                 if learns:
-                    learn_rule(rule, own, c, x, asleep, row[SURGE], row[DT], rest)
+                    learn_rule(rule, other, numbers, x, asleep, row[SURGE], row[DT], rest)
 
 
 @cache
@@ -74,7 +66,7 @@ def compile_free_runs(dtype: np.dtype) -> None:
     """Compile what free runs need, unless that is done or kept on the disk."""
     compile_steps(dtype)
     none, rows = np.zeros((1, 1), dtype), np.zeros((1, 1, ROW), dtype)
-    column, program = np.zeros(1, np.int64), np.zeros((2, 16), np.int64)
+    column, program = np.zeros(1, np.int64), np.zeros((2, WIDTH), np.int64)
     with announced(__file__, f"kernels of free runs, {dtype}"):
         assess(program, none, none, none, rows, column, column, rows, none[0], 0, 0)
 
@@ -95,7 +87,7 @@ def free_totals(
     plan = plan_for(description, samples.surge.shape[1:], samples.surge.dtype)
     states = plan.pack(leaves)
     others = states.copy()
-    totals = np.zeros((plan.lanes, plan.program[0, NAMES] + len(learning), 3), plan.dtype)
+    totals = np.zeros((plan.lanes, plan.program[0, Whole.NAMES] + len(learning), 3), plan.dtype)
     numbers, rules = plan.numbers, np.asarray(learning, np.int64)
 
     def some(first: int, last: int) -> None:

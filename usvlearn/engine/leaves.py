@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.engine.dispatch import FAMILIES, WRAPPERS
+from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.errors import ShapeError
-from usvlearn.estimators.ensemble.combiners_kernel import RULES
-from usvlearn.estimators.ensemble.monitors_kernel import monitor_fields
-from usvlearn.family import ANY, NOT_NEGATIVE, POSITIVE, Field
+from usvlearn.estimators.ensemble import state as ensemble
+from usvlearn.estimators.ensemble.combiners.state import RULES
+from usvlearn.estimators.ensemble.conformal import state as conformal
+from usvlearn.estimators.ensemble.monitors import state as monitors
+from usvlearn.family import Field
 
 Description = Mapping[str, Any]
 
@@ -48,21 +51,12 @@ def leaves_of(description: Description) -> dict[str, Field]:
     found = {}
     for name, member in description["members"].items():
         own = _member(member, f"members.{name}.")
-        found |= {name: each._replace(legal=each.legal.asleep()) for name, each in own.items()}
+        found |= {name: replace(each, legal=each.legal.asleep()) for name, each in own.items()}
     for name, rule in description["rules"].items():
-        found |= _named(RULES[rule["kind"]].fields(len(rule["columns"])), f"combiners.{name}.")
+        found |= RULES[rule["kind"]].leaves(len(rule["columns"]), f"combiners.{name}.")
     names = len(description["columns"]) + len(description["rules"])
-    return found | ensemble_fields(names, description["monitors"] is not None)
-
-
-def ensemble_fields(names: int, watched: bool) -> dict[str, Field]:
-    """The leaves of an ensemble's own; `names` counts its members' columns and its rules."""
-    return {
-        "conformal.halfwidth": Field((names,), POSITIVE), "conformal.count": Field((names,), NOT_NEGATIVE),
-        "predictions": Field((names,), ANY),  # NaN of who sleeps
-        "halfwidths": Field((names,), POSITIVE),
-        **(_named(monitor_fields(names), "monitors.") if watched else {}),
-    }  # fmt: skip
+    found |= conformal.FAMILY.leaves(names, "conformal.") | ensemble.FAMILY.leaves(names)
+    return found | ({} if description["monitors"] is None else monitors.FAMILY.leaves(names, "monitors."))
 
 
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:
@@ -82,14 +76,10 @@ def _member(description: Description, prefix: str) -> dict[str, Field]:
     """The leaves of one estimator, or of a bank's settings."""
     if description["kind"] == "bank":
         inner, count = _member(description["inner"], prefix), description["count"]
-        return {name: each._replace(shape=(count, *each.shape)) for name, each in inner.items()}
+        return {name: replace(each, shape=(count, *each.shape)) for name, each in inner.items()}
     part = unwrapped(description, prefix)
-    found = _named(FAMILIES[part.own["kind"]].fields(part.own["size"]), part.prefix)
+    found = KINDS[part.own["kind"]].leaves(part.own["size"], part.prefix)
     for kind in ("memory", "robust"):
         if kind in part.wrappers:
-            found |= _named(WRAPPERS[kind].fields(0), part.wrappers[kind][1])
+            found |= WRAPPERS[kind].leaves(0, part.wrappers[kind][1])
     return found
-
-
-def _named(fields: Mapping[str, Field], prefix: str) -> dict[str, Field]:
-    return {prefix + name: each for name, each in fields.items()}

@@ -7,21 +7,22 @@ An estimator describes itself (`Estimator.spec`) in plain values, which also fit
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn import rows as samples
-from usvlearn.engine import dispatch as step
-from usvlearn.engine.leaves import Description, ensemble_fields, unwrapped
+from usvlearn.engine.dispatch import Whole
+from usvlearn.engine.kinds import ESTIMATORS, KINDS, WRAPPERS
+from usvlearn.engine.leaves import Description, unwrapped
 from usvlearn.errors import ShapeError
-from usvlearn.estimators.ensemble import combiners_kernel as combiners
-from usvlearn.estimators.ensemble import monitors_kernel as monitors
-from usvlearn.estimators.regressors import kernel as regressors
-from usvlearn.estimators.rnn import projection_kernel as stable
-from usvlearn.family import Field
+from usvlearn.estimators.ensemble import state as ensemble
+from usvlearn.estimators.ensemble.combiners.state import RULES
+from usvlearn.estimators.ensemble.conformal import state as conformal
+from usvlearn.estimators.ensemble.monitors import state as monitors
+from usvlearn.family import LEAVES, WIDTH, Family, Field, Node
+from usvlearn.rows import INPUTS, ROW
 
 Setting = tuple[int, int] | None  # of a bank, and how many it has
 
@@ -74,22 +75,14 @@ class Plan:
         self.leaves: dict[str, Leaf] = {}
         self.size = 0
         self._columns: list[np.ndarray] = []  # (1,) or (lanes,) each
-        self._largest, self._kept, self._heads = 0, 1, 0
-        self._rows: list[list[int]] = []
-        if description["kind"] == "ensemble":
-            whole = self._ensemble(description)
-        else:
-            self._member(description, "")
-            whole = {step.ESTIMATORS: len(self._rows)}
-        width = max(16, *(len(row) for row in self._rows))
-        self.program = np.full((len(self._rows) + 1, width), -1, np.int64)
-        self.program[0] = 0
-        for place, value in whole.items():
-            self.program[0, place] = value
-        for row, values in zip(self.program[1:], self._rows, strict=True):
-            row[: len(values)] = values
-        self.program[0, step.KEPT], self.program[0, step.HEADS] = self._largest, self._heads
-        self.work = self._largest + self._kept + samples.ROW
+        self._largest, self._kept = 0, 1
+        self._estimators: list[list[int]] = []
+        self._rules: list[list[int]] = []
+        self._others: list[list[int]] = []
+        whole = self._ensemble(description) if description["kind"] == "ensemble" else self._alone(description)
+        whole[Whole.KEPT] = self._largest
+        self.program = self._table(whole)
+        self.work = self._largest + self._kept + ROW
         lanes = max((len(column) for column in self._columns), default=1)
         self.numbers = np.empty((lanes, len(self._columns)), self.dtype)
         for place, column in enumerate(self._columns):
@@ -135,20 +128,50 @@ class Plan:
             for name, (shape, offset, strides) in self._layout.items()
         }
 
-    def _place(self, fields: Mapping[str, Field], prefix: str) -> int:
-        """Add leaves; returns where the first lies."""
-        first = self.size
-        for name, (shape, _, flag) in fields.items():
-            strides = tuple(int(np.prod(shape[k + 1 :], dtype=int)) for k in range(len(shape)))
-            self.leaves[prefix + name] = Leaf(self.size, shape, strides, flag)
-            self.size += int(np.prod(shape, dtype=int))
-        return first
+    def _table(self, whole: list[int]) -> np.ndarray:
+        """All rows; what names one of the others now names its place among all."""
+        rows = [whole, *self._estimators, *self._rules, *self._others]
+        first = len(rows) - len(self._others)
+        for row in self._estimators:
+            for wrapper in (Node.MEMORY, Node.ROBUST):
+                row[wrapper] += first if row[wrapper] >= 0 else 0
+        for part in (Whole.CONFORMAL, Whole.MONITORS):
+            whole[part] += first if whole[part] >= 0 else 0
+        table = np.full((len(rows), max(map(len, rows))), -1, np.int64)
+        for place, row in zip(table, rows, strict=True):
+            place[: len(row)] = row
+        return table
 
-    def _numbers(self, values: Mapping[str, Any], order: Iterable[str], name: str, setting: Setting = None) -> int:
-        """Add numbers; returns where the first stands."""
-        first = len(self._columns)
-        for key in order:
-            self._vector(np.asarray(values[key], float)[..., None], 1, f"{name}: {key}", setting)
+    def _part(
+        self, family: Family[Any], own: Description, size: int, prefix: str, name: str, setting: Setting = None
+    ) -> list[int]:
+        """Add the leaves, numbers and choices of one part, whose `own` entries these are; returns its row."""
+        row = [-1] * WIDTH
+        row[Node.SIZE], row[Node.BEGIN], row[Node.NUMBERS] = size, self.size, len(self._columns)
+        for place, (leaf, field) in enumerate(family.leaves(size, prefix).items(), LEAVES):
+            row[place] = self._place(leaf, field)
+        row[Node.END] = self.size
+        for number in family.numbers:
+            value = np.asarray(own["numbers"][number.key], float)[..., None]
+            self._vector(value, 1, f"{name}: {number.key}", setting)
+        for vector in family.vectors:
+            value = own["vectors"][vector.key]
+            row[vector] = self._vector(value, vector.length(size), f"{name}: {vector.key}", setting)
+        for choice in family.chosen(own):
+            value = own[choice.key]
+            if choice.each is not None:
+                row[choice] = self._vector(value, size, f"{name}: {choice.key}", setting)
+            else:
+                row[choice] = value if choice.whole else choice.allowed.index(value)
+        self._largest = max(self._largest, INPUTS + family.work(size))
+        return row
+
+    def _place(self, name: str, field: Field) -> int:
+        """Add a leaf; returns where it lies."""
+        first, shape = self.size, field.shape
+        strides = tuple(int(np.prod(shape[k + 1 :], dtype=int)) for k in range(len(shape)))
+        self.leaves[name] = Leaf(first, shape, strides, field.flag)
+        self.size += int(np.prod(shape, dtype=int))
         return first
 
     def _vector(self, value: Any, length: int, name: str, setting: Setting = None) -> int:
@@ -162,82 +185,72 @@ class Plan:
         self._columns += list((array[:1] if (array == array[:1]).all() else array).T)
         return first
 
-    def _member(self, description: Description, prefix: str) -> None:
-        """Add one estimator, or a bank's settings."""
+    def _alone(self, description: Description) -> list[int]:
+        """Add one estimator; returns the row of the whole."""
+        heads = self._member(description, "")
+        return self._whole([-1] * WIDTH, names=0, heads=heads)
+
+    def _whole(self, row: list[int], names: int, heads: bool) -> list[int]:
+        row[Whole.ESTIMATORS], row[Whole.RULES] = len(self._estimators), len(self._rules)
+        row[Whole.NAMES], row[Whole.HEADS] = names, int(heads)
+        return row
+
+    def _member(self, description: Description, prefix: str) -> bool:
+        """Add one estimator, or a bank's settings; returns whether it asks for the heading."""
         if description["kind"] != "bank":
-            self._estimator(description, prefix, None)
-            return
+            return self._estimator(description, prefix, None)
         count, begin, others, self.leaves = description["count"], self.size, self.leaves, {}
-        for k in range(count):
-            self._estimator(description["inner"], prefix, (k, count))
+        heads = [self._estimator(description["inner"], prefix, (k, count)) for k in range(count)]
         block = (self.size - begin) // count
         for name, (place, shape, strides, flag) in self.leaves.items():  # of the last setting
             others[name] = Leaf(place - (count - 1) * block, (count, *shape), (block, *strides), flag)
         self.leaves = others
+        return any(heads)
 
-    def _estimator(self, description: Description, prefix: str, setting: Setting) -> None:
-        row = [-1] * 16
-        description, prefix, wrappers = unwrapped(description, prefix)
-        kind, size, iterations = description["kind"], description["size"], description.get("iterations", 0)
-        name, family = prefix.rstrip(".") or kind, step.FAMILIES[kind]
-        row[step.KIND], row[step.SIZE] = list(step.FAMILIES).index(kind), size
-        row[step.TERMS] = sum(regressors.TERMS[term] for term in description.get("terms", ()))
-        terms = row[step.TERMS]
-        if kind == "rnn" or (size and (terms == regressors.QUASI_STATIC or terms & regressors.AMBIENT)):
-            self._heads = 1  # it asks for the heading
-        row[step.ESTIMATE] = int(description.get("feedback") == "estimate")
-        row[step.STATE] = self._place(family.fields(size), prefix)
-        row[step.NUMBERS] = self._numbers(description["numbers"], family.numbers, name, setting)
-        for key, vector in family.vectors.items():
-            self._vector(description["vectors"][key], vector.length(size), f"{name}: {key}", setting)
-        if kind == "rnn":
-            row[step.CONDITION] = stable.CONDITIONS.index(description["condition"])
-            row[step.BEST], row[step.UNROLL] = int(description["best"]), int(description["unroll"] == 2)
-        row[step.ITERATIONS] = iterations
-        if iterations:
-            row[step.SIGNS] = self._vector(description["signs"], size, f"{name}: signs", setting)
-        for kind, state, numbers in (
-            ("memory", step.MEMORY_STATE, step.MEMORY_NUMBERS), ("robust", step.ROBUST_STATE, step.ROBUST_NUMBERS),
-        ):  # fmt: skip
-            if kind in wrappers:
-                (wrapper, own), family = wrappers[kind], step.WRAPPERS[kind]
-                row[state] = self._place(family.fields(0), own)
-                row[numbers] = self._numbers(wrapper["numbers"], family.numbers, own, setting)
-        if "robust" in wrappers:
-            row[step.OUTER] = int(next(iter(wrappers)) == "robust")
-        self._rows.append(row)
-        needed = 4 + 16 * size if kind == "rnn" else 12 * size + 2 * size * size
-        self._largest = max(self._largest, regressors.INPUTS + needed)
-        self._kept = max(self._kept, self.size - row[step.STATE])
+    def _estimator(self, description: Description, prefix: str, setting: Setting) -> bool:
+        own, prefix, wrappers = unwrapped(description, prefix)
+        kind, family = own["kind"], KINDS[own["kind"]]
+        row = self._part(family, own, own["size"], prefix, prefix.rstrip(".") or kind, setting)
+        row[Node.FAMILY], row[Node.KIND] = ESTIMATORS.index(family), family.kinds.index(kind)
+        row[Node.OUTER] = int(next(iter(wrappers), None) == "robust")
+        for name, place in (("memory", Node.MEMORY), ("robust", Node.ROBUST)):
+            if name in wrappers:
+                wrapper, before = wrappers[name]
+                row[place] = len(self._others)
+                self._others.append(self._part(WRAPPERS[name], wrapper, 0, before, before, setting))
+                if name == "memory" and row[Node.OUTER]:
+                    row[Node.END] = self.size
+        self._estimators.append(row)
+        self._kept = max(self._kept, row[Node.END] - row[Node.BEGIN])
+        return family.heading(own)
 
-    def _ensemble(self, description: Description) -> dict[int, int]:
-        for name, member in description["members"].items():
-            self._member(member, f"members.{name}.")
-        estimators, rules = len(self._rows), description["rules"]
-        names = estimators + len(rules)
+    def _ensemble(self, description: Description) -> list[int]:
+        """Add members, rules, intervals and monitors; returns the row of the whole."""
+        heads = [self._member(member, f"members.{name}.") for name, member in description["members"].items()]
+        count, rules = len(self._estimators), description["rules"]
+        names = count + len(rules)
         for name, rule in rules.items():
-            columns, family = rule["columns"], combiners.RULES[rule["kind"]]
-            row = [list(combiners.RULES).index(rule["kind"]), len(columns)]
-            row += [self._place(family.fields(len(columns)), f"combiners.{name}."), len(self._columns)]
-            self._rows.append([*row, int(rule.get("loss") == "square"), *columns])
-            self._numbers(rule["numbers"], family.numbers, name)
-            self._vector(0.0, combiners.VECTOR - len(family.numbers), name)
-            if family.vectors:
-                self._vector(rule["vector"], sum(each.length(len(columns)) for each in family.vectors.values()), name)
-        watched = description["monitors"] is not None
-        self._place(ensemble_fields(names, watched), "")
-        whole = {step.ESTIMATORS: estimators, step.RULES: len(rules), step.NAMES: names, step.MONITORS: -1}
-        whole[step.OUTPUT] = estimators + list(rules).index(description["output"])
-        whole[step.CONFORMAL] = self.leaves["conformal.halfwidth"].place
-        whole[step.PREDICTIONS] = self.leaves["predictions"].place
-        whole[step.HALFWIDTHS] = self.leaves["halfwidths"].place
-        whole[step.LIMIT] = self._numbers(description["numbers"], step.ENSEMBLE_PARAMETERS, "ensemble")
-        numbers = description["conformal"]
-        whole[step.CONFORMAL_NUMBERS] = self._numbers(numbers, combiners.CONFORMAL_NUMBERS, "conformal")
-        if watched:
-            whole[step.MONITORS] = self.leaves["monitors.innovations.moments"].place
-            numbers = description["monitors"]
-            whole[step.MONITOR_NUMBERS] = self._numbers(numbers, monitors.MONITOR_NUMBERS, "monitors")
-        widest = max(len(rule["columns"]) for rule in rules.values())
-        self._largest = max(self._largest, 2 * estimators + 4 * widest, names + 4 * monitors.Z + monitors.Z**2)
-        return whole
+            self._rules.append(self._rule(rule, name, count))
+        row = self._part(ensemble.FAMILY, description, names, "", "ensemble")
+        self._whole(row, names, any(heads))
+        row[Whole.OUTPUT] = count + list(rules).index(description["output"])
+        for place, part, name in (
+            (Whole.CONFORMAL, conformal.FAMILY, "conformal"), (Whole.MONITORS, monitors.FAMILY, "monitors"),
+        ):  # fmt: skip
+            if (numbers := description[name]) is not None:
+                row[place] = len(self._others)
+                self._others.append(self._part(part, {"numbers": numbers}, names, f"{name}.", name))
+                self._largest = max(self._largest, names + part.work(names))
+        return row
+
+    def _rule(self, rule: Description, name: str, count: int) -> list[int]:
+        """Add a rule over so many columns; returns its row, behind which stand the columns of its members."""
+        family, columns = RULES[rule["kind"]], rule["columns"]
+        vectors, begin = {}, 0
+        for vector in family.vectors:
+            end = begin + vector.length(len(columns))
+            vectors[vector.key], begin = rule["vector"][begin:end], end
+        row = self._part(family, {**rule, "vectors": vectors}, len(columns), f"combiners.{name}.", name)
+        row[Node.FAMILY] = list(RULES).index(rule["kind"])
+        self._largest = max(self._largest, 2 * count + family.work(len(columns)))
+        return [*row, *columns]

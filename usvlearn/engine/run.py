@@ -79,7 +79,9 @@ def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
     inputs, *rest = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
     rows = np.empty((count, steps, ROW), plan.dtype)
-    prepare_all(*inputs, *rest, plan.program[0, step.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0]), rows)
+    prepare_all(
+        *inputs, *rest, plan.program[0, step.Whole.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0]), rows
+    )
     return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
 
 

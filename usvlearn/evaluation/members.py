@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from usvlearn.estimators.ensemble.combiners import Average
-from usvlearn.estimators.ensemble.layer import Bank, Ensemble
+from usvlearn.estimators.ensemble.combiners.layer import Average
+from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.regressors.layer import QuasiStatic, SurgeDynamics
+from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.metrics import PERSISTENCE
 
 

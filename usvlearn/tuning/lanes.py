@@ -15,8 +15,8 @@ from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError
 from usvlearn.estimator import Estimator, check_estimator, clean
-from usvlearn.estimators.ensemble.layer import Bank
 from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.hyper import Positive, UnitInterval, as_tensor
 from usvlearn.rollouts import rollout, tensors
 from usvlearn.signals import Fleet, tree_map

@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from usvlearn.errors import ConfigError, under
-from usvlearn.estimators.baselines.persistence import Persistence
+from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest

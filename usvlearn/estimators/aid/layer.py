@@ -1,68 +1,25 @@
-"""Adaptive identification (AID) of the surge dynamics.
-
-Continuous (Smallwood & Whitcomb 2003, scalar plant; paper, section IV-C), Δv = v̂ − v, Δθ = θ̂ − θ, a_m < 0:
-
-    v̂_dot = Wᵀθ̂/m + a_m Δv,    θ̂_dot = −Γ W Δv,    V = ½Δv² + ½ Δθᵀ Γ⁻¹ Δθ / m,    V_dot = a_m Δv² ≤ 0
-
-Discrete, with φ = dt·W/m, e = predicted − measured, N = φᵀΓφ; safe for every gain because the step is normalised:
-
-    v̂⁺ = v + φᵀθ̂                                                        (1)
-    Γ = gain·diag(spread²)                                               (2)
-    θ̂⁺ = clip( θ̂ − Γ φ dz(e)/(1 + N) )  onto the signs of physics          (3)
-    V = ½ Δθᵀ Γ⁻¹ Δθ,   V⁺ − V ≤ −½ e²/(1 + N)  without noise
-
-dz is a dead zone. Γ is diagonal, so the clip is the exact projection in the metric Γ⁻¹ and can only lower V. Spread is
-in the unit of each parameter and gain in s²/m², so that N has none: (3) is the first step of a Kalman filter with the
-prior deviations `spread` and noise of 1/√gain m/s.
-
-Leakage by switching σ-modification (Ioannou & Kokotovic 1984; Ioannou & Sun 1996, chapter 8) towards θ₀:
-
-    n = ‖(θ̂ − θ₀)/spread‖,   σ_s = σ min(max(n/M − 1, 0), 1)               (4)
-    θ̂⁺⁺ = θ̂⁺ − l (θ̂⁺ − θ₀),   l = min(1 − exp(−σ_s dt), 1 − M/max(n, M))    (5)
-
-It is the exact solution of a leak held over dt, and stops at the ball n = M. With c = 1 − l the change of V is
-proportional to −(1 − c)[(1 + c) n² − 2 x·x*], where x and x* are the normalised θ̂⁺ and θ; since ‖x*‖ ≤ M and
-c n ≥ M this is never positive, for any σ and dt: where the truth lies in the ball, leakage can only lower V. θ₀ has the
-signs of physics, and so has every point between it and θ̂⁺.
-
-Parallel ("estimate"): v in (1) is AID's own estimate. It keeps the error *after* learning, ε, and the leak of a_m
-exactly:
-
-    ε = e − N dz(e)/(1 + N),   v̂⁺ = v_meas + ε exp(a_m dt)                  (6)
-    V = ½Δv² + ½ Δθᵀ Γ⁻¹ Δθ,   V⁺ − V ≤ −½ (1 − exp(2 a_m dt) + N) ε²
-
-for any gain, without noise, as long as the boat's own model contracts; with e in place of ε it can rise.
-The regressor is of the estimate, W(v̂): then V_dot = a_m Δv² + Δv (W(v̂) − W(v))ᵀθ/m, and drag makes the last term
-negative ahead.
-
-The mass only scales the parameters: surge data cannot tell it (see `mass`, which recovers it from known quantities).
-"""
+"""Adaptive identification (AID) of the surge dynamics in torch: equations (1) to (6) of `state`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
-from usvlearn.estimator import Estimator, spec_of
+from usvlearn.estimator import Estimator, describe, spec_of
+from usvlearn.estimators.aid.state import FAMILY, AIDState
 from usvlearn.estimators.mass import known_rows, recover_mass
 from usvlearn.estimators.regressors.layer import SurgeDynamics
-from usvlearn.hyper import Positive, as_tensor, check_broadcast, numbers
+from usvlearn.family import FEEDBACK
+from usvlearn.hyper import Positive, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 # Spread per unit of the model's scale, 1 where not named. Chosen by the one-step error on logs and simulations:
 # what these terms explain, the others mostly can too.
 SPREAD = {"drag_linear": 0.25, "drag_cross": 0.25, "thrust_speed_left": 0.25, "thrust_speed_right": 0.25}
-
-
-class AIDState(NamedTuple):
-    """What AID identifies."""
-
-    theta: Tensor  # (*batch, p) parameters in the order and units of the model's names
-    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
 
 
 class AID(Estimator):
@@ -117,7 +74,7 @@ class AID(Estimator):
         model: nn.Module | None = None,
     ):
         super().__init__()
-        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
+        self.feedback = check_choice("feedback", feedback, FEEDBACK)
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.dead_zone = check_not_negative("dead_zone", dead_zone, "of m/s")
         self.floor = check_not_negative("floor", floor)
@@ -186,18 +143,7 @@ class AID(Estimator):
         if (terms := spec_of(self.model)) is None:
             return None
         leak = self.leak if self.feedback == "estimate" else 1.0
-        values = numbers(
-            scale=self.model.scale, surge_max=self.surge_max, gain=self.gain, leak=leak, dead_zone=self.dead_zone,
-            floor=self.floor, sigma=self.sigma, bound=self.bound,
-        )  # fmt: skip
-        vectors = numbers(
-            spread=self.spread, inverse_spread=self.inverse_spread, theta0=self.theta0, lower=self.lower,
-            upper=self.upper,
-        )  # fmt: skip
-        return {
-            "kind": "aid", "size": len(self.model.names), "terms": terms, "feedback": self.feedback, "numbers": values,
-            "vectors": vectors,
-        }  # fmt: skip
+        return describe(FAMILY, self, size=len(self.model.names), terms=terms, scale=self.model.scale, leak=leak)
 
     def monitor(self, state: AIDState) -> dict[str, Tensor]:
         numbers, theta = {"prior_distance": self._distance(state.theta)}, state.theta

@@ -1,76 +1,21 @@
-"""An ensemble: estimators side by side, rules that combine their predictions, an interval for each, and monitors."""
+"""An ensemble in torch."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, check_positive, under
-from usvlearn.estimator import Estimator, check_estimator, spec_of
-from usvlearn.estimators.ensemble import monitors
-from usvlearn.estimators.ensemble.combiners import Average, Combiner
-from usvlearn.estimators.ensemble.conformal import ConformalState, conformal_kernel, conformal_start, conformal_step
+from usvlearn.estimator import Estimator, numbers_of, spec_of
+from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
+from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step
+from usvlearn.estimators.ensemble.monitors import layer as monitors
+from usvlearn.estimators.ensemble.state import EnsembleState, Number
+from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.signals import Inputs, named_leaves
-
-
-class EnsembleState(NamedTuple):
-    """The members' states, the rules' states, and what was predicted last."""
-
-    members: dict[str, Any]
-    combiners: dict[str, Any]
-    conformal: ConformalState  # of the next predictions, in the order of `Ensemble.names`
-    predictions: Tensor  # (*batch, columns + combiners) m/s, in the order of `Ensemble.names`
-    halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s
-    monitors: Any  # of the innovations of `Ensemble.names` and of the thrusters, or {}
-
-
-class Bank(nn.Module):
-    """One estimator with several settings, as lanes: a member of an ensemble with a column of its own for each.
-
-    Args:
-        estimator: some hyperparameters of which have the shape `(settings,)`; what differs by boat is `(boats, 1)`.
-        labels: of the settings, in that order: the columns are NAME_LABEL.
-
-    >>> from usvlearn import AID
-    >>> Ensemble({"aid": Bank(AID(gain=[0.3, 1.0, 3.0]), ["slow", "middle", "fast"])}).columns
-    ('aid_slow', 'aid_middle', 'aid_fast')
-    """
-
-    def __init__(self, estimator: Estimator, labels: Sequence[str]):
-        super().__init__()
-        self.estimator = check_estimator("estimator of Bank", estimator)
-        if isinstance(labels, str) or not labels:
-            raise ConfigError(f"labels: found {labels!r}, expected a list of names, one for each setting")
-        self.labels = tuple(labels)
-
-    def init(self, batch: Sequence[int]) -> Any:
-        return self.estimator.init((*batch, len(self.labels)))
-
-    def predict(self, state: Any, inputs: Inputs) -> tuple[Any, Tensor]:
-        """As `Estimator.predict`; the predictions are `(*batch, settings)`."""
-        return self.estimator.predict(state, Inputs(*map(self._wide, inputs)))
-
-    def learn(self, state: Any, inputs: Inputs, surge: Tensor) -> tuple[Any, Tensor]:
-        return self.estimator.learn(state, Inputs(*map(self._wide, inputs)), self._wide(surge))
-
-    def start(self, state: Any, surge: Tensor) -> Any:
-        return self.estimator.start(state, self._wide(surge))
-
-    def inflate_covariance(self, state: Any, factor: Tensor) -> Any:
-        return self.estimator.inflate_covariance(state, self._wide(factor))
-
-    def spec(self) -> dict[str, Any] | None:
-        inner = spec_of(self.estimator)
-        return inner and {"kind": "bank", "inner": inner, "count": len(self.labels)}
-
-    def monitor(self, state: Any) -> dict[str, Tensor]:
-        return self.estimator.monitor(state)
-
-    def _wide(self, x: Tensor) -> Tensor:
-        return x[..., None].expand(*x.shape, len(self.labels))
 
 
 class Ensemble(Estimator):
@@ -213,7 +158,7 @@ class Ensemble(Estimator):
         return {
             "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
             "rules": {name: {**rule, "columns": self._places[name]} for name, rule in rules.items()},
-            "numbers": {"surge_max": self.surge_max}, "conformal": conformal_kernel(self.coverage),
+            "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
             "monitors": monitors.spec() if self.watched else None,
         }  # fmt: skip
 

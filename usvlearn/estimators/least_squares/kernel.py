@@ -1,45 +1,84 @@
-"""Recursive least squares, SIFt-RLS and the projection onto signs: the steps of `estimators.rls`, `sift`, `projected`.
+"""Recursive least squares, SIFt-RLS and the projection onto signs: the steps of `rls`, `sift` and `projected`.
 
-S is lower triangular. S T, T as in equation (2) of `rls`, is made in place along each row from its end: with the sums
+S is lower triangular. S T, T as in equation (2) of `state`, is made in place along each row from its end: with the sums
 w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What stands at its beginning is (S x)_i.
 """
 
 import numpy as np
 
 from usvlearn.arrays import clamp, copy, dot, fill
-from usvlearn.estimators.regressors.kernel import FEEDBACK
-from usvlearn.family import (
-    FACTOR,
-    MODEST,
-    NOT_NEGATIVE,
-    POSITIVE,
-    TRIANGLE,
-    UNIT,
-    Family,
-    Field,
-    Range,
-)
+from usvlearn.estimators.least_squares.state import AT, RLS, Choice, Number
+from usvlearn.estimators.regressors.kernel import regressor
+from usvlearn.family import ESTIMATE, Node
 from usvlearn.jit import jit
-
-RLS_NUMBERS = {
-    "scale": MODEST, "surge_max": POSITIVE, "prior": POSITIVE, "loosest": NOT_NEGATIVE, "noise_share": UNIT,
-    "noise_least": POSITIVE, "forgetting": FACTOR, "trace_max": NOT_NEGATIVE, "memory": POSITIVE,
-    "longest": Range(0.0, 80.0),  # the exponent of 1/λ
-    "floor": NOT_NEGATIVE,
-}  # fmt: skip
-SCALE, SURGE_MAX, PRIOR, LOOSEST, NOISE_SHARE, NOISE_LEAST, FORGETTING, TRACE_MAX, TAU, LONGEST, FLOOR = range(11)
+from usvlearn.rows import DT
 
 
-def rls_fields(p):
-    """The leaves of `RLSState`."""
-    return {
-        "theta": Field((p,)), "factor": Field((p, p), TRIANGLE), "surge": Field(()), "noise": Field((), POSITIVE),
-        "deviation": Field((), NOT_NEGATIVE),
-    }  # fmt: skip
+@jit
+def start(node, s, q, surge):
+    """`LeastSquares.start`."""
+    s[node[AT.surge]] = surge
 
 
-LEAST_SQUARES = Family(rls_fields, RLS_NUMBERS, choices={"feedback": FEEDBACK}, size=None, projects=True)
-ITERATIONS = Range(0, 1000)  # of the projection onto signs
+@jit
+def predict(node, s, q, x, work):
+    """`LeastSquares.predict`: the speed, and what it was before its limits; φ stays in `work`."""
+    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    phi = work[:p]
+    base = regressor(node[Choice.TERMS], s[node[AT.surge]], x, numbers[Number.SCALE], phi)
+    estimate = base + dot(phi, s[node[AT.theta] : node[AT.theta] + p])
+    return clamp(estimate, numbers[Number.SURGE_MAX]), estimate
+
+
+@jit
+def coast(node, s, q, x, predicted, work):
+    """The state after `LeastSquares.predict`: the speed, and the deviation of its prediction."""
+    p = node[Node.SIZE]
+    spread = 1.0 + rotated(s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p), work[:p], work[p : 2 * p])
+    s[node[AT.surge]] = predicted
+    s[node[AT.deviation]] = np.sqrt(s[node[AT.noise]] * spread)
+
+
+@jit
+def learn(node, s, q, x, estimate, target, work):
+    """The state after `LeastSquares.learn`, or `Projected.learn`."""
+    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    theta, S = s[node[AT.theta] : node[AT.theta] + p], s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
+    phi, f, rest = work[:p], work[p : 2 * p], work[2 * p :]
+    innovation = target - estimate
+    spread = 1.0 + rotated(S, phi, f)
+    noise = s[node[AT.noise]]
+    if node[Node.KIND] == RLS:
+        lam, trace_max = numbers[Number.FORGETTING], numbers[Number.TRACE_MAX]
+        forget(theta, S, f, innovation, lam, trace_max, rest[p : 2 * p], rest[2 * p : 3 * p])
+    else:
+        squared = dot(phi, phi) * numbers[Number.SCALE] ** 2
+        if squared >= numbers[Number.FLOOR] and squared > 0:
+            lam = np.exp(-min(x[DT] / numbers[Number.MEMORY], numbers[Number.LONGEST]))
+            sift(theta, S, phi, f, innovation, lam, rest[:p], rest[p : 2 * p], rest[2 * p : 3 * p],
+                 rest[3 * p : 4 * p], rest[4 * p : 5 * p])  # fmt: skip
+    seen = innovation * innovation / spread
+    if not seen <= 16 * noise:  # NaN is passed on, as torch.minimum does
+        seen = 16 * noise if seen > 16 * noise else seen
+    learned = noise + numbers[Number.NOISE_SHARE] * (seen - noise)
+    departs = clamp(estimate, numbers[Number.SURGE_MAX]) if node[Choice.FEEDBACK] == ESTIMATE else target
+    s[node[AT.surge]] = departs
+    s[node[AT.noise]] = numbers[Number.NOISE_LEAST] if learned < numbers[Number.NOISE_LEAST] else learned
+    s[node[AT.deviation]] = np.sqrt(noise * spread)
+    if node[Choice.ITERATIONS] > 0:
+        project_signs(theta, S, q[node[Choice.SIGNS] : node[Choice.SIGNS] + p], node[Choice.ITERATIONS], work)
+
+
+@jit
+def inflate_covariance(node, s, q, factor):
+    """`LeastSquares.inflate_covariance`: P times `factor`, up to its limit."""
+    p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    S = s[node[AT.factor] : node[AT.factor] + p * p]
+    limit = numbers[Number.LOOSEST] * numbers[Number.PRIOR] / dot(S, S)
+    limit = 1.0 if limit < 1.0 else limit
+    growth = np.sqrt(limit if factor > limit else factor)
+    for i in range(len(S)):
+        S[i] *= growth
 
 
 @jit
@@ -54,7 +93,7 @@ def rotated(S, phi, f):
 
 @jit
 def measurement(f, lam, diagonal, below):
-    """T of a measurement update, equation (2) of `rls`: its diagonal, and what stands below it over f_i; returns s."""
+    """T of a measurement update, (2) of `state`: its diagonal, and what stands below it over f_i; returns s."""
     alpha = lam
     for j in range(len(f) - 1, -1, -1):
         after = alpha
@@ -67,7 +106,7 @@ def measurement(f, lam, diagonal, below):
 
 @jit
 def forget(theta, S, f, innovation, lam, trace_max, diagonal, below):
-    """One step of exponential forgetting, (1) and (2) of `rls`, with f = Sᵀφ."""
+    """One step of exponential forgetting, (1) and (2) of `state`, with f = Sᵀφ."""
     p = len(theta)
     gain = innovation / measurement(f, lam, diagonal, below)
     trace = 0.0
@@ -123,52 +162,6 @@ def sift(theta, S, phi, f, innovation, lam, x, opens, opens_below, diagonal, bel
             S[i, j] = opened * diagonal[j] + below[j] * v
             v += opened * f[j]
         theta[i] += gain * v
-
-
-@jit
-def learn_least_squares(block, q, forgets, phi, estimate, target, dt, feedback, work):
-    """`LeastSquares.learn` on the leaves in `block`; `forgets` exponentially, or by what it learns anew."""
-    p = len(phi)
-    theta, S = block[:p], block[p : p + p * p].reshape(p, p)
-    f, x = work[:p], work[p : 2 * p]
-    innovation = target - estimate
-    s = 1.0 + rotated(S, phi, f)
-    noise = block[p + p * p + 1]
-    if forgets:
-        forget(theta, S, f, innovation, q[FORGETTING], q[TRACE_MAX], work[2 * p : 3 * p], work[3 * p : 4 * p])
-    else:
-        squared = dot(phi, phi) * q[SCALE] ** 2
-        if squared >= q[FLOOR] and squared > 0:
-            lam = np.exp(-min(dt / q[TAU], q[LONGEST]))
-            sift(theta, S, phi, f, innovation, lam, x, work[2 * p : 3 * p], work[3 * p : 4 * p], work[4 * p : 5 * p],
-                 work[5 * p : 6 * p])  # fmt: skip
-    seen = innovation * innovation / s
-    if not seen <= 16 * noise:  # NaN is passed on, as torch.minimum does
-        seen = 16 * noise if seen > 16 * noise else seen
-    learned = noise + q[NOISE_SHARE] * (seen - noise)
-    block[p + p * p] = clamp(estimate, q[SURGE_MAX]) if feedback else target
-    block[p + p * p + 1] = q[NOISE_LEAST] if learned < q[NOISE_LEAST] else learned
-    block[p + p * p + 2] = np.sqrt(noise * s)
-
-
-@jit
-def coast_least_squares(block, phi, surge, work):
-    """`LeastSquares.predict`: the speed, and the deviation of its prediction."""
-    p = len(phi)
-    s = 1.0 + rotated(block[p : p + p * p].reshape(p, p), phi, work[:p])
-    block[p + p * p] = surge
-    block[p + p * p + 2] = np.sqrt(block[p + p * p + 1] * s)
-
-
-@jit
-def inflate_least_squares(block, p, q, factor):
-    """`LeastSquares.inflate_covariance`: P times `factor`, up to its limit."""
-    S = block[p : p + p * p]
-    limit = q[LOOSEST] * q[PRIOR] / dot(S, S)
-    limit = 1.0 if limit < 1.0 else limit
-    growth = np.sqrt(limit if factor > limit else factor)
-    for i in range(len(S)):
-        S[i] *= growth
 
 
 @jit

@@ -26,10 +26,9 @@ from torch import Tensor
 
 from usvlearn.errors import ConfigError
 from usvlearn.estimator import Estimator, spec_of
-from usvlearn.estimators.least_squares.rls import LeastSquares, RLSState
+from usvlearn.estimators.least_squares.rls import LeastSquares
+from usvlearn.estimators.least_squares.state import ROUNDS, RLSState
 from usvlearn.signals import Inputs
-
-ROUNDS = 1000  # at most; as a rule two or three are enough
 
 
 def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iterations: int = 4) -> Tensor:

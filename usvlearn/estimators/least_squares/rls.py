@@ -1,57 +1,22 @@
-"""Recursive least squares with exponential forgetting, for any model that is linear in its parameters.
-
-With y the part of the speed that φᵀθ explains, and λ the forgetting factor (Plackett 1950; paper, section IV-D):
-
-    s = λ + φᵀPφ,   K = Pφ/s,   θ⁺ = θ + K (y − φᵀθ),   P⁺ = (P − Pφ φᵀP/s)/λ        (1)
-
-which minimises Σ λ^(k−j) (y_j − φ_jᵀθ)² + λ^k θᵀP₀⁻¹θ. Computed with the Cholesky factor S of P = S Sᵀ, lower
-triangular (Carlson 1973): with f = Sᵀφ, P⁺ = S (I − f fᵀ/s) Sᵀ/λ, and the matrix between has a factor T in closed form,
-
-    α_j = λ + Σ_{i>j} f_i²,   T_jj = √(α_j/α_{j−1}),   T_ij = −f_i f_j/√(α_{j−1} α_j)  for i > j,   S⁺ = S T/√λ     (2)
-
-in which nothing cancels, and which costs p² operations where one goes along the rows of S from their ends. The
-textbook's P − K (φᵀP) multiplies its rounding asymmetry by 1/λ at every step and diverges within minutes; S Sᵀ is
-symmetric and positive by construction. Where data stop informing a direction, P grows there without bound: forgetting
-pauses wherever it would lift the trace of P over a limit. `SIFtRLS` forgets only what it learns anew, and needs none.
-
-P is in units of the noise's variance σ², which the innovations tell: a prediction's variance is σ² (1 + φᵀPφ)   (3).
-"""
+"""Recursive least squares with exponential forgetting in torch: equations (1) to (3) of `state`."""
 
 from __future__ import annotations
 
 import abc
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import check_choice, check_positive
-from usvlearn.estimator import Estimator, spec_of
-from usvlearn.estimators.ensemble.monitors import excitation_report
+from usvlearn.estimator import Estimator, describe, spec_of
+from usvlearn.estimators.ensemble.monitors.layer import excitation_report
+from usvlearn.estimators.least_squares.state import FAMILY, LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE, RLSState
 from usvlearn.estimators.regressors.layer import QuasiStatic
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
+from usvlearn.family import FEEDBACK
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
-
-NOISE = 0.05  # m/s, σ before the first innovation
-LOOSEST = 100.0  # times P₀'s trace
-NOISE_SHARE = 0.02  # of a new innovation in σ²
-NOISE_LEAST = 1e-3  # m/s; hours of exact predictions at rest must not make σ so small that it never comes back
-
-
-class RLSState(NamedTuple):
-    """What recursive least squares identifies."""
-
-    theta: Tensor  # (*batch, p) parameters
-    factor: Tensor  # (*batch, p, p) S, the Cholesky factor of the covariance, lower triangular
-    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
-    noise: Tensor  # (*batch,) σ², m²/s²
-    deviation: Tensor  # (*batch,) standard deviation of the last prediction by (3), m/s
-
-    @property
-    def covariance(self) -> Tensor:
-        """P = S Sᵀ, `(*batch, p, p)`, in units of the measurement noise's variance."""
-        return self.factor @ self.factor.mT
 
 
 def triangle(
@@ -119,7 +84,7 @@ class LeastSquares(Estimator):
 
     def __init__(self, model: nn.Module | None, covariance, feedback: str, surge_max: float):
         super().__init__()
-        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
+        self.feedback = check_choice("feedback", feedback, FEEDBACK)
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.model = QuasiStatic() if model is None else model
         self.covariance = Positive(covariance, "covariance")
@@ -169,20 +134,15 @@ class LeastSquares(Estimator):
         factor = torch.minimum(factor, (LOOSEST * prior / trace).clamp(min=1))
         return state._replace(factor=state.factor * factor.sqrt()[..., None, None])
 
-    def _kernel(self, kind: str, **own: Any) -> dict[str, Any] | None:
-        """`kernel` of a kind, whose numbers are `own`."""
+    def _spec(self, kind: str, **own: Any) -> dict[str, Any] | None:
+        """`spec` of a kind, whose numbers are `own`."""
         if (terms := spec_of(self.model)) is None:
             return None
-        scale, limits = (
-            self.model.scale,
-            {"loosest": LOOSEST, "noise_share": NOISE_SHARE, "noise_least": NOISE_LEAST**2},
-        )
-        prior = len(self.model.names) * self.covariance() * scale**2
+        p, scale = len(self.model.names), self.model.scale
         none = {"forgetting": 1.0, "trace_max": 0.0, "memory": 1.0, "longest": 0.0, "floor": 0.0}
-        values = numbers(scale=scale, surge_max=self.surge_max, prior=prior, **limits, **(none | own))
-        return {
-            "kind": kind, "size": len(self.model.names), "terms": terms, "feedback": self.feedback, "numbers": values,
-        }  # fmt: skip
+        limits = {"loosest": LOOSEST, "noise_share": NOISE_SHARE, "noise_least": NOISE_LEAST**2}
+        given = none | limits | {"prior": p * self.covariance() * scale**2, "scale": scale} | own
+        return describe(FAMILY, self, kind=kind, size=p, terms=terms, **given)
 
     def monitor(self, state: RLSState) -> dict[str, Tensor]:
         parameters = dict(zip(self.model.names, state.theta.unbind(-1), strict=True))
@@ -230,7 +190,7 @@ class RLS(LeastSquares):
         self.register_buffer("trace_max", growth * as_tensor(covariance) * self.model.scale**2)
 
     def spec(self) -> dict[str, Any] | None:
-        return self._kernel("rls", forgetting=self.forgetting, trace_max=self.trace_max)
+        return self._spec("rls", forgetting=self.forgetting, trace_max=self.trace_max)
 
     def _step(
         self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor

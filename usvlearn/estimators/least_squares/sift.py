@@ -27,9 +27,8 @@ from torch import Tensor, nn
 
 from usvlearn.errors import check_not_negative
 from usvlearn.estimators.least_squares.rls import LeastSquares, measured, triangle
+from usvlearn.estimators.least_squares.state import LONGEST
 from usvlearn.hyper import Positive
-
-LONGEST = 20.0  # memories: a longer step forgets no more, lest 1/λ overflow
 
 
 def sift_step(
@@ -86,7 +85,7 @@ class SIFtRLS(LeastSquares):
         self.floor = check_not_negative("floor", floor)
 
     def spec(self) -> dict[str, Any] | None:
-        return self._kernel("sift", memory=self.memory, longest=LONGEST, floor=self.floor)
+        return self._spec("sift", memory=self.memory, longest=LONGEST, floor=self.floor)
 
     def _step(
         self, theta: Tensor, factor: Tensor, phi: Tensor, innovation: Tensor, dt: Tensor

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.estimators.regressors.terms import QUASI_STATIC, signs_of
 from usvlearn.hyper import as_tensor
 from usvlearn.signals import Inputs
 
@@ -54,29 +55,6 @@ def quasi_static_regressor(inputs: Inputs) -> Tensor:
     return torch.cat([thrust.flatten(-2), rest], -1)
 
 
-SURGE = {  # parameter: its sign by physics
-    "drag_quadratic": -1,  # c_q, kg/m
-    "drag_linear": -1,  # c_l, kg/s
-    "drag_cross": -1,  # c_θ̇, kg/rad
-    "thrust_linear_left": 1,  # α_L, N
-    "thrust_quadratic_left": 1,  # β_L, N
-    "thrust_speed_left": -1,  # γ_L, N s/m
-    "thrust_linear_right": 1,
-    "thrust_quadratic_right": 1,
-    "thrust_speed_right": -1,
-}
-MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
-AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
-
-
-UNITS = {
-    "drag_quadratic": "kg/m", "drag_linear": "kg/s", "drag_cross": "kg/rad",
-    **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
-       for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},
-    "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
-}  # fmt: skip
-
-
 class SurgeDynamics(nn.Module):
     """One step of the surge dynamics, m·surge_dot = Wᵀθ: v⁺ = v + φᵀθ with φ = dt·W/m.
 
@@ -97,7 +75,8 @@ class SurgeDynamics(nn.Module):
     def __init__(self, mass=36.0, memory: bool = False, ambient: bool = False):
         super().__init__()
         self.memory, self.ambient = memory, ambient
-        parts = SURGE | (MEMORY if memory else {}) | (AMBIENT if ambient else {})
+        self.terms = ["dynamics", *(["memory"] if memory else []), *(["ambient"] if ambient else [])]
+        parts = signs_of(self.terms)
         self.names, self.signs = tuple(parts), tuple(parts.values())
         mass = as_tensor(mass, "mass")
         if not bool(((mass > 0) & mass.isfinite()).all()):
@@ -106,7 +85,7 @@ class SurgeDynamics(nn.Module):
 
     def spec(self) -> list[str]:
         """Its terms, by name."""
-        return ["dynamics", *(["memory"] if self.memory else []), *(["ambient"] if self.ambient else [])]
+        return list(self.terms)
 
     @property
     def scale(self) -> Tensor:
@@ -139,18 +118,7 @@ class QuasiStatic(nn.Module):
     'zeta_right_linear'
     """
 
-    names = (
-        "zeta_right_linear",
-        "zeta_right_quadratic",
-        "zeta_right_cubic",
-        "zeta_left_linear",
-        "zeta_left_quadratic",
-        "zeta_left_cubic",
-        "zeta_heading_sin",
-        "zeta_heading_cos",
-        "zeta_yaw_rate",  # m/rad
-    )
-    signs = (0,) * 9  # physics gives none: the map is not a force
+    names, signs = tuple(QUASI_STATIC), tuple(QUASI_STATIC.values())
     scale = 1.0
 
     def spec(self) -> list[str]:

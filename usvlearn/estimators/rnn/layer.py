@@ -1,41 +1,11 @@
-"""A shallow ReLU recurrent network with one state, learned online by Adam (paper, section IV-B).
-
-With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ_R]:
-
-    z = w₁ x + W₂ u + b,   x⁺ = aᵀ relu(z)                                        (1)
-    L = ½ (x⁺ − x_meas)² + η/2 Σ ψ_i (a_i² + w_{1i}²),                            (2)
-    ψ_i = 1 where |a_i| + |w_{1i}|/(n+1) > 1/(n+1), else 0
-
-The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing. Projection does:
-after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
-`certify.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then approach
-each other by the factor κ at every step. With `feedback: estimate` the weights follow the state, and two starts learn
-different weights. For differences Δ_k of x and Δθ_k of the weights (`certify/README.md`)
-
-    |Δ_k| ≤ κᵏ |Δ_0| + L_θ sup_{j<k} ‖Δθ_j‖/(1 − κ),   L_θ² = Σ relu(z_i)² + (1 + x² + |u|²) Σ a_i²,
-
-with L_θ² at its largest, for all states, inputs and weights that occur and the weights between.
-
-The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂ = f(f(x₋, u₋), u), and the gradient runs
-through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
-
-    ∂L/∂a = e (relu(z) + s relu(z₋)),   ∂L/∂z = e a d,   ∂L/∂z₋ = e s a d₋         (3)
-
-Speeds change little from step to step, so the network starts as persistence at the rate κ, and learns the rest:
-
-    x⁺ = κ/2 relu(2x + 1) − κ/2 relu(1) = κ x   where x > −½, that is v > −v_max               (4)
-
-with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes without its running mean of the gradient
-(β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
-clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
-"""
+"""The network in torch, learned online by Adam: equations (1) to (4) of `state`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,27 +16,12 @@ from certify.equilibria import CLASSES, equilibria
 from certify.projections import GAUGES, project
 from certify.weights import ShallowWeights
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.rnn.initial import initial_weights, pretrained_weights
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
+from usvlearn.estimators.rnn.state import BETA2, EPSILON, FAMILY, INPUTS, MOST_NEURONS, SIZES, WEIGHTS, RNNState
+from usvlearn.family import FEEDBACK
+from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
-
-BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
-MOST_NEURONS = 10_000  # more can be no boat, but fill the memory
-
-
-class RNNState(NamedTuple):
-    """What the network learned, Adam's memory, and the step before for the unrolled loss."""
-
-    weights: ShallowWeights  # a, w1, b (*batch, n), W2 (*batch, n, 4)
-    moment1: Tensor  # (*batch, 7n) Adam's mean gradient, in the order a, w1, W2 (row by row), b
-    moment2: Tensor  # (*batch, 7n) Adam's mean squared gradient
-    updates: Tensor  # (*batch,) count of updates
-    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
-    surge_before: Tensor  # (*batch,) speed one step earlier, m/s
-    inputs_before: Tensor  # (*batch, 4) u of that step
-    dt: Tensor  # (*batch,) s, of that step
-    unbroken: Tensor  # (*batch,) bool: that step led to `surge`
 
 
 def network_inputs(inputs: Inputs) -> Tensor:
@@ -204,7 +159,7 @@ class RNN(Estimator):
             raise ConfigError(f"neurons: found {neurons!r}, expected {expected}")
         if check_not_negative("momentum", momentum) >= 1:
             raise ConfigError(f"momentum: found {momentum!r}, expected a number below 1")
-        self.feedback = check_choice("feedback", feedback, ("measured", "estimate"))
+        self.feedback = check_choice("feedback", feedback, FEEDBACK)
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.decay = None if decay is None else check_positive("decay", decay, "of updates")
         self.clip = None if clip in (None, math.inf) else check_positive("clip", clip, ", or null for no limit")
@@ -245,8 +200,9 @@ class RNN(Estimator):
         weights = self._stable(weights)
         zero = self.a.new_zeros
         unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)
-        moments = zero((*batch, 7 * n)), zero((*batch, 7 * n))
-        return RNNState(weights, *moments, *(zero(batch) for _ in range(3)), zero((*batch, 4)), zero(batch), unbroken)
+        moments = zero((*batch, WEIGHTS * n)), zero((*batch, WEIGHTS * n))
+        before = zero((*batch, INPUTS))
+        return RNNState(weights, *moments, *(zero(batch) for _ in range(3)), before, zero(batch), unbroken)
 
     def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
         x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
@@ -274,20 +230,14 @@ class RNN(Estimator):
         return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
 
     def spec(self) -> dict[str, Any]:
-        never = math.inf
-        values = numbers(
-            scale=self.scale, surge_max=self.surge_max, rate=self.rate, momentum=self.momentum,
-            decay=never if self.decay is None else self.decay, clip=never if self.clip is None else self.clip,
+        return describe(
+            FAMILY, self, size=len(self.a), unroll=int(self.unroll), best=self.gauge == "best",
+            condition="none" if self.contraction_rate is None else self.condition,
+            decay=math.inf if self.decay is None else self.decay, clip=math.inf if self.clip is None else self.clip,
             contraction_rate=1.0 if self.contraction_rate is None else self.contraction_rate,
-            penalty=0.0 if self.penalty is None else self.penalty, share2=1 - BETA2,
-            log_beta2=math.log(BETA2), epsilon=EPSILON,
-            tiny=torch.finfo(self.a.dtype).tiny,
+            penalty=0.0 if self.penalty is None else self.penalty, share2=1 - BETA2, log_beta2=math.log(BETA2),
+            epsilon=EPSILON, tiny=torch.finfo(self.a.dtype).tiny, bounds=self.bounds.flatten(),
         )  # fmt: skip
-        return {
-            "kind": "rnn", "size": len(self.a), "feedback": self.feedback, "unroll": int(self.unroll),
-            "condition": "none" if self.contraction_rate is None else self.condition, "best": self.gauge == "best",
-            "numbers": values, "vectors": numbers(bounds=self.bounds.flatten(), rate_ratio=self.rate_ratio),
-        }  # fmt: skip
 
     def monitor(self, state: RNNState) -> dict[str, Tensor]:
         a, w1 = state.weights.a, state.weights.w1
@@ -331,6 +281,6 @@ class RNN(Estimator):
         # Clamped because the slope of the root at 0 is infinite: it must not reach the gradients.
         step = step_size * m / (v_hat.clamp(min=torch.finfo(v.dtype).tiny).sqrt() + EPSILON)
         n = state.weights.a.shape[-1]
-        da, dw1, dW2, db = step.split((n, n, 4 * n, n), -1)
+        da, dw1, dW2, db = step.split([n * size for size in SIZES], -1)
         a, w1, W2, b = state.weights
-        return ShallowWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, 4)), b - db), m, v
+        return ShallowWeights(a - da, w1 - dw1, W2 - dW2.unflatten(-1, (n, INPUTS)), b - db), m, v

@@ -6,10 +6,8 @@ zero leave the sums until none does, which takes a few passes and no memory.
 
 import numpy as np
 
+from usvlearn.estimators.rnn.state import BEGIN, INPUTS, Condition
 from usvlearn.jit import jit
-
-CONDITIONS = ("none", "simple", "gershgorin", "lmi", "tight", "interval")
-NONE, SIMPLE, GERSHGORIN, LMI, TIGHT, INTERVAL = range(6)
 
 
 @jit
@@ -65,10 +63,10 @@ def scale(a, w1, sign, found, kappa):
 @jit
 def project(weights, n, condition, best, kappa, bounds, work):
     """a becomes the nearest that holds a condition at the rate κ; literal conditions may change the gauge first."""
-    a, w1, cost = weights[:n], weights[n : 2 * n], work[:n]
+    a, w1, cost = weights[n * BEGIN.a : n * BEGIN.a + n], weights[n * BEGIN.w1 : n * BEGIN.w1 + n], work[:n]
     kappa *= 1 - 8 * n * np.finfo(weights.dtype).eps
-    if condition == TIGHT or condition == LMI:
-        times = 2.0 if condition == LMI else 1.0
+    if condition == Condition.TIGHT or condition == Condition.LMI:
+        times = 2.0 if condition == Condition.LMI else 1.0
         P, N = extremes(a, w1)
         if times * max(P, N) <= kappa:  # NaN goes on, and stays
             return
@@ -79,7 +77,7 @@ def project(weights, n, condition, best, kappa, bounds, work):
         P, N = extremes(a, w1)
         scale(a, w1, 1, times * P, kappa)
         scale(a, w1, -1, times * N, kappa)
-    elif condition == INTERVAL:
+    elif condition == Condition.INTERVAL:
         project_interval(weights, n, kappa, bounds, work)
     else:
         if not best:
@@ -91,14 +89,14 @@ def project(weights, n, condition, best, kappa, bounds, work):
 def regauge(weights, n):
     """Rescale each neuron with |w₁| ≥ 1 to ½, which changes no output."""
     for i in range(n):
-        w = abs(weights[n + i])
+        w = abs(weights[n * BEGIN.w1 + i])
         if w >= 1:
             c = 0.5 / w
-            weights[i] /= c
-            for j in range(4):
-                weights[2 * n + 4 * i + j] *= c
-            weights[n + i] *= c
-            weights[6 * n + i] *= c
+            weights[n * BEGIN.a + i] /= c
+            for j in range(INPUTS):
+                weights[n * BEGIN.W2 + INPUTS * i + j] *= c
+            weights[n * BEGIN.w1 + i] *= c
+            weights[n * BEGIN.b + i] *= c
 
 
 @jit
@@ -107,7 +105,7 @@ def project_diagonal(a, w1, condition, best, kappa, cost):
     n = len(a)
     found = 0.0
     tiny = np.finfo(a.dtype).tiny
-    if condition == SIMPLE:
+    if condition == Condition.SIMPLE:
         for i in range(n):
             w = abs(w1[i])
             limit = kappa * (0.25 / ((n + 1) * max(w, tiny)) if best else (1 - w) / (n + 1))
@@ -126,18 +124,18 @@ def project_diagonal(a, w1, condition, best, kappa, cost):
 @jit
 def box_rate(weights, n, bounds, side):
     """The rate of `conditions.interval`; `side` becomes 1 where a neuron is always on, −1 where it never is, else 0."""
-    lo, hi = bounds[:5], bounds[5:]
+    lo, hi = bounds[: 1 + INPUTS], bounds[1 + INPUTS :]
     rounding = 14 * np.finfo(weights.dtype).eps
     on, above, below = 0.0, 0.0, 0.0
     for i in range(n):
-        z, reach, largest = weights[6 * n + i], 0.0, abs(weights[6 * n + i])
-        for j in range(5):
-            w = weights[n + i] if j == 0 else weights[2 * n + 4 * i + j - 1]
+        z, reach, largest = weights[n * BEGIN.b + i], 0.0, abs(weights[n * BEGIN.b + i])
+        for j in range(1 + INPUTS):
+            w = weights[n * BEGIN.w1 + i] if j == 0 else weights[n * BEGIN.W2 + INPUTS * i + j - 1]
             z += w * ((lo[j] + hi[j]) / 2)
             reach += abs(w) * ((hi[j] - lo[j]) / 2)
             largest += abs(w) * max(abs(lo[j]), abs(hi[j]))
         reach += rounding * largest
-        s = weights[i] * weights[n + i]
+        s = weights[n * BEGIN.a + i] * weights[n * BEGIN.w1 + i]
         side[i] = 1.0 if z > reach else (-1.0 if z < -reach else 0.0)
         on += s if z > reach else 0.0
         if side[i] == 0:
@@ -149,7 +147,7 @@ def box_rate(weights, n, bounds, side):
 @jit
 def project_interval(weights, n, kappa, bounds, work):
     """`projections._nearest_on_box`, and the scaling after it; δ of (2) by Newton's steps on its pieces."""
-    a, w1 = weights[:n], weights[n : 2 * n]
+    a, w1 = weights[n * BEGIN.a : n * BEGIN.a + n], weights[n * BEGIN.w1 : n * BEGIN.w1 + n]
     side, above, below = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
     box_rate(weights, n, bounds, side)
     S, W = 0.0, 0.0

@@ -12,10 +12,11 @@ import torch
 
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.aid.layer import AID
-from usvlearn.estimators.ensemble.layer import Bank, Ensemble
+from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.least_squares.rls import RLS
 from usvlearn.estimators.least_squares.sift import SIFtRLS
 from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.members import unwrapped
 from usvlearn.online import Online
 from usvlearn.report.result_table import ResultTable

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.regressors.layer import UNITS
+from usvlearn.estimators.regressors.terms import UNITS
 from usvlearn.evaluation.members import physical_members, unwrapped
 from usvlearn.evaluation.season import Season
 from usvlearn.report.result_table import ResultTable

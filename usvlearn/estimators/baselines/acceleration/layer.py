@@ -1,26 +1,17 @@
-"""Constant acceleration: the next increment is the last one. A second baseline, beside persistence."""
+"""Constant acceleration in torch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from usvlearn.errors import check_positive
-from usvlearn.estimator import Estimator
-from usvlearn.hyper import numbers
+from usvlearn.estimator import Estimator, describe
+from usvlearn.estimators.baselines.acceleration.state import FAMILY, AccelerationState
 from usvlearn.signals import Inputs
-
-
-class AccelerationState(NamedTuple):
-    """What it remembers."""
-
-    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
-    surge_dot: Tensor  # (*batch,) m/s²
-    measured: Tensor  # (*batch,) last measured speed, m/s
-    since: Tensor  # (*batch,) s since then
 
 
 class Acceleration(Estimator):
@@ -44,8 +35,7 @@ class Acceleration(Estimator):
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
 
     def spec(self) -> dict[str, Any]:
-        values = numbers(surge_dot_max=self.surge_dot_max, surge_max=self.surge_max)
-        return {"kind": "acceleration", "size": 0, "numbers": values}
+        return describe(FAMILY, self)
 
     def init(self, batch: Sequence[int] = ()) -> AccelerationState:
         return AccelerationState(*(self.rest.expand(tuple(batch)).clone() for _ in range(4)))

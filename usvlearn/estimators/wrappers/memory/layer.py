@@ -1,35 +1,18 @@
-"""What the step before tells: the last acceleration and the last commands, for a model that uses them.
-
-A thruster takes a moment to spin up, and the water around a hull swings along: the next increment depends on the last
-one. `SurgeDynamics(memory=True)` has terms for it, and this wrapper hands them over.
-"""
+"""The step before in torch, for a model that uses it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from usvlearn.errors import check_positive
-from usvlearn.estimator import Estimator, check_estimator, spec_of
+from usvlearn.estimator import Estimator, check_estimator, numbers_of, spec_of
 from usvlearn.estimators.regressors.layer import MemoryInputs
-from usvlearn.hyper import numbers
+from usvlearn.estimators.wrappers.memory.state import FAMILY, MemoryState
 from usvlearn.signals import Inputs, named_leaves
-
-
-class MemoryState(NamedTuple):
-    """The estimator's state, and the step before."""
-
-    inner: Any
-    surge_dot: Tensor  # (*batch,) m/s², between the last two measured speeds; of the last step where it coasts
-    surge: Tensor  # (*batch,) last measured speed, m/s
-    since: Tensor  # (*batch,) s since then
-    estimate: Tensor  # (*batch,) speed from which the next step departs, m/s
-    command_left: Tensor  # (*batch,) of the last step
-    command_right: Tensor  # (*batch,)
-    known: Tensor  # (*batch,) bool: the segment has had a step
 
 
 class WithMemory(Estimator):
@@ -84,7 +67,7 @@ class WithMemory(Estimator):
 
     def spec(self) -> dict[str, Any] | None:
         inner = spec_of(self.estimator)
-        return inner and {"kind": "memory", "inner": inner, "numbers": numbers(surge_dot_max=self.surge_dot_max)}
+        return inner and {"kind": "memory", "inner": inner, "numbers": numbers_of(FAMILY.numbers, self)}
 
     def monitor(self, state: MemoryState) -> dict[str, Tensor]:
         return self.estimator.monitor(state.inner)

@@ -1,38 +1,19 @@
-"""Rules that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
-
-A member whose prediction is NaN sleeps: the others share its weight, and it is neither praised nor blamed. Where all
-sleep the prediction is NaN, and nothing is learned from the step.
-
-BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
-has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size
-to choose. With a loss ℓ, its slope g = ℓ'(ŷ − y), priors w0, and per member the linearised loss l, its range E and its
-learning rate η:
-
-    l_k = g (x_k − ŷ),   E_k ← max(κ E_k, E₀, |l_k|)                                           (1)
-    L_k ← κ L_k + ½ [ l_k (1 + η_k l_k) + E_k 1(η_k l_k > ½) ]                                  (2)
-    V_k ← κ V_k + l_k²,   η_k ← min( 1/E_k, √(log(1/w0_k)/V_k) )                                (3)
-    w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
-
-κ = exp(−dt/memory) forgets, and the bound with it: the best member in calm water is not the best in a turn, and one
-outlier would hold the rates down for ever. κ = 1 is the published rule, but for η in (2), which knows the new E. A
-small share of the weight is spread by the priors.
-"""
+"""The rules in torch: equations (1) to (4) of `state`."""
 
 from __future__ import annotations
 
 import abc
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
+from usvlearn.estimators.ensemble.combiners.state import LOSSES, TINY, BOAState, ExponentialState, WeightsState
 from usvlearn.estimators.least_squares.rls import rls_step
 from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
-
-TINY = 1e-12  # weight by which the awake share, should all that they have be 0
 
 
 def fill_sleeping(predictions: Tensor, weights: Tensor) -> Tensor:
@@ -131,13 +112,6 @@ class FixedWeights(Combiner):
         return {"kind": "fixed", "numbers": numbers(tiny=TINY), "vector": self.weights.tolist()}
 
 
-class WeightsState(NamedTuple):
-    """What `RecursiveWeights` identifies."""
-
-    weights: Tensor  # (*batch, members)
-    factor: Tensor  # (*batch, members, members) Cholesky factor of their covariance
-
-
 class RecursiveWeights(Combiner):
     """WE: Σ c_i v̂_i with c by recursive least squares, starting from equal weights (paper, section VI-B).
 
@@ -205,7 +179,7 @@ class Prior(Combiner):
     def __init__(self, members, memory, loss: str, prior: Mapping[str, float] | None):
         super().__init__(members)
         self.memory = None if memory is None else Positive(memory, "memory")
-        self.loss = check_choice("loss", loss, ("absolute", "square"))
+        self.loss = check_choice("loss", loss, LOSSES)
         self.prior = {name: check_positive(f"prior.{name}", weight) for name, weight in (prior or {}).items()}
 
     def bind(self, names: Sequence[str]) -> None:
@@ -217,20 +191,13 @@ class Prior(Combiner):
         prior = as_tensor([self.prior.get(name, 1.0) for name in names])
         self.register_buffer("log_prior", (prior / prior.sum()).log(), persistent=False)
 
-    def _kernel(self, kind: str, **own: Any) -> dict[str, Any]:
+    def _spec(self, kind: str, **own: Any) -> dict[str, Any]:
         values = numbers(tiny=TINY, memory=math.inf if self.memory is None else self.memory, **own)
         return {"kind": kind, "loss": self.loss, "numbers": values, "vector": self.log_prior.exp().tolist()}
 
     def _kept(self, dt: Tensor) -> Tensor | float:
         """κ, `(*batch, 1)`."""
         return 1.0 if self.memory is None else (-dt / self.memory()).exp()[..., None]
-
-
-class ExponentialState(NamedTuple):
-    """What `ExponentialWeights` has seen of its members."""
-
-    weights: Tensor  # (*batch, members)
-    losses: Tensor  # (*batch, members) sum of the losses that are not forgotten
 
 
 class ExponentialWeights(Prior):
@@ -275,19 +242,10 @@ class ExponentialWeights(Prior):
         return ExponentialState((self.log_prior - self.rate()[..., None] * losses).softmax(-1), losses)
 
     def spec(self) -> dict[str, Any]:
-        return self._kernel("exponential", rate=self.rate)
+        return self._spec("exponential", rate=self.rate)
 
     def monitor(self, state: ExponentialState) -> dict[str, Tensor]:
         return self._weights(state.weights)
-
-
-class BOAState(NamedTuple):
-    """What `BOA` has seen of its members; all `(*batch, members)`."""
-
-    weights: Tensor
-    losses: Tensor  # L of (2), in units of the loss
-    squares: Tensor  # V of (3)
-    ranges: Tensor  # E of (1)
 
 
 class BOA(Prior):
@@ -343,7 +301,7 @@ class BOA(Prior):
         return BOAState(weights, losses, squares, ranges)
 
     def spec(self) -> dict[str, Any]:
-        found = self._kernel("boa", scale=self.scale, share=self.share)
+        found = self._spec("boa", scale=self.scale, share=self.share)
         return found | {"vector": [*found["vector"], *self._costs().tolist()]}
 
     def monitor(self, state: BOAState) -> dict[str, Tensor]:

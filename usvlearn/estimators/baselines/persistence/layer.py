@@ -1,21 +1,16 @@
-"""Persistence: the next speed is the last one. The row that every table must have."""
+"""Persistence in torch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from usvlearn.estimator import Estimator
+from usvlearn.estimator import Estimator, describe
+from usvlearn.estimators.baselines.persistence.state import FAMILY, PersistenceState
 from usvlearn.signals import Inputs
-
-
-class PersistenceState(NamedTuple):
-    """What persistence remembers."""
-
-    surge: Tensor  # (*batch,) last measured speed, m/s
 
 
 class Persistence(Estimator):
@@ -32,7 +27,7 @@ class Persistence(Estimator):
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
 
     def spec(self) -> dict[str, Any]:
-        return {"kind": "persistence", "size": 0, "numbers": {}}
+        return describe(FAMILY, self)
 
     def init(self, batch: Sequence[int] = ()) -> PersistenceState:
         return PersistenceState(self.rest.expand(tuple(batch)).clone())

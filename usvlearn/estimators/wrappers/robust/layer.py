@@ -1,45 +1,19 @@
-"""Robust learning around any estimator: outliers are clipped, what is not finite is refused, real changes get through.
-
-With the innovation e = y − ŷ, a robust scale s of it and a threshold c, the estimator learns from the measurement that
-Huber's function leaves (Huber 1964):
-
-    y' = ŷ + w e,   w = min(1, c s/|e|)                                                    (1)
-    s² ← (1−b) s² + (b/β) min(e², c² s²),   β = E min(z², c²) of a standard normal z          (2)
-
-so that s estimates the standard deviation of what is no outlier. The next step departs from y', too: an outlier of the
-speed would else spoil two increments.
-
-*Escape.* An outlier is followed by ordinary samples, a change is not: after `patience` samples beyond the bound in a
-row the next are taken whole, until one lies within it, and the estimator is loosened once (a covariance is inflated).
-The scale follows by (2): to take a change whole for it, too, would open the bound to the outliers after it.
-
-*Gate.* A sample after which what was finite would not be leaves the estimator's state as it was, bit for bit.
-"""
+"""Robust learning around any estimator in torch: equations (1) and (2) of `state`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, check_estimator, spec_of
-from usvlearn.hyper import Positive, check_broadcast, numbers
+from usvlearn.estimator import Estimator, check_estimator, numbers_of, spec_of
+from usvlearn.estimators.wrappers.robust.state import FAMILY, RobustState
+from usvlearn.hyper import Positive, check_broadcast
 from usvlearn.signals import Inputs, named_leaves, tree_map, where
-
-
-class RobustState(NamedTuple):
-    """The estimator's state, the scale, and what was done."""
-
-    inner: Any
-    variance: Tensor  # (*batch,) s², m²/s²
-    run: Tensor  # (*batch,) samples beyond the bound in a row
-    clipped: Tensor  # (*batch,) count of samples clipped
-    rejected: Tensor  # (*batch,) count of samples refused because something was not finite
-    escaped: Tensor  # (*batch,) count of changes taken whole
 
 
 def clipped_moment(c: float) -> float:
@@ -145,12 +119,8 @@ class Robust(Estimator):
         return state._replace(inner=self.estimator.inflate_covariance(state.inner, factor))
 
     def spec(self) -> dict[str, Any] | None:
-        values = numbers(
-            threshold=self.threshold, patience=self.patience, inflation=self.inflation, share=self.share,
-            variance_min=self.variance_min, moment=self.moment,
-        )  # fmt: skip
         inner = spec_of(self.estimator)
-        return inner and {"kind": "robust", "inner": inner, "numbers": values}
+        return inner and {"kind": "robust", "inner": inner, "numbers": numbers_of(FAMILY.numbers, self)}
 
     def monitor(self, state: RobustState) -> dict[str, Tensor]:
         counts = {"clipped": state.clipped, "rejected": state.rejected, "escaped": state.escaped}

@@ -1,0 +1,71 @@
+"""One function for each verb of the kernels. It calls the function of this name of the family that a row is of.
+
+The functions are written here from the list of families. For two families, `predict` would be
+
+    @jit
+    def predict(node, s, q, x, work):
+        if node[0] == 0:
+            return predict_0(node, s, q, x, work)
+        return predict_1(node, s, q, x, work)
+
+Numba inlines such a chain; it could not inline a call through a table of functions. The arguments of the verbs are
+
+    node      the row of the table about this estimator (`usvlearn.family`)
+    s, q      the state and the numbers of a lane
+    x         the inputs of the step (`usvlearn.rows`)
+    work      as many numbers as the family asked for; `predict` may leave there what `learn` needs
+    surge     measured speed, m/s, with which a segment starts
+    predicted what `predict` returned first: the prediction, m/s
+    estimate  what it returned second: the same before its limits
+    target    the speed to learn, m/s
+    factor    by which a covariance is inflated
+"""
+
+from importlib import import_module
+from typing import Any
+
+from usvlearn.estimators import COMPILED
+from usvlearn.family import Node
+from usvlearn.jit import jit
+
+VERBS = {
+    "start": "node, s, q, surge",
+    "predict": "node, s, q, x, work",
+    "coast": "node, s, q, x, predicted, work",
+    "learn": "node, s, q, x, estimate, target, work",
+    # What a family may have: a covariance; a faster way through all steps of one lane of an estimator alone.
+    "inflate_covariance": "node, s, q, factor",
+    "run_alone": "node, s, q, rows, free, predictions, picked, picks, work",
+}
+KERNELS = [import_module(f"usvlearn.estimators.{name}.kernel") for name in COMPILED]
+
+
+SHORT = ("start", "predict", "coast")  # verbs of few operations, which take less time than a call of them
+
+
+def having(verb: str) -> dict[int, Any]:
+    """The functions of a verb, by the places of the families that have it."""
+    return {k: getattr(kernel, verb) for k, kernel in enumerate(KERNELS) if hasattr(kernel, verb)}
+
+
+def bits(verb: str) -> int:
+    """The families that have a verb, as bits."""
+    return sum(1 << k for k in having(verb))
+
+
+def chain(verb: str) -> Any:
+    """The function of a verb."""
+    own, lines = having(verb), [f"def {verb}({VERBS[verb]}):"]
+    for k in own:
+        call = f"return {verb}_{k}({VERBS[verb]})"
+        last = k == max(own)
+        lines += [f"    {call}"] if last else [f"    if node[{Node.FAMILY:d}] == {k}:", f"        {call}"]
+    if verb in SHORT:
+        own = {k: jit(getattr(each, "py_func", each), inline=True) for k, each in own.items()}
+    names = {"__name__": __name__, **{f"{verb}_{k}": function for k, function in own.items()}}
+    exec(compile("\n".join(lines if own else [*lines, "    pass"]), __file__, "exec"), names)
+    return jit(names[verb], inline=True)
+
+
+start, predict, coast, learn, inflate_covariance, run_alone = map(chain, VERBS)
+INFLATES, ALONE = bits("inflate_covariance"), bits("run_alone")

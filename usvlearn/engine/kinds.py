@@ -1,0 +1,36 @@
+"""What may stand in a specification: the estimators that have a compiled twin, and what wraps them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from usvlearn.estimators import COMPILED
+from usvlearn.estimators.wrappers.memory.state import FAMILY as MEMORY
+from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
+from usvlearn.family import Family
+
+ESTIMATORS: list[Family[Any]] = [import_module(f"usvlearn.estimators.{name}.state").FAMILY for name in COMPILED]
+KINDS = {kind: family for family in ESTIMATORS for kind in family.kinds}
+WRAPPERS = {"memory": MEMORY, "robust": ROBUST}
+
+
+def compilable(description: Mapping[str, Any] | None) -> bool:
+    """Whether the kernels can make the steps of an estimator with this specification (`Estimator.spec`).
+
+    >>> compilable({"kind": "robust", "inner": {"kind": "persistence"}}), compilable(None)
+    (True, False)
+    """
+    if description is None:
+        return False
+    if description["kind"] == "ensemble":
+        members = description["members"].values()
+        return all(compilable(x["inner"] if x["kind"] == "bank" else x) and x["kind"] != "ensemble" for x in members)
+    wrappers = []
+    while description["kind"] in WRAPPERS:
+        wrappers.append(description["kind"])
+        description = description["inner"]
+    if len(set(wrappers)) < len(wrappers) or description["kind"] not in KINDS:
+        return False
+    return "memory" in wrappers or not KINDS[description["kind"]].remembers(description)

@@ -1,0 +1,1 @@
+"""Constant acceleration: the next increment is the last one."""

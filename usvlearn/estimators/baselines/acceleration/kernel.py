@@ -1,0 +1,38 @@
+"""Constant acceleration: the step of `layer`."""
+
+from usvlearn.arrays import clamp
+from usvlearn.estimators.baselines.acceleration.state import AT, Number
+from usvlearn.family import Node
+from usvlearn.jit import jit
+from usvlearn.rows import DT
+
+
+@jit
+def start(node, s, q, surge):
+    """`Acceleration.start`."""
+    s[node[AT.surge]] = s[node[AT.measured]] = surge
+    s[node[AT.surge_dot]] = s[node[AT.since]] = 0.0
+
+
+@jit
+def predict(node, s, q, x, work):
+    """`Acceleration.predict`: the speed, within its limits and without."""
+    estimate = s[node[AT.surge]] + x[DT] * s[node[AT.surge_dot]]
+    return clamp(estimate, q[node[Node.NUMBERS] :][Number.SURGE_MAX]), estimate
+
+
+@jit
+def coast(node, s, q, x, predicted, work):
+    """The state after `Acceleration.predict`."""
+    s[node[AT.surge]] = predicted
+    s[node[AT.since]] += x[DT]
+
+
+@jit
+def learn(node, s, q, x, estimate, target, work):
+    """`Acceleration.update`."""
+    since = s[node[AT.since]] + x[DT]
+    change = (target - s[node[AT.measured]]) / (since if since > 0 else 1.0)
+    s[node[AT.surge_dot]] = clamp(change, q[node[Node.NUMBERS] :][Number.SURGE_DOT_MAX])
+    s[node[AT.surge]] = s[node[AT.measured]] = target
+    s[node[AT.since]] = 0.0

@@ -1,0 +1,1 @@
+"""Persistence: the next speed is the last one."""

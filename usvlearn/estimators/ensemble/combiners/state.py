@@ -1,0 +1,156 @@
+"""Rules that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
+
+A member whose prediction is NaN sleeps: the others share its weight, and it is neither praised nor blamed. Where all
+sleep the prediction is NaN, and nothing is learned from the step.
+
+BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
+has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size
+to choose. With a loss ℓ, its slope g = ℓ'(ŷ − y), priors w0, and per member the linearised loss l, its range E and its
+learning rate η:
+
+    l_k = g (x_k − ŷ),   E_k ← max(κ E_k, E₀, |l_k|)                                           (1)
+    L_k ← κ L_k + ½ [ l_k (1 + η_k l_k) + E_k 1(η_k l_k > ½) ]                                  (2)
+    V_k ← κ V_k + l_k²,   η_k ← min( 1/E_k, √(log(1/w0_k)/V_k) )                                (3)
+    w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
+
+κ = exp(−dt/memory) forgets, and the bound with it: the best member in calm water is not the best in a turn, and one
+outlier would hold the rates down for ever. κ = 1 is the published rule, but for η in (2), which knows the new E. A
+small share of the weight is spread by the priors.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from usvlearn.family import (
+    FACTOR,
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_OR_INFINITE,
+    TRIANGLE,
+    UNIT,
+    WEIGHT,
+    Choices,
+    Family,
+    Numbers,
+    Vectors,
+    leaf,
+)
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+TINY = 1e-12  # weight by which the awake share, should all that they have be 0
+LOSSES = ("absolute", "square")
+
+
+class NoState(NamedTuple):
+    """A rule that learns nothing."""
+
+
+class WeightsState(NamedTuple):
+    """What `RecursiveWeights` identifies."""
+
+    weights: Tensor  # (*batch, members)
+    factor: Tensor  # (*batch, members, members) Cholesky factor of their covariance
+
+
+class ExponentialState(NamedTuple):
+    """What `ExponentialWeights` has seen of its members."""
+
+    weights: Tensor  # (*batch, members)
+    losses: Tensor  # (*batch, members) sum of the losses that are not forgotten
+
+
+class BOAState(NamedTuple):
+    """What `BOA` has seen of its members; all `(*batch, members)`."""
+
+    weights: Tensor
+    losses: Tensor  # L of (2), in units of the loss
+    squares: Tensor  # V of (3)
+    ranges: Tensor  # E of (1)
+
+
+class Plain(Numbers):
+    """What every rule is told."""
+
+    TINY = POSITIVE
+
+
+class Recursive(Numbers):
+    """What `RecursiveWeights` is told."""
+
+    TINY = POSITIVE
+    FORGETTING = FACTOR
+    TRACE_MAX = POSITIVE
+    SURGE_MAX = POSITIVE
+
+
+class Exponential(Numbers):
+    """What `ExponentialWeights` is told."""
+
+    TINY = POSITIVE
+    MEMORY = POSITIVE_OR_INFINITE  # s
+    RATE = POSITIVE
+
+
+class Bernstein(Numbers):
+    """What `BOA` is told."""
+
+    TINY = POSITIVE
+    MEMORY = POSITIVE_OR_INFINITE  # s
+    SCALE = POSITIVE  # E₀
+    SHARE = UNIT
+
+
+class Given(Vectors):
+    """The weights of `FixedWeights`."""
+
+    WEIGHTS = FINITE
+
+
+class Prior(Vectors):
+    """The weights from which `ExponentialWeights` starts."""
+
+    PRIOR = FACTOR
+
+
+class Priors(Vectors):
+    """The weights from which `BOA` starts, and c = log(1/w0) of (3)."""
+
+    PRIOR = FACTOR
+    COSTS = POSITIVE
+
+
+class Loss(Choices):
+    """What is summed up."""
+
+    LOSS = LOSSES
+
+
+def _weights(m: int) -> Any:
+    return leaf(m, legal=WEIGHT)
+
+
+AVERAGE = Family(("average",), lambda m: NoState(), Plain)
+FIXED = Family(("fixed",), lambda m: NoState(), Plain, vectors=Given)
+RECURSIVE = Family(
+    ("recursive",),
+    lambda m: WeightsState(weights=leaf(m), factor=leaf(m, m, legal=TRIANGLE)),
+    Recursive,
+    work=lambda m: 3 * m,
+)
+EXPONENTIAL = Family(
+    ("exponential",),
+    lambda m: ExponentialState(weights=_weights(m), losses=leaf(m, legal=NOT_NEGATIVE)),
+    Exponential, Loss, Prior, work=lambda m: m,
+)  # fmt: skip
+BOA = Family(
+    ("boa",),
+    lambda m: BOAState(
+        weights=_weights(m), losses=leaf(m), squares=leaf(m, legal=NOT_NEGATIVE), ranges=leaf(m, legal=POSITIVE)
+    ),
+    Bernstein, Loss, Priors, work=lambda m: 2 * m,
+)  # fmt: skip
+RULES = {each.kinds[0]: each for each in (AVERAGE, FIXED, RECURSIVE, EXPONENTIAL, BOA)}  # the size counts members

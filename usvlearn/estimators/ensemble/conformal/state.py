@@ -1,0 +1,48 @@
+"""Prediction intervals that adapt until they cover what they promise.
+
+The half-width q of the interval ŷ ± q is a quantile of |y − ŷ|, tracked by stochastic approximation of its logarithm,
+as adaptive conformal inference does (Gibbs & Candès 2021; Angelopoulos, Candès & Tibshirani 2023). With the miscoverage
+α and miss = 1 where |y − ŷ| > q:
+
+    log q ← log q + (η + η₀/k) (miss − α)                                                  (1)
+
+Nothing is assumed about the errors: summed up, (1) says |misses/K − α| ≤ |log(q_K/q_0)|/(η K) where η₀ = 0 and q has
+not met its least value. The second term finds the scale during the first samples.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from usvlearn.family import AT_MOST_TEN, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+RATE, BOOST = 0.2, 1.0  # η, η₀
+START = 0.05  # m/s, q before the first innovation
+LEAST = 5e-3  # m/s; a boat that lies still is predicted exactly for hours, and q has to find back: ten misses
+
+
+class ConformalState(NamedTuple):
+    """The intervals of the next predictions."""
+
+    halfwidth: Tensor  # (*batch, k) q, m/s
+    count: Tensor  # (*batch, k) innovations seen
+
+
+class Number(Numbers):
+    """What the intervals are told."""
+
+    COVERAGE = UNIT  # 1 − α
+    RATE = AT_MOST_TEN  # η
+    BOOST = AT_MOST_TEN  # η₀
+    LEAST = POSITIVE  # m/s
+
+
+FAMILY = Family(
+    ("conformal",),
+    lambda k: ConformalState(halfwidth=leaf(k, legal=POSITIVE), count=leaf(k, legal=NOT_NEGATIVE)),
+    Number,
+)
+AT = FAMILY.at

@@ -1,0 +1,1 @@
+"""Monitors of the innovations and of the thrusters."""

@@ -1,0 +1,148 @@
+"""Monitors: what a state tells of itself. Which parameters are informed; is an innovation white; did a thruster fail.
+
+**Excitation.** With P₀ the covariance before the first sample and P = S Sᵀ that of now, 1 − P_ii/P₀_ii is the share of
+a parameter's first variance that the data have removed. The least informed direction is the eigenvector of
+P₀^(−½) P P₀^(−½) with the largest eigenvalue.
+
+**Whiteness.** If a predictor has learned all there is, its innovations e_k are white: their lag-1 autocorrelation lies
+within ±1.96/√n for 95 % of the sequences of n (Box & Jenkins 1970). All means forget exponentially, with
+
+    n = (Σ w)²/Σ w² = ω (2 − α)/(α (2 − ω)),   ω = 1 − (1 − α)^steps                                      (1)
+
+independent samples in them; e is clipped at three robust standard deviations, s (Huber 1981):
+
+    s² ← s² + b (min(e², (c s)²)/κ − s²),   c = 1.345,   κ = E min(z², c²) = 0.71016                      (2)
+
+**A thruster that fails.** The yaw rate answers a one-sided loss at once, and unlike the surge it does not feel a steady
+current. A regression with a long memory says what the commands do to it; R is a ridge, w the weight of a sample:
+
+    r_k = xᵀϑ + e,   x = [1, r_{k−1}, r_{k−2}, ξ_i, ξ_i|ξ_i|, ξ_i³ of both sides],                        (3)
+    ϑ = (Σ w x xᵀ + R)⁻¹ Σ w x r,   ℓ = xᵀ (Σ w x xᵀ + R)⁻¹ x                                              (4)
+
+Where a thruster keeps the share 1 − d of its effect f_i, the part of xᵀϑ that side i makes, e has the mean −d f_i.
+Page's CUSUM (1954) of the log-likelihood ratio of a loss d against none, and what the samples since its last zero tell:
+
+    σ² = (1 + N ℓ) s² + (η F)²,   g_i ← max(0, g_i − d f_i e/σ² − ½ (d f_i/σ)²)                            (5)
+    effectiveness_i = 1 + Σ f_i e/σ² / Σ (f_i/σ)²                                                          (6)
+
+N ℓ s² is the error of ϑ, which stays the same over some N steps; η F an error of the model (3), where F is the effect
+of full command. A g_i above the threshold raises the alarm. While g is up little is learned, lest a fault be absorbed.
+
+The sums M = Σ w x xᵀ are rounded at each of the n = Σ w steps that they remember, by at most some n ε √(M_ii M_jj) in
+all (ε the machine's). In float32, at constant commands, that makes M indefinite. A ridge above that bound keeps M + R
+positive definite, since nine such errors add up to less than it; in float64 it is ρ alone:
+
+    R_jj = max(ρ, 16 n ε M_jj)                                                                            (7)
+
+Where the factorisation breaks down nevertheless, the model says nothing in that step: ϑ = 0, ℓ = 0.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from usvlearn.family import FINITE, MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Range, leaf
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+WHITE = 1.96  # standard deviations of a 95 % band
+HUBER, HUBER_MEAN, HUBER_RATE = 1.345, 0.71016, 0.005  # c, κ and b of (2)
+FIRST_SCALE, LEAST_SCALE = 0.05, 1e-6  # m/s, s of the innovations before the first, and its least
+
+# Chosen on simulated boats of four plants; the floor on a real one.
+YAW_MEMORY = 900.0  # s at full thrust
+YAW_RIDGE = 0.01  # ρ of (7): ϑ is 0 within ten standard deviations of the noise
+YAW_SCALE = 0.1  # rad/s, s of (5) before the first sample
+YAW_FLOOR = 0.05  # rad/s, least s of (5): wind and waves turn a boat by more than a good compass errs
+YAW_RATE = 0.01  # share by which s² moves in a step
+KNEE = 2.0  # standard deviations about which a sample begins to count less
+YAW_SPREAD = 1.5  # 1/E z²/(1 + z²/KNEE²), z standard normal
+LOSS = 0.5  # d of (5): a loss of less than half of it never alarms
+HORIZON = 25.0  # N of (5), steps
+MISFIT = 0.07  # η of (5)
+CLIP, EFFECT = 5.0, 3.0  # limits of e and f_i, in σ: one sample moves g by at most d CLIP EFFECT
+CALM = 6.0  # a sample counts exp(−g/CALM) in (4), and a smaller g tells nothing
+THRESHOLD = 20.0  # of g
+BACKWARDS = -0.25  # least effectiveness that a thruster may have
+DOUBT = 10.0  # the effectiveness is 1 ± 1/√DOUBT before the first sample
+CLEARED = 0.25  # share of the threshold under which g ends an alarm
+FEATURES = 9  # x of (3)
+Z = 1 + FEATURES  # z of (3): the yaw rate, and x
+THRUST = 3  # place of the first feature of the commands
+ROUNDING = 16  # of (7)
+
+
+class InnovationState(NamedTuple):
+    """Running statistics of k innovation sequences, one per column."""
+
+    moments: Tensor  # (*batch, k, 4) weighted sums of 1, e (m/s), e² and e e₋ (m²/s²)
+    scale: Tensor  # (*batch, k) s² of (2), m²/s²
+    last: Tensor  # (*batch, k) e₋, m/s
+
+
+class ThrusterState(NamedTuple):
+    """The model of the yaw rate and the evidence against each thruster. Sides are left, right."""
+
+    moments: Tensor  # (*batch, Z, Z) Σ w z zᵀ, z = [r, x]
+    variance: Tensor  # (*batch,) s² of (5), rad²/s²
+    before: Tensor  # (*batch, 2) yaw rate one and two steps ago, rad/s
+    evidence: Tensor  # (*batch, 2) g of (5)
+    sums: Tensor  # (*batch, 2, 2) side, both sums of (6) since g was 0
+    raised: Tensor  # (*batch, 2) 1 where an alarm is on, else 0
+    alarms: Tensor  # (*batch,) count of alarms so far
+    since: Tensor  # (*batch,) s of learned steps since the last alarm, or since the start where there was none
+
+
+class MonitorState(NamedTuple):
+    """What `observe` carries along."""
+
+    innovations: InnovationState
+    thrusters: ThrusterState
+
+
+class Number(Numbers):
+    """What the monitors are told, by the names of the constants above."""
+
+    HUBER = POSITIVE
+    HUBER_MEAN = POSITIVE
+    HUBER_RATE = UNIT
+    LEAST_SCALE = POSITIVE  # m²/s²
+    INNOVATION_MEMORY = Range(1.0, MOST)  # 1/α, steps
+    YAW_MEMORY = POSITIVE
+    YAW_RIDGE = Range(1e-6, MOST)
+    YAW_FLOOR = POSITIVE  # rad²/s²
+    YAW_RATE = UNIT
+    KNEE = POSITIVE
+    YAW_SPREAD = NOT_NEGATIVE
+    LOSS = NOT_NEGATIVE
+    HORIZON = NOT_NEGATIVE
+    MISFIT = NOT_NEGATIVE
+    CLIP = POSITIVE
+    EFFECT = POSITIVE
+    CALM = POSITIVE
+    THRESHOLD = POSITIVE
+    BACKWARDS = FINITE
+    DOUBT = POSITIVE
+    CLEARED = UNIT
+
+
+FAMILY = Family(
+    ("monitors",),
+    lambda k: MonitorState(
+        InnovationState(moments=leaf(k, 4), scale=leaf(k, legal=POSITIVE), last=leaf(k)),
+        ThrusterState(
+            moments=leaf(Z, Z),
+            variance=leaf(legal=POSITIVE),
+            before=leaf(2),
+            evidence=leaf(2, legal=NOT_NEGATIVE),
+            sums=leaf(2, 2),
+            raised=leaf(2, legal=UNIT),
+            alarms=leaf(legal=NOT_NEGATIVE),
+            since=leaf(legal=NOT_NEGATIVE),
+        ),
+    ),
+    Number,
+    work=lambda k: 3 * Z + FEATURES**2,
+)
+AT = FAMILY.at

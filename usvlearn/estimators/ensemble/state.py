@@ -1,0 +1,44 @@
+"""An ensemble: estimators side by side, rules that combine their predictions, an interval for each, and monitors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from usvlearn.estimators.ensemble.conformal.state import ConformalState
+from usvlearn.family import ANY, POSITIVE, Family, Numbers, leaf
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class EnsembleState(NamedTuple):
+    """The members' states, the rules' states, and what was predicted last."""
+
+    members: dict[str, Any]
+    combiners: dict[str, Any]
+    conformal: ConformalState  # of the next predictions, in the order of `Ensemble.names`
+    predictions: Tensor  # (*batch, columns + combiners) m/s, in the order of `Ensemble.names`
+    halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s
+    monitors: Any  # of the innovations of `Ensemble.names` and of the thrusters, or {}
+
+
+class Number(Numbers):
+    """What an ensemble is told."""
+
+    SURGE_MAX = POSITIVE
+
+
+NONE: Any = {}  # the leaves of its parts: each part declares its own
+FAMILY = Family(
+    ("ensemble",),
+    lambda names: EnsembleState(
+        members=NONE,
+        combiners=NONE,
+        conformal=NONE,
+        predictions=leaf(names, legal=ANY),  # NaN of who sleeps
+        halfwidths=leaf(names, legal=POSITIVE),
+        monitors=NONE,
+    ),
+    Number,
+)
+AT = FAMILY.at

@@ -1,0 +1,60 @@
+"""The parameters of the models: their names, signs and units, by the terms that a model has. Imports no torch."""
+
+QUASI_STATIC = {  # parameter: its sign by physics; 0: the map is not a force
+    "zeta_right_linear": 0,
+    "zeta_right_quadratic": 0,
+    "zeta_right_cubic": 0,
+    "zeta_left_linear": 0,
+    "zeta_left_quadratic": 0,
+    "zeta_left_cubic": 0,
+    "zeta_heading_sin": 0,
+    "zeta_heading_cos": 0,
+    "zeta_yaw_rate": 0,  # m/rad
+}
+SURGE = {
+    "drag_quadratic": -1,  # c_q, kg/m
+    "drag_linear": -1,  # c_l, kg/s
+    "drag_cross": -1,  # c_θ̇, kg/rad
+    "thrust_linear_left": 1,  # α_L, N
+    "thrust_quadratic_left": 1,  # β_L, N
+    "thrust_speed_left": -1,  # γ_L, N s/m
+    "thrust_linear_right": 1,
+    "thrust_quadratic_right": 1,
+    "thrust_speed_right": -1,
+}
+MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
+AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
+UNITS = {
+    "drag_quadratic": "kg/m", "drag_linear": "kg/s", "drag_cross": "kg/rad",
+    **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
+       for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},
+    "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
+}  # fmt: skip
+
+TERMS = ([], ["dynamics"], ["dynamics", "memory"], ["dynamics", "ambient"], ["dynamics", "memory", "ambient"])
+
+
+def signs_of(terms):
+    """The parameters of a model with these terms, in their order, each with its sign.
+
+    >>> len(signs_of(["dynamics", "memory", "ambient"]))
+    15
+    """
+    if "dynamics" not in terms:
+        return QUASI_STATIC
+    return SURGE | (MEMORY if "memory" in terms else {}) | (AMBIENT if "ambient" in terms else {})
+
+
+def parameters(own):
+    """How many parameters an estimator has, from its entries in a specification."""
+    return len(signs_of(own["terms"]))
+
+
+def heading(own):
+    """Whether its regressor asks for the heading."""
+    return "dynamics" not in own["terms"] or "ambient" in own["terms"]
+
+
+def remembers(own):
+    """Whether its regressor needs the inputs that `WithMemory` adds."""
+    return "memory" in own["terms"]

@@ -1,0 +1,155 @@
+"""A shallow ReLU recurrent network with one state, learned online by Adam (paper, section IV-B).
+
+With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ_R]:
+
+    z = w₁ x + W₂ u + b,   x⁺ = aᵀ relu(z)                                        (1)
+    L = ½ (x⁺ − x_meas)² + η/2 Σ ψ_i (a_i² + w_{1i}²),                            (2)
+    ψ_i = 1 where |a_i| + |w_{1i}|/(n+1) > 1/(n+1), else 0
+
+The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing. Projection does:
+after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
+`certify.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then approach
+each other by the factor κ at every step. With `feedback: estimate` the weights follow the state, and two starts learn
+different weights. For differences Δ_k of x and Δθ_k of the weights (`certify/README.md`)
+
+    |Δ_k| ≤ κᵏ |Δ_0| + L_θ sup_{j<k} ‖Δθ_j‖/(1 − κ),   L_θ² = Σ relu(z_i)² + (1 + x² + |u|²) Σ a_i²,
+
+with L_θ² at its largest, for all states, inputs and weights that occur and the weights between.
+
+The gradient is written out. With `unroll` 2 the loss is taken two steps on, x̂ = f(f(x₋, u₋), u), and the gradient runs
+through both: with d = [z > 0], s = Σ a_i d_i w_{1i} and e = x̂ − x_meas,
+
+    ∂L/∂a = e (relu(z) + s relu(z₋)),   ∂L/∂z = e a d,   ∂L/∂z₋ = e s a d₋         (3)
+
+Speeds change little from step to step, so the network starts as persistence at the rate κ, and learns the rest:
+
+    x⁺ = κ/2 relu(2x + 1) − κ/2 relu(1) = κ x   where x > −½, that is v > −v_max               (4)
+
+with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes without its running mean of the gradient
+(β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
+clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from itertools import accumulate
+from math import prod
+from typing import TYPE_CHECKING, NamedTuple
+
+from certify.weights import ShallowWeights
+from usvlearn.family import (
+    BELOW_ONE,
+    FACTOR,
+    FEEDBACK,
+    FINITE,
+    MODEST,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_OR_INFINITE,
+    UNIT,
+    Choices,
+    Family,
+    Numbers,
+    Range,
+    Vectors,
+    leaf,
+)
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+INPUTS = 4  # in u
+BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
+MOST_NEURONS = 10_000  # more can be no boat, but fill the memory
+
+
+class RNNState(NamedTuple):
+    """What the network learned, Adam's memory, and the step before for the unrolled loss."""
+
+    weights: ShallowWeights  # a, w1, b (*batch, n), W2 (*batch, n, 4)
+    moment1: Tensor  # (*batch, 7n) Adam's mean gradient, in the order a, w1, W2 (row by row), b
+    moment2: Tensor  # (*batch, 7n) Adam's mean squared gradient
+    updates: Tensor  # (*batch,) count of updates
+    surge: Tensor  # (*batch,) speed from which the next step departs, m/s
+    surge_before: Tensor  # (*batch,) speed one step earlier, m/s
+    inputs_before: Tensor  # (*batch, 4) u of that step
+    dt: Tensor  # (*batch,) s, of that step
+    unbroken: Tensor  # (*batch,) bool: that step led to `surge`
+
+
+def weights(n: int) -> ShallowWeights:
+    """The leaves of the weights of n neurons."""
+    return ShallowWeights(a=leaf(n), w1=leaf(n), W2=leaf(n, INPUTS), b=leaf(n))
+
+
+# The weights of n neurons lie one behind the other, as do gradients and moments. Sizes and beginnings, divided by n:
+SIZES = ShallowWeights(*(prod(each.shape) for each in weights(1)))
+BEGIN, WEIGHTS = ShallowWeights(*accumulate(SIZES[:-1], initial=0)), sum(SIZES)
+
+
+class Condition(IntEnum):
+    """What the weights are projected onto."""
+
+    NONE = 0
+    SIMPLE = 1
+    GERSHGORIN = 2
+    LMI = 3
+    TIGHT = 4
+    INTERVAL = 5
+
+
+class Number(Numbers):
+    """What the network is told."""
+
+    SCALE = MODEST  # h, s/m
+    SURGE_MAX = POSITIVE
+    RATE = POSITIVE
+    DECAY = POSITIVE_OR_INFINITE
+    MOMENTUM = BELOW_ONE
+    CLIP = POSITIVE_OR_INFINITE
+    CONTRACTION_RATE = FACTOR
+    PENALTY = NOT_NEGATIVE
+    SHARE2 = UNIT  # 1 − β₂
+    LOG_BETA2 = Range(-100.0, -1e-6)
+    EPSILON = POSITIVE
+    TINY = UNIT
+
+
+class Vector(Vectors):
+    """The box of `interval`, least and then greatest x and u; the relative rate of each weight."""
+
+    BOUNDS = FINITE, lambda n: 2 * (1 + INPUTS)
+    RATE_RATIO = NOT_NEGATIVE, lambda n: WEIGHTS * n
+
+
+class Choice(Choices):
+    """What was chosen."""
+
+    FEEDBACK = FEEDBACK
+    UNROLL = 1, 2
+    CONDITION = tuple(each.name.lower() for each in Condition)
+    BEST = False, True
+
+
+FAMILY = Family(
+    ("rnn",),
+    lambda n: RNNState(
+        weights=weights(n),
+        moment1=leaf(WEIGHTS * n),
+        moment2=leaf(WEIGHTS * n, legal=NOT_NEGATIVE),
+        updates=leaf(legal=NOT_NEGATIVE),
+        surge=leaf(),
+        surge_before=leaf(),
+        inputs_before=leaf(INPUTS),
+        dt=leaf(),
+        unbroken=leaf(legal=UNIT, flag=True),
+    ),
+    Number,
+    Choice,
+    Vector,
+    size=Range(1, 100_000),
+    work=lambda n: INPUTS + 16 * n,
+    heading=lambda own: True,
+)
+AT = FAMILY.at

@@ -1,0 +1,1 @@
+"""Memory: the step before, for a model that uses it."""

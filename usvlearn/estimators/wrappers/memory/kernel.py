@@ -1,0 +1,38 @@
+"""The step before: what `WithMemory` does before and after the steps of its estimator."""
+
+from usvlearn.arrays import clamp, copy
+from usvlearn.estimators.wrappers.memory.state import AT, Number
+from usvlearn.family import Node
+from usvlearn.jit import jit
+from usvlearn.rows import DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SURGE, SURGE_DOT
+
+
+@jit
+def start(node, s, surge):
+    """`WithMemory.start`."""
+    s[node[AT.surge_dot]], s[node[AT.surge]], s[node[AT.since]] = 0.0, surge, 0.0
+    s[node[AT.estimate]], s[node[AT.known]] = surge, 0.0
+
+
+@jit
+def recall(node, s, row, x):
+    """Write the inputs of a step, and what is known of the step before."""
+    copy(x[:SURGE], row[:SURGE])
+    known = s[node[AT.known]] > 0
+    x[SURGE_DOT] = s[node[AT.surge_dot]]
+    x[LEFT_BEFORE] = s[node[AT.command_left]] if known else x[LEFT]
+    x[RIGHT_BEFORE] = s[node[AT.command_right]] if known else x[RIGHT]
+
+
+@jit
+def remember(node, s, q, x, surge, learned):
+    """The step before, after `surge` was measured (`learned`), or predicted."""
+    s[node[AT.since]] += x[DT]
+    span = s[node[AT.since]] if learned else x[DT]
+    change = surge - s[node[AT.surge if learned else AT.estimate]]
+    limit = q[node[Node.NUMBERS] :][Number.SURGE_DOT_MAX]
+    s[node[AT.surge_dot]] = clamp(change / (span if span > 0 else 1.0), limit)
+    if learned:
+        s[node[AT.surge]], s[node[AT.since]] = surge, 0.0
+    s[node[AT.estimate]], s[node[AT.known]] = surge, 1.0
+    s[node[AT.command_left]], s[node[AT.command_right]] = x[LEFT], x[RIGHT]

@@ -1,0 +1,50 @@
+"""What the step before tells: the last acceleration and the last commands, for a model that uses them.
+
+A thruster takes a moment to spin up, and the water around a hull swings along: the next increment depends on the last
+one. `SurgeDynamics(memory=True)` has terms for it, and this wrapper hands them over.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from usvlearn.family import NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+class MemoryState(NamedTuple):
+    """The estimator's state, and the step before."""
+
+    inner: Any
+    surge_dot: Tensor  # (*batch,) m/s², between the last two measured speeds; of the last step where it coasts
+    surge: Tensor  # (*batch,) last measured speed, m/s
+    since: Tensor  # (*batch,) s since then
+    estimate: Tensor  # (*batch,) speed from which the next step departs, m/s
+    command_left: Tensor  # (*batch,) of the last step
+    command_right: Tensor  # (*batch,)
+    known: Tensor  # (*batch,) bool: the segment has had a step
+
+
+class Number(Numbers):
+    """Its limit."""
+
+    SURGE_DOT_MAX = POSITIVE
+
+
+FAMILY = Family(
+    ("memory",),
+    lambda _: MemoryState(
+        inner={},
+        surge_dot=leaf(),
+        surge=leaf(),
+        since=leaf(legal=NOT_NEGATIVE),
+        estimate=leaf(),
+        command_left=leaf(),
+        command_right=leaf(),
+        known=leaf(legal=UNIT, flag=True),
+    ),
+    Number,
+)
+AT = FAMILY.at

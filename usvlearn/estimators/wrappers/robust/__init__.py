@@ -1,0 +1,1 @@
+"""Robustness: outliers are clipped, what is not finite is refused."""

@@ -1,0 +1,50 @@
+"""Robust learning: what `Robust` does around the steps of its estimator, equations (1) and (2) of `state`."""
+
+import numpy as np
+
+from usvlearn.arrays import clamp, copy, finite
+from usvlearn.estimators.wrappers.robust.state import AT, Number
+from usvlearn.family import Node
+from usvlearn.jit import jit
+
+
+@jit
+def start(node, s):
+    """`Robust.start`."""
+    s[node[AT.run]] = 0.0
+
+
+@jit
+def inflation(node, q):
+    """By what a covariance is inflated where a change is believed."""
+    return q[node[Node.NUMBERS] :][Number.INFLATION]
+
+
+@jit
+def within(node, s, q, surge, predicted):
+    """What its estimator may learn, (1); whether it is beyond the bound, clipped, or a change's first."""
+    numbers, run = q[node[Node.NUMBERS] :], s[node[AT.run]]
+    innovation = surge - predicted
+    bound = numbers[Number.THRESHOLD] * np.sqrt(s[node[AT.variance]])
+    beyond = abs(innovation) > bound
+    escapes = beyond and run >= numbers[Number.PATIENCE]
+    first = escapes and run < numbers[Number.PATIENCE] + 1
+    clips = beyond and not escapes
+    return predicted + clamp(innovation, bound) if clips else surge, beyond, clips, first
+
+
+@jit
+def update_scale(node, s, q, innovation, beyond, clips, first, inner, kept):
+    """The scale and the counts, (2); a sample that spoiled the estimator's state is undone."""
+    numbers, square = q[node[Node.NUMBERS] :], innovation * innovation
+    if not np.isfinite(square) or (not finite(inner) and finite(kept)):
+        copy(inner, kept)
+        s[node[AT.rejected]] += 1
+        return
+    variance = s[node[AT.variance]]
+    bound = numbers[Number.THRESHOLD] * numbers[Number.THRESHOLD] * variance
+    learned = variance + numbers[Number.SHARE] * (min(square, bound) / numbers[Number.MOMENT] - variance)
+    s[node[AT.variance]] = max(learned, numbers[Number.VARIANCE_MIN])
+    s[node[AT.run]] = s[node[AT.run]] + 1 if beyond else 0.0
+    s[node[AT.clipped]] += clips
+    s[node[AT.escaped]] += first
