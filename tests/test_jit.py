@@ -211,7 +211,7 @@ import numpy as np, torch
 from usvlearn import AID, Ensemble, Online, Persistence, RLS, rollout
 from usvlearn.engine import dispatch, free_runs, warm
 from usvlearn.evaluation.crossval import cross_validate
-from tests.conftest import random_samples
+from tests.support import random_samples
 def compiled():
     entries = dispatch.run, dispatch.step_once, free_runs.assess, free_runs.prepared.__globals__["prepare_all"]
     return [len(each.signatures) for each in entries]

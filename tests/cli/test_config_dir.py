@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from tests.cli.test_mistakes import sentence
-from tests.cli.test_train import GOOD, run
+from tests.support.commands import GOOD, run, sentence
 from usvlearn.cli import evaluate, train
 
 FILES = {

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from tests.support import ROOT
-from tests.support.commands import ENVIRONMENT, GOOD, complaints
+from tests.support.commands import ENVIRONMENT, GOOD, sentence
 from usvlearn.cli import evaluate, train
 from usvlearn.cli.command import parse
 from usvlearn.cli.settings import instantiate
@@ -78,17 +78,6 @@ VALUES = {  # after torch: constructors check these
     "tuning": (["grid=sift_map", "estimators.sift_map.memory=-1"], ["estimators.sift_map.memory: found -1"]),
     "tuning of nobody's data": (["grid=sift_map", "data=simulated", "data.n=0"], ["data.n: found 0"]),
 }  # fmt: skip
-
-
-def sentence(main, arguments, monkeypatch, capsys, before: str = "") -> str:
-    """The one sentence with which a command ends, after what another program has said."""
-    monkeypatch.setattr(sys, "argv", ["command.py", *arguments])
-    with pytest.raises(SystemExit) as end:
-        main()
-    error = complaints(capsys.readouterr().err).removeprefix(before)
-    assert end.value.code == 2, error
-    assert error.startswith("error: ") and len(error.splitlines()) == 1, error
-    return error
 
 
 @pytest.mark.parametrize("case", MISTAKES)

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.logs.test_recordings import recording
+from tests.support.recordings import recording
 from usvlearn import AID, Ensemble, Persistence
 from usvlearn.evaluation import metrics
 from usvlearn.figures import prediction_figure

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from omegaconf import OmegaConf
 
 from tests.support import ROOT
@@ -118,3 +119,14 @@ def hparams(folder: Path) -> dict[str, tuple[dict, dict]]:
         }
         rows[path.name] = settings, {tag: events.Scalars(tag)[0].value for tag in events.Tags()["scalars"]}
     return rows
+
+
+def sentence(main, arguments, monkeypatch, capsys, before: str = "") -> str:
+    """The one sentence with which a command ends, after what another program has said."""
+    monkeypatch.setattr(sys, "argv", ["command.py", *arguments])
+    with pytest.raises(SystemExit) as end:
+        main()
+    error = complaints(capsys.readouterr().err).removeprefix(before)
+    assert end.value.code == 2, error
+    assert error.startswith("error: ") and len(error.splitlines()) == 1, error
+    return error

@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 
 from usvlearn.engine.dispatch import Whole, mask_diverged, step, surge_max
+from usvlearn.engine.first_use import compile_steps
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import plan_for
 from usvlearn.engine.run import in_parallel, prepared
-from usvlearn.engine.warm import compile_steps
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_sleeping, learn_rule
 from usvlearn.estimators.ensemble.state import AT
 from usvlearn.family import WIDTH

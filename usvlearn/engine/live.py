@@ -12,9 +12,9 @@ import numpy as np
 from numba.core.errors import NumbaError
 
 from usvlearn.engine import dispatch as step
+from usvlearn.engine.first_use import COMPILING, compile_steps
 from usvlearn.engine.leaves import Description, batch_of, leaves_of
 from usvlearn.engine.program import plan_for
-from usvlearn.engine.warm import COMPILING, compile_steps
 from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
 LIVE = step.step_once

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.engine import dispatch as step
+from usvlearn.engine.first_use import compile_steps
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import Plan, plan_for
-from usvlearn.engine.warm import compile_steps
 from usvlearn.rows import ROW, prepare_all
 from usvlearn.signals import Sample, named_leaves, tree_map
 
