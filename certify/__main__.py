@@ -8,7 +8,7 @@ import json
 import os
 import re
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NoReturn
@@ -184,12 +184,13 @@ def _assess(options: argparse.Namespace, networks: Sequence[Network], code: int)
                 raise CertifyError(f"{network.path}: {error}") from error
         if m not in inputs:
             inputs[m] = _input(options.input, m, network.path)
+    shown: Iterable[Network] = networks
     if (options.lmi or options.box is not None) and len(networks) > 1:
         from certify.printed import progress
 
-        networks = progress(networks, "certifying")
+        shown = progress(networks, "certifying")
     judged, rows = [], []
-    for each in networks:
+    for each in shown:
         try:
             rows.append(assess(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
             judged.append(each)

@@ -46,7 +46,7 @@ def assess(
     weights = network.weights
     n, m = weights.W2.shape
     conditions = exact.conditions(weights.a, weights.w1)
-    K = conditions["tight"].rate
+    K = max(exact.extreme_slopes(weights.a, weights.w1))
     u = np.zeros(m) if u is None else u
     found = {
         "path": network.path,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -158,12 +159,13 @@ def certify(weights: ShallowWeights, box: Box, rate: float = 1.0, seconds: float
     if not (rate > 0 and math.isfinite(rate)):
         raise CertifyError(f"rate: found {rate}, expected a number above 0")
     forms = forms_of(weights, box)
-    search = Search(lambda best: np.nextafter(float(rate), 0.0), float(rate), started + 0.7 * seconds)
+    search = Search(_constant(np.nextafter(float(rate), 0.0)), float(rate), started + 0.7 * seconds)
     search_slopes(search, forms, box, int(REPLAYED * seconds))
     seen = _witness(weights, search.point)
     lower, upper = abs(seen.slope) if seen else 0.0, search.upper()
     verdict, tree = "unknown", None
-    if seen and abs(slope_at(weights, search.point) or 0) >= Fraction(rate):
+    slope = None if search.point is None else slope_at(weights, search.point)
+    if slope is not None and abs(slope) >= Fraction(rate):
         verdict = "refuted"
     elif search.open == -math.inf:
         text = search.text()
@@ -188,7 +190,7 @@ def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple
     lo, hi = float(box.lo[0]), float(box.hi[0])
     small = 1e-12 * (1 + max(abs(lo), abs(hi)))
     for margin in (0.0, small):  # rounding may hide that a leaf is just open
-        search = Search(lambda best, margin=margin: -margin, small, end)
+        search = Search(_constant(-margin), small, end)
         search_range(search, weights, box, ((1.0, hi), (-1.0, -lo)))
         if search.point is not None and not Fraction(lo) <= value_at(weights, search.point) <= Fraction(hi):
             return "no", None, search.point
@@ -197,9 +199,13 @@ def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple
     return "unknown", None, None
 
 
+def _constant(threshold: float) -> Callable[[float], float]:
+    """A search's threshold that does not depend on the best value so far."""
+    return lambda best: threshold
+
+
 def _witness(weights: ShallowWeights, point: np.ndarray | None) -> Witness | None:
-    slope = None if point is None else slope_at(weights, point)
-    if slope is None:
+    if point is None or (slope := slope_at(weights, point)) is None:
         return None
     active = weights.w1 * point[0] + weights.W2 @ point[1:] + weights.b > 0
     return Witness(float(point[0]), point[1:], active, math.copysign(float_below(abs(slope)), slope))

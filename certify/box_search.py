@@ -245,10 +245,10 @@ def search_range(search: Search, weights: ShallowWeights, box: Box, sides: tuple
             value = slope @ c + shift @ np.maximum(weight, 0.0) + (row * centre).sum(1) + (np.abs(row) * radius).sum(1)
             bounds.append(value + error - offset)
             points.append(np.where(row > 0, hi, lo))
-        points = np.concatenate(points)
-        f = np.maximum(points @ H.T + c, 0.0) @ a
+        places = np.concatenate(points)
+        f = np.maximum(places @ H.T + c, 0.0) @ a
         values = np.max([side * f - offset for side, offset in sides], 0)
-        return signs, np.max(bounds, 0), points, values
+        return signs, np.max(bounds, 0), places, values
 
     def halve(lo, hi, signs):
         z, reach = ((lo + hi) / 2) @ H.T + c, ((hi - lo) / 2) @ sizes.T

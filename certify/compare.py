@@ -153,6 +153,7 @@ def paper_tests(networks: Sequence[ShallowWeights], choices: argparse.Namespace)
 
 def _at_rate(weights: ShallowWeights, condition: str, rate: float) -> ShallowWeights:
     found = exact.conditions(weights.a, weights.w1)[condition].rate
+    assert found is not None  # lmi and tight hold at some rate
     return weights._replace(a=weights.a * (rate / float(found)))
 
 

@@ -74,7 +74,7 @@ def _print(
         table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
         for k in (0, *block):
             text = k == 0 or headings[k] in texts
-            style = {"overflow": "fold", "min_width": widths[k]} if text else {"no_wrap": True}
+            style: dict[str, Any] = {"overflow": "fold", "min_width": widths[k]} if text else {"no_wrap": True}
             table.add_column(headings[k], justify="left" if text else "right", **style)
         for row in rows:
             table.add_row(*(row[k] for k in (0, *block)))

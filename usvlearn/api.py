@@ -30,7 +30,8 @@ from usvlearn.signals import tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
-    from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+    from usvlearn.estimators.ensemble.layer import Ensemble
+    from usvlearn.estimators.ensemble.state import EnsembleState
 
 
 def read(

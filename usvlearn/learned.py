@@ -14,7 +14,8 @@ from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.signals import Fleet, Sample, named_leaves, tree_map
 
 if TYPE_CHECKING:
-    from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+    from usvlearn.estimators.ensemble.layer import Ensemble
+    from usvlearn.estimators.ensemble.state import EnsembleState
 
 PathLike = str | os.PathLike[str]
 UNITS = {

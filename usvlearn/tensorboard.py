@@ -58,14 +58,12 @@ class TensorBoardWriter:
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:
         """One point of each curve `prefix/name`, all in one record: a record each takes ten times as long."""
-        from tensorboard.compat.proto.summary_pb2 import Summary
-
         record, places = _template(prefix, tuple(values))
         with np.errstate(over="ignore"):  # beyond float32 it is infinite
             record[places] = (
                 np.fromiter(values.values(), float, len(values)).astype("<f4").view(np.uint8).reshape(-1, 4)
             )
-        self._writer.file_writer.add_summary(Summary.FromString(record.tobytes()), step)
+        self._writer.file_writer.add_summary(_summary().FromString(record.tobytes()), step)
 
     def charts(self, pages: Mapping[str, Mapping[str, list[str]]]) -> None:
         """What the CUSTOM SCALARS page draws together: page -> chart -> tags."""
@@ -83,8 +81,7 @@ class TensorBoardWriter:
 
     def image(self, tag: str, png: bytes, step: int = 0) -> None:
         """A picture that has been drawn already."""
-        from tensorboard.compat.proto.summary_pb2 import Summary
-
+        Summary = _summary()
         width, height = (int.from_bytes(png[at : at + 4]) for at in (16, 20))  # of the header, whose place is fixed
         image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
         self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
@@ -117,6 +114,13 @@ class TensorBoardWriter:
         self.close()
 
 
+def _summary() -> Any:
+    """The class of TensorBoard's records."""
+    from tensorboard.compat.proto.summary_pb2 import Summary  # pyright: ignore[reportAttributeAccessIssue]  # generated
+
+    return Summary
+
+
 def _speed_up() -> None:
     """Let TensorBoard take its checksums from compiled code, where numba is installed and compiles."""
     from tensorboard.summary.writer import record_writer
@@ -127,7 +131,8 @@ def _speed_up() -> None:
         from usvlearn.crc import masked_crc32c
     except ImportError:
         return
-    if hasattr(record_writer, "masked_crc32c") and not config.DISABLE_JIT:
+    flags: Any = config  # numba sets them at run time
+    if hasattr(record_writer, "masked_crc32c") and not flags.DISABLE_JIT:
         masked_crc32c(b"")  # compiles
         record_writer.masked_crc32c = masked_crc32c
 
@@ -138,8 +143,7 @@ def _template(prefix: str, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarr
 
     To fill these in takes a tenth of the time that an object for each point takes.
     """
-    from tensorboard.compat.proto.summary_pb2 import Summary
-
+    Summary = _summary()
     points = [Summary(value=[Summary.Value(tag=f"{prefix}/{name}", simple_value=1.0)]) for name in names]
     parts = [point.SerializeToString() for point in points]  # each ends with its value
     ends = np.cumsum([len(part) for part in parts], dtype=int)

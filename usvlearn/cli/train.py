@@ -63,7 +63,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
         logger.finish(settings, found["boats"], run.published, found["alarms"])
     console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)))
     console.print(
-        *stability(ensemble, run.state or start.state, fleet.boats),
+        *stability(ensemble, run.state, fleet.boats),
         *summary_lines(found, folder),
         sep="\n",
         soft_wrap=True,

@@ -23,7 +23,7 @@ class Box(NamedTuple):
     low: float  # 5 %
     high: float  # 95 %
     mean: float
-    count: int
+    number: int  # of values
     beyond: np.ndarray  # the values outside low … high
     outliers: int  # more than 1.5 quartile distances above the box
     diverged: int = 0

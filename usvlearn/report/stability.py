@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from certify import exact
 from certify.rounding import above, below
 from certify.weights import ShallowWeights
-from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.rnn.layer import RNN, lane_weights
 
 SHOWN = 8  # most boats with a line each
@@ -44,7 +45,8 @@ def _verdict(weights: ShallowWeights, numbers: dict[str, float]) -> str:
     if not math.isfinite(numbers["contraction_rate"]):
         return "its weights are not finite"
     conditions, constant = exact.conditions(weights.a, weights.w1), numbers["time_constant"]
-    K, held = conditions["tight"].rate, [name for name, condition in conditions.items() if condition.margin > 0]
+    K = max(exact.extreme_slopes(weights.a, weights.w1))
+    held = [name for name, condition in conditions.items() if condition.margin > 0]
     if not held:
         return (
             f"not certified contracting, K = {below(K, 4)} (≥ 1) a step; python -m certify --box may still certify it"

@@ -79,10 +79,9 @@ class Blocks:
             for number, row in enumerate(self.rows):
                 if len(row) > 1:
                     yield from self._lines(console, [row[k] for k in columns], columns, widths)
-                    continue
-                if number:
-                    yield Text()
-                yield row[0]
+                else:
+                    yield from [Text()] * bool(number)
+                    yield from row
         yield Text()
 
     def _lines(self, console: Console, cells: list[Text], columns: list[int], widths: list[int]) -> Iterator[Text]:

@@ -12,8 +12,9 @@ import numpy as np
 import torch
 
 from usvlearn.errors import MissingExtraError
-from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
-from usvlearn.estimators.ensemble.monitors.layer import THRESHOLD
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
+from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.evaluation.metrics import PERSISTENCE, mean_mae
 from usvlearn.figures import PAPER, prediction_figure

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.layer import effectiveness
+from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.rollouts import stretches
 from usvlearn.runs.published import BEGIN, Position
 from usvlearn.signals import Fleet, tree_map

@@ -19,7 +19,8 @@ from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, ve
 from usvlearn.checkpoint import save as save_checkpoint
 from usvlearn.engine import of_lane
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.estimators.ensemble.layer import Ensemble, EnsembleState
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.rollouts import stack
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
@@ -63,7 +64,7 @@ class RunFolder:
         self._saved = self._reached = BEGIN
         self._writer = ThreadPoolExecutor(1)
         self._writing: Future | None = None  # one place behind the replay, at most
-        self.state: EnsembleState | None = None  # the newest, leaves (boats, ...)
+        self.state: EnsembleState  # the newest, from `begin` on; leaves (boats, ...)
 
     @property
     def published(self) -> Published:

@@ -161,8 +161,9 @@ def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
     learned, dt = _runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
     published: dict[int, list[dict[str, np.ndarray]]] = {}
     for path in sorted((folder / PREDICTIONS).glob("*.npz")):
-        at = position(path)
-        keys = [runs[at.run][2] for runs in learned.values() if at is not None and at.run < len(runs)]
+        if (at := position(path)) is None:
+            continue
+        keys = [runs[at.run][2] for runs in learned.values() if at.run < len(runs)]
         if not (steps := max((lengths.get(key, 0) for key in keys), default=0)):
             continue
         try:

@@ -16,12 +16,13 @@ from torch import Tensor
 
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.logs.channel import Recording
+from usvlearn.signals import tree_map
 from usvlearn.simulate.autopilot import Autopilot, Reference
 from usvlearn.simulate.fault import Fault, faulty_vessels
 from usvlearn.simulate.plants import plant as plant_named
 from usvlearn.simulate.scenario import MISSIONS, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
-from usvlearn.simulate.vessel import Vessel, VesselState, at_rest, over_ground, scale_thrust, steady_surge
+from usvlearn.simulate.vessel import Vessel, at_rest, over_ground, scale_thrust, steady_surge
 
 LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
 SUBSTEPS_HZ = 10.0  # least number of steps of the motion per second
@@ -101,7 +102,7 @@ def fleet_missions(
     names, courses = [], []
     for j, length in enumerate(ticks):
         deck, card = divmod(j, len(kinds))
-        kind = kinds[_rng(seed, COURSE, deck, 0).permutation(len(kinds))[card]]
+        kind = kinds[int(_rng(seed, COURSE, deck, 0).permutation(len(kinds))[card])]
         row = []
         for k in range(n):
             course = MISSIONS[kind](_rng(seed, COURSE, j, 1 if kind == "convoy" else k + 1), length, hz)
@@ -151,12 +152,12 @@ def sail(
     batch, reference = (len(courses), len(courses[0])), _stacked(courses)
     ticks, count = len(reference.power), batch[0] * batch[1]
     top = steady_surge(vessel, torch.ones(2, dtype=torch.float64))
-    state = VesselState(*(leaf.numpy().copy() for leaf in at_rest((count,), reference.heading[0].flatten())))
+    state = tree_map(lambda x: x.numpy().copy(), at_rest((count,), reference.heading[0].flatten()))
     surge, heading = np.empty((2, ticks * substeps + 1, count))
     integral, commands = np.zeros(count), np.empty((ticks, count, 2))
     vessels = {0: vessel} | {tick: changed for tick, changed in (later or {}).items() if tick < ticks}
     for begin, end in pairwise([*sorted(vessels), ticks]):
-        part = Reference(*(leaf[begin:end].flatten(1).numpy() for leaf in reference))
+        part = tree_map(lambda x, a=begin, b=end: x[a:b].flatten(1).numpy(), reference)
         steps = slice(begin * substeps, end * substeps)
         arguments = (
             kernel.gains(autopilot),
@@ -168,10 +169,10 @@ def sail(
         with announced(kernel.__file__, "simulator"):
             kernel.sail_on(*arguments, integral, state, surge[steps], heading[steps], commands[begin:end])
     surge[-1], heading[-1] = state.surge, state.heading
-    surge, heading, commands = (
+    through_water, headings, given = (
         torch.from_numpy(x.reshape(len(x), *batch, *x.shape[2:])) for x in (surge, heading, commands)
     )
-    return dt, over_ground(surge, heading, current, direction), heading, commands
+    return dt, over_ground(through_water, headings, current, direction), headings, given
 
 
 def _stacked(courses: list[list[Mission]]) -> Reference:
@@ -248,9 +249,9 @@ def fleet(
     for kind in missions:
         check_choice("missions", kind, tuple(MISSIONS))
     autopilot, sensors = autopilot or Autopilot(), sensors or Sensors()
-    for name, value, kind in (("autopilot", autopilot, Autopilot), ("sensors", sensors, Sensors)):
-        if not isinstance(value, kind):
-            raise ConfigError(f"{name}: found {value!r}, expected options under it: leave out {name}=…")
+    for key, options, expected in (("autopilot", autopilot, Autopilot), ("sensors", sensors, Sensors)):
+        if not isinstance(options, expected):
+            raise ConfigError(f"{key}: found {options!r}, expected options under it: leave out {key}=…")
     whole, each = round(3600 * hours * autopilot.hz), round(60 * mission_minutes * autopilot.hz)
     ticks = [min(each, whole - start) for start in range(0, whole, each)]
 
@@ -258,10 +259,10 @@ def fleet(
     names, courses = fleet_missions(n, ticks, autopilot.hz, seed, missions, aborted_share, paused_share)
     flow, direction = _river(seed, len(ticks), current)
     later = faulty_vessels(fault, vessel, ticks, autopilot.hz)
-    dt, surge, heading, commands = sail(vessel, courses, flow, direction, autopilot, later)
+    dt, *motions = sail(vessel, courses, flow, direction, autopilot, later)
 
     substeps = round(1 / (dt * autopilot.hz))
-    surge, heading, commands = surge.numpy(), heading.numpy(), commands.numpy()
+    surge, heading, commands = (x.numpy() for x in motions)
     recordings = []
     for k, boat in enumerate(fleet_names(n, plant)):
         for j, name in enumerate(names):

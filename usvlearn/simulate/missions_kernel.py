@@ -7,7 +7,7 @@ steps are computed once, by torch, because its exponential differs from that of 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -47,11 +47,11 @@ def known(
     def lanes(leaf: Tensor, *last: int) -> np.ndarray:
         return leaf.expand(*batch, *last).reshape(-1, *last).contiguous().numpy()
 
-    last = dict.fromkeys(("thrust_linear", "thrust_quadratic", "thrust_speed"), (2,))
+    last: dict[str, tuple[int, ...]] = dict.fromkeys(("thrust_linear", "thrust_quadratic", "thrust_speed"), (2,))
     last["thrust_table"] = tuple(vessel.thrust_table.shape[-2:])
     leaves = torch.exp(-dt / vessel.lag), vessel.lag / dt, torch.exp(-dt / vessel.yaw_lag), top, current, direction
-    arrays = Vessel(*(lanes(leaf, *last.get(name, ())) for name, leaf in vessel._asdict().items()))
-    return arrays, Known(*map(lanes, leaves))
+    arrays: Any = {name: lanes(leaf, *last.get(name, ())) for name, leaf in vessel._asdict().items()}
+    return Vessel(**arrays), Known(*map(lanes, leaves))
 
 
 def gains(autopilot: Autopilot) -> tuple[float, ...]:

@@ -173,7 +173,8 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
 
 
 def _by_key(overrides: Sequence[str]) -> dict[str, str]:
-    return dict(printable(str(text)).partition("=")[::2] for text in overrides)
+    parts = (printable(str(text)).partition("=") for text in overrides)
+    return {key: value for key, _, value in parts}
 
 
 def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import torch
@@ -173,6 +173,11 @@ class _Evaluated(NamedTuple):
     values: list[Tensor]  # of the learned parameters
 
 
+def _network(estimator: Estimator, each: Hyperparameter) -> RNN:
+    """The network whose initial weights are learned."""
+    return cast(RNN, estimator.get_submodule(owner(each.path)))
+
+
 class _Learner:
     """The estimator, its learned parameters, and their bounds."""
 
@@ -183,8 +188,7 @@ class _Learner:
         estimator = objective.build({})
         files = {}
         for each in self.networks:  # the network's initial weights come from a file, so that all of them can move
-            weights = estimator.get_submodule(owner(each.path)).init().weights
-            files[pretrained(each.path)] = self._save(each, weights._asdict())
+            files[pretrained(each.path)] = self._save(each, _network(estimator, each).init().weights._asdict())
         self.estimator = objective.build(files).requires_grad_(False) if files else estimator.requires_grad_(False)
         logs = [next(self.estimator.get_submodule(each.path).parameters()) for each in self.numbers]
         weights = [w for each in self.networks for w in self._weights(each).values()]
@@ -195,13 +199,14 @@ class _Learner:
         self.groups = [group for group in groups if group["params"]]
 
     def _weights(self, each: Hyperparameter) -> dict[str, Tensor]:
-        network = self.estimator.get_submodule(owner(each.path))
+        network = _network(self.estimator, each)
         return {name: getattr(network, name) for name in WEIGHTS}
 
     def _save(self, each: Hyperparameter, weights: Mapping[str, Tensor]) -> str:
         """Initial weights as a file that `pretrained` of an RNN reads; its path."""
         content = io.BytesIO()
-        np.savez(content, **{name: w.detach().numpy() for name, w in weights.items()})
+        arrays: dict[str, Any] = {name: w.detach().numpy() for name, w in weights.items()}
+        np.savez(content, **arrays)
         path = self.folder / f"{each.path}_{self.files:03d}.npz"
         self.files += 1
         self.folder.mkdir(parents=True, exist_ok=True)

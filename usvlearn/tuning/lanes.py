@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -109,6 +110,8 @@ def hyperparameter(
             f"{key}: is no hyperparameter that can be tuned, expected one of {', '.join(known) or 'none'}"
         )
     part = known[path]
+    kind: type[nn.Module]
+    check: Callable[[Any, str], object]
     if isinstance(part, RNN):
         default, kind, check = math.nan, RNN, as_tensor
     else:
@@ -134,7 +137,7 @@ def hyperparameters(estimator: Estimator) -> dict[str, nn.Module]:
     >>> sorted(hyperparameters(Robust(SIFtRLS())))
     ['estimator.covariance', 'estimator.memory', 'inflation', 'scale']
     """
-    found = {}
+    found: dict[str, nn.Module] = {}
     for path, part in estimator.named_modules():
         if isinstance(part, Positive | UnitInterval):
             found[path] = part
@@ -217,7 +220,9 @@ class Objective:
         for begin in range(0, len(settings), self.batch):
             part = settings[begin : begin + self.batch]
             estimator = self.build({path: [[setting[path]] for setting in part] for path in part[0]})
-            worth = len(part)
-            maes = fleet_mae(estimator, self.fleet, (worth,), lambda x, n=worth: self.advance(n * x))
+            maes = fleet_mae(estimator, self.fleet, (len(part),), partial(self._advance, len(part)))
             found += [Evaluation(setting, tuple(row)) for setting, row in zip(part, maes.tolist(), strict=True)]
         return found
+
+    def _advance(self, settings: int, share: float) -> None:
+        self.advance(settings * share)

@@ -82,7 +82,8 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
     Raises:
         ConfigError: something is not legal.
     """
-    way = asked(configuration)
+    if (way := asked(configuration)) is None:
+        raise ConfigError(f"experiment: found no tuning, expected one of {', '.join(WAYS)}: add {WAYS[0]}=MEMBER")
     given, options, members = configuration[way], configuration["tuning"], configuration["estimators"]
     for key in ("evaluations", "rounds", "trials"):
         if isinstance(options[key], bool) or not isinstance(options[key], int) or options[key] < 1:
@@ -92,7 +93,7 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
     if options["rounds"] > options["evaluations"]:
         raise ConfigError(f"tuning.rounds: found {options['rounds']}, expected at most tuning.evaluations")
     explicit = way == "grid" and isinstance(given, Mapping)
-    names = list(dict.fromkeys(str(key).partition(".")[0] for key in given)) if explicit else [given]
+    names: list[Any] = list(dict.fromkeys(str(key).partition(".")[0] for key in given)) if explicit else [given]
     if len(names) != 1:
         raise ConfigError(f"grid: found {', '.join(names) or 'no values'}, expected values of one member, MEMBER.PATH")
     (member,) = names

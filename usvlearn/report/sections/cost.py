@@ -5,8 +5,8 @@ from __future__ import annotations
 import platform
 import statistics
 import time
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, cast
 
 import torch
 
@@ -19,7 +19,7 @@ from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.members import unwrapped
 from usvlearn.online import Online
-from usvlearn.report.result_table import ResultTable
+from usvlearn.report.result_table import Cell, ResultTable
 from usvlearn.report.section import Section
 from usvlearn.rollouts import rollout
 from usvlearn.signals import Inputs, Sample, named_leaves
@@ -41,16 +41,19 @@ def cost_section(ensemble: Ensemble) -> Section:
         ensemble: whose members and rules are timed.
     """
     sample = Sample(Inputs(0.5, 0.4, 1.0, 0.05, 0.4), 0.8, True, True)
-    rows = []
-    for name, member in ensemble.members.items():
+    rows: list[tuple[Cell, ...]] = []
+    total = 0
+    members = cast("Mapping[str, Estimator | Bank]", ensemble.members)  # a ModuleDict does not tell what it holds
+    for name, member in members.items():
         inner, core = unwrapped(member, member.init(()))
         orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
         lanes = len(member.labels) if isinstance(member, Bank) else 1
         kind = f"{type(inner).__name__}, {lanes} settings" if lanes > 1 else type(inner).__name__
-        alone = Ensemble({name: member}, watched=False) if lanes > 1 else member
-        rows.append((name, kind, _parameters(core), *(f"O({o})" for o in orders), *_times(alone, sample)))
+        alone = member if isinstance(member, Estimator) else Ensemble({name: member}, watched=False)
+        total += (count := _parameters(core))
+        rows.append((name, kind, count, *(f"O({o})" for o in orders), *_times(alone, sample)))
     whole = _times(ensemble, sample)
-    rows.append(("all together", "Ensemble", sum(row[2] for row in rows), "–", "–", *whole))
+    rows.append(("all together", "Ensemble", total, "–", "–", *whole))
     wide = _many(ensemble, sample)
     columns = (
         "method",

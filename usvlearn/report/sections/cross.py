@@ -47,7 +47,7 @@ def cross_section(
             if (each := boxes[season.boat][name]) is not None:
                 later = found.mae[..., found.methods.index(name)][season.later & (found.steps > 0)]
                 rows.append((season.boat, name, each.median, each.mean, each.lower, each.upper, each.low, each.high,
-                             each.outliers, each.diverged, each.count,
+                             each.outliers, each.diverged, each.number,
                              float(np.median(later)) if len(later) else None,
                              remarks.get(name, "")))  # fmt: skip
     if not rows:
@@ -64,7 +64,8 @@ def cross_section(
         "limit, which count with the error of the limit. NAME+ (hollow) weighs the free members by the speeds measured "
         "so far: it sees the speed. Outliers in the table lie more than 1.5 quartile distances above the box."
     )
-    known = {boat: row for boat, row in boxes.items() if all(each is not None for each in row.values())}
+    simulated = {boat: {name: each for name, each in row.items() if each is not None} for boat, row in boxes.items()}
+    known = {boat: row for boat, row in simulated.items() if len(row) == len(boxes[boat])}
     means = {boat: {name: each.mean for name, each in row.items()} for boat, row in known.items()}
     order = by_error(mean_errors(means))  # of all panels
     boxes = {boat: {name: row[name] for name in order} for boat, row in boxes.items()}
@@ -83,9 +84,9 @@ def _findings(boats: Mapping[str, Mapping[str, Box]]) -> list[str]:
     three = [name for name in PAPER if name in names]
     here = []
     if len(three) > 1:
-        best = [min(three, key=lambda name, row=row: row[name].mean) for row in boats.values()]
+        best = [by_error({name: row[name].mean for name in three})[0] for row in boats.values()]
         here.append(tally("lowest mean", three, best))
-        best = [min(three, key=lambda name, row=row: row[name].high - row[name].low) for row in boats.values()]
+        best = [by_error({name: row[name].high - row[name].low for name in three})[0] for row in boats.values()]
         here.append(tally("smallest range (5 to 95 %)", three, best))
     if {"average", "aid"} <= set(names):
         here.append(f"The average beats AID {on(_less(boats, 'average', ['aid']), count)}.")
@@ -101,7 +102,7 @@ def _findings(boats: Mapping[str, Mapping[str, Box]]) -> list[str]:
     best = sorted(means, key=means.__getitem__)[:3]
     here.append("Lowest of all free runs, mean over boats: " + ", ".join(f"{n} {means[n]:.3f} m/s" for n in best) + ".")
     diverged = {name: sum(row[name].diverged for row in boats.values()) for name in names}
-    total = sum(row[names[0]].count for row in boats.values())
+    total = sum(row[names[0]].number for row in boats.values())
     bad = ", ".join(f"{name} {number}" for name, number in diverged.items() if number)
     here.append(f"Diverged, of {total} simulations per method: {bad or 'none'}.")
     return here

@@ -35,10 +35,11 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
         seasons: of all boats.
         ensemble: to which the sets belong; its first RNN is looked at.
     """
-    name = next((name for name, member in ensemble.members.items() if isinstance(member, RNN)), None)
-    if name is None:
+    members = {name: member for name, member in ensemble.members.items() if isinstance(member, RNN)}
+    if not members:
         return None
-    surge_max = 0.5 / ensemble.members[name].scale
+    name, network = next(iter(members.items()))
+    surge_max = 0.5 / network.scale
     networks = {s.boat: [lane_weights(s.state.members[name], k) for k in range(len(s.own))] for s in seasons}
     margins: dict[str, dict[str, np.ndarray]] = {}
     for boat, some in networks.items():
@@ -54,8 +55,8 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
     inputs = surge_inputs(headings)
     rows, single = [], True
     for season in seasons:
-        found = sweep(networks[season.boat][-1], inputs, -1.0, 1.0)
-        single, rest = single and all(len(some) == 1 for some in found), [each for some in found for each in some]
+        at_rest = sweep(networks[season.boat][-1], inputs, -1.0, 1.0)
+        single, rest = single and all(len(some) == 1 for some in at_rest), [each for some in at_rest for each in some]
         places = [2 * surge_max * each.x for each in rest]
         kinds = ", ".join(f"{kind} {n}" for kind, n in Counter(each.kind for each in rest).items())
         rows.append((season.boat, above(rates[season.boat][-1], 4), len(rest) / HEADINGS, min(places, default=None),

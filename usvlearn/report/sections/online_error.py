@@ -42,12 +42,14 @@ def online_section(
             continue
         predictions = np.concatenate([run.published["predictions"] for run in runs])
         surge = np.concatenate([np.where(run.steps, run.samples.surge, np.nan) for run in runs])
-        widths = [run.published.get("halfwidths") for run in runs]
-        halfwidths = None if any(width is None for width in widths) else np.concatenate(widths)
+        widths = [run.published["halfwidths"] for run in runs if "halfwidths" in run.published]
+        halfwidths = np.concatenate(widths) if len(widths) == len(runs) else None
         table = scores(predictions, surge, names, halfwidths)
         error = np.abs(predictions - surge[:, None])
         counted = ~np.isnan(surge)
-        boxes[season.boat] = {name: box(error[counted, k], table[name]["diverged"]) for k, name in enumerate(names)}
+        boxes[season.boat] = {
+            name: box(error[counted, k], int(table[name]["diverged"] or 0)) for k, name in enumerate(names)
+        }
         hours = sum(float(run.samples.inputs.dt[run.steps].sum()) for run in runs) / 3600
         subtitles[season.boat] = f"{hours:.1f} h, {np.nanmean(surge):.2f} m/s"
         maes[season.boat] = {name: np.inf if row["mae"] is None else row["mae"] for name, row in table.items()}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from operator import itemgetter
 from typing import Any
 
 from usvlearn.evaluation.metrics import by_error, mean_mae
@@ -55,7 +56,7 @@ def tuning_section(
     if edges:
         here.append(f"At the edge of its range, so that more may be beyond: {', '.join(edges)}.")
     if three := [row for row in rows if row[0] in PAPER]:
-        best = [min(three, key=lambda row, k=k: row[k])[0] for k in (6, 7)]
+        best = [min(three, key=itemgetter(k))[0] for k in (6, 7)]
         here.append(
             f"The lowest error of {', '.join(r[0] for r in three)}: {best[0]} by default, {best[1]} when tuned."
         )
