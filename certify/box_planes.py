@@ -200,7 +200,7 @@ def forms(weights: ShallowWeights, box: Box) -> tuple[list[list[int]], list[int]
     return rows, flat[n + n * m :], bits + extra
 
 
-def _with(values: list, j: int, value: Any) -> list:
+def _with(values: list[Any], j: int, value: Any) -> list[Any]:
     changed = values.copy()
     changed[j] = value
     return changed

@@ -91,7 +91,7 @@ class _Slopes:
 
     def __init__(self, weights: ShallowWeights, box: Box, rate: Fraction):
         self.planes = planes(weights, box)
-        self.limit = math.ceil(rate * 2**self.planes.slope_bits)  # an integer is below both or below neither
+        self.limit: int = math.ceil(rate * 2**self.planes.slope_bits)  # an integer is below both or below neither
         self.names = {f"z{neuron}": g for g, neuron in enumerate(self.planes.neuron)}
         self.columns = [list(column) for column in zip(*self.planes.rows, strict=True)]
         self.work = 0
@@ -167,7 +167,7 @@ class _Range:
     def halve(self, state: None, j: int, here: Region, half: Region) -> None:
         return None
 
-    def part(self, state: None, name: str) -> tuple:
+    def part(self, state: None, name: str) -> tuple[None, None]:
         raise _Refused
 
     def closes(self, here: Region, state: None, token: str) -> bool:

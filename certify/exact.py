@@ -15,6 +15,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 CORNER = {"simple": 1, "gershgorin": 1, "lmi": 1, "tight": 2}  # c of each condition's matrix
 ZERO, ONE = Fraction(0), Fraction(1)
@@ -27,7 +28,7 @@ class Multipliers(NamedTuple):
     multipliers: list[Fraction]  # Λ's diagonal, (n,)
 
 
-def fractions(x) -> list[Fraction]:
+def fractions(x: ArrayLike) -> list[Fraction]:
     """The exact values of numbers, `(n,)`: floats of any size, and integers.
 
     >>> fractions([0.5, 0.1])[0], fractions([2**53 + 1])[0]
@@ -36,7 +37,7 @@ def fractions(x) -> list[Fraction]:
     return [Fraction(*value.as_integer_ratio()) for value in np.asarray(x).ravel().tolist()]
 
 
-def extreme_slopes(a, w1) -> tuple[Fraction, Fraction]:
+def extreme_slopes(a: ArrayLike, w1: ArrayLike) -> tuple[Fraction, Fraction]:
     """P and N exactly; a, w₁ are `(n,)`.
 
     >>> extreme_slopes([0.5, -1.0], [1.0, 0.75])
@@ -53,7 +54,7 @@ class Condition(NamedTuple):
     rate: Fraction | None  # the smallest rate at which it holds; None if there is none
 
 
-def conditions(a, w1) -> dict[str, Condition]:
+def conditions(a: ArrayLike, w1: ArrayLike) -> dict[str, Condition]:
     """The result of every condition of `certify.conditions` for one network; a, w₁ are `(n,)`.
 
     >>> [(name, float(found.margin)) for name, found in conditions([0.5], [0.5]).items()]
@@ -73,7 +74,7 @@ def conditions(a, w1) -> dict[str, Condition]:
     }
 
 
-def best_gauge(a, w1) -> dict[str, Fraction]:
+def best_gauge(a: ArrayLike, w1: ArrayLike) -> dict[str, Fraction]:
     """The smallest rates of `simple` and `gershgorin` among the equal networks (a_i/c_i, c_i w_{1i}), exactly.
 
     >>> best_gauge([0.5], [0.5])
@@ -83,7 +84,7 @@ def best_gauge(a, w1) -> dict[str, Fraction]:
     return {"simple": 4 * (len(s) + 1) * max(s), "gershgorin": 2 * sum(s, ZERO)}
 
 
-def multipliers(condition: str, a, w1, rate: Fraction | float = ONE) -> Multipliers | None:
+def multipliers(condition: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float = ONE) -> Multipliers | None:
     """p and Λ that prove a condition at a rate, in closed form; None where it does not hold.
 
     >>> multipliers("tight", [0.9], [1.0])
@@ -117,15 +118,22 @@ def multipliers(condition: str, a, w1, rate: Fraction | float = ONE) -> Multipli
     return Multipliers(ONE, lam)
 
 
-def matrix(a, w1, metric: Fraction, multipliers: Sequence[Fraction], rate: Fraction = ONE, corner: int = 2):
+def matrix(
+    a: ArrayLike,
+    w1: ArrayLike,
+    metric: Fraction,
+    multipliers: Sequence[Fraction],
+    rate: Fraction = ONE,
+    corner: int = 2,
+) -> list[list[Fraction]]:
     """M of (1), a list of rows of fractions, (n + 2, n + 2)."""
-    a, w1, lam = fractions(a), fractions(w1), list(multipliers)
-    n = len(a)
+    outputs, inputs, lam = fractions(a), fractions(w1), list(multipliers)
+    n = len(outputs)
     M = [[ZERO] * (n + 2) for _ in range(n + 2)]
     M[0][0], M[1][1] = 2 - Fraction(metric), Fraction(metric)
     for i in range(n):
-        M[0][i + 2] = M[i + 2][0] = -a[i] / rate
-        M[1][i + 2] = M[i + 2][1] = -w1[i] * lam[i]
+        M[0][i + 2] = M[i + 2][0] = -outputs[i] / rate
+        M[1][i + 2] = M[i + 2][1] = -inputs[i] * lam[i]
         M[i + 2][i + 2] = corner * lam[i]
     return M
 
@@ -157,7 +165,7 @@ def definiteness(matrix: Sequence[Sequence[Fraction]]) -> int:
     return definite
 
 
-def proves(condition: str, a, w1, found: Multipliers, rate: Fraction = ONE) -> bool:
+def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate: Fraction = ONE) -> bool:
     """Whether p and Λ prove a condition at a rate: (1) is positive definite, and the paper's inequalities hold.
 
     >>> proves("tight", [0.9], [1.0], multipliers("tight", [0.9], [1.0]))

@@ -45,7 +45,7 @@ class Network(NamedTuple):
     @property
     def inputs(self) -> int:
         """m."""
-        return self.weights.W2.shape[-1]
+        return int(self.weights.W2.shape[-1])
 
 
 def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:

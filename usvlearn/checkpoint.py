@@ -222,7 +222,7 @@ def _runs_elsewhere(process: int) -> bool:
         return True
 
 
-def as_array(leaf) -> np.ndarray:
+def as_array(leaf: Any) -> np.ndarray:
     """An array from an array or a tensor, contiguous.
 
     >>> as_array(np.ones((2, 2)).T).flags.c_contiguous
@@ -232,7 +232,7 @@ def as_array(leaf) -> np.ndarray:
     return np.ascontiguousarray(array).reshape(array.shape)
 
 
-def _like(leaf, array: np.ndarray):
+def _like(leaf: Any, array: np.ndarray) -> Any:
     if isinstance(leaf, np.ndarray):
         return array.astype(leaf.dtype)
     import torch
