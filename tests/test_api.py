@@ -12,8 +12,8 @@ from tests.support import ROOT
 from usvlearn import AID, Ensemble, Online, Persistence, checkpoint
 from usvlearn.cli import train
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError
-from usvlearn.learned import UNITS, AlignedLogs, Learned
-from usvlearn.signals import named_leaves, tree_map
+from usvlearn.learned import AlignedLogs, Learned
+from usvlearn.signals import UNITS, named_leaves, tree_map
 
 HEAD = "time,L,R,heading,speed"
 SEASON = {"n": 2, "hours": 0.0667, "mission_minutes": 2.0}

@@ -26,7 +26,6 @@ import numpy as np
 
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.learned import AlignedLogs, Learned, PathLike, predictions_of
-from usvlearn.signals import tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
@@ -149,15 +148,10 @@ def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
 
 
 def _started(state: EnsembleState, boats: Sequence[str], start: PathLike | Mapping[str, PathLike]) -> EnsembleState:
-    """The state of all boats from saved parameter sets; the monitors begin anew."""
-    from usvlearn.checkpoint import restore, restore_newest
-    from usvlearn.rollouts import stack
-    from usvlearn.runs.layout import ESTIMATOR
+    """The state of all boats from saved parameter sets; see `usvlearn.runs.run_folder.from_sets`."""
+    from usvlearn.runs.run_folder import from_sets
 
     paths = start if isinstance(start, Mapping) else dict.fromkeys(boats, start)
     if missing := [boat for boat in boats if boat not in paths]:
         raise ConfigError(f"start: found nothing for {', '.join(missing)}, expected a parameter set of each boat")
-    template = tree_map(lambda leaf: leaf[0], state)
-    places = [Path(paths[boat]) for boat in boats]
-    sets = [(restore_newest if path.is_dir() else restore)(path, template, ESTIMATOR)[0] for path in places]
-    return stack(sets)._replace(monitors=state.monitors)
+    return from_sets(state, [Path(paths[boat]) for boat in boats])[0]

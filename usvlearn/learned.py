@@ -11,20 +11,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, did_you_mean
-from usvlearn.signals import Fleet, Sample, named_leaves, tree_map
+from usvlearn.signals import Fleet, Sample, masks, named_leaves, tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
     from usvlearn.estimators.ensemble.state import EnsembleState
 
 PathLike = str | os.PathLike[str]
-UNITS = {
-    "time": "s since the run's first step",
-    "command_left": "share of full scale", "command_right": "share of full scale",
-    "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s since the previous step, 0 starts a segment",
-    "surge": "m/s, NaN where it was not measured", "fresh": "whether every input was recent",
-    "measured": "whether the speed was, too",
-}  # fmt: skip
 
 
 class AlignedRun(NamedTuple):
@@ -37,7 +30,10 @@ class AlignedRun(NamedTuple):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All arrays by the names in `UNITS`, as `pandas.DataFrame` takes them."""
+        """All arrays by name, as `pandas.DataFrame` takes them; `usvlearn.signals.UNITS` has their units.
+
+        A `dt` of 0 starts a segment; `surge` is NaN where it was not measured.
+        """
         leaves = {name.rpartition(".")[2]: leaf for name, leaf in named_leaves(self.samples)}
         return {"time": self.time, **leaves, "surge": _measured(self.samples)}
 
@@ -169,7 +165,7 @@ class Learned:
             with torch.no_grad():
                 samples = tensors(run.samples, state.predictions.dtype)
                 _, _, kept = simulate(self.ensemble, state, samples, record=["predictions"])
-            stepped = run.samples.fresh & (run.samples.inputs.dt != 0)
+            stepped = masks(run.samples, self.ensemble.surge_limit).steps
             published.append({"predictions": np.where(stepped[..., None], kept["predictions"].numpy(), np.nan)})
         names, stretches = self.ensemble.names, [(index, 0, arrays) for index, arrays in enumerate(published)]
         scores = fleet_scores(logs.fleet, stretches, names, self.ensemble.surge_limit)

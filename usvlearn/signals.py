@@ -44,6 +44,13 @@ class Sample(NamedTuple):
     measured: Array  # bool: `fresh`, and the speed arrived inside its window
 
 
+UNITS = {  # of a run's time, and of all fields of its samples
+    "time": "s", "command_left": "share of full scale", "command_right": "share of full scale",
+    "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s", "surge": "m/s", "fresh": "bool",
+    "measured": "bool",
+}  # fmt: skip
+
+
 class Masks(NamedTuple):
     """What is made of each sample. Leaves are bool, `(*batch,)`."""
 

@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn import signals
 from usvlearn.errors import CheckpointError
 from usvlearn.runs.layout import PREDICTIONS
 from usvlearn.signals import Run
@@ -35,10 +36,9 @@ from usvlearn.signals import Run
 # what a damaged .npz raises
 DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 PUBLISHED = ("predictions", "halfwidths", "thrusters")
-UNITS = {
-    "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1", "time": "s",
-    "measured_surge": "m/s", "command_left": "share of full scale", "command_right": "share of full scale",
-    "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s",
+UNITS = signals.UNITS | {
+    "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1",
+    "measured_surge": signals.UNITS["surge"],
 }  # fmt: skip
 
 

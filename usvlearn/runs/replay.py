@@ -13,7 +13,7 @@ from usvlearn.estimators.ensemble.monitors.layer import effectiveness
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.rollouts import stretches
 from usvlearn.runs.published import BEGIN, Position
-from usvlearn.signals import Fleet, tree_map
+from usvlearn.signals import Fleet, masks, tree_map
 
 THRUSTERS, HEALTH = "monitors.thrusters.", ("evidence", "sums", "raised")  # of a state's leaves
 
@@ -61,7 +61,7 @@ def replay(
     replayed = stretches(ensemble, state, parts, _recorded(state))
     for (run, done, stop, save), (state, kept) in zip(places, replayed, strict=True):
         part = tree_map(lambda x, a=done, b=stop: x[a:b], fleet.runs[run].samples)
-        stepped = (part.fresh & (part.inputs.dt != 0))[..., None]
+        stepped = masks(part, ensemble.surge_limit).steps[..., None]
         published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, kept).items()}
         yield Chunk(Position(run, done), Position(run, stop), state, published, save)
 

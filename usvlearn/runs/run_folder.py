@@ -63,7 +63,7 @@ class RunFolder:
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
         self._writer = ThreadPoolExecutor(1)
-        self._writing: Future | None = None  # one place behind the replay, at most
+        self._writing: Future[None] | None = None  # one place behind the replay, at most
         self.state: EnsembleState  # the newest, from `begin` on; leaves (boats, ...)
 
     @property
@@ -160,7 +160,7 @@ class RunFolder:
     def __enter__(self) -> RunFolder:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self._wait()
 
     def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
@@ -228,10 +228,9 @@ class RunFolder:
             return False
 
     def _from_file(self, source: Path, start: Start) -> Start:
-        """Every boat starts from one parameter set; what is watched, such as the thrusters, is watched anew."""
-        state, facts = restore(source, _lane(start.state, 0), ESTIMATOR)
-        state = stack([state] * len(self.fleet.boats))._replace(monitors=start.state.monitors)
-        of = ", run ".join(str(facts[name]) for name in ("boat", "run") if name in facts)
+        """Every boat starts from one parameter set."""
+        state, facts = from_sets(start.state, [source] * len(self.fleet.boats))
+        of = ", run ".join(str(facts[0][name]) for name in ("boat", "run") if name in facts[0])
         return start._replace(state=state, note=f"starting from {of or 'a set'}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
@@ -308,6 +307,25 @@ class RunFolder:
         for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
             if (found := position(old)) is None or found > place:
                 old.unlink()
+
+
+def from_sets(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleState, list[dict[str, Any]]]:
+    """The state of all boats from one saved parameter set for each, and the metadata of these sets.
+
+    The monitors start anew, because the sets may be of other boats, or of an earlier day.
+
+    Args:
+        state: of a fresh start, leaves `(boats, ...)`.
+        paths: of each boat a parameter set, or a folder of them, of which the newest readable one is taken.
+
+    Raises:
+        CheckpointError: a set cannot be read, or belongs to another ensemble.
+    """
+    template = _lane(state, 0)
+    sets = {
+        path: (restore_newest if path.is_dir() else restore)(path, template, ESTIMATOR) for path in dict.fromkeys(paths)
+    }
+    return stack([sets[path][0] for path in paths])._replace(monitors=state.monitors), [sets[path][1] for path in paths]
 
 
 def begun(folder: Path) -> tuple[int, int, Position, str]:
