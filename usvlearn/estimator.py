@@ -72,7 +72,7 @@ class Estimator(nn.Module, abc.ABC):
         """What a person wants to see of a state, by name: physical parameters, margins; `(*batch,)` each."""
         return {}
 
-    @final
+    @final  # type: ignore[misc]  # torch declares `forward` as an attribute, and every module defines it so
     def forward(self, state: State, sample: Sample) -> tuple[State, Tensor]:
         """Learn where measured, coast where not, hold where stale, take the speed where a segment starts.
 
@@ -125,7 +125,7 @@ def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tupl
     if some == Kinds(learns=True, coasts=False, starts=False, holds=False):
         return estimator.learn(state, step.inputs, step.surge)
     # Each layer covers those before it in its lanes, the first is everywhere.
-    layers = [(None, state)] if some.holds or not any(some) else []
+    layers: list[tuple[Tensor | None, State]] = [(None, state)] if some.holds or not any(some) else []
     if some.starts:
         layers.append((step.starts, estimator.start(state, step.surge)))
     surge = torch.full_like(step.surge, math.nan)

@@ -20,17 +20,22 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, Protocol, TypeVar, overload
 
 import numba
 from llvmlite.binding import get_host_cpu_name
+from numba.core import config
 from numba.core.caching import IndexDataCacheFile
 
 try:
     from usvlearn.parts import Part
 except (ImportError, AttributeError):  # a numba whose inside is another one
-    Part = None
+    Part = None  # type: ignore[assignment, misc]  # no type says "this class, or None"
 
+P = ParamSpec("P")
+R = TypeVar("R", covariant=True)
+
+NUMBA: Any = config  # numba's options, which it makes as it is imported, so that no checker sees their names
 HERE = Path(__file__).parent
 DIGEST = hashlib.sha256().digest_size
 
@@ -68,9 +73,9 @@ def _imported(path: Path) -> Iterator[Path]:
     """The files of this package that a source file imports."""
     for node in ast.walk(ast.parse(path.read_bytes())):
         if isinstance(node, ast.Import):
-            wanted = [(each.name,) for each in node.names]
+            wanted: list[tuple[str, ...]] = [(each.name,) for each in node.names]
         elif isinstance(node, ast.ImportFrom):
-            wanted = [(f"{node.module}.{each.name}", node.module) for each in node.names]
+            wanted = [(f"{node.module}.{each.name}", node.module or "") for each in node.names]
         else:
             continue
         for names in wanted:  # `from usvlearn.engine import dispatch` is of a module, else of a name in one
@@ -96,14 +101,37 @@ def _temporary() -> Path:
     return Path(tempfile.mkdtemp(prefix="usvlearn-"))
 
 
+class Compiled(Protocol[P, R]):
+    """A compiled function, which Python calls as the function that it was made from."""
+
+    py_func: Callable[..., Any]
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """The function's value."""
+        ...
+
+    def disable_compile(self, val: bool = True) -> None:
+        """Allow no other types of arguments than those that it was compiled for."""
+
+
+@overload
 def jit(
-    function: Callable | None = None,
+    function: Callable[P, R], *, entry: bool = ..., inline: bool = ..., reorder: bool = ..., memory: bool = ...
+) -> Compiled[P, R]: ...
+@overload
+def jit(
+    *, entry: bool = ..., inline: bool = ..., reorder: bool = ..., memory: bool = ...
+) -> Callable[[Callable[P, R]], Compiled[P, R]]: ...
+
+
+def jit(
+    function: Callable[..., Any] | None = None,
     *,
     entry: bool = False,
     inline: bool = False,
     reorder: bool = False,
     memory: bool = False,
-) -> Callable:
+) -> Any:
     """Compile a function when it is first called; without the GIL, and with division as NumPy's.
 
     Args:
@@ -120,16 +148,16 @@ def jit(
     options = {"nogil": True, "error_model": "numpy", "fastmath": not memory and fastmath, "_nrt": memory}
     options |= {"no_cfunc_wrapper": True, "forceinline": inline}
     alone = partial(_alone, options=options)
-    return alone(function) if entry or Part is None or numba.config.DISABLE_JIT else Part(function, options, alone)
+    return alone(function) if entry or Part is None or NUMBA.DISABLE_JIT else Part(function, options, alone)
 
 
-def _alone(function: Callable, options: dict[str, Any]) -> Callable:
+def _alone(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
     """A function as Python calls it, whose machine code is kept."""
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder(Path(function.__code__.co_filename)))
+    before, NUMBA.CACHE_DIR = NUMBA.CACHE_DIR, str(folder(Path(function.__code__.co_filename)))
     try:
         compiled = numba.njit(cache=True, **options)(function)
     finally:
-        numba.config.CACHE_DIR = before
+        NUMBA.CACHE_DIR = before
     if (kept := getattr(compiled, "_cache", None)) is not None:  # None where numba is told not to compile
         kept._cache_file = CheckedFiles(kept._cache_file)
     return compiled
@@ -200,7 +228,7 @@ def _say_unkept(folder: Path, cause: str) -> None:
 def announced(source: str, what: str) -> Iterator[None]:
     """Say on stderr that functions of a source file compile, and how long it took, where they never did here before."""
     mark = folder(Path(source)) / what.replace(" ", "-")
-    if numba.config.DISABLE_JIT or mark.exists():
+    if NUMBA.DISABLE_JIT or mark.exists():
         yield
         return
     print(f"usvlearn: compiling the {what}, once on this machine …", end="", file=sys.stderr, flush=True)

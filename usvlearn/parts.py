@@ -16,7 +16,7 @@ from typing import Any
 
 from numba import version_info
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import CompilerBase, CompileResult, DefaultPassBuilder, Flags
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
@@ -64,6 +64,7 @@ class _Flags(Flags):
     """Numba's options, whose comparison takes a sixth of all its time, compared quickly."""
 
     __slots__ = ()
+    options: dict[str, Any]
 
     def __hash__(self) -> int:
         return hash(tuple(sorted(self.options)))  # as numba's
@@ -96,20 +97,20 @@ class Part(CPUDispatcher):
         alone: compiles the function for Python.
     """
 
-    def __init__(self, function: Callable, options: dict[str, Any], alone: Callable[[Callable], Callable]):
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], alone: Callable[..., Any]):
         super().__init__(
             function, targetoptions={"nopython": True, "no_cpython_wrapper": True, **options}, pipeline_class=_Compiler
         )
         self._alone = alone
 
     @cached_property
-    def entry(self) -> Callable:
+    def entry(self) -> Callable[..., Any]:
         """The function as Python calls it."""
         return self._alone(self.py_func)
 
     def __call__(self, *arguments: Any) -> Any:
         return self.entry(*arguments)
 
-    def add_overload(self, cres: CompileResult) -> None:
+    def add_overload(self, cres: Any) -> None:
         """Keep what was compiled for some types; Python is not told of it."""
         self.overloads[tuple(cres.signature.args)] = cres

@@ -133,7 +133,9 @@ def tensors(samples: Sample, dtype: torch.dtype) -> Sample:
     return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, as_tensors)
 
 
-def _run(estimator: Estimator, state: State, steps: Step, pick: Callable | None):
+def _run(
+    estimator: Estimator, state: State, steps: Step, pick: Callable[[State], Any] | None
+) -> tuple[State, Tensor, Any]:
     """All steps by torch; leaves of `steps` are `(time, *batch)`."""
     holds = ~(steps.steps | steps.starts)
     kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
@@ -277,7 +279,8 @@ def _description(estimator: Estimator, obstacle: str | None, backend: str) -> di
 
 def _out_of_reach(tensors: Sequence[Tensor]) -> str | None:
     """Why the kernels cannot read these numbers, if they cannot."""
-    if torch.compiler.is_compiling() or any(map(torch._C._functorch.is_functorch_wrapped_tensor, tensors)):
+    wrapped = torch._C._functorch.is_functorch_wrapped_tensor  # pyright: ignore  # torch has no stub of this module
+    if torch.compiler.is_compiling() or any(map(wrapped, tensors)):
         return "torch transforms this function"
     if any(x.device.type != "cpu" for x in tensors):
         return "not all tensors are on the CPU"

@@ -126,13 +126,11 @@ def _speed_up() -> None:
     from tensorboard.summary.writer import record_writer
 
     try:
-        from numba import config
-
         from usvlearn.crc import masked_crc32c
+        from usvlearn.jit import NUMBA
     except ImportError:
         return
-    flags: Any = config  # numba sets them at run time
-    if hasattr(record_writer, "masked_crc32c") and not flags.DISABLE_JIT:
+    if hasattr(record_writer, "masked_crc32c") and not NUMBA.DISABLE_JIT:
         masked_crc32c(b"")  # compiles
         record_writer.masked_crc32c = masked_crc32c
 

@@ -6,11 +6,10 @@ import threading
 from functools import cache
 
 import numpy as np
-from numba import config
 
 from usvlearn.engine import dispatch
 from usvlearn.engine.program import plan_for
-from usvlearn.jit import announced
+from usvlearn.jit import NUMBA, announced
 from usvlearn.rows import ROW, prepare_all
 
 COMPILING = threading.RLock()  # a fork waits for it
@@ -19,7 +18,7 @@ COMPILING = threading.RLock()  # a fork waits for it
 @cache
 def compile_steps(dtype: np.dtype) -> None:
     """Compile what a run and `Online` need, for all estimators, unless that is done or kept on the disk."""
-    if config.DISABLE_JIT:  # plain Python, for a debugger
+    if NUMBA.DISABLE_JIT:  # plain Python, for a debugger
         return
     plan = plan_for({"kind": "persistence", "size": 0, "numbers": {}}, (), dtype)
     lanes, numbers, work = np.zeros((1, plan.size), dtype), np.zeros((1, 1), dtype), np.zeros(plan.work, dtype)
@@ -27,8 +26,8 @@ def compile_steps(dtype: np.dtype) -> None:
     rows, picks = np.zeros((1, 1, ROW), dtype), np.zeros((1, 1, 1), dtype)
     with COMPILING, announced(dispatch.__file__, f"kernels of runs and single steps, {dtype}"):
         limit = dispatch.surge_limit(plan.program, numbers[0])
-        prepare_all(*[samples] * 6, masks, masks, False, limit, rows)
+        prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         dispatch.run(plan.program, lanes, numbers, rows, column, False, column, samples, picks, work, 0, 0)
         dispatch.step_once.disable_compile(False)
-        dispatch.step_once(plan.program, lanes[0], numbers[0], work, *[0.0] * 6, False, False)
+        dispatch.step_once(plan.program, lanes[0], numbers[0], work, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False)
         dispatch.step_once.disable_compile()  # whole numbers and the like become what it was compiled for

@@ -13,7 +13,7 @@ from usvlearn.family import Family
 
 ESTIMATORS: list[Family[Any]] = [import_module(f"usvlearn.estimators.{name}.state").FAMILY for name in COMPILED]
 KINDS = {kind: family for family in ESTIMATORS for kind in family.kinds}
-WRAPPERS = {"memory": MEMORY, "robust": ROBUST}
+WRAPPERS: dict[str, Family[Any]] = {"memory": MEMORY, "robust": ROBUST}
 
 
 def compilable(description: Mapping[str, Any] | None) -> bool:
@@ -24,13 +24,14 @@ def compilable(description: Mapping[str, Any] | None) -> bool:
     """
     if description is None:
         return False
-    if description["kind"] == "ensemble":
-        members = description["members"].values()
+    own: Mapping[str, Any] = description
+    if own["kind"] == "ensemble":
+        members = own["members"].values()
         return all(compilable(x["inner"] if x["kind"] == "bank" else x) and x["kind"] != "ensemble" for x in members)
     wrappers = []
-    while description["kind"] in WRAPPERS:
-        wrappers.append(description["kind"])
-        description = description["inner"]
-    if len(set(wrappers)) < len(wrappers) or description["kind"] not in KINDS:
+    while own["kind"] in WRAPPERS:
+        wrappers.append(own["kind"])
+        own = own["inner"]
+    if len(set(wrappers)) < len(wrappers) or own["kind"] not in KINDS:
         return False
-    return "memory" in wrappers or not KINDS[description["kind"]].remembers(description)
+    return "memory" in wrappers or not KINDS[own["kind"]].remembers(own)

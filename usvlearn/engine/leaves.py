@@ -33,7 +33,7 @@ def unwrapped(description: Description, prefix: str = "") -> Part:
     >>> unwrapped({"kind": "robust", "inner": {"kind": "persistence"}}).prefix
     'inner.'
     """
-    wrappers = {}
+    wrappers: dict[str, tuple[Description, str]] = {}
     while description["kind"] in WRAPPERS:
         wrappers[description["kind"]] = description, prefix
         description, prefix = description["inner"], f"{prefix}inner."
@@ -48,7 +48,7 @@ def leaves_of(description: Description) -> dict[str, Field]:
     """
     if description["kind"] != "ensemble":
         return _member(description, "")
-    found = {}
+    found: dict[str, Field] = {}
     for name, member in description["members"].items():
         own = _member(member, f"members.{name}.")
         found |= {name: replace(each, legal=each.legal.asleep()) for name, each in own.items()}

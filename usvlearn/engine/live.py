@@ -18,6 +18,7 @@ from usvlearn.engine.program import plan_for
 from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
 LIVE = step.step_once
+Lane = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # its first arguments: program, state, numbers, work
 ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # whose steps a fork waits for
 WAITING: list[Live] = []  # those whose locks a fork holds
 
@@ -51,7 +52,7 @@ class Live:
             ALIVE.add(self)
         compile_steps(first.dtype)
 
-    def __reduce__(self):  # rows are parts of `states`, a copy must make its own
+    def __reduce__(self) -> tuple[Any, ...]:  # rows are parts of `states`, a copy must make its own
         return Live, (self._description, self.leaves)
 
     @property
@@ -77,12 +78,12 @@ class Live:
             np.copyto(self._spare, self.states)
             return self._advance(self._predictions, inputs, np.nan, True, False)
 
-    def _arguments(self, states: np.ndarray) -> list[tuple]:
+    def _arguments(self, states: np.ndarray) -> list[Lane]:
         """What each lane's step is called with before the sample."""
         numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
         return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
 
-    def _advance(self, lanes: list[tuple], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
+    def _advance(self, lanes: list[Lane], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
         if self.plan.batch:
             check_sample(Sample(inputs, surge, fresh, measured), self.plan.batch)
             return self._each(lanes, (*inputs, surge), (fresh, measured))
@@ -93,16 +94,18 @@ class Live:
             except (TypeError, ValueError, OverflowError, NumbaError):  # not plain numbers
                 pass
         check_sample(Sample(inputs, surge, fresh, measured))
-        *numbers, fresh, measured = map(one_number, (*inputs, surge, fresh, measured))
-        return LIVE(*lanes[0], *map(float, numbers), bool(fresh), bool(measured))
+        left, right, heading, yaw_rate, dt, surge = (float(one_number(x)) for x in (*inputs, surge))
+        fresh, measured = bool(one_number(fresh)), bool(one_number(measured))
+        return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
 
-    def _each(self, lanes: list[tuple], numbers: tuple, masks: tuple) -> np.ndarray:
+    def _each(self, lanes: list[Lane], numbers: tuple[Any, ...], masks: tuple[Any, ...]) -> np.ndarray:
         fields = map(one_number, (*numbers, *masks))
         wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in fields]
-        found = [
-            LIVE(*lane, *map(float, own), bool(fresh), bool(measured))
-            for lane, *own, fresh, measured in zip(lanes, *wide, strict=True)
-        ]
+        found = []
+        for lane, sample in zip(lanes, zip(*wide, strict=True), strict=True):
+            *own, fresh, measured = sample
+            left, right, heading, yaw_rate, dt, surge = map(float, own)
+            found.append(LIVE(*lane, left, right, heading, yaw_rate, dt, surge, bool(fresh), bool(measured)))
         return np.array(found, self.plan.dtype).reshape(self.plan.batch)
 
 

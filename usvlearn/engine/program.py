@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,9 @@ from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.family import LEAVES, WIDTH, Family, Field, Node
 from usvlearn.rows import INPUTS, ROW
+
+if TYPE_CHECKING:
+    from numpy.typing import DTypeLike
 
 Setting = tuple[int, int] | None  # of a bank, and how many it has
 
@@ -69,7 +72,7 @@ class Plan:
     array(1.)
     """
 
-    def __init__(self, description: Description, batch: Sequence[int] = (), dtype=np.float64):
+    def __init__(self, description: Description, batch: Sequence[int] = (), dtype: DTypeLike = np.float64):
         self.batch, self.dtype = tuple(batch), np.dtype(dtype)
         self.lanes = int(np.prod(self.batch, dtype=int))
         self.leaves: dict[str, Leaf] = {}

@@ -77,11 +77,10 @@ def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     own = tuple(1 if same else length for same, length in zip(shared, batch, strict=True))
     count = int(np.prod(own, dtype=int))
     pick = (slice(None), *(slice(0, 1) if same else slice(None) for same in shared))
-    inputs, *rest = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
+    own_columns: Sample = tree_map(lambda x: np.ascontiguousarray(x[pick].reshape(steps, count)), samples)
     rows = np.empty((count, steps, ROW), plan.dtype)
-    prepare_all(
-        *inputs, *rest, plan.program[0, step.Whole.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0]), rows
-    )
+    heads, limit = plan.program[0, step.Whole.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0])
+    prepare_all(*own_columns.inputs, *own_columns[1:], heads, limit, rows)
     return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
 
 

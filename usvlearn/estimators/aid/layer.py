@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimator import Estimator, describe, spec_of
 from usvlearn.estimators.aid.state import FAMILY, AIDState
 from usvlearn.estimators.mass import known_rows, recover_mass
-from usvlearn.estimators.regressors.layer import SurgeDynamics
+from usvlearn.estimators.regressors.layer import LinearModel, SurgeDynamics
 from usvlearn.family import FEEDBACK
-from usvlearn.hyper import Positive, as_tensor, check_broadcast
+from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 # Spread per unit of the model's scale, 1 where not named. Chosen by the one-step error on logs and simulations:
@@ -56,10 +56,17 @@ class AID(Estimator):
     [28, 7, 7, 28, 28, 7, 28, 28, 7]
     """
 
+    model: LinearModel
+    spread: Tensor  # (p,) or (*batch, p)
+    inverse_spread: Tensor  # likewise; 0 where the spread is
+    theta0: Tensor  # (p,)
+    lower: Tensor  # (p,)
+    upper: Tensor  # (p,)
+
     def __init__(
         self,
-        mass=36.0,
-        gain=1.0,
+        mass: Hyper = 36.0,
+        gain: Hyper = 1.0,
         spread: Sequence[float] | None = None,
         theta0: Sequence[float] | None = None,
         dead_zone: float = 0.0,
@@ -67,11 +74,11 @@ class AID(Estimator):
         sigma: float = 1.0,
         bound: float = 20.0,
         feedback: str = "measured",
-        leak=1.0,
+        leak: Hyper = 1.0,
         surge_max: float = 10.0,
         project: bool = True,
         known: Mapping[str, float] | None = None,
-        model: nn.Module | None = None,
+        model: LinearModel | None = None,
     ):
         super().__init__()
         self.feedback = check_choice("feedback", feedback, FEEDBACK)
@@ -90,20 +97,20 @@ class AID(Estimator):
             if not hasattr(self.model, "mass"):
                 raise ConfigError(f"known: found a {type(self.model).__name__}, expected a model that has a mass")
         names, zeros = self.model.names, [0.0] * len(self.model.names)
-        signs = as_tensor(getattr(self.model, "signs", zeros) if project else zeros)
+        signs = as_tensor(self.model.signs if project else zeros)
         if spread is None:
-            spread = as_tensor(self.model.scale)[..., None] * as_tensor([SPREAD.get(name, 1.0) for name in names])
+            spreads = as_tensor(self.model.scale)[..., None] * as_tensor([SPREAD.get(name, 1.0) for name in names])
         else:
-            spread = _per_parameter("spread", spread, names)
-        if bool((spread < 0).any()):
-            raise ConfigError(f"spread: found {spread.tolist()}, expected numbers of 0 or more")
-        theta0 = _per_parameter("theta0", zeros if theta0 is None else theta0, names)
-        if bool((theta0 * signs < 0).any()):
-            raise ConfigError(f"theta0: found {theta0.tolist()}, expected the signs {signs.tolist()}, or project=False")
+            spreads = _per_parameter("spread", spread, names)
+        if bool((spreads < 0).any()):
+            raise ConfigError(f"spread: found {spreads.tolist()}, expected numbers of 0 or more")
+        prior = _per_parameter("theta0", zeros if theta0 is None else theta0, names)
+        if bool((prior * signs < 0).any()):
+            raise ConfigError(f"theta0: found {prior.tolist()}, expected the signs {signs.tolist()}, or project=False")
         infinity = torch.full_like(signs, torch.inf)
-        self.register_buffer("spread", spread)
-        self.register_buffer("inverse_spread", torch.where(spread > 0, 1 / spread, 0.0))
-        self.register_buffer("theta0", theta0)
+        self.register_buffer("spread", spreads)
+        self.register_buffer("inverse_spread", torch.where(spreads > 0, 1 / spreads, 0.0))
+        self.register_buffer("theta0", prior)
         self.register_buffer("lower", torch.where(signs > 0, 0.0, -infinity))
         self.register_buffer("upper", torch.where(signs < 0, 0.0, infinity))
 
@@ -148,7 +155,7 @@ class AID(Estimator):
     def monitor(self, state: AIDState) -> dict[str, Tensor]:
         numbers, theta = {"prior_distance": self._distance(state.theta)}, state.theta
         if self.known is not None:
-            per_mass = theta / self.model.mass[..., None]
+            per_mass = theta / self.model.mass[..., None]  # type: ignore[attr-defined]  # __init__ has checked for it
             numbers["mass"], theta, *_ = recover_mass(per_mass, self.known, names=self.model.names)
         return {**dict(zip(self.model.names, theta.unbind(-1), strict=True)), **numbers}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -44,6 +44,9 @@ class Ensemble(Estimator):
     ('aid', 'persistence', 'average')
     """
 
+    members: Mapping[str, Estimator | Bank]
+    combiners: Mapping[str, Combiner]
+
     def __init__(
         self,
         members: Mapping[str, Estimator | Bank],
@@ -54,8 +57,8 @@ class Ensemble(Estimator):
         watched: bool = True,
     ):
         super().__init__()
-        combiners = {"average": Average()} if combiners is None else dict(combiners)
-        if not members or not combiners:
+        rules: Mapping[str, Combiner] = {"average": Average()} if combiners is None else dict(combiners)
+        if not members or not rules:
             raise ConfigError(f"ensemble: found {len(members)} members, expected at least one, and one combiner")
         self._columns: dict[str, list[str]] = {}  # member -> its columns
         for name, member in members.items():
@@ -67,20 +70,22 @@ class Ensemble(Estimator):
                 )
             self._columns[name] = [f"{name}_{x}" for x in member.labels] if isinstance(member, Bank) else [name]
         self.columns = tuple(column for columns in self._columns.values() for column in columns)
-        self.names = (*self.columns, *combiners)
+        self.names = (*self.columns, *rules)
         if twice := sorted({name for name in self.names if self.names.count(name) > 1}):
             raise ConfigError(f"ensemble: {', '.join(twice)} names two members, or a member and a combiner")
-        self.output = list(combiners)[-1] if output is None else output
-        if self.output not in combiners:
-            raise ConfigError(f"output: found {output!r}, expected one of {', '.join(combiners)}")
+        self.output = list(rules)[-1] if output is None else output
+        if self.output not in rules:
+            raise ConfigError(f"output: found {output!r}, expected one of {', '.join(rules)}")
         self.watched, self.coverage = watched, coverage
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.surge_limit = min(self.surge_limit, self.surge_max)
         if not 0 < coverage < 1:
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
-        self.members, self.combiners = nn.ModuleDict(members), nn.ModuleDict(combiners)
+        # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
+        self.members = cast("Mapping[str, Estimator | Bank]", nn.ModuleDict(members))
+        self.combiners = cast("Mapping[str, Combiner]", nn.ModuleDict(rules))
         self._places: dict[str, list[int]] = {}  # combiner -> places of its members
-        for name, combiner in combiners.items():
+        for name, combiner in rules.items():
             chosen = self._named(combiner.members, name)
             self._places[name] = [self.columns.index(column) for column in chosen]
             with under(f"combiners.{name}"):
@@ -152,19 +157,21 @@ class Ensemble(Estimator):
 
     def spec(self) -> dict[str, Any] | None:
         members = {name: spec_of(member) for name, member in self.members.items()}
-        rules = {name: spec_of(rule) for name, rule in self.combiners.items()}
+        rules = {
+            name: (own := spec_of(rule)) and {**own, "columns": self._places[name]}
+            for name, rule in self.combiners.items()
+        }
         if None in (*members.values(), *rules.values()):
             return None
         return {
             "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
-            "rules": {name: {**rule, "columns": self._places[name]} for name, rule in rules.items()},
-            "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
+            "rules": rules, "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
             "monitors": monitors.spec() if self.watched else None,
         }  # fmt: skip
 
     def monitor(self, state: EnsembleState) -> dict[str, Tensor]:
         """The members' and combiners' numbers, as `name/number`; whiteness and thrusters as `monitors/number`."""
-        shown = {}
+        shown: dict[str, Tensor] = {}
         for name, member in self.members.items():
             for key, value in member.monitor(state.members[name]).items():
                 lanes = value.unbind(-1) if isinstance(member, Bank) else [value]

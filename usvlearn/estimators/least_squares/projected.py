@@ -80,7 +80,7 @@ class Projected(Estimator):
         if not isinstance(estimator, LeastSquares):
             raise ConfigError(f"estimator: found {type(estimator).__name__}, expected RLS or SIFtRLS itself")
         self.estimator = estimator
-        self.signs = tuple(estimator.model.signs if signs is None else signs)
+        self.signs: tuple[int, ...] = tuple(estimator.model.signs if signs is None else signs)
         if len(self.signs) != len(estimator.model.names) or not set(self.signs) <= {-1, 0, 1}:
             raise ConfigError(
                 f"signs: found {list(self.signs)}, expected -1, 0 or 1 for each of the "

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from usvlearn.errors import check_choice, check_positive
 from usvlearn.estimator import Estimator, describe, spec_of
 from usvlearn.estimators.ensemble.monitors.layer import excitation_report
 from usvlearn.estimators.least_squares.state import FAMILY, LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE, RLSState
-from usvlearn.estimators.regressors.layer import QuasiStatic
+from usvlearn.estimators.regressors.layer import LinearModel, QuasiStatic
 from usvlearn.family import FEEDBACK
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 
@@ -82,7 +82,9 @@ class LeastSquares(Estimator):
         surge_max: physical limit of the prediction, m/s.
     """
 
-    def __init__(self, model: nn.Module | None, covariance, feedback: str, surge_max: float):
+    model: LinearModel
+
+    def __init__(self, model: LinearModel | None, covariance: Hyper, feedback: str, surge_max: float):
         super().__init__()
         self.feedback = check_choice("feedback", feedback, FEEDBACK)
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
@@ -175,11 +177,13 @@ class RLS(LeastSquares):
     torch.Size([3, 9, 9])
     """
 
+    trace_max: Tensor  # as the covariance
+
     def __init__(
         self,
-        model: nn.Module | None = None,
-        forgetting=0.995,
-        covariance=10.0,
+        model: LinearModel | None = None,
+        forgetting: Hyper = 0.995,
+        covariance: Hyper = 10.0,
         trace_growth: float = 100.0,
         feedback: str = "measured",
         surge_max: float = 10.0,

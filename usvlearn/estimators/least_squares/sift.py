@@ -23,12 +23,13 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from usvlearn.errors import check_not_negative
 from usvlearn.estimators.least_squares.rls import LeastSquares, measured, triangle
 from usvlearn.estimators.least_squares.state import LONGEST
-from usvlearn.hyper import Positive
+from usvlearn.estimators.regressors.layer import LinearModel
+from usvlearn.hyper import Hyper, Positive
 
 
 def sift_step(
@@ -73,9 +74,9 @@ class SIFtRLS(LeastSquares):
 
     def __init__(
         self,
-        model: nn.Module | None = None,
-        memory=30.0,
-        covariance=10.0,
+        model: LinearModel | None = None,
+        memory: Hyper = 30.0,
+        covariance: Hyper = 10.0,
         floor: float = 1e-3,
         feedback: str = "measured",
         surge_max: float = 10.0,

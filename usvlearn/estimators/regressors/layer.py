@@ -10,15 +10,39 @@ constant in the earth's frame, so that it depends on the heading, and a bias).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.regressors.terms import QUASI_STATIC, signs_of
-from usvlearn.hyper import as_tensor
+from usvlearn.hyper import Hyper, as_tensor
 from usvlearn.signals import Inputs
+
+
+class LinearModel(Protocol):
+    """A torch module that is linear in its parameters, as `SurgeDynamics` and `QuasiStatic` are."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters."""
+        ...
+
+    @property
+    def signs(self) -> Sequence[int]:
+        """Of the parameters by physics; 0 where physics gives none."""
+        ...
+
+    @property
+    def scale(self) -> Tensor | float:
+        """The size of the parameters, in their units."""
+        ...
+
+    def __call__(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`."""
+        ...
 
 
 class MemoryInputs(NamedTuple):
@@ -34,7 +58,7 @@ class MemoryInputs(NamedTuple):
     command_right_before: Tensor
 
 
-def surge_regressor(surge: Tensor, inputs: Inputs) -> Tensor:
+def surge_regressor(surge: Tensor, inputs: Inputs | MemoryInputs) -> Tensor:
     """W of m·surge_dot = Wᵀθ: [|v|v, v, |r|v, ξ_L, ξ_L|ξ_L|, ξ_L|v|, ξ_R, ξ_R|ξ_R|, ξ_R|v|], shape `(*batch, 9)`.
 
     The paper's |r v| is written |r|v, so that a turn slows a boat that backs up too.
@@ -72,16 +96,18 @@ class SurgeDynamics(nn.Module):
     ['ambient_bias', 'ambient_sin', 'ambient_cos']
     """
 
-    def __init__(self, mass=36.0, memory: bool = False, ambient: bool = False):
+    mass: Tensor  # kg, () or as given
+
+    def __init__(self, mass: Hyper = 36.0, memory: bool = False, ambient: bool = False):
         super().__init__()
         self.memory, self.ambient = memory, ambient
         self.terms = ["dynamics", *(["memory"] if memory else []), *(["ambient"] if ambient else [])]
         parts = signs_of(self.terms)
         self.names, self.signs = tuple(parts), tuple(parts.values())
-        mass = as_tensor(mass, "mass")
-        if not bool(((mass > 0) & mass.isfinite()).all()):
-            raise ConfigError(f"mass: found {mass.tolist()}, expected a positive number of kg")
-        self.register_buffer("mass", mass)
+        given = as_tensor(mass, "mass")
+        if not bool(((given > 0) & given.isfinite()).all()):
+            raise ConfigError(f"mass: found {given.tolist()}, expected a positive number of kg")
+        self.register_buffer("mass", given)
 
     def spec(self) -> list[str]:
         """Its terms, by name."""
@@ -92,12 +118,12 @@ class SurgeDynamics(nn.Module):
         """The size of the parameters, which are proportional to the mass."""
         return self.mass
 
-    def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+    def forward(self, surge: Tensor, inputs: Inputs | MemoryInputs) -> tuple[Tensor, Tensor]:
         """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`."""
         W = surge_regressor(surge, inputs)
         extra = []
         if self.memory:
-            if not hasattr(inputs, "surge_dot"):
+            if not isinstance(inputs, MemoryInputs):
                 raise ShapeError(
                     "SurgeDynamics(memory=True): the inputs have no last acceleration and commands: wrap the "
                     "estimator, as in WithMemory(AID(model=SurgeDynamics(memory=True)))"

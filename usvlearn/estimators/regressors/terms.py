@@ -1,5 +1,8 @@
 """The parameters of the models: their names, signs and units, by the terms that a model has. Imports no torch."""
 
+from collections.abc import Collection, Mapping
+from typing import Any
+
 QUASI_STATIC = {  # parameter: its sign by physics; 0: the map is not a force
     "zeta_right_linear": 0,
     "zeta_right_quadratic": 0,
@@ -31,10 +34,16 @@ UNITS = {
     "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
 }  # fmt: skip
 
-TERMS = ([], ["dynamics"], ["dynamics", "memory"], ["dynamics", "ambient"], ["dynamics", "memory", "ambient"])
+TERMS: tuple[list[str], ...] = (
+    [],
+    ["dynamics"],
+    ["dynamics", "memory"],
+    ["dynamics", "ambient"],
+    ["dynamics", "memory", "ambient"],
+)
 
 
-def signs_of(terms):
+def signs_of(terms: Collection[str]) -> dict[str, int]:
     """The parameters of a model with these terms, in their order, each with its sign.
 
     >>> len(signs_of(["dynamics", "memory", "ambient"]))
@@ -45,16 +54,16 @@ def signs_of(terms):
     return SURGE | (MEMORY if "memory" in terms else {}) | (AMBIENT if "ambient" in terms else {})
 
 
-def parameters(own):
+def parameters(own: Mapping[str, Any]) -> int:
     """How many parameters an estimator has, from its entries in a specification."""
     return len(signs_of(own["terms"]))
 
 
-def heading(own):
+def heading(own: Mapping[str, Any]) -> bool:
     """Whether its regressor asks for the heading."""
     return "dynamics" not in own["terms"] or "ambient" in own["terms"]
 
 
-def remembers(own):
+def remembers(own: Mapping[str, Any]) -> bool:
     """Whether its regressor needs the inputs that `WithMemory` adds."""
     return "memory" in own["terms"]

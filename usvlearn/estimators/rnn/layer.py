@@ -20,7 +20,7 @@ from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.rnn.initial import initial_weights, pretrained_weights
 from usvlearn.estimators.rnn.state import BETA2, EPSILON, FAMILY, INPUTS, MOST_NEURONS, SIZES, WEIGHTS, RNNState
 from usvlearn.family import FEEDBACK
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
 
 
@@ -129,22 +129,25 @@ class RNN(Estimator):
     140
     """
 
+    bounds: Tensor  # (2, 5) least and greatest x and u of the condition "interval"
+    rate_ratio: Tensor  # (7n,) in the order of the gradient
+
     def __init__(
         self,
         neurons: int = 20,
         surge_max: float = 3.0,
         initial: str = "persistence",
         pretrained: str | Path | None = None,
-        rate=8e-4,
+        rate: Hyper = 8e-4,
         rate_ratio: Sequence[float] = (1.0, 2.0, 0.3, 1.5, 0.5),
         decay: int | None = 1000,
         momentum: float = 0.0,
         clip: float | None = 0.1,
         stability: str = "project",
         condition: str = "tight",
-        contraction_rate=0.999,
+        contraction_rate: Hyper = 0.999,
         gauge: str = "literal",
-        penalty=1e-4,
+        penalty: Hyper = 1e-4,
         unroll: int = 1,
         feedback: str = "measured",
         seed: int = 0,
@@ -167,18 +170,18 @@ class RNN(Estimator):
         check_choice("stability", stability, ("none", "penalty", "project"))
         self.condition = check_choice("condition", condition, (*CONDITIONS, "interval"))
         self.gauge = check_choice("gauge", gauge, GAUGES)
-        self.rate, penalty = Positive(rate, "rate"), Positive(penalty, "penalty")
-        contraction_rate = UnitInterval(contraction_rate, "contraction_rate")
-        self.penalty = penalty if stability == "penalty" else None
-        self.contraction_rate = contraction_rate if stability == "project" else None
-        self.initial_rate = float(contraction_rate().detach().min())  # of (4) where nothing is projected
+        self.rate, penalised = Positive(rate, "rate"), Positive(penalty, "penalty")
+        kappa = UnitInterval(contraction_rate, "contraction_rate")
+        self.penalty = penalised if stability == "penalty" else None
+        self.contraction_rate = kappa if stability == "project" else None
+        self.initial_rate = float(kappa().detach().min())  # of (4) where nothing is projected
         self.register_buffer("bounds", as_tensor([[-1.0, 0.0, 0.0, -1.2, -1.2], [1.0, 1.0, 1.0, 1.2, 1.2]]))
         ratio = as_tensor(list(rate_ratio), "rate_ratio")
         if ratio.shape != (5,) or not bool(((ratio >= 0) & ratio.isfinite()).all()):
             raise ConfigError(f"rate_ratio: found {list(rate_ratio)}, expected five numbers of 0 or more")
         a, w1, heading, command, b = (each.expand(neurons) for each in ratio)
         W2 = torch.stack([heading, heading, command, command], -1).flatten()
-        self.register_buffer("rate_ratio", torch.cat([a, w1, W2, b]))  # in the order of the gradient
+        self.register_buffer("rate_ratio", torch.cat([a, w1, W2, b]))
         if not isinstance(seed, int):
             raise ConfigError(f"seed: found {seed!r}, expected a whole number")
         if pretrained is None:
@@ -202,7 +205,7 @@ class RNN(Estimator):
         unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)
         moments = zero((*batch, WEIGHTS * n)), zero((*batch, WEIGHTS * n))
         before = zero((*batch, INPUTS))
-        return RNNState(weights, *moments, *(zero(batch) for _ in range(3)), before, zero(batch), unbroken)
+        return RNNState(weights, *moments, zero(batch), zero(batch), zero(batch), before, zero(batch), unbroken)
 
     def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
         x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
@@ -258,7 +261,7 @@ class RNN(Estimator):
             every = equilibria(weights, rest[lane].tolist(), -1.0, 1.0)
             found[(*lane, 0)] = len(every)
             if every:
-                nearest = min(every, key=lambda each, x=x: abs(each.x - x))
+                nearest = every[int(np.argmin([abs(each.x - x) for each in every]))]
                 found[(*lane, 1)], found[(*lane, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
         return dict(zip(("equilibria", "equilibrium", "equilibrium_class"), found.unbind(-1), strict=True))
 

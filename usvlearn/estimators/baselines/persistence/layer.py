@@ -22,7 +22,9 @@ class Persistence(Estimator):
     tensor(1.5000)
     """
 
-    def __init__(self):
+    rest: Tensor  # () 0, of the dtype and device of its states
+
+    def __init__(self) -> None:
         super().__init__()
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))
 

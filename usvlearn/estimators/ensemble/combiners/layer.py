@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimators.ensemble.combiners.state import LOSSES, TINY, BOAState, ExponentialState, WeightsState
 from usvlearn.estimators.least_squares.rls import rls_step
-from usvlearn.hyper import Positive, UnitInterval, as_tensor, check_broadcast, numbers
+from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast, numbers
 
 
 def fill_sleeping(predictions: Tensor, weights: Tensor) -> Tensor:
@@ -93,6 +93,8 @@ class FixedWeights(Combiner):
     tensor(1.3000, dtype=torch.float64)
     """
 
+    weights: Tensor  # (members,)
+
     def __init__(self, weights: Mapping[str, float]):
         super().__init__(tuple(weights))
         self.register_buffer("weights", as_tensor(list(weights.values())))
@@ -129,8 +131,8 @@ class RecursiveWeights(Combiner):
     def __init__(
         self,
         members: Sequence[str] | None = None,
-        forgetting=0.999,
-        covariance=1.0,
+        forgetting: Hyper = 0.999,
+        covariance: Hyper = 1.0,
         trace_max: float = 1e4,
         surge_max: float = 10.0,
     ):
@@ -176,7 +178,11 @@ class Prior(Combiner):
         prior: weights at the start by member, relative to 1 of those not named.
     """
 
-    def __init__(self, members, memory, loss: str, prior: Mapping[str, float] | None):
+    log_prior: Tensor  # (members,)
+
+    def __init__(
+        self, members: str | Sequence[str] | None, memory: Hyper | None, loss: str, prior: Mapping[str, float] | None
+    ):
         super().__init__(members)
         self.memory = None if memory is None else Positive(memory, "memory")
         self.loss = check_choice("loss", loss, LOSSES)
@@ -220,8 +226,8 @@ class ExponentialWeights(Prior):
     def __init__(
         self,
         members: str | Sequence[str] | None = None,
-        rate=20.0,
-        memory=20.0,
+        rate: Hyper = 20.0,
+        memory: Hyper | None = 20.0,
         loss: str = "absolute",
         prior: Mapping[str, float] | None = None,
     ):
@@ -265,7 +271,7 @@ class BOA(Prior):
     def __init__(
         self,
         members: str | Sequence[str] | None = None,
-        memory=30.0,
+        memory: Hyper | None = 30.0,
         loss: str = "absolute",
         scale: float = 0.01,
         share: float = 0.01,

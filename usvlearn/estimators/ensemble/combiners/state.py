@@ -153,4 +153,6 @@ BOA = Family(
     ),
     Bernstein, Loss, Priors, work=lambda m: 2 * m,
 )  # fmt: skip
-RULES = {each.kinds[0]: each for each in (AVERAGE, FIXED, RECURSIVE, EXPONENTIAL, BOA)}  # the size counts members
+RULES: dict[str, Family[Any]] = {
+    each.kinds[0]: each for each in (AVERAGE, FIXED, RECURSIVE, EXPONENTIAL, BOA)
+}  # the size counts members

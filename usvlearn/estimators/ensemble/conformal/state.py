@@ -28,7 +28,7 @@ class ConformalState(NamedTuple):
     """The intervals of the next predictions."""
 
     halfwidth: Tensor  # (*batch, k) q, m/s
-    count: Tensor  # (*batch, k) innovations seen
+    count: Tensor  # type: ignore[assignment]  # (*batch, k) innovations seen; checkpoints name it so, not tuple.count
 
 
 class Number(Numbers):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor
@@ -39,7 +39,8 @@ class WithMemory(Estimator):
     def init(self, batch: Sequence[int] = ()) -> MemoryState:
         inner = self.estimator.init(batch)
         zero = next(leaf for _, leaf in named_leaves(inner)).new_zeros(tuple(batch))
-        return MemoryState(inner, *(zero,) * 6, torch.zeros_like(zero, dtype=torch.bool))
+        known = torch.zeros_like(zero, dtype=torch.bool)
+        return MemoryState(inner, zero, zero, zero, zero, zero, zero, known)
 
     def predict(self, state: MemoryState, inputs: Inputs) -> tuple[MemoryState, Tensor]:
         inner, surge = self.estimator.predict(state.inner, self._with_memory(state, inputs))
@@ -72,10 +73,11 @@ class WithMemory(Estimator):
     def monitor(self, state: MemoryState) -> dict[str, Tensor]:
         return self.estimator.monitor(state.inner)
 
-    def _with_memory(self, state: MemoryState, inputs: Inputs) -> MemoryInputs:
+    def _with_memory(self, state: MemoryState, inputs: Inputs) -> Inputs:
         left = torch.where(state.known, state.command_left, inputs.command_left)
         right = torch.where(state.known, state.command_right, inputs.command_right)
-        return MemoryInputs(*inputs, state.surge_dot, left, right)
+        with_memory = MemoryInputs(*inputs, state.surge_dot, left, right)
+        return cast(Inputs, with_memory)  # which has the fields of `Inputs`, but cannot inherit them: a NamedTuple
 
     def _limited(self, change: Tensor, dt: Tensor) -> Tensor:
         return (change / torch.where(dt > 0, dt, 1.0)).clamp(-self.surge_dot_max, self.surge_dot_max)

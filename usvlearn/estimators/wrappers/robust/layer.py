@@ -12,7 +12,7 @@ from torch import Tensor
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimator import Estimator, check_estimator, numbers_of, spec_of
 from usvlearn.estimators.wrappers.robust.state import FAMILY, RobustState
-from usvlearn.hyper import Positive, check_broadcast
+from usvlearn.hyper import Hyper, Positive, check_broadcast
 from usvlearn.signals import Inputs, named_leaves, tree_map, where
 
 
@@ -52,8 +52,8 @@ class Robust(Estimator):
         estimator: Estimator,
         threshold: float = 4.0,
         patience: int = 2,
-        inflation=20.0,
-        scale=0.2,
+        inflation: Hyper = 20.0,
+        scale: Hyper = 0.2,
         memory: float = 200.0,
         scale_min: float = 1e-3,
     ):
@@ -137,4 +137,4 @@ def finite(tree: Any, batch_dims: int) -> Tensor:
     for _, leaf in named_leaves(tree):
         if leaf.is_floating_point():  # a sum is finite where all its terms are, short of 1e308
             total = total + (leaf.flatten(batch_dims).sum(-1) if leaf.ndim > batch_dims else leaf)
-    return torch.isfinite(total)
+    return torch.as_tensor(total).isfinite()
