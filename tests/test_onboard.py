@@ -105,7 +105,7 @@ def test_what_is_no_set_or_does_not_say_how_it_is_built_is_refused(sets, tmp_pat
         Online.open(unsaid)
     facts["kernel"] = json.loads(json.dumps({"kind": "persistence", "size": 0, "numbers": {}}))
     other = checkpoint.save(tmp_path / "other.safetensors", leaves, **facts)
-    with pytest.raises(CheckpointError, match="found a leaf that the estimator has not"):
+    with pytest.raises(CheckpointError, match="found a leaf that the estimator does not have"):
         Online.open(other)
 
 

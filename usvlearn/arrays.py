@@ -1,4 +1,4 @@
-"""What is done with small arrays. `a[:] = b` would ask for memory, where a and b might overlap; kernels have none."""
+"""Operations on small arrays, for kernels. `a[:] = b` is avoided: it may allocate memory, which kernels cannot."""
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def clamp(x, limit):
 
 @jit
 def finite(block):
-    """Whether a sum is finite, as it is where all its terms are, short of 1e308."""
+    """Whether all numbers of a block are finite, as their sum tells (it overflows only beyond 1e308)."""
     total = 0.0 * block[0]
     for i in range(len(block)):
         total += block[i]

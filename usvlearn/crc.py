@@ -1,6 +1,6 @@
 """CRC-32C, the checksum of each record in TensorBoard's files (RFC 3720, appendix B.4), by compiled code.
 
-TensorBoard has it as a loop in Python, which takes longer than all else around the replay of one boat.
+TensorBoard computes it by a loop in Python, which takes longer than everything else around the replay of one boat.
 """
 
 import numpy as np
@@ -31,7 +31,7 @@ def crc32c(data, table):
 
 
 def masked_crc32c(data: bytes) -> int:
-    """The checksum as it stands in a record: rotated, and a constant added.
+    """The checksum as a record stores it: rotated, and a constant added.
 
     >>> hex(crc32c(np.frombuffer(b"123456789", np.uint8), TABLE)), hex(masked_crc32c(b"123456789"))
     ('0xe3069283', '0xc78ab0e5')

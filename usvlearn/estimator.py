@@ -26,7 +26,7 @@ class Estimator(nn.Module, abc.ABC):
     what is known is a *constant* (a buffer). Every method is pure, so one object serves any batch of vehicles.
 
     A new estimator defines `init`, `predict` and `update`, `start` if its state remembers a speed, and `monitor` if
-    there is something to watch.
+    it has diagnostics.
 
     Attributes:
         surge_limit: a measured speed at or beyond it, m/s, counts as missing.
@@ -51,25 +51,25 @@ class Estimator(nn.Module, abc.ABC):
         return state
 
     def inflate_covariance(self, state: State, factor: Tensor) -> State:
-        """The state, `factor` times as open to new samples (a covariance inflated); by default what it is."""
+        """The state with its covariance times `factor`; unchanged by default, for estimators without a covariance."""
         return state
 
     def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
         """A step on which nothing is masked: `update`'s state and `predict`'s surge.
 
-        For an estimator whose `update` has predicted already to say so; no other result is allowed.
+        An estimator whose `update` computes the prediction anyway overrides this, with the same result.
         """
         return self.update(state, inputs, surge), self.predict(state, inputs)[1]
 
     def spec(self) -> dict[str, Any] | None:
-        """What the engine needs to know to make these steps by compiled code (`describe`); None: torch makes them.
+        """The specification by which the engine makes these steps in compiled code (`describe`), or None.
 
-        It is about this very class: a subclass may have other steps, so it has none unless it defines its own.
+        It is not inherited, since a subclass may change the steps: a subclass without its own runs in torch.
         """
         return None
 
     def monitor(self, state: State) -> dict[str, Tensor]:
-        """What a person wants to see of a state, by name: physical parameters, margins; `(*batch,)` each."""
+        """Diagnostics of a state by name, such as physical parameters and margins; `(*batch,)` each."""
         return {}
 
     @final  # type: ignore[misc]  # torch declares `forward` as an attribute, and every module defines it so
@@ -89,7 +89,7 @@ def check_estimator(name: str, value: Any) -> Estimator:
 
 
 class Step(NamedTuple):
-    """A sample in which nothing can do harm, and what is to be made of it. Leaves are `(*batch,)`."""
+    """A sample whose masked values were replaced, and its masks. Leaves are `(*batch,)`."""
 
     inputs: Inputs  # 0 where no step is made
     surge: Tensor  # m/s, 0 where it is not known
@@ -99,7 +99,7 @@ class Step(NamedTuple):
 
 
 class Kinds(NamedTuple):
-    """Which of the four happens to some lane in a step."""
+    """Which of the four cases occur in at least one lane of a step."""
 
     learns: bool
     coasts: bool
@@ -111,9 +111,9 @@ EVERY = Kinds(True, True, True, True)
 
 
 def clean(sample: Sample, surge_limit: float = PLAUSIBLE) -> Step:
-    """Replace whatever stands in a masked sample before it is computed with: NaN would reach the gradients.
+    """Replace masked values before they are used, because a NaN would reach the gradients.
 
-    `usvlearn.signals.masks` decides what is made of it.
+    `usvlearn.signals.masks` decides which values are masked.
     """
     steps, learns, starts, known = masks(sample, surge_limit)
     inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
@@ -121,10 +121,10 @@ def clean(sample: Sample, surge_limit: float = PLAUSIBLE) -> Step:
 
 
 def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tuple[State, Tensor]:
-    """`Estimator.forward` of a clean sample, without what happens in no lane."""
+    """`Estimator.forward` of a clean sample; cases that occur in no lane are skipped."""
     if some == Kinds(learns=True, coasts=False, starts=False, holds=False):
         return estimator.learn(state, step.inputs, step.surge)
-    # Each layer covers those before it in its lanes, the first is everywhere.
+    # Each state replaces those before it in the lanes of its mask; the first has no mask.
     layers: list[tuple[Tensor | None, State]] = [(None, state)] if some.holds or not any(some) else []
     if some.starts:
         layers.append((step.starts, estimator.start(state, step.surge)))
@@ -155,12 +155,12 @@ def spec_of(part: Any) -> dict[str, Any] | None:
 
 
 def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
-    """A specification: what a family declares, as the attributes of these names have it.
+    """A specification: the values of everything that a family declares, read from attributes of the same names.
 
     Args:
         family: of the part.
         part: an estimator.
-        own: what is not an attribute of that name, and what the specification has beside.
+        own: values that are not attributes of the part, and `kind` and `size`.
 
     >>> from usvlearn import Persistence
     >>> from usvlearn.estimators.baselines.persistence.state import FAMILY
@@ -176,7 +176,7 @@ def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
 
 
 def numbers_of(declared: type[Numbers] | type[Vectors], part: Any, **own: Any) -> dict[str, Any]:
-    """The numbers that are declared, in values that fit into JSON: attributes of a part, or `own`.
+    """The declared numbers as JSON values, from attributes of a part or from `own`.
 
     >>> from usvlearn import AID
     >>> from usvlearn.estimators.wrappers.memory.state import Number

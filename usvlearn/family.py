@@ -1,19 +1,19 @@
 """What a family of estimators declares, once: the leaves of its state, its numbers, its choices, and what is legal.
 
-The layer reads the names here, the kernel the places, the engine both, and `engine.check` the ranges. A family is an
-estimator with its twin, a wrapper, a rule, or another part of an ensemble. It declares in its `state.py`
+The layer reads the names, the kernel the places, the engine both, and `engine.check` the ranges. A family is an
+estimator, a wrapper, a rule, or another part of an ensemble. It declares in its `state.py`
 
     class Number(Numbers):          numbers, by name; each has its legal range
         GAIN = POSITIVE
     class Vector(Vectors):          several numbers of one name, as many as the size says
         SPREAD = NOT_NEGATIVE
-    class Choice(Choices):          which of some values was chosen
+    class Choice(Choices):          one of several allowed values
         FEEDBACK = FEEDBACK
     FAMILY = Family(("aid",), lambda p: AIDState(theta=leaf(p), surge=leaf()), Number, Choice, Vector)
-    AT = FAMILY.at                  an AIDState of places
+    AT = FAMILY.at                  an AIDState that holds places
 
-The program writes a row of whole numbers for each part: where its leaves, numbers and vectors lie, and what was chosen.
-A kernel is handed this row as `node`, the state `s` and the numbers `q` of a lane:
+`engine.program` writes a row of integers for each part: the places of its leaves, numbers and vectors, and its choices.
+A kernel receives this row as `node`, and the state `s` and the numbers `q` of one lane:
 
     numbers = q[node[Node.NUMBERS] :]
     numbers[Number.GAIN], s[node[AT.surge]], q[node[Vector.SPREAD] + i], node[Choice.FEEDBACK]
@@ -39,11 +39,11 @@ LEAST, MOST = 1e-30, 1e30  # of a positive number: its inverse is finite in floa
 
 @dataclass(frozen=True)
 class Range:
-    """The numbers from `least` to `most`, both included; NaN is none of them.
+    """The numbers from `least` to `most`, both included; NaN is outside.
 
     Attributes:
         diagonal: the least number on the diagonal of a square matrix.
-        sleeps: whether NaN, infinity and what is beyond all measure are legal, too.
+        sleeps: whether NaN, infinity, and numbers beyond ±1e30 are legal too.
     """
 
     least: float
@@ -52,7 +52,7 @@ class Range:
     sleeps: bool = False
 
     def wrong(self, array: np.ndarray) -> np.ndarray:
-        """The numbers that are not legal, in one row.
+        """The numbers that are not legal, `(count,)`.
 
         >>> POSITIVE.wrong(np.array([1.0, 0.0, np.nan]))
         array([ 0., nan])
@@ -69,7 +69,7 @@ class Range:
         return ends if self.diagonal == -inf else f"{ends}, and {self.diagonal:.9g} or more on the diagonal"
 
     def asleep(self) -> Range:
-        """These, and those of a member of an ensemble that diverges, or has: it sleeps."""
+        """This range, and the values of a member that has diverged (it sleeps)."""
         return replace(self, sleeps=True)
 
 
@@ -81,27 +81,27 @@ POSITIVE_OR_INFINITE = Range(LEAST, inf)
 UNIT = Range(0.0, 1.0)
 FACTOR = Range(LEAST, 1.0)
 BELOW_ONE = Range(0.0, 1 - 2.0**-24)  # in float32, too
-AT_MOST_TEN = Range(0.0, 10.0)  # the exponent of what is multiplied at every step
-WEIGHT = Range(0.0, 1.001)  # a share, to rounding
+AT_MOST_TEN = Range(0.0, 10.0)  # the exponent of a factor that is applied at every step
+WEIGHT = Range(0.0, 1.001)  # a share, with room for rounding
 TRIANGLE = Range(-MOST, MOST, diagonal=LEAST)  # the Cholesky factor of a covariance
 ANY = Range(-inf, inf, sleeps=True)
 
 
 class Node(IntEnum):
-    """Places in a part's row of the table, before those that the part itself declares."""
+    """The first places in the row of a part; those that the part declares follow."""
 
-    FAMILY = 0  # which of the list of families
-    KIND = 1  # which of its family's kinds
+    FAMILY = 0  # index in the list of families
+    KIND = 1  # index in its family's kinds
     SIZE = 2
-    NUMBERS = 3  # of the first number
-    BEGIN = 4  # of the estimator's state,
-    END = 5  # and behind it: what `Robust` restores where it refuses a sample
+    NUMBERS = 3  # place of the first number
+    BEGIN = 4  # place of the estimator's state, which `Robust` restores where it refuses a sample,
+    END = 5  # and the place behind it
     MEMORY = 6  # the row of the wrapper; −1 without
     ROBUST = 7
     OUTER = 8  # whether `Robust` is around `WithMemory`
 
 
-CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 40  # where the places of these begin in a row, and its length
+CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 40  # where each begins in a row, and the row's length
 FEEDBACK = ("measured", "estimate")  # the speed from which the next step departs
 ESTIMATE = FEEDBACK.index("estimate")
 
@@ -116,7 +116,7 @@ class Field:
 
 
 def leaf(*shape: int, legal: Range = FINITE, flag: bool = False) -> Any:
-    """A `Field` in the place of a tensor.
+    """A `Field`, typed so that it can stand for a tensor in a state.
 
     >>> leaf(3, legal=UNIT).shape
     (3,)
@@ -125,7 +125,7 @@ def leaf(*shape: int, legal: Range = FINITE, flag: bool = False) -> Any:
 
 
 class Named(IntEnum):
-    """Members are counted in the order of their declaration. Their names in a specification are in lower case."""
+    """Members are numbered in the order of their declaration. A specification has their names in lower case."""
 
     @property
     def key(self) -> str:
@@ -142,7 +142,7 @@ class Named(IntEnum):
 
 
 class Numbers(Named):
-    """Numbers by name, with their legal range; the value is the place behind a part's first number.
+    """Named numbers with their legal range; a value is an offset from the part's first number.
 
     >>> class Number(Numbers):
     ...     GAIN = POSITIVE
@@ -160,9 +160,9 @@ class Numbers(Named):
 
 
 class Vectors(Named):
-    """Several numbers of one name, with their legal range and their count, which is the size unless stated.
+    """Named vectors with their legal range and their length, which is the size unless stated.
 
-    The value is the place in a row at which the place of the first of them stands.
+    A value is the place in a row that holds the place of the vector's first number.
     """
 
     legal: Range
@@ -176,16 +176,16 @@ class Vectors(Named):
 
 @dataclass(frozen=True)
 class Each:
-    """A list of choices, as many as the size says; they are kept among the numbers."""
+    """One choice for each parameter; the choices are stored among the numbers."""
 
     allowed: tuple[Any, ...]
 
 
 class Choices(Named):
-    """What was chosen, with what is allowed: some values, whole numbers of a `Range`, or `Each`.
+    """Named choices with what is allowed: some values, the whole numbers of a `Range`, or `Each`.
 
-    The value is the place in a row at which the choice stands: which of the values, or the whole number itself, or
-    the place of the first of many.
+    A value is the place in a row that holds the choice: the index of the chosen value, or the whole number itself,
+    or, for `Each`, the place of the first.
     """
 
     allowed: tuple[Any, ...]
@@ -197,12 +197,12 @@ class Choices(Named):
 
     @property
     def whole(self) -> Range | None:
-        """The whole numbers that are allowed, if it is one."""
+        """The range of the whole numbers that are allowed, or None."""
         return self.allowed[0] if isinstance(self.allowed[0], Range) else None
 
     @property
     def each(self) -> tuple[Any, ...] | None:
-        """The values of which each of a list is one, if it is a list."""
+        """The values that are allowed for each of an `Each`, or None."""
         return self.allowed[0].allowed if isinstance(self.allowed[0], Each) else None
 
 
@@ -211,14 +211,14 @@ class Family(Generic[S]):
     """What a family declares.
 
     Attributes:
-        kinds: the names by which specifications call it.
-        state: a state of `Field`s, from the size.
-        numbers, choices, vectors: what else it has.
-        size: the sizes that it may have, or its size from its entries in a specification.
-        optional: choices that are all there, or none.
-        work: how many numbers its kernel needs to work with, from the size.
-        heading: whether it asks for the heading, from its entries.
-        remembers: whether it needs the inputs that `WithMemory` adds, from its entries.
+        kinds: its names in specifications.
+        state: from the size, a state of `Field`s.
+        numbers, choices, vectors: its other declarations.
+        size: the legal sizes, or a function from its entries in a specification to its size.
+        optional: choices that a specification has all or none of.
+        work: from the size, the length of the work array that its kernel needs.
+        heading: from its entries, whether it needs the heading.
+        remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
 
     >>> from usvlearn.estimators.aid.state import FAMILY
     >>> FAMILY.at.surge - FAMILY.at.theta, list(FAMILY.leaves(9))
@@ -238,7 +238,7 @@ class Family(Generic[S]):
 
     @property
     def at(self) -> S:
-        """The state, with the place in a row at which the place of each leaf stands."""
+        """A state that holds, for each leaf, the place in a row that holds the leaf's place."""
         return _counted(self.state(1), count(LEAVES))
 
     def leaves(self, size: int, prefix: str = "") -> dict[str, Field]:
@@ -252,7 +252,7 @@ class Family(Generic[S]):
 
 
 def _counted(tree: Any, places: Iterator[int]) -> Any:
-    """A tree of fields as one of numbers; what has no leaves is an empty tuple."""
+    """A tree of fields as a tree of places; a part without leaves is an empty tuple."""
     if isinstance(tree, Field):
         if (place := next(places)) >= WIDTH:
             raise TypeError(f"found more than {WIDTH - LEAVES} leaves: widen the table")

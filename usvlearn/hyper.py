@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, ShapeError
 
-# What a hyperparameter is given as: a number, or numbers of any shape. A recursive type would let a str through.
+# The type of a hyperparameter's argument: a number, or numbers of any shape. A recursive type would accept a str.
 Hyper = float | Sequence[float] | Sequence[Sequence[float]] | np.ndarray | Tensor
 
 

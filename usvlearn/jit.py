@@ -1,9 +1,9 @@
 """How functions are compiled by numba, and where the machine code is kept.
 
-Numba looks at one file when it asks whether what it kept is still good. But machine code also holds the functions that
-this file calls and the constants that it imports. So the code is kept in a folder whose name is a hash of the file and
-of all files of this package that it imports, directly or not. Each file in it ends with its sha256: a power cut or a
-bad disk can damage a file, and machine code must not be run on trust.
+Numba checks one source file to decide whether cached machine code is current. But machine code also contains the
+functions that this file calls and the constants that it imports. So the cache is a folder whose name is a hash of the
+file and of all files of this package that it imports, directly or not. Each cached file ends with its sha256, because a
+power cut or a bad disk can damage it, and damaged machine code must not run.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from numba.core.caching import IndexDataCacheFile
 
 try:
     from usvlearn.parts import Part
-except (ImportError, AttributeError):  # a numba whose inside is another one
+except (ImportError, AttributeError):  # a version of numba with other internals
     Part = None  # type: ignore[assignment, misc]  # no type says "this class, or None"
 
 P = ParamSpec("P")
@@ -78,17 +78,17 @@ def _imported(path: Path) -> Iterator[Path]:
             wanted = [(f"{node.module}.{each.name}", node.module or "") for each in node.names]
         else:
             continue
-        for names in wanted:  # `from usvlearn.engine import dispatch` is of a module, else of a name in one
+        for names in wanted:  # `from usvlearn.engine import dispatch` names a module, other imports a name in one
             places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
             files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
             yield from [file for file in files if file.is_file()][:1]
-            if f"{HERE.name}.estimators.COMPILED" in names:  # who reads this list imports the kernels of its families
+            if f"{HERE.name}.estimators.COMPILED" in names:  # the kernels of this list are imported by name
                 yield from (HERE / "estimators").rglob("kernel.py")
 
 
 @cache
 def _temporary() -> Path:
-    """A folder of this user's alone among temporary files: what lies there is run."""
+    """A temporary folder that only this user can write to, because the code in it is run."""
     user = os.getuid() if hasattr(os, "getuid") else 0
     own = Path(tempfile.gettempdir()) / f"usvlearn-{user}"
     try:
@@ -137,10 +137,10 @@ def jit(
     Args:
         function: of numbers and arrays.
         entry: whether Python calls it. What only compiled functions call has no machine code of its own (`parts`).
-        inline: whether it always becomes a part of its callers: arrays that are handed on cost some ns in each call.
-        reorder: whether sums may be taken several terms at a time: for long ones.
-        memory: whether it may make arrays. Without, an array or a part of one is handed on without counting references
-            to it, which takes longer than most of what is done here with one.
+        inline: whether it is always inlined: passing arrays costs some ns in each call.
+        reorder: whether the compiler may reorder sums, which vectorises long ones.
+        memory: whether it may make arrays. Without, references to arrays are not counted, which would take longer than
+            most operations here.
     """
     if function is None:
         return partial(jit, entry=entry, inline=inline, reorder=reorder, memory=memory)
@@ -152,29 +152,29 @@ def jit(
 
 
 def _alone(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
-    """A function as Python calls it, whose machine code is kept."""
+    """A function that Python can call, with its machine code cached."""
     before, NUMBA.CACHE_DIR = NUMBA.CACHE_DIR, str(folder(Path(function.__code__.co_filename)))
     try:
         compiled = numba.njit(cache=True, **options)(function)
     finally:
         NUMBA.CACHE_DIR = before
-    if (kept := getattr(compiled, "_cache", None)) is not None:  # None where numba is told not to compile
+    if (kept := getattr(compiled, "_cache", None)) is not None:  # None under NUMBA_DISABLE_JIT
         kept._cache_file = CheckedFiles(kept._cache_file)
     return compiled
 
 
 class CheckedFiles(IndexDataCacheFile):
-    """Numba's files of one function, each with its sha256 at the end: a damaged one is removed, and compiled anew.
+    """Numba's cache files of one function, each with its sha256 at the end; a damaged one is removed and recompiled.
 
     Args:
-        plain: the files as numba has them.
+        plain: numba's own.
     """
 
     def __init__(self, plain: IndexDataCacheFile):
         vars(self).update(vars(plain))
 
     def load(self, key: object) -> object:
-        """What is kept under a key, None where nothing is, or where it is damaged."""
+        """The cached code of a key; None where there is none, or it is damaged."""
         index = Path(self._index_path)
         if not index.exists():
             return None
@@ -188,7 +188,7 @@ class CheckedFiles(IndexDataCacheFile):
         return None
 
     def save(self, key: object, data: object) -> None:
-        """Keep what is compiled; where the disk is full, say so, and go on without."""
+        """Cache compiled code; where the disk is full, say so, and continue without."""
         try:
             super().save(key, data)
         except OSError as error:
@@ -226,7 +226,7 @@ def _say_unkept(folder: Path, cause: str) -> None:
 
 @contextmanager
 def announced(source: str, what: str) -> Iterator[None]:
-    """Say on stderr that functions of a source file compile, and how long it took, where they never did here before."""
+    """Report on stderr the first compilation of a source file's functions on this machine, and its duration."""
     mark = folder(Path(source)) / what.replace(" ", "-")
     if NUMBA.DISABLE_JIT or mark.exists():
         yield
@@ -236,7 +236,7 @@ def announced(source: str, what: str) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        print(file=sys.stderr)  # what comes next has a line of its own
+        print(file=sys.stderr)  # end the line before the error is printed
         raise
     print(f" {time.perf_counter() - began:.0f} s; kept in {mark.parent}", file=sys.stderr)
     try:

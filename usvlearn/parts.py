@@ -1,11 +1,11 @@
 """Functions that only compiled functions call: no machine code is made of them alone.
 
 Numba optimises each function and makes machine code of it, and does both again inside each function that calls it.
-A `Part` skips both: it stays in LLVM's language, and is linked into its callers, where it is optimised once, and of
-which alone machine code is made. That halves the time to compile the kernels.
+A `Part` skips both: it stays LLVM code and is linked into its callers. It is optimised there once, and only the callers
+become machine code. That halves the time to compile the kernels.
 
-This leans on names inside of numba. Where a version lacks one of them, or is newer than those that were tried, the
-import of this module fails, and `jit` compiles parts as it compiles all else.
+This uses internals of numba. Where a version lacks one of them, or is newer than those that were tested, the import of
+this module fails, and `jit` compiles parts like all other functions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NativeLowering
 
-NEWEST = (0, 68)  # numba that this was tried on; another one may mean something else by the same names
+NEWEST = (0, 68)  # the newest numba that this was tested on; in another, the same names may mean something else
 USED = {
     JITCodeLibrary: ("_optimize_final_module", "_finalize_final_module", "_finalize_dynamic_globals"),
     NativeLowering: ("run_pass",),
@@ -30,7 +30,7 @@ USED = {
     Flags: ("no_compile", "options"),
 }
 if version_info.short > NEWEST or not all(hasattr(owner, name) for owner, names in USED.items() for name in names):
-    raise ImportError("this numba is not known well enough")
+    raise ImportError(f"numba: found {version_info.short}, expected {NEWEST} at most, with known internals")
 
 
 class _Library(JITCodeLibrary):
@@ -46,7 +46,7 @@ class _Library(JITCodeLibrary):
 
 @register_pass(mutates_CFG=True, analysis_only=False)
 class _Lowering(NativeLowering):
-    """Lowers a part into a `_Library`, and makes it known to those who call it."""
+    """Lowers a part into a `_Library`, and registers it for its callers."""
 
     _name = "usvlearn_part"
 
@@ -61,7 +61,7 @@ class _Lowering(NativeLowering):
 
 
 class _Flags(Flags):
-    """Numba's options, whose comparison takes a sixth of all its time, compared quickly."""
+    """Numba's options with a fast comparison: numba's own takes a sixth of the time to compile."""
 
     __slots__ = ()
     options: dict[str, Any]
@@ -74,7 +74,7 @@ class _Flags(Flags):
 
 
 class _Compiler(CompilerBase):
-    """Numba's own passes, but for the lowering."""
+    """Numba's own passes, except for the lowering."""
 
     def __init__(self, *arguments: Any):
         super().__init__(*arguments)
@@ -89,7 +89,7 @@ class _Compiler(CompilerBase):
 
 
 class Part(CPUDispatcher):
-    """A function that only compiled functions call; where Python calls it nevertheless, it is compiled alone, too.
+    """A function that only compiled functions call; where Python calls it, it is also compiled alone.
 
     Args:
         function: of numbers and arrays.
@@ -112,5 +112,5 @@ class Part(CPUDispatcher):
         return self.entry(*arguments)
 
     def add_overload(self, cres: Any) -> None:
-        """Keep what was compiled for some types; Python is not told of it."""
+        """Store the code compiled for some types; Python's dispatcher does not learn of it."""
         self.overloads[tuple(cres.signature.args)] = cres

@@ -1,4 +1,4 @@
-"""Who makes the steps of a run: torch, or, where no gradient is asked for, the compiled kernels."""
+"""Runs of an estimator over samples, by torch, or by the engine (compiled code) where no gradient is asked for."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from usvlearn.estimator import Estimator, Kinds, State, Step, advance, clean, sp
 from usvlearn.signals import Inputs, Sample, check_inputs, check_sample, named_leaves, one_number, rebuild, tree_map
 
 BACKENDS = ("auto", "torch", "kernel")
-CHUNK = 256  # steps whose whole states are held at a time, for a record that wants to see them,
-CELLS = 2**24  # and numbers in these
+CHUNK = 256  # most steps whose whole states are held at a time, for a `record` that is a function,
+CELLS = 2**24  # and most numbers in those states
 Record = Callable[[Any], Any] | Sequence[str]
 
 
@@ -66,13 +66,13 @@ def rollout(
 def simulate(
     estimator: Estimator, state: State, samples: Sample, record: Record | None = None, backend: str = "auto"
 ) -> tuple[State, Tensor, Any]:
-    """Run an estimator free: from the inputs alone, learning nothing; the speed is told where a segment starts.
+    """Run an estimator free: it sees the inputs alone, learns nothing, and takes the speed only where a segment starts.
 
     Args:
         estimator, state, samples, record, backend: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
 
     Returns:
-        As `rollout`. What `record` picks of a step that was not made is of the step before.
+        As `rollout`. Where no step was made, `record` picks from the unchanged state.
 
     Raises:
         ShapeError, ConfigError: as `rollout`.
@@ -95,11 +95,11 @@ def simulate(
 def stretches(
     estimator: Estimator, state: State, samples: Iterable[Sample], record: Sequence[str]
 ) -> Iterator[tuple[State, dict[str, np.ndarray]]]:
-    """`rollout` without gradients, on NumPy's samples that come in stretches: the kernels read them as they are.
+    """`rollout` without gradients, over consecutive stretches of NumPy samples, which the kernels read uncopied.
 
     Args:
         estimator, state: as of `rollout`.
-        samples: arrays `(time, *batch)` each; numbers of another size become the state's.
+        samples: arrays `(time, *batch)` each; numbers are converted to the dtype of the state.
         record: names of leaves of the state.
 
     Yields:
@@ -128,7 +128,7 @@ def stretches(
 
 
 def tensors(samples: Sample, dtype: torch.dtype) -> Sample:
-    """NumPy's samples as tensors; numbers have the dtype, masks are what they were."""
+    """NumPy samples as tensors: numbers of this dtype, masks of bool."""
     as_tensors = tree_map(torch.from_numpy, samples)
     return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, as_tensors)
 
@@ -161,7 +161,7 @@ def _picking(record: Record | None, state: State) -> Callable[[State], Any] | No
 
 
 def _unbind(steps: Step) -> Iterator[Step]:
-    """What belongs to each time, one after the other."""
+    """Yield the step of each time."""
     inputs = zip(*(x.unbind(0) for x in steps.inputs), strict=True)
     for x, *y in zip(inputs, *(y.unbind(0) for y in steps[1:]), strict=True):
         yield Step(Inputs(*x), *y)
@@ -196,10 +196,10 @@ def _check(state: State, samples: Sample) -> None:
 
 
 def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> dict[str, Any] | None:
-    """What the kernels are to run (`Estimator.spec`), or None where torch makes the steps.
+    """The specification that the kernels run (`Estimator.spec`), or None where torch makes the steps.
 
     Raises:
-        ConfigError: an unknown backend, or `kernel` where the kernels cannot.
+        ConfigError: the backend is unknown, or is "kernel" where the kernels cannot run.
     """
     if check_choice("backend", backend, BACKENDS) == "torch":
         return None
@@ -244,10 +244,12 @@ def stack(trees: Sequence[Any]) -> Any:
 
 
 def free_totals(description: dict[str, Any], state: Any, samples: Sample, learning: Sequence[int]) -> np.ndarray:
-    """`kernels.cross.free_totals` of tensors."""
-    from usvlearn.engine import free_runs as cross
+    """`engine.free_runs.free_totals` of tensors."""
+    from usvlearn.engine import free_runs
 
-    return cross.free_totals(description, _arrays(state), tree_map(_array, samples), learning, torch.get_num_threads())
+    return free_runs.free_totals(
+        description, _arrays(state), tree_map(_array, samples), learning, torch.get_num_threads()
+    )
 
 
 def _array(x: Tensor) -> np.ndarray:
@@ -266,7 +268,7 @@ def _tree(template: Any, leaves: dict[str, np.ndarray], device: torch.device | N
 
 
 def _description(estimator: Estimator, obstacle: str | None, backend: str) -> dict[str, Any] | None:
-    """What the kernels are to run; None, or a ConfigError, where something stands in their way."""
+    """The specification that the kernels run; where they cannot, None, or a ConfigError if they were asked for."""
     if not obstacle and importlib.util.find_spec("numba") is None:
         obstacle = "numba is not installed (pip install numba)"
     description = None if obstacle else spec_of(estimator)
@@ -291,7 +293,7 @@ def _out_of_reach(tensors: Sequence[Tensor]) -> str | None:
 
 
 def _derivative(tensors: Sequence[Tensor]) -> str | None:
-    """Why torch has to make the steps, if a derivative is asked for."""
+    """Which derivative is asked for, so that torch must make the steps, if one is."""
     if torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
         return "a gradient is asked for (inside torch.no_grad() none is)"
     if any(x.is_floating_point() and unpack_dual(x).tangent is not None for x in tensors):
@@ -300,7 +302,7 @@ def _derivative(tensors: Sequence[Tensor]) -> str | None:
 
 
 class Stepper:
-    """The steps of one state by torch, without gradients, on numbers as they come; as `kernels.live.Live`."""
+    """The steps of one state by torch, without gradients, on numbers of any type; as `engine.live.Live`."""
 
     def __init__(self, estimator: Estimator, batch: Sequence[int]):
         self.estimator, self.batch = estimator, tuple(batch)
@@ -340,7 +342,7 @@ class Stepper:
 
 
 def live(estimator: Estimator, state: Any, backend: str) -> Any:
-    """A `kernels.live.Live` of a state, or None where torch has to make the steps.
+    """An `engine.live.Live` of a state, or None where torch has to make the steps.
 
     Raises:
         ConfigError: as `choose`.

@@ -1,6 +1,6 @@
-"""Samples as the kernels read them, prepared once for all estimators and lanes that see a sample.
+"""Samples in the form that the kernels read, prepared once for all estimators and lanes that share a sample.
 
-`prepare` decides as `usvlearn.signals.masks`, and a test holds the two equal.
+`prepare` decides as `usvlearn.signals.masks` does, and a test compares the two.
 """
 
 import numpy as np
@@ -9,11 +9,11 @@ from usvlearn.arrays import fill
 from usvlearn.jit import jit
 from usvlearn.signals import PLAUSIBLE_INPUTS
 
-# Places in a prepared sample: the inputs of a step, the speed, and what is to be made of it.
+# Places in a prepared sample: the inputs of a step, the speed, and the mode: one of the four below.
 LEFT, RIGHT, SIN, COS, YAW_RATE, DT, SURGE, MODE = range(8)
 ROW = 8
 HOLD, START, PREDICT, LEARN = range(4)
-# Places of what `WithMemory` adds to the inputs of a step, in place of the speed and the mode.
+# Places of the inputs that `WithMemory` adds; they take the places of the speed and the mode.
 SURGE_DOT, LEFT_BEFORE, RIGHT_BEFORE = range(SURGE, SURGE + 3)
 INPUTS = RIGHT_BEFORE + 1
 
@@ -22,7 +22,7 @@ ABSURD_COMMAND, _, ABSURD_HEADING, ABSURD_YAW_RATE, ABSURD_DT = PLAUSIBLE_INPUTS
 
 @jit
 def prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, heads, limit, row):
-    """Write one sample; sine and cosine of the heading only where an estimator asks for them (`heads`).
+    """Write one prepared sample; sine and cosine of the heading only where an estimator needs them (`heads`).
 
     A speed at or beyond `limit`, m/s, counts as missing.
     """

@@ -52,7 +52,7 @@ UNITS = {  # of a run's time, and of all fields of its samples
 
 
 class Masks(NamedTuple):
-    """What is made of each sample. Leaves are bool, `(*batch,)`."""
+    """What each sample is used for. Leaves are bool, `(*batch,)`."""
 
     steps: Array  # a step is made, and its speed predicted
     learns: Array  # and learned from; these are the steps that count in every error and score

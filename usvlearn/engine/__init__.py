@@ -1,17 +1,18 @@
-"""Runs of compiled code: the same steps on the same states as torch's, equal to rounding; no torch.
+"""The compiled backend: it makes the same steps on the same states as torch, equal to rounding, and imports no torch.
 
-The engine knows the layout of no family. Each declares its own (`usvlearn.family`); its `kernel.py` makes its steps.
-One program serves every estimator: a table says what it is made of, and the kernels interpret it. So nothing is
-compiled anew for another ensemble. A state is one row of numbers per lane; its leaves are views of that row. The files,
-in the order in which they build on each other:
+The engine knows the layout of no family. Each declares its own (`usvlearn.family`), and its `kernel.py` makes its
+steps. A table describes the parts of an estimator, and the kernels interpret it, so another ensemble needs no new
+compilation. A state is one row of numbers per lane; its leaves are views of that row. The files, in the order in which
+they build on each other:
 
-    kinds         the families that have a kernel; whether an estimator is made of them alone
-    chains        one function for each verb, which calls the kernel of the family at hand
+    kinds         the families that have a kernel; whether a specification consists of them alone
+    chains        one function for each verb, which calls the kernel of the right family
     dispatch      one estimator with its wrappers, one ensemble, one step; runs over (time, lanes)
-    leaves        which leaves the state of a specified estimator has
+    leaves        the leaves of the state of a specified estimator
     program       from a specification (`Estimator.spec`) to the table, the numbers and the places of the leaves
-    check         whether a specification and a state from a file are legal
-    run, live, free_runs    what the rest of the library calls
+    check         checks a specification and a state from a file
+    warm          compiles ahead of need
+    run, live, free_runs    runs over samples, single steps, scored simulations: what the rest of the library calls
 """
 
 from collections.abc import Mapping
@@ -21,7 +22,7 @@ import numpy as np
 
 
 def of_lane(description: Any, lanes: int, lane: int, depth: int = 0) -> Any:
-    """The description of one lane of many: of each number that differs by lane, its own.
+    """The description of one lane: where a number differs by lane, that of this lane.
 
     >>> many = {"kind": "aid", "numbers": {"gain": [1.0, 2.0], "scale": 28.0}, "vectors": {"spread": [[1.0], [3.0]]}}
     >>> of_lane(many, 2, 1)

@@ -1,4 +1,4 @@
-"""One function for each verb of the kernels. It calls the function of this name of the family that a row is of.
+"""One function for each verb of the kernels, which calls the function of the same name of the row's family.
 
 The functions are written here from the list of families. For two families, `predict` would be
 
@@ -10,15 +10,15 @@ The functions are written here from the list of families. For two families, `pre
 
 Numba inlines such a chain; it could not inline a call through a table of functions. The arguments of the verbs are
 
-    node      the row of the table about this estimator (`usvlearn.family`)
+    node      the row of this estimator in the table (`usvlearn.family`)
     s, q      the state and the numbers of a lane
     x         the inputs of the step (`usvlearn.rows`)
-    work      as many numbers as the family asked for; `predict` may leave there what `learn` needs
+    work      an array of the length that the family declares; `predict` may leave there what `learn` needs
     surge     measured speed, m/s, with which a segment starts
-    predicted what `predict` returned first: the prediction, m/s
-    estimate  what it returned second: the same before its limits
+    predicted the first value of `predict`: the prediction, m/s
+    estimate  its second value: the same before its limits
     target    the speed to learn, m/s
-    factor    by which a covariance is inflated
+    factor    the factor by which a covariance is inflated
 """
 
 from importlib import import_module
@@ -33,23 +33,23 @@ VERBS = {
     "predict": "node, s, q, x, work",
     "coast": "node, s, q, x, predicted, work",
     "learn": "node, s, q, x, estimate, target, work",
-    # What a family may have: a covariance; a faster way through all steps of one lane of an estimator alone.
+    # Optional: only a family with a covariance has the first; the second is a faster loop over all steps of one lane.
     "inflate_covariance": "node, s, q, factor",
     "run_alone": "node, s, q, rows, free, predictions, picked, picks, work",
 }
 KERNELS = [import_module(f"usvlearn.estimators.{name}.kernel") for name in COMPILED]
 
 
-SHORT = ("start", "predict", "coast")  # verbs of few operations, which take less time than a call of them
+SHORT = ("start", "predict", "coast")  # short functions: a call would take longer than they do
 
 
 def having(verb: str) -> dict[int, Any]:
-    """The functions of a verb, by the places of the families that have it."""
+    """The functions of a verb by the index of the family, for families that have it."""
     return {k: getattr(kernel, verb) for k, kernel in enumerate(KERNELS) if hasattr(kernel, verb)}
 
 
 def bits(verb: str) -> int:
-    """The families that have a verb, as bits."""
+    """The families that have a verb, as a bit mask."""
     return sum(1 << k for k in having(verb))
 
 

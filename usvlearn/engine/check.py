@@ -1,8 +1,8 @@
-"""Is what a file says of an estimator, and of its state, legal? The kernels trust both: they check no index.
+"""Checks of a specification and a state that come from a file. The kernels check no index, so a file must not lie.
 
-A description (`Estimator.spec`) is read entry by entry, and held against what the families declare (`ranges.Family`).
-Its sizes are bounded, and held against the leaves, before anything is made of them. This is done once, where a file is
-opened; what an estimator says in this process, its own constructor has checked.
+A specification (`Estimator.spec`) is compared entry by entry with what the families declare (`usvlearn.family`). Its
+sizes are bounded, and compared with the leaves, before any array is made. This is done once, where a file is opened;
+for an estimator of this process, the constructor has checked its arguments.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ from usvlearn.family import WIDTH, Choices, Field, Range
 from usvlearn.family import Numbers as Declared
 
 LARGEST = 2**20  # numbers of a lane: its state, its parameters, its table
-CELLS = 3 * WIDTH  # of the table, of each estimator and rule, with its wrappers, beside the members of a rule
+CELLS = 3 * WIDTH  # of the table, for each estimator or rule with its wrappers; the members of a rule come on top
 SETTINGS = Range(1, LARGEST)  # of a bank
 DTYPES = (np.dtype(np.float64), np.dtype(np.float32))
 
 
 class Numbers(NamedTuple):
-    """Parameters, which are checked when the batch is known."""
+    """Numbers of a specification; they are checked when the batch is known."""
 
     entry: str
     value: Any
     legal: Range
     own: tuple[int, ...] = ()  # their shape without the batch: settings of a bank, length of a vector
-    vector: bool = False  # whether the last axis is that of a vector, which nothing broadcasts to
+    vector: bool = False  # whether the last axis is a vector's, which must have its full length
 
 
 def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
-    """Raise a CheckpointError, which names the entry, unless the kernels can go on from what a file says.
+    """Raise a CheckpointError, which names the entry, unless the kernels can continue from a file's content.
 
     Args:
         description: of an estimator, as `Estimator.spec` gives it, from JSON.
@@ -68,8 +68,8 @@ def check(description: Any, leaves: Mapping[str, np.ndarray]) -> None:
 def _check_state(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[tuple[int, ...], np.dtype]:
     """The batch and the dtype of a state; a CheckpointError, which names the leaf, where it is not legal."""
     if other := sorted(fields.keys() ^ leaves.keys()):
-        found = "found no such leaf" if other[0] in fields else "found a leaf that the estimator has not"
-        raise CheckpointError(f"state.{other[0]}: {found}, expected those that the description has")
+        found = "found no such leaf" if other[0] in fields else "found a leaf that the estimator does not have"
+        raise CheckpointError(f"state.{other[0]}: {found}, expected the leaves of the described estimator")
     try:
         batch = batch_of(fields, leaves)
     except ShapeError as error:
@@ -91,7 +91,7 @@ def _check_state(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) 
 
 
 def _check_numbers(numbers: Numbers, batch: tuple[int, ...], dtype: np.dtype) -> None:
-    """Raise a CheckpointError unless parameters are numbers, broadcast against the batch, and are legal in a dtype."""
+    """Raise a CheckpointError unless values are numbers, broadcast against the batch, and are legal in this dtype."""
     entry, value, legal, own, vector = numbers
     try:
         array = np.asarray(value)
@@ -111,11 +111,11 @@ def _check_numbers(numbers: Numbers, batch: tuple[int, ...], dtype: np.dtype) ->
 
 
 class _Reading:
-    """Reads a description entry by entry; a CheckpointError where one is not legal.
+    """Reads a specification entry by entry; raises a CheckpointError where one is not legal.
 
     Attributes:
-        numbers: the parameters that were found.
-        cells: of the table that the description takes.
+        numbers: the numbers that were found.
+        cells: size of the table.
     """
 
     def __init__(self) -> None:
@@ -123,7 +123,7 @@ class _Reading:
         self.cells = CELLS
 
     def whole(self, description: Any) -> None:
-        """An estimator or an ensemble."""
+        """Check an estimator or an ensemble."""
         if _kind("kernel", description) != "ensemble":
             self._wrapped("kernel", description, ())
             return
@@ -131,7 +131,7 @@ class _Reading:
         _keys("kernel", description, keys)
         count, rules = 0, _some("kernel.rules", description["rules"])
         for name, member in _some("kernel.members", description["members"]).items():
-            if not name.isidentifier():  # the names of leaves are made of it
+            if not name.isidentifier():  # it becomes a part of the names of leaves
                 raise wrong("kernel.members", name, "names of letters, digits and _")
             count += self._member(f"kernel.members.{name}", member)
         columns = _list("kernel.columns", description["columns"], Range(count, count))
@@ -147,7 +147,7 @@ class _Reading:
             self._parameters("kernel.monitors", description["monitors"], monitors.Number)
 
     def _member(self, entry: str, member: Any) -> int:
-        """A member of an ensemble; returns how many columns it has."""
+        """Check a member of an ensemble; returns how many columns it has."""
         if _kind(entry, member) != "bank":
             self._wrapped(entry, member, ())
             return 1
@@ -157,7 +157,7 @@ class _Reading:
         return count
 
     def _wrapped(self, entry: str, member: Any, settings: tuple[int, ...]) -> None:
-        """An estimator and its wrappers."""
+        """Check an estimator and its wrappers."""
         left = dict(WRAPPERS)
         while (kind := _kind(entry, member)) in left:
             _keys(entry, member, ("kind", "inner", "numbers"))
@@ -189,14 +189,14 @@ class _Reading:
                     _choose(f"{entry}.{choice.key}[{k}]", one, choice.each)
 
     def _choice(self, entry: str, choice: Choices, found: Any) -> None:
-        """What was chosen: a whole number, or one of some values."""
+        """Check a choice: a whole number, or one of several values."""
         if choice.whole is not None:
             _number(f"{entry}.{choice.key}", found, choice.whole)
         else:
             _choose(f"{entry}.{choice.key}", found, choice.allowed)
 
     def _rule(self, entry: str, name: str, rule: Any, count: int) -> int:
-        """A rule over so many columns; returns how many are its own."""
+        """Check a rule of an ensemble of `count` columns; returns how many it combines."""
         if not name or "." in name:
             raise wrong("kernel.rules", name, "names without a dot")
         family = RULES[_choose(f"{entry}.kind", _kind(entry, rule), list(RULES))]
@@ -221,7 +221,7 @@ class _Reading:
         return len(columns)
 
     def _parameters(self, entry: str, values: Any, legal: type[Declared], settings: tuple[int, ...] = ()) -> None:
-        """Numbers by name."""
+        """Check numbers by name."""
         _keys(entry, values, [each.key for each in legal])
         self.numbers += [Numbers(f"{entry}.{each.key}", values[each.key], each.legal, settings) for each in legal]
 
@@ -232,7 +232,7 @@ def wrong(entry: str, found: Any, expected: str) -> CheckpointError:
 
 
 def _some(entry: str, found: Any) -> dict[str, Any]:
-    """A dictionary in which something stands."""
+    """Check a dictionary that is not empty."""
     if not isinstance(found, dict):
         raise wrong(entry, found, "a dictionary")
     if not found:
@@ -241,7 +241,7 @@ def _some(entry: str, found: Any) -> dict[str, Any]:
 
 
 def _keys(entry: str, found: Any, expected: Collection[str]) -> None:
-    """A dictionary of these keys."""
+    """Check a dictionary of exactly these keys."""
     if not isinstance(found, dict):
         raise wrong(entry, found, "a dictionary")
     names = ", ".join(expected) or "nothing"
@@ -251,7 +251,7 @@ def _keys(entry: str, found: Any, expected: Collection[str]) -> None:
 
 
 def _kind(entry: str, found: Any) -> str:
-    """What kind an entry says it is."""
+    """The `kind` of an entry."""
     if not isinstance(found, dict):
         raise wrong(entry, found, "a dictionary")
     if "kind" not in found:
@@ -262,7 +262,7 @@ def _kind(entry: str, found: Any) -> str:
 
 
 def _number(entry: str, found: Any, legal: Range) -> int:
-    """A whole number."""
+    """Check a whole number."""
     expected = f"{legal.least:g}" if legal.least == legal.most else str(legal)
     if not isinstance(found, int) or isinstance(found, bool):
         raise wrong(entry, found, f"a whole number, {expected}")
@@ -272,7 +272,7 @@ def _number(entry: str, found: Any, legal: Range) -> int:
 
 
 def _list(entry: str, found: Any, count: Range) -> list[Any]:
-    """A list of so many."""
+    """Check a list of this length."""
     if not isinstance(found, list):
         raise wrong(entry, found, "a list")
     if not count.least <= len(found) <= count.most:
@@ -282,7 +282,7 @@ def _list(entry: str, found: Any, count: Range) -> list[Any]:
 
 
 def _choose(entry: str, found: Any, choices: Collection[Any]) -> Any:
-    """One of these, of its very type."""
+    """Check that a value is one of these, and of the same type."""
     if not any(type(found) is type(each) and found == each for each in choices):
         raise wrong(entry, found, f"one of {', '.join(map(repr, choices))}")
     return found

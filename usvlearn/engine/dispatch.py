@@ -1,8 +1,8 @@
-"""One step of one estimator, or of an ensemble; and runs of many lanes through many steps.
+"""One step of one estimator or of an ensemble, and runs of many lanes through many steps.
 
-The table (`program`, whole numbers) says what there is: its first row is about the whole; then comes a row for each
-estimator, one for each rule, and one for each wrapper and other part of an ensemble. `q` holds the numbers that were
-tuned or are known, `s` the state of one lane.
+The table (`program`, integers) lists the parts: the first row describes the whole; then comes a row for each estimator,
+one for each rule, and one for each wrapper and other part of an ensemble. `q` holds the tuned and known numbers, `s`
+the state of one lane.
 """
 
 from enum import IntEnum
@@ -30,16 +30,16 @@ NAN = np.nan
 
 
 class Whole(IntEnum):
-    """Places in the first row of the table, where others have their choices; an ensemble has none."""
+    """Places in the first row of the table; in other rows choices stand there, but an ensemble has none."""
 
     ESTIMATORS = CHOICES
     RULES = CHOICES + 1  # 0: one estimator alone
     NAMES = CHOICES + 2
-    OUTPUT = CHOICES + 3  # whose prediction is the ensemble's
+    OUTPUT = CHOICES + 3  # the column whose prediction is the ensemble's
     CONFORMAL = CHOICES + 4  # rows of these parts,
     MONITORS = CHOICES + 5  # −1 without
-    KEPT = CHOICES + 6  # where room begins for what `Robust` may restore
-    HEADS = CHOICES + 7  # whether an estimator asks for the heading
+    KEPT = CHOICES + 6  # place in `work` of the copy of a state that `Robust` may restore
+    HEADS = CHOICES + 7  # whether an estimator needs the heading
 
 
 @jit
@@ -107,7 +107,7 @@ def step(program, s, q, row, mode, work):
 
 @jit
 def aggregate(program, s, q, predictions, row, learns, work):
-    """What an `Ensemble` does after its members: rules, intervals, monitors."""
+    """The steps of an `Ensemble` after those of its members: rules, intervals, monitors."""
     whole = program[0]
     n, names = whole[Whole.ESTIMATORS], whole[Whole.NAMES]
     awake, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
@@ -140,7 +140,7 @@ def surge_max(program, q):
 
 @jit
 def mask_diverged(predictions, limit, awake):
-    """The members' predictions, NaN where one sleeps."""
+    """Write the members' predictions, NaN where one has diverged (it sleeps)."""
     for i in range(len(awake)):
         awake[i] = predictions[i] if abs(predictions[i]) < limit else NAN
 
@@ -153,7 +153,7 @@ def surge_limit(program, q):
 
 @jit(entry=True)
 def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fresh, measured):
-    """`step` of one sample as it came."""
+    """`step` of one sample that is not prepared."""
     row, limit = work[-ROW:], surge_limit(program, q)
     prepare(left, right, heading, yaw_rate, dt, surge, fresh, measured, program[0, Whole.HEADS] > 0, limit, row)
     return step(program, s, q, row, row[MODE], work)
@@ -168,19 +168,19 @@ def run(program, states, q, rows, columns, free, picked, predictions, picks, wor
         states: (lanes, size).
         q: (lanes, numbers), or (1, numbers) for all.
         rows: prepared samples, (columns, time, ROW).
-        columns: (lanes,) whose samples each lane sees.
-        free: learn nothing.
-        picked: places of a state that are written out after each step.
+        columns: (lanes,) the column of `rows` that each lane sees.
+        free: whether nothing is learned.
+        picked: places of the state that are recorded after each step.
         predictions: (lanes, time), m/s, is written.
         picks: (lanes, time, picked), is written.
-        work: as long as the table's owner says.
+        work: array of length `Plan.work`.
     """
     node = program[1]
     wrapped = node[Node.MEMORY] >= 0 or node[Node.ROBUST] >= 0
     bare = program[0, Whole.RULES] == 0 and not wrapped and ALONE >> node[Node.FAMILY] & 1
     for lane in range(first, last):
         s, numbers = states[lane], q[lane if len(q) > 1 else 0]
-        if bare:  # what is chosen for every step of others is chosen once
+        if bare:  # its family has a loop of its own over all steps
             run_alone(node, s, numbers, rows[columns[lane]], free, predictions[lane], picked, picks[lane], work)
             continue
         for k in range(rows.shape[1]):

@@ -17,7 +17,7 @@ COMPILING = threading.RLock()  # a fork waits for it
 
 @cache
 def compile_steps(dtype: np.dtype) -> None:
-    """Compile what a run and `Online` need, for all estimators, unless that is done or kept on the disk."""
+    """Compile what a run and `Online` need, for all estimators, unless that is done or cached on the disk."""
     if NUMBA.DISABLE_JIT:  # plain Python, for a debugger
         return
     plan = plan_for({"kind": "persistence", "size": 0, "numbers": {}}, (), dtype)
@@ -30,4 +30,4 @@ def compile_steps(dtype: np.dtype) -> None:
         dispatch.run(plan.program, lanes, numbers, rows, column, False, column, samples, picks, work, 0, 0)
         dispatch.step_once.disable_compile(False)
         dispatch.step_once(plan.program, lanes[0], numbers[0], work, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False)
-        dispatch.step_once.disable_compile()  # whole numbers and the like become what it was compiled for
+        dispatch.step_once.disable_compile()  # from now on other types, such as int, are converted

@@ -1,4 +1,4 @@
-"""Free simulations, judged as they go: what `evaluation.crossval` adds up, without a prediction ever written down."""
+"""Free simulations scored while they run: the sums that `evaluation.crossval` needs, without storing predictions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def add_up(prediction, surge, limit, learns, total):
 
 @jit(entry=True)
 def assess(program, states, others, q, rows, columns, learning, totals, work, first, last):
-    """Lanes first … last − 1 free through all steps; `others` hold rules that go on learning, `learning` names them.
+    """Lanes first … last − 1 run free; the rules `learning` run once more with states `others`, which go on learning.
 
     `totals` is `(lanes, names + learning, 3)`, and is added to.
     """
@@ -63,7 +63,7 @@ def assess(program, states, others, q, rows, columns, learning, totals, work, fi
 
 @cache
 def compile_free_runs(dtype: np.dtype) -> None:
-    """Compile what free runs need, unless that is done or kept on the disk."""
+    """Compile what free runs need, unless that is done or cached on the disk."""
     compile_steps(dtype)
     none, rows = np.zeros((1, 1), dtype), np.zeros((1, 1, ROW), dtype)
     column, program = np.zeros(1, np.int64), np.zeros((2, WIDTH), np.int64)
@@ -82,7 +82,7 @@ def free_totals(
 
     Args:
         description, leaves, samples, threads: as of `run.roll`.
-        learning: rules that are judged once more, with weights that go on learning.
+        learning: rules that are scored once more, with weights that go on learning.
     """
     plan = plan_for(description, samples.surge.shape[1:], samples.surge.dtype)
     states = plan.pack(leaves)

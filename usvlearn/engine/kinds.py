@@ -1,4 +1,4 @@
-"""What may stand in a specification: the estimators that have a compiled twin, and what wraps them."""
+"""The kinds of a specification: estimators that have a kernel, and their wrappers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which leaves the state of a described estimator has, in the order of the kernels, and what is legal of them."""
+"""The leaves of the state of a specified estimator, in the order of the kernels, with their legal ranges."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Description = Mapping[str, Any]
 
 
 class Part(NamedTuple):
-    """One estimator of a description, and what wraps it."""
+    """One estimator of a specification, and its wrappers."""
 
     own: Description  # without its wrappers
     prefix: str  # of its leaves
@@ -41,7 +41,7 @@ def unwrapped(description: Description, prefix: str = "") -> Part:
 
 
 def leaves_of(description: Description) -> dict[str, Field]:
-    """The leaves of the state of an estimator that describes itself so.
+    """The leaves of the state of an estimator with this specification.
 
     >>> list(leaves_of({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
     ['inner.surge', 'variance', 'run', 'clipped', 'rejected', 'escaped']
@@ -60,7 +60,7 @@ def leaves_of(description: Description) -> dict[str, Field]:
 
 
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:
-    """The batch that a state has, as its first leaf tells; a ShapeError where it is not there.
+    """The batch of a state, from the shape of its first leaf; a ShapeError where that leaf is missing.
 
     >>> batch_of({"surge": Field(())}, {"surge": np.zeros((2, 3))})
     (2, 3)

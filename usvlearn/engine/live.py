@@ -1,4 +1,4 @@
-"""One state, aboard: a step is one call of compiled code, on numbers as they come."""
+"""Single steps of one state aboard a boat: each is one call of compiled code, on numbers of any type."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
 LIVE = step.step_once
 Lane = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # its first arguments: program, state, numbers, work
-ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # whose steps a fork waits for
-WAITING: list[Live] = []  # those whose locks a fork holds
+ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # a fork waits for the steps of all of them
+WAITING: list[Live] = []  # a fork holds the locks of these
 
 
 class Live:
@@ -41,18 +41,18 @@ class Live:
     """
 
     def __init__(self, description: Description, leaves: Mapping[str, np.ndarray]):
-        self._description, self._lock = description, threading.RLock()  # the kernels share what they work in
+        self._description, self._lock = description, threading.RLock()  # all steps share one work array
         first = next(x for x in leaves.values() if x.dtype != bool)
         self.plan = plan_for(description, batch_of(leaves_of(description), leaves), first.dtype)
         self.states = self.plan.pack(leaves)
-        self._spare = self.states.copy()  # in which a prediction is made
+        self._spare = self.states.copy()  # `predict` steps this copy
         self._work = np.empty(self.plan.work, first.dtype)
         self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
         with COMPILING:
             ALIVE.add(self)
         compile_steps(first.dtype)
 
-    def __reduce__(self) -> tuple[Any, ...]:  # rows are parts of `states`, a copy must make its own
+    def __reduce__(self) -> tuple[Any, ...]:  # `_steps` holds views of `states`: a copy must make its own
         return Live, (self._description, self.leaves)
 
     @property
@@ -79,7 +79,7 @@ class Live:
             return self._advance(self._predictions, inputs, np.nan, True, False)
 
     def _arguments(self, states: np.ndarray) -> list[Lane]:
-        """What each lane's step is called with before the sample."""
+        """The first arguments of each lane's step; those of the sample follow."""
         numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
         return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
 
@@ -110,7 +110,7 @@ class Live:
 
 
 def _before_fork() -> None:
-    """Wait for all steps: a child must find no state in the middle of one, no lock taken by a thread that it lacks."""
+    """Wait for all steps, so that a child gets no half-made state and no lock held by a thread that it lacks."""
     COMPILING.acquire()
     WAITING.extend(ALIVE)
     for live in WAITING:

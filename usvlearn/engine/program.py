@@ -1,7 +1,7 @@
-"""From what an estimator says of itself to what the kernels interpret: a table, numbers, the places of the leaves.
+"""Lowers a specification to what the kernels interpret: a table, numbers, and the places of the leaves.
 
-An estimator describes itself (`Estimator.spec`) in plain values, which also fit into JSON: its `kind`, `numbers` and
-`vectors` by name (hyperparameters broadcast against the batch), what kind of choices were made, and what it wraps.
+A specification (`Estimator.spec`) has JSON values only: `kind`, `size`, `numbers` and `vectors` by name
+(hyperparameters broadcast against the batch), the choices, and the specification of the estimator that it wraps.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from usvlearn.rows import INPUTS, ROW
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike
 
-Setting = tuple[int, int] | None  # of a bank, and how many it has
+Setting = tuple[int, int] | None  # index of a bank's setting, and how many it has
 
 
 class Leaf(NamedTuple):
@@ -40,7 +40,7 @@ class Leaf(NamedTuple):
 
 
 def plan_for(description: Description, batch: Sequence[int], dtype: np.dtype) -> Plan:
-    """`Plan`, made once: a replay asks for the same one chunk after chunk."""
+    """The `Plan`, cached, because a replay needs the same one for every chunk."""
     return _plan(json.dumps(description), tuple(batch), np.dtype(dtype))
 
 
@@ -62,7 +62,7 @@ class Plan:
         numbers: `(1, …)`, or `(lanes, …)` where some differ by lane.
         leaves: where each leaf lies, by dotted name.
         size: of a lane's row.
-        work: how many numbers the kernels need to work with.
+        work: length of the array that the kernels work in.
 
     Raises:
         ShapeError: a hyperparameter does not broadcast against the batch.
@@ -100,7 +100,10 @@ class Plan:
     def pack(self, leaves: Mapping[str, np.ndarray]) -> np.ndarray:
         """States, `(lanes, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
         if other := sorted(self.leaves.keys() ^ leaves.keys()):
-            raise ShapeError(f"leaves: {', '.join(other[:4])} are not in both the state and what its estimator says")
+            raise ShapeError(
+                f"leaves: found {', '.join(other[:4])} in only one of the state and the specification, "
+                "expected the same leaves in both"
+            )
         for name, (shape, _, _) in self._layout.items():
             if leaves[name].shape != shape:
                 raise ShapeError(f"{name}: found the shape {leaves[name].shape}, expected {shape}")
@@ -114,11 +117,11 @@ class Plan:
         return {name: self.typed(name, view) for name, view in self._views(states).items()}
 
     def typed(self, name: str, array: np.ndarray) -> np.ndarray:
-        """What the kernels have of a leaf, as bool where the leaf is."""
+        """The numbers of a leaf, converted to bool where the leaf is bool."""
         return array.astype(bool) if self.leaves[name].flag else array
 
     def places(self, name: str) -> np.ndarray:
-        """Where the numbers of a leaf stand in a lane's row, in its shape."""
+        """The places of a leaf's numbers in a lane's row, in the leaf's shape."""
         leaf = self.leaves[name]
         found = np.full(leaf.shape, leaf.place)
         for axis, (length, stride) in enumerate(zip(leaf.shape, leaf.strides, strict=True)):
@@ -132,7 +135,7 @@ class Plan:
         }
 
     def _table(self, whole: list[int]) -> np.ndarray:
-        """All rows; what names one of the others now names its place among all."""
+        """The table of all rows; indices of wrappers and other parts become row numbers."""
         rows = [whole, *self._estimators, *self._rules, *self._others]
         first = len(rows) - len(self._others)
         for row in self._estimators:
@@ -148,7 +151,7 @@ class Plan:
     def _part(
         self, family: Family[Any], own: Description, size: int, prefix: str, name: str, setting: Setting = None
     ) -> list[int]:
-        """Add the leaves, numbers and choices of one part, whose `own` entries these are; returns its row."""
+        """Add the leaves, numbers and choices of one part with the entries `own`; returns its row."""
         row = [-1] * WIDTH
         row[Node.SIZE], row[Node.BEGIN], row[Node.NUMBERS] = size, self.size, len(self._columns)
         for place, (leaf, field) in enumerate(family.leaves(size, prefix).items(), LEAVES):
@@ -170,7 +173,7 @@ class Plan:
         return row
 
     def _place(self, name: str, field: Field) -> int:
-        """Add a leaf; returns where it lies."""
+        """Add a leaf; returns its place."""
         first, shape = self.size, field.shape
         strides = tuple(int(np.prod(shape[k + 1 :], dtype=int)) for k in range(len(shape)))
         self.leaves[name] = Leaf(first, shape, strides, field.flag)
@@ -178,7 +181,7 @@ class Plan:
         return first
 
     def _vector(self, value: Any, length: int, name: str, setting: Setting = None) -> int:
-        """Add so many numbers, `(*batch, length)`; returns where the first stands."""
+        """Add a vector, `(*batch, length)`; returns the place of its first number."""
         first, bank = len(self._columns), () if setting is None else (setting[1],)
         try:
             array = np.broadcast_to(np.asarray(value, float), (*self.batch, *bank, length))
@@ -199,7 +202,7 @@ class Plan:
         return row
 
     def _member(self, description: Description, prefix: str) -> bool:
-        """Add one estimator, or a bank's settings; returns whether it asks for the heading."""
+        """Add one estimator, or a bank's settings; returns whether it needs the heading."""
         if description["kind"] != "bank":
             return self._estimator(description, prefix, None)
         count, begin, others, self.leaves = description["count"], self.size, self.leaves, {}
@@ -247,7 +250,7 @@ class Plan:
         return row
 
     def _rule(self, rule: Description, name: str, count: int) -> list[int]:
-        """Add a rule over so many columns; returns its row, behind which stand the columns of its members."""
+        """Add a rule of an ensemble of `count` columns; returns its row, followed by the columns of its members."""
         family, columns = RULES[rule["kind"]], rule["columns"]
         vectors, begin = {}, 0
         for vector in family.vectors:

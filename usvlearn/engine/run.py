@@ -1,4 +1,4 @@
-"""What the rest of the library calls: runs of samples through kernels, many lanes at a time."""
+"""Runs of many lanes over samples by the kernels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from usvlearn.signals import Sample, named_leaves, tree_map
 
 
 class Result(NamedTuple):
-    """What a run came to."""
+    """The result of a run."""
 
     leaves: dict[str, np.ndarray]  # of the state at the end, (*batch, …), by dotted name
     predictions: np.ndarray  # (time, *batch) m/s
@@ -38,9 +38,9 @@ def roll(
         description: of the estimator.
         leaves: of its state, `(*batch, …)`, by dotted name.
         samples: arrays `(time, *batch)`; axes of the batch along which they are the same may have the stride 0.
-        free: learn nothing.
-        record: names of leaves that are kept of every step.
-        threads: lanes are shared among so many.
+        free: whether nothing is learned.
+        record: names of leaves that are recorded after every step.
+        threads: how many threads share the lanes.
     """
     steps, *batch = samples.surge.shape
     plan = plan_for(description, batch, samples.surge.dtype)
@@ -67,7 +67,7 @@ def roll(
 
 
 def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Samples as the kernels want them, `(columns, time, ROW)`, and whose each lane sees, `(lanes,)`.
+    """Prepared samples, `(columns, time, ROW)`, and the column that each lane sees, `(lanes,)`.
 
     Lanes that share their samples, along an axis of stride 0, share a column.
     """
@@ -85,7 +85,7 @@ def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_parallel(work: Callable[[int, int], None], lanes: int, threads: int) -> None:
-    """Call `work(first, last)` over all lanes, on so many threads; kernels do not hold the GIL."""
+    """Call `work(first, last)` over all lanes on `threads` threads; kernels do not hold the GIL."""
     if threads <= 1 or lanes == 1:
         work(0, lanes)
         return

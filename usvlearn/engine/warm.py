@@ -14,12 +14,12 @@ from usvlearn.jit import folder
 
 
 def warm(float32: bool = False) -> Path:
-    """Compile the kernels of runs, single steps and free runs, in float64; returns the folder that keeps them.
+    """Compile the kernels of runs, single steps and free runs in float64; returns the folder of the cache.
 
-    What is kept already is only read.
+    Cached kernels are not compiled again.
 
     Args:
-        float32: compile them for float32, too.
+        float32: also compile them for float32.
     """
     for dtype in map(np.dtype, (np.float64, np.float32) if float32 else (np.float64,)):
         compile_steps(dtype)

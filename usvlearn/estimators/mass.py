@@ -11,7 +11,7 @@ that null vector and nothing else, so
 - Identifiable only with excitation: left apart from right needs commands that differ; c_q apart from c_l, and the
   thrust that falls with speed from both, needs several speeds; linear from quadratic thrust needs several commands.
 
-What pins the scale is a quantity in newtons or kilograms: the pull at the bollard at full command, known = α + β, or
+A quantity in newtons or kilograms fixes the scale: the pull at the bollard at full command, known = α + β, or
 the drag of a towed hull. With d the known values, A their rows of coefficients, r = (A η)/d and C the covariance of r:
 
     r = (1/m) 1 + noise                                                                  (2)
@@ -19,6 +19,8 @@ the drag of a towed hull. With d the known values, A their rows of coefficients,
     var m̂ = m̂⁴ gᵀPg,   cov θ̂ = J P Jᵀ,   J = m̂ (I − θ̂ gᵀ)                                 (4)
 
 with P the covariance of η. Where none is given C = I: every known quantity counts equally, whatever its unit.
+
+The derivation is in `docs/theory.md`, section 5.
 """
 
 from __future__ import annotations
@@ -34,11 +36,11 @@ from usvlearn.errors import ConfigError
 from usvlearn.estimators.regressors.layer import SurgeDynamics
 
 NAMES = SurgeDynamics().names
-MASS_MAX = 1e6  # kg; what seems heavier is not known at all
+MASS_MAX = 1e6  # kg; a greater result means that the mass is not determined
 
 
 class Mass(NamedTuple):
-    """A mass and what follows from it; NaN where the known quantities are not excited yet."""
+    """A mass and the parameters that follow from it; NaN where the data do not excite the known quantities yet."""
 
     mass: Tensor  # (*batch,) kg
     parameters: Tensor  # (*batch, p) in the physical units of the names
@@ -87,7 +89,7 @@ def recover_mass(
         names: of the p parameters.
 
     Returns:
-        NaN for whatever the known quantities leave open: no thrust seen yet, or of the wrong sign.
+        NaN where the known quantities do not determine a result: no thrust seen yet, or thrust of the wrong sign.
 
     >>> per_mass = torch.tensor([-0.1, -0.5, -0.2, 0.5, 0.7, 0.0, 0.5, 0.7, 0.0])
     >>> round(float(recover_mass(per_mass, {"thrust_linear_left + thrust_quadratic_left": 33.6}).mass), 3)

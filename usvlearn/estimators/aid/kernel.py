@@ -84,7 +84,7 @@ def adapt(theta, numbers, gamma, inverse_spread, theta0, lower, upper, feedback,
 
 @jit
 def run_alone(node, s, q, rows, free, predictions, picked, picks, work):
-    """One lane of AID alone through all steps, as `engine.dispatch.run` makes them: what is the same is read once."""
+    """One lane of AID alone through all steps, as `engine.dispatch.run` makes them; constants are read once."""
     p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
     phi, gamma, theta = work[:p], work[p : 2 * p], s[node[AT.theta] : node[AT.theta] + p]
     adaptation(numbers, q[node[Vector.SPREAD] :], gamma)

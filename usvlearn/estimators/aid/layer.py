@@ -26,15 +26,15 @@ class AID(Estimator):
     """Normalised adaptive identifier with sign projection, leakage and dead zone.
 
     Args:
-        mass: m, kg, added mass included; broadcasts against the batch. A wrong mass scales the parameters and, where
-            `spread` is left to it, changes no prediction.
+        mass: m, kg, added mass included; broadcasts against the batch. A wrong mass scales the parameters; with the
+            default `spread` it changes no prediction.
         gain: adaptation gain, s²/m²; broadcasts against the batch.
         spread: how far each parameter may lie from its prior, in its own unit (kg/m, kg/s, kg/rad, N, N s/m, as
             `model.names` says); 0 keeps a parameter at its prior. None: the mass times 1, and times ¼ for the drag
             linear in speed, that of turning, and the loss of thrust with speed.
         theta0: θ₀, the prior parameters, in their units, from which learning starts; None: zeros.
         dead_zone: half-width of dz, m/s; half the speed's resolution (0.025) where the log is quantised.
-        floor: of |φ|² in units of the model's scale, below which nothing is learned: the noise of a boat at rest.
+        floor: least |φ|² in units of the model's scale; below it, in the noise of a boat at rest, nothing is learned.
         sigma: σ, 1/s; 0 switches leakage off.
         bound: M, the distance from θ₀ in spreads (Euclidean) up to which nothing leaks. The default only keeps
             parameters from drifting away, whatever the boat; 1 to 1.5 steadies small boats under noise, and is wrong
@@ -46,7 +46,7 @@ class AID(Estimator):
         project: clip the parameters onto the signs that physics gives them.
         known: quantities in physical units that pin the scale, by name or sum of names, as
             `{"thrust_linear_left + thrust_quadratic_left": 33.6}`. `mass` is then a first guess: `monitor` shows the
-            mass identified, and the parameters that follow from it. Least squares tells them sooner than AID.
+            mass identified, and the parameters that follow from it. Least squares identifies them sooner than AID.
         model: linear in its parameters; None is `SurgeDynamics(mass)`.
 
     >>> aid = AID(mass=28.0, gain=1.0)

@@ -31,11 +31,13 @@ exactly:
     ε = e − N dz(e)/(1 + N),   v̂⁺ = v_meas + ε exp(a_m dt)                  (6)
     V = ½Δv² + ½ Δθᵀ Γ⁻¹ Δθ,   V⁺ − V ≤ −½ (1 − exp(2 a_m dt) + N) ε²
 
-for any gain, without noise, as long as the boat's own model contracts; with e in place of ε it can rise.
-The regressor is of the estimate, W(v̂): then V_dot = a_m Δv² + Δv (W(v̂) − W(v))ᵀθ/m, and drag makes the last term
-negative ahead.
+for any gain, without noise, while the boat's own model contracts; with e in place of ε, V can rise. The regressor is
+taken at the estimate, W(v̂): then V_dot = a_m Δv² + Δv (W(v̂) − W(v))ᵀθ/m, and for a boat that moves ahead drag makes
+the last term negative.
 
-The mass only scales the parameters: surge data cannot tell it (see `mass`, which recovers it from known quantities).
+The mass only scales the parameters. Surge data cannot identify it; `mass` recovers it from known quantities.
+
+The derivation is in `docs/theory.md`, section 4.
 """
 
 from __future__ import annotations
@@ -63,14 +65,14 @@ if TYPE_CHECKING:
 
 
 class AIDState(NamedTuple):
-    """What AID identifies."""
+    """The state of AID."""
 
     theta: Tensor  # (*batch, p) parameters in the order and units of the model's names
     surge: Tensor  # (*batch,) speed from which the next step departs, m/s
 
 
 class Number(Numbers):
-    """What AID is told, in the units of its arguments."""
+    """Constants and hyperparameters, in the units of the arguments of `AID`."""
 
     SCALE = MODEST  # the mass, or 1
     SURGE_MAX = POSITIVE
@@ -83,7 +85,7 @@ class Number(Numbers):
 
 
 class Vector(Vectors):
-    """One for each parameter."""
+    """One number for each parameter."""
 
     SPREAD = NOT_NEGATIVE
     INVERSE_SPREAD = NOT_NEGATIVE
@@ -93,7 +95,7 @@ class Vector(Vectors):
 
 
 class Choice(Choices):
-    """What was chosen."""
+    """Choices."""
 
     FEEDBACK = FEEDBACK
     TERMS = terms.TERMS

@@ -21,7 +21,7 @@ from usvlearn.signals import Inputs, named_leaves
 class Ensemble(Estimator):
     """Estimators side by side; predicts by one of its combiners and publishes every prediction in its state.
 
-    A member whose prediction is not finite, or at `surge_max` and beyond, sleeps: the combiners do without it.
+    A member whose prediction is not finite, or at `surge_max` and beyond, sleeps: the combiners leave it out.
 
     Args:
         members: estimators, or banks of them, by name.
@@ -184,13 +184,13 @@ class Ensemble(Estimator):
         return shown
 
     def seen(self, predictions: Tensor) -> dict[str, Tensor]:
-        """What each rule sees of the members' predictions, m/s, `(*batch, columns)`: its own, NaN where they sleep."""
+        """The predictions of each rule's members, m/s, `(*batch, columns)`, NaN where they sleep."""
         awake = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
         every = list(range(len(self.columns)))
         return {name: awake if places == every else awake[..., places] for name, places in self._places.items()}
 
     def combine(self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What each rule makes of what it has seen, m/s, `(*batch,)`."""
+        """The prediction of each rule, m/s, `(*batch,)`."""
         return {name: rule.combine(combiners[name], seen[name]) for name, rule in self.combiners.items()}
 
     def reweigh(
@@ -200,7 +200,7 @@ class Ensemble(Estimator):
         return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}
 
     def _publish(self, state: EnsembleState, surges: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor], Tensor]:
-        """All predictions, `(*batch, names)`; what each rule has seen of them; the ensemble's own."""
+        """All predictions, `(*batch, names)`; the predictions that each rule sees; the ensemble's own."""
         parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
         single = torch.cat(parts, -1)
         seen = self.seen(single)

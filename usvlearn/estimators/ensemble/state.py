@@ -23,7 +23,7 @@ class EnsembleState(NamedTuple):
 
 
 class Number(Numbers):
-    """What an ensemble is told."""
+    """Limit."""
 
     SURGE_MAX = POSITIVE
 
@@ -35,7 +35,7 @@ FAMILY = Family(
         members=NONE,
         combiners=NONE,
         conformal=NONE,
-        predictions=leaf(names, legal=ANY),  # NaN of who sleeps
+        predictions=leaf(names, legal=ANY),  # NaN where a member sleeps
         halfwidths=leaf(names, legal=POSITIVE),
         monitors=NONE,
     ),

@@ -1,7 +1,7 @@
 """Least squares with the signs that physics gives the parameters: drag slows a boat, a thruster pushes it.
 
 After each update the parameters go to the nearest that have their signs, in the metric of the information R = P⁻¹, in
-which the cost of moving is what the samples say it is:
+which a move costs as much as it worsens the fit to the samples:
 
     min (θ − z)ᵀ P⁻¹ (θ − z)   such that   s_i θ_i ≥ 0                                      (1)
 
@@ -11,9 +11,10 @@ with μ_i t_i = 0. The primal-dual active set method (Hintermüller, Ito & Kunis
     A = { i : μ_i > t_i/Q_ii },   Q_AA μ_A = −(S z)_A,   μ = 0 elsewhere,   t = S z + Q μ          (2)
 
 and is exact once A repeats, as a rule after two or three rounds; where parameters are scaled very differently it may
-not, and θ is clipped. To clip θ alone would be no projection: parameters
-that are told apart poorly balance each other, and each that is clipped leaves its partner unbalanced (on recorded logs
-that is far worse than no prediction at all).
+not, and θ is clipped. Clipping alone is no projection: the errors of strongly correlated parameters cancel, and if one
+parameter is clipped alone, the error of the other remains (on recorded logs this is far worse than no prediction).
+
+The derivation is in `docs/theory.md`, section 8.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iteration
     """The solution of (1) after so many rounds of (2); the clipped θ where they did not suffice.
 
     >>> theta, factor = torch.tensor([1.0, -1.0]), torch.tensor([[1.0, 0.0], [0.5, 1.0]])
-    >>> project_signs(theta, factor, (1, 1))  # the first moves along: it is told apart from the second poorly
+    >>> project_signs(theta, factor, (1, 1))  # the first moves too: they are correlated
     tensor([1.4000, 0.0000])
     """
     held = [i for i, sign in enumerate(signs) if sign]

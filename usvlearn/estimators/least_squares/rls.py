@@ -73,7 +73,7 @@ def rls_step(
 
 
 class LeastSquares(Estimator):
-    """What all recursive least squares share; a kind says in `_step` how it forgets.
+    """The common part of all recursive least squares; a subclass defines in `_step` how it forgets.
 
     Args:
         model: `QuasiStatic()` predicts the speed itself (the paper's RLS); `SurgeDynamics(mass)` its increment.
@@ -119,7 +119,7 @@ class LeastSquares(Estimator):
         estimate = base + (phi * state.theta).sum(-1)
         innovation, s = surge - estimate, spread(state.factor, phi)
         theta, factor = self._step(state.theta, state.factor, phi, innovation, inputs.dt)
-        # One outlier counts as four deviations, so that it cannot blow σ up.
+        # An outlier counts as four deviations at most, so that σ stays bounded.
         seen = torch.minimum(innovation * innovation / s, 16 * state.noise)
         noise = torch.lerp(state.noise, seen, NOISE_SHARE).clamp(min=NOISE_LEAST**2)
         predicted, deviation = self._limit(estimate), (state.noise * s).sqrt()
@@ -130,7 +130,7 @@ class LeastSquares(Estimator):
         return state._replace(surge=surge)
 
     def inflate_covariance(self, state: RLSState, factor: Tensor) -> RLSState:
-        """P times `factor`, up to `LOOSEST` times P₀: a direction that is not shown never tightens again."""
+        """P times `factor`, up to `LOOSEST` times P₀: a direction without excitation would never shrink again."""
         prior = len(self.model.names) * self.covariance() * self.model.scale**2
         trace = (state.factor * state.factor).sum((-2, -1))
         factor = torch.minimum(factor, (LOOSEST * prior / trace).clamp(min=1))
@@ -169,7 +169,7 @@ class RLS(LeastSquares):
     Args:
         model, covariance, feedback, surge_max: see `LeastSquares`.
         forgetting: λ, between 0 and 1; broadcasts against the batch.
-        trace_growth: nothing is forgotten that would lift the trace of P above so many times its first value.
+        trace_growth: forgetting pauses where it would lift the trace of P above this multiple of its first value.
 
     >>> from usvlearn.estimators.regressors.layer import SurgeDynamics
     >>> dynamic = RLS(SurgeDynamics(mass=28.0), forgetting=0.995, covariance=10.0)

@@ -16,6 +16,8 @@ With the Cholesky factor S of P = S Sᵀ both steps have rank one. With x = S⁻
 then the measurement update of S̄ with noise 1 (see `rls`): p² operations in all, without a loop over parameters.
 
 λ is per direction: where n directions are excited in turn, a memory τ is like the memory n τ of exponential forgetting.
+
+The derivation is in `docs/theory.md`, section 7.
 """
 
 from __future__ import annotations
@@ -44,11 +46,11 @@ def sift_step(
 
     >>> theta, factor = torch.zeros(2), torch.eye(2)
     >>> theta, factor = sift_step(theta, factor, torch.tensor([1.0, 0.0]), torch.tensor(1.0), torch.tensor(0.5))
-    >>> (factor @ factor.mT).diag()  # of the second direction nothing was learned, and nothing forgotten
+    >>> (factor @ factor.mT).diag()  # the second direction: nothing learned, nothing forgotten
     tensor([0.6667, 1.0000])
     """
     informs = torch.as_tensor(informs)[..., None]
-    safe = torch.where(informs, phi, 1.0)  # what stands in a sample that informs nothing must not reach the gradients
+    safe = torch.where(informs, phi, 1.0)  # the values of an uninformative sample must not reach the gradients
     x = torch.linalg.solve_triangular(factor, safe[..., None], upper=False).squeeze(-1)
     sums = (x * x).cumsum(-1)
     c = (1 / forgetting[..., None] - 1) / sums[..., -1:]

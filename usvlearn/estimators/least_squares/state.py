@@ -14,7 +14,10 @@ textbook's P − K (φᵀP) multiplies its rounding asymmetry by 1/λ at every s
 symmetric and positive by construction. Where data stop informing a direction, P grows there without bound: forgetting
 pauses wherever it would lift the trace of P over a limit. `SIFtRLS` (see `sift`) needs no such limit.
 
-P is in units of the noise's variance σ², which the innovations tell: a prediction's variance is σ² (1 + φᵀPφ)   (3).
+P is in units of the noise's variance σ², which is estimated from the innovations. The variance of a prediction is
+σ² (1 + φᵀPφ)   (3).
+
+The derivation is in `docs/theory.md`, section 6.
 """
 
 from __future__ import annotations
@@ -44,13 +47,13 @@ if TYPE_CHECKING:
 NOISE = 0.05  # m/s, σ before the first innovation
 LOOSEST = 100.0  # times P₀'s trace
 NOISE_SHARE = 0.02  # of a new innovation in σ²
-NOISE_LEAST = 1e-3  # m/s; hours of exact predictions at rest must not make σ so small that it never comes back
+NOISE_LEAST = 1e-3  # m/s; exact predictions at rest for hours must not make σ so small that it cannot recover
 LONGEST = 20.0  # memories: a longer step forgets no more, lest 1/λ overflow
 ROUNDS = 1000  # of the projection onto signs at most; as a rule two or three are enough
 
 
 class RLSState(NamedTuple):
-    """What recursive least squares identifies."""
+    """The state of recursive least squares."""
 
     theta: Tensor  # (*batch, p) parameters
     factor: Tensor  # (*batch, p, p) S, the Cholesky factor of the covariance, lower triangular
@@ -65,7 +68,7 @@ class RLSState(NamedTuple):
 
 
 class Number(Numbers):
-    """Numbers of both kinds; those that a kind has not are as if it forgot nothing."""
+    """Numbers of both kinds; a number that a kind does not use has the value that forgets nothing."""
 
     SCALE = MODEST  # the mass, or 1
     SURGE_MAX = POSITIVE
@@ -81,7 +84,7 @@ class Number(Numbers):
 
 
 class Choice(Choices):
-    """What was chosen; the last two by `Projected`."""
+    """Choices; the last two are those of `Projected`."""
 
     FEEDBACK = FEEDBACK
     TERMS = terms.TERMS

@@ -3,9 +3,11 @@
 Commands and speeds are signed, so that boats may back up: ξ|ξ| stands for ξ² and ξ|v| for ξv. Where ξ ≥ 0 and
 v ≥ 0 these are the paper's own terms.
 
-Beyond the paper the surge dynamics may have terms for what it leaves out: *memory* (thrusters that lag, water that
-swings along: the last acceleration and the commands one step before) and *ambient* (wind and current: a force that is
-constant in the earth's frame, so that it depends on the heading, and a bias).
+The surge dynamics may have two groups of terms that the paper leaves out. *Memory*, the last acceleration and the
+commands one step before, describes thrusters that lag and the added water that moves with the hull. *Ambient*, a force
+that is constant in the earth's frame and a bias, describes wind and current.
+
+The derivation is in `docs/theory.md`, section 2.
 """
 
 from __future__ import annotations
@@ -61,7 +63,7 @@ class MemoryInputs(NamedTuple):
 def surge_regressor(surge: Tensor, inputs: Inputs | MemoryInputs) -> Tensor:
     """W of m·surge_dot = Wᵀθ: [|v|v, v, |r|v, ξ_L, ξ_L|ξ_L|, ξ_L|v|, ξ_R, ξ_R|ξ_R|, ξ_R|v|], shape `(*batch, 9)`.
 
-    The paper's |r v| is written |r|v, so that a turn slows a boat that backs up too.
+    The paper's |r v| is written |r|v, so that a turn also slows a boat that backs up.
     """
     speed = surge.abs()
     drag = torch.stack([speed * surge, surge, inputs.yaw_rate.abs() * surge], -1)  # (*batch, 3)
@@ -84,7 +86,7 @@ class SurgeDynamics(nn.Module):
 
     Args:
         mass: m, kg, added mass included; broadcasts against the batch.
-        memory: adds the last acceleration and the last commands; wants `WithMemory` around the estimator.
+        memory: adds the last acceleration and the last commands; the estimator then needs `WithMemory` around it.
         ambient: adds a force from a compass direction, N, and a bias.
 
     Attributes:
@@ -138,7 +140,7 @@ class SurgeDynamics(nn.Module):
 
 
 class QuasiStatic(nn.Module):
-    """The thruster map v = Φᵀζ, which has no memory of speed; parameters in m/s.
+    """The static thruster map v = Φᵀζ, which does not depend on the last speed; parameters in m/s.
 
     >>> QuasiStatic().names[0]
     'zeta_right_linear'

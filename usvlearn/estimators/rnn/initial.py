@@ -1,4 +1,4 @@
-"""The weights from which the network of `rnn` learns: drawn anew, or learned before and read from a file."""
+"""The initial weights of the network: drawn at random, or read from a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from usvlearn.errors import ConfigError
 
 
 def initial_weights(n: int, initial: str, ratio: Sequence[float], generator: torch.Generator) -> ShallowWeights:
-    """Random weights, or persistence, equation (4) of `rnn` at κ = 1, and kinks within 0 ≤ x ≤ ½, 0 ≤ u ≤ 1.
+    """Random weights, or persistence, equation (4) of `state` at κ = 1, and kinks within 0 ≤ x ≤ ½, 0 ≤ u ≤ 1.
 
     >>> weights = initial_weights(3, "persistence", (1.0,) * 5, torch.Generator().manual_seed(0))
     >>> weights.a, weights.w1[:2]
@@ -30,7 +30,7 @@ def initial_weights(n: int, initial: str, ratio: Sequence[float], generator: tor
     w1, W2, b = ((2 * uniform(*shape) - 1) / math.sqrt(5) for shape in ((n,), (n, 4), (n,)))
     if initial == "random":
         return ShallowWeights(a, w1, W2, b)
-    _, speed, heading, command, _ = ratio  # what is to be learned faster has the greater weights
+    _, speed, heading, command, _ = ratio  # weights with a higher rate are larger
     w1, W2 = speed * w1, W2 * torch.tensor([heading, heading, command, command], dtype=torch.float64)
     b = -(w1 * uniform(n) / 2 + (W2 * uniform(n, 4)).sum(-1))
     a, w1[:2], W2[:2], b[:2] = torch.zeros_like(a), torch.tensor([2.0, 0.0]), 0.0, 1.0

@@ -198,7 +198,9 @@ class RNN(Estimator):
             kappa = self.a.new_tensor(self.initial_rate) if self.contraction_rate is None else self.contraction_rate()
             weights = self._stable(weights._replace(a=weights.a * ((1 - 1e-12) * kappa)[..., None]))
             a, b = weights.a, weights.b
-            constant = -(a * b)[..., :1] / b[..., 1:2]  # what a condition below `tight` left of the first neuron's
+            constant = (
+                -(a * b)[..., :1] / b[..., 1:2]
+            )  # a condition stricter than `tight` may have shrunk the first neuron's
             weights = weights._replace(a=torch.cat([a[..., :1], constant, a[..., 2:]], -1))
         weights = self._stable(weights)
         zero = self.a.new_zeros
@@ -210,7 +212,7 @@ class RNN(Estimator):
     def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
         x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
         surge = x / self.scale
-        coasted = surge.clamp(-2 * self.surge_max, 2 * self.surge_max)  # what it may depart from when it coasts
+        coasted = surge.clamp(-2 * self.surge_max, 2 * self.surge_max)  # the speed from which a coasting step departs
         return state._replace(surge=coasted, unbroken=torch.zeros_like(state.unbroken)), surge
 
     def update(self, state: RNNState, inputs: Inputs, surge: Tensor) -> RNNState:

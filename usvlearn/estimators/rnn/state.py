@@ -28,6 +28,8 @@ Speeds change little from step to step, so the network starts as persistence at 
 with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes without its running mean of the gradient
 (β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
 clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
+
+The derivation is in `docs/theory.md`, section 9; its contraction, section 10.
 """
 
 from __future__ import annotations
@@ -61,11 +63,11 @@ if TYPE_CHECKING:
 
 INPUTS = 4  # in u
 BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
-MOST_NEURONS = 10_000  # more can be no boat, but fill the memory
+MOST_NEURONS = 10_000  # no boat needs more, and more would fill the memory
 
 
 class RNNState(NamedTuple):
-    """What the network learned, Adam's memory, and the step before for the unrolled loss."""
+    """The weights, Adam's moments, and the step before for the unrolled loss."""
 
     weights: ShallowWeights  # a, w1, b (*batch, n), W2 (*batch, n, 4)
     moment1: Tensor  # (*batch, 7n) Adam's mean gradient, in the order a, w1, W2 (row by row), b
@@ -89,7 +91,7 @@ BEGIN, WEIGHTS = ShallowWeights(*accumulate(SIZES[:-1], initial=0)), sum(SIZES)
 
 
 class Condition(IntEnum):
-    """What the weights are projected onto."""
+    """The condition that the weights are projected onto."""
 
     NONE = 0
     SIMPLE = 1
@@ -100,7 +102,7 @@ class Condition(IntEnum):
 
 
 class Number(Numbers):
-    """What the network is told."""
+    """Constants and hyperparameters."""
 
     SCALE = MODEST  # h, s/m
     SURGE_MAX = POSITIVE
@@ -124,7 +126,7 @@ class Vector(Vectors):
 
 
 class Choice(Choices):
-    """What was chosen."""
+    """Choices."""
 
     FEEDBACK = FEEDBACK
     UNROLL = 1, 2

@@ -1,4 +1,7 @@
-"""One estimator with several settings, as a member of an ensemble."""
+"""One estimator with several settings, as a member of an ensemble.
+
+The derivation is in `docs/theory.md`, section 12.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from usvlearn.signals import Inputs
 
 
 class Bank(nn.Module):
-    """One estimator with several settings, as lanes: a member of an ensemble with a column of its own for each.
+    """One estimator with several settings as lanes: a member of an ensemble with one column for each setting.
 
     Args:
         estimator: some hyperparameters of which have the shape `(settings,)`; what differs by boat is `(boats, 1)`.

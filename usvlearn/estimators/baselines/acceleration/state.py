@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class AccelerationState(NamedTuple):
-    """What it remembers."""
+    """The last two measurements, as speed and acceleration."""
 
     surge: Tensor  # (*batch,) speed from which the next step departs, m/s
     surge_dot: Tensor  # (*batch,) m/s²
@@ -23,7 +23,7 @@ class AccelerationState(NamedTuple):
 
 
 class Number(Numbers):
-    """Its limits."""
+    """Limits."""
 
     SURGE_DOT_MAX = POSITIVE
     SURGE_MAX = POSITIVE

@@ -1,4 +1,4 @@
-"""Persistence: the next speed is the last one, v⁺ = v. The row that every table must have."""
+"""Persistence: the next speed is the last one, v⁺ = v. Skill is measured against it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class PersistenceState(NamedTuple):
-    """What persistence remembers."""
+    """The state of persistence."""
 
     surge: Tensor  # (*batch,) last measured speed, m/s
 

@@ -17,7 +17,7 @@ from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broad
 
 
 def fill_sleeping(predictions: Tensor, weights: Tensor) -> Tensor:
-    """Predictions in which whoever sleeps (NaN) says what the awake say together, `(*batch, members)`.
+    """Replace each NaN (a member that sleeps) by the weighted mean of the other members, `(*batch, members)`.
 
     >>> fill_sleeping(torch.tensor([1.0, 2.0, torch.nan]), torch.tensor([0.5, 0.25, 0.25]))
     tensor([1.0000, 2.0000, 1.3333])
@@ -31,13 +31,13 @@ def fill_sleeping(predictions: Tensor, weights: Tensor) -> Tensor:
 
 
 def members_or_target(predictions: Tensor, weights: Tensor, surge: Tensor) -> Tensor:
-    """What `fill_sleeping` says; where all sleep, `surge`, m/s, `(*batch,)`: then nobody was wrong."""
+    """`fill_sleeping`; where all sleep, `surge`, m/s, `(*batch,)`, so that every loss is 0."""
     x = fill_sleeping(predictions, weights)
     return torch.where(x.isnan(), surge[..., None], x)
 
 
 class Combiner(nn.Module, abc.ABC):
-    """A rule; `members` names those that count, all by default.
+    """A rule; `members` names the members that it combines, all by default.
 
     An `Ensemble` binds it to the names of its members. `predictions` are m/s, `(*batch, its members)`, NaN where a
     member sleeps.
@@ -49,7 +49,7 @@ class Combiner(nn.Module, abc.ABC):
         self.names: tuple[str, ...] = ()
 
     def bind(self, names: Sequence[str]) -> None:
-        """Say whom it combines."""
+        """Set the names of the members that it combines."""
         self.names = tuple(names)
 
     def init(self, batch: Sequence[int], like: Tensor) -> Any:
@@ -69,7 +69,7 @@ class Combiner(nn.Module, abc.ABC):
         return None
 
     def monitor(self, state: Any) -> dict[str, Tensor]:
-        """What a person wants to see of the state."""
+        """Diagnostics of the state."""
         return {}
 
     def _weights(self, weights: Tensor) -> dict[str, Tensor]:
@@ -169,7 +169,7 @@ class RecursiveWeights(Combiner):
 
 
 class Prior(Combiner):
-    """A rule with a prior weight for each member; what a kind does with it is its own.
+    """A rule with a prior weight for each member, which a subclass uses.
 
     Args:
         members: names of those that count, all by default.
@@ -255,7 +255,7 @@ class ExponentialWeights(Prior):
 
 
 class BOA(Prior):
-    """Bernstein online aggregation: the weights go to whoever helps the mixture.
+    """Bernstein online aggregation: weight goes to members that improve the mixture.
 
     Args:
         members, memory, loss, prior: see `Prior`.
@@ -318,6 +318,6 @@ class BOA(Prior):
         return (-self.log_prior).clamp(min=TINY)
 
     def _rates(self, ranges: Tensor, squares: Tensor) -> Tensor:
-        """η of (3) as √(c / max(V, c E²)), whose slope is finite where V = 0; c > 0 though there be one member only."""
+        """η of (3) as √(c / max(V, c E²)), whose slope is finite where V = 0; c > 0 even with one member."""
         c = self._costs()
         return (c / torch.maximum(squares, c * ranges * ranges)).sqrt()

@@ -1,7 +1,7 @@
 """Rules that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
 
-A member whose prediction is NaN sleeps: the others share its weight, and it is neither praised nor blamed. Where all
-sleep the prediction is NaN, and nothing is learned from the step.
+A member whose prediction is NaN sleeps: the others share its weight, and its loss is that of their weighted mean. Where
+all sleep, the prediction is NaN, and nothing is learned from the step.
 
 BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
 has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size
@@ -14,8 +14,10 @@ learning rate η:
     w_k ∝ w0_k η_k exp(−η_k L_k)                                                              (4)
 
 κ = exp(−dt/memory) forgets, and the bound with it: the best member in calm water is not the best in a turn, and one
-outlier would hold the rates down for ever. κ = 1 is the published rule, but for η in (2), which knows the new E. A
-small share of the weight is spread by the priors.
+outlier would hold the rates down for ever. κ = 1 is the published rule, except that η in (2) uses the new E. A small
+share of the weight is distributed by the priors.
+
+The derivation is in `docs/theory.md`, section 13.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ from usvlearn.family import (
 if TYPE_CHECKING:
     from torch import Tensor
 
-TINY = 1e-12  # weight by which the awake share, should all that they have be 0
+TINY = 1e-12  # added to each weight, so that members that are awake share it where all their weights are 0
 LOSSES = ("absolute", "square")
 
 
@@ -50,21 +52,21 @@ class NoState(NamedTuple):
 
 
 class WeightsState(NamedTuple):
-    """What `RecursiveWeights` identifies."""
+    """The state of `RecursiveWeights`."""
 
     weights: Tensor  # (*batch, members)
     factor: Tensor  # (*batch, members, members) Cholesky factor of their covariance
 
 
 class ExponentialState(NamedTuple):
-    """What `ExponentialWeights` has seen of its members."""
+    """The state of `ExponentialWeights`."""
 
     weights: Tensor  # (*batch, members)
     losses: Tensor  # (*batch, members) sum of the losses that are not forgotten
 
 
 class BOAState(NamedTuple):
-    """What `BOA` has seen of its members; all `(*batch, members)`."""
+    """The state of `BOA`; all leaves are `(*batch, members)`."""
 
     weights: Tensor
     losses: Tensor  # L of (2), in units of the loss
@@ -73,13 +75,13 @@ class BOAState(NamedTuple):
 
 
 class Plain(Numbers):
-    """What every rule is told."""
+    """The number that every rule has."""
 
     TINY = POSITIVE
 
 
 class Recursive(Numbers):
-    """What `RecursiveWeights` is told."""
+    """Numbers of `RecursiveWeights`."""
 
     TINY = POSITIVE
     FORGETTING = FACTOR
@@ -88,7 +90,7 @@ class Recursive(Numbers):
 
 
 class Exponential(Numbers):
-    """What `ExponentialWeights` is told."""
+    """Numbers of `ExponentialWeights`."""
 
     TINY = POSITIVE
     MEMORY = POSITIVE_OR_INFINITE  # s
@@ -96,7 +98,7 @@ class Exponential(Numbers):
 
 
 class Bernstein(Numbers):
-    """What `BOA` is told."""
+    """Numbers of `BOA`."""
 
     TINY = POSITIVE
     MEMORY = POSITIVE_OR_INFINITE  # s
@@ -124,7 +126,7 @@ class Priors(Vectors):
 
 
 class Loss(Choices):
-    """What is summed up."""
+    """The loss of a prediction."""
 
     LOSS = LOSSES
 

@@ -16,7 +16,7 @@ def conformal(node, s, q, innovation):
     for i in range(k):
         if np.isfinite(innovation[i]):
             count[i] += 1
-            if count[i] != seen:  # as a rule it is the same for all
+            if count[i] != seen:  # usually it is the same for all
                 seen = count[i]
                 rate = numbers[Number.RATE] + numbers[Number.BOOST] / seen
                 narrower = np.exp(-rate * (1 - numbers[Number.COVERAGE]))

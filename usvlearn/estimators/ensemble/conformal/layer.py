@@ -16,7 +16,7 @@ def conformal_start(batch: Sequence[int], k: int, like: Tensor) -> ConformalStat
 
 
 def conformal_numbers(coverage: float) -> dict[str, float]:
-    """The numbers of `conformal_step`, for its compiled twin.
+    """The numbers of `conformal_step`, for its kernel.
 
     >>> conformal_numbers(0.9)["coverage"]
     0.9

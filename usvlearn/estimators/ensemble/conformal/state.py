@@ -1,4 +1,4 @@
-"""Prediction intervals that adapt until they cover what they promise.
+"""Adaptive prediction intervals with a given coverage.
 
 The half-width q of the interval ŷ ± q is a quantile of |y − ŷ|, tracked by stochastic approximation of its logarithm,
 as adaptive conformal inference does (Gibbs & Candès 2021; Angelopoulos, Candès & Tibshirani 2023). With the miscoverage
@@ -6,8 +6,10 @@ as adaptive conformal inference does (Gibbs & Candès 2021; Angelopoulos, Candè
 
     log q ← log q + (η + η₀/k) (miss − α)                                                  (1)
 
-Nothing is assumed about the errors: summed up, (1) says |misses/K − α| ≤ |log(q_K/q_0)|/(η K) where η₀ = 0 and q has
-not met its least value. The second term finds the scale during the first samples.
+Nothing is assumed about the errors: the sum of (1) over K steps gives |misses/K − α| ≤ |log(q_K/q_0)|/(η K) where
+η₀ = 0 and q has not met its least value. The second term finds the scale during the first samples.
+
+The derivation is in `docs/theory.md`, section 14.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
 RATE, BOOST = 0.2, 1.0  # η, η₀
 START = 0.05  # m/s, q before the first innovation
-LEAST = 5e-3  # m/s; a boat that lies still is predicted exactly for hours, and q has to find back: ten misses
+LEAST = 5e-3  # m/s; a boat at rest is predicted exactly for hours, and q must recover from it within some ten misses
 
 
 class ConformalState(NamedTuple):
@@ -32,7 +34,7 @@ class ConformalState(NamedTuple):
 
 
 class Number(Numbers):
-    """What the intervals are told."""
+    """Constants and the coverage."""
 
     COVERAGE = UNIT  # 1 − α
     RATE = AT_MOST_TEN  # η

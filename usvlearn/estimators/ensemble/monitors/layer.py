@@ -91,7 +91,7 @@ def excitation_report(names: Sequence[str], factor: Tensor, prior: Tensor | floa
 
 
 def spec(threshold: float = THRESHOLD, memory: float = 500.0) -> dict[str, float]:
-    """The numbers that `observe` works with, for their compiled twin.
+    """The numbers of `observe`, for its kernel.
 
     >>> spec()["threshold"]
     20.0
@@ -195,7 +195,7 @@ def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = T
     misfit = 0.5 * MISFIT**2 * (at_full * at_full).sum(-1)
     precision = torch.addcmul(misfit, coherent, variance).rsqrt()[..., None]  # 1/σ of (5)
     evidence, sums = cusum(state.evidence, state.sums, effect * precision, e[..., None] * precision, 2 * threshold)
-    # A thruster cannot push backwards: then it is the model that does not fit any more, and it learns again.
+    # A thruster cannot push backwards: where it seems to, the model no longer fits, and it learns again.
     plausible = 1 + sums[..., 0] / (sums[..., 1] + DOUBT) > BACKWARDS
     evidence, sums = torch.where(plausible, evidence, 0.0), torch.where(plausible[..., None], sums, 0.0)
     above = evidence.add(state.raised, alpha=(1 - CLEARED) * threshold).sub(threshold)
@@ -235,9 +235,9 @@ def cusum(
 
 
 def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
-    """What is left of each thruster's thrust, by (6), and its standard deviation, `(*batch, 2)` each.
+    """The share of each thruster's thrust that remains, by (6), and its standard deviation, `(*batch, 2)` each.
 
-    1 where the evidence is below CALM, as it now and then is of every healthy thruster.
+    It is 1 where the evidence is below CALM: healthy thrusters show some evidence, too.
 
     >>> state = init((), 1, torch.zeros(())).thrusters._replace(sums=torch.tensor([[-50.0, 90.0], [0.0, 0.0]]))
     >>> effectiveness(state._replace(evidence=torch.tensor([12.0, 0.0])))[0].tolist()
@@ -249,7 +249,7 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
 
 
 def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 500.0) -> dict[str, Tensor]:
-    """What a person wants to see, by name, `(*batch,)` each; `members` names the columns.
+    """Diagnostics by name, `(*batch,)` each; `members` names the columns.
 
     >>> sorted(monitor_report(init((), 1, torch.zeros(())), ["aid"]))[:3]
     ['alarm', 'alarms', 'effectiveness_left']

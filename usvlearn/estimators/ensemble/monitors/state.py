@@ -1,11 +1,12 @@
-"""Monitors: what a state tells of itself. Which parameters are informed; is an innovation white; did a thruster fail.
+"""Monitors: which parameters the data inform, whether innovations are white, whether a thruster has failed.
 
 **Excitation.** With P₀ the covariance before the first sample and P = S Sᵀ that of now, 1 − P_ii/P₀_ii is the share of
 a parameter's first variance that the data have removed. The least informed direction is the eigenvector of
 P₀^(−½) P P₀^(−½) with the largest eigenvalue.
 
-**Whiteness.** If a predictor has learned all there is, its innovations e_k are white: their lag-1 autocorrelation lies
-within ±1.96/√n for 95 % of the sequences of n (Box & Jenkins 1970). All means forget exponentially, with
+**Whiteness.** If a predictor has learned all that can be learned, its innovations e_k are white: their lag-1
+autocorrelation lies within ±1.96/√n for 95 % of the sequences of n (Box & Jenkins 1970). All means forget
+exponentially, with
 
     n = (Σ w)²/Σ w² = ω (2 − α)/(α (2 − ω)),   ω = 1 − (1 − α)^steps                                      (1)
 
@@ -14,7 +15,7 @@ independent samples in them; e is clipped at three robust standard deviations, s
     s² ← s² + b (min(e², (c s)²)/κ − s²),   c = 1.345,   κ = E min(z², c²) = 0.71016                      (2)
 
 **A thruster that fails.** The yaw rate answers a one-sided loss at once, and unlike the surge it does not feel a steady
-current. A regression with a long memory says what the commands do to it; R is a ridge, w the weight of a sample:
+current. A regression with a long memory predicts it from the commands; R is a ridge, w the weight of a sample:
 
     r_k = xᵀϑ + e,   x = [1, r_{k−1}, r_{k−2}, ξ_i, ξ_i|ξ_i|, ξ_i³ of both sides],                        (3)
     ϑ = (Σ w x xᵀ + R)⁻¹ Σ w x r,   ℓ = xᵀ (Σ w x xᵀ + R)⁻¹ x                                              (4)
@@ -26,7 +27,8 @@ Page's CUSUM (1954) of the log-likelihood ratio of a loss d against none, and wh
     effectiveness_i = 1 + Σ f_i e/σ² / Σ (f_i/σ)²                                                          (6)
 
 N ℓ s² is the error of ϑ, which stays the same over some N steps; η F an error of the model (3), where F is the effect
-of full command. A g_i above the threshold raises the alarm. While g is up little is learned, lest a fault be absorbed.
+of full command. A g_i above the threshold raises the alarm. While g is high, little is learned, so that a fault is not
+absorbed.
 
 The sums M = Σ w x xᵀ are rounded at each of the n = Σ w steps that they remember, by at most some n ε √(M_ii M_jj) in
 all (ε the machine's). In float32, at constant commands, that makes M indefinite. A ridge above that bound keeps M + R
@@ -35,6 +37,8 @@ positive definite, since nine such errors add up to less than it; in float64 it 
     R_jj = max(ρ, 16 n ε M_jj)                                                                            (7)
 
 Where the factorisation breaks down nevertheless, the model says nothing in that step: ϑ = 0, ℓ = 0.
+
+The derivation is in `docs/theory.md`, section 15.
 """
 
 from __future__ import annotations
@@ -62,7 +66,7 @@ LOSS = 0.5  # d of (5): a loss of less than half of it never alarms
 HORIZON = 25.0  # N of (5), steps
 MISFIT = 0.07  # η of (5)
 CLIP, EFFECT = 5.0, 3.0  # limits of e and f_i, in σ: one sample moves g by at most d CLIP EFFECT
-CALM = 6.0  # a sample counts exp(−g/CALM) in (4), and a smaller g tells nothing
+CALM = 6.0  # a sample counts exp(−g/CALM) in (4); a g below it is not significant
 THRESHOLD = 20.0  # of g
 BACKWARDS = -0.25  # least effectiveness that a thruster may have
 DOUBT = 10.0  # the effectiveness is 1 ± 1/√DOUBT before the first sample
@@ -95,14 +99,14 @@ class ThrusterState(NamedTuple):
 
 
 class MonitorState(NamedTuple):
-    """What `observe` carries along."""
+    """The state of `observe`."""
 
     innovations: InnovationState
     thrusters: ThrusterState
 
 
 class Number(Numbers):
-    """What the monitors are told, by the names of the constants above."""
+    """Numbers of the monitors, named as the constants above."""
 
     HUBER = POSITIVE
     HUBER_MEAN = POSITIVE

@@ -1,4 +1,4 @@
-"""The step before: what `WithMemory` does before and after the steps of its estimator."""
+"""Memory of the step before: the parts of `WithMemory` before and after the steps of its estimator."""
 
 from usvlearn.arrays import clamp, copy
 from usvlearn.estimators.wrappers.memory.state import AT, Number
@@ -16,7 +16,7 @@ def start(node, s, surge):
 
 @jit
 def recall(node, s, row, x):
-    """Write the inputs of a step, and what is known of the step before."""
+    """Write the inputs of a step, and those of the step before."""
     copy(x[:SURGE], row[:SURGE])
     known = s[node[AT.known]] > 0
     x[SURGE_DOT] = s[node[AT.surge_dot]]
@@ -26,7 +26,7 @@ def recall(node, s, row, x):
 
 @jit
 def remember(node, s, q, x, surge, learned):
-    """The step before, after `surge` was measured (`learned`), or predicted."""
+    """Store this step, whose `surge` was measured (`learned`) or predicted, for the next one."""
     s[node[AT.since]] += x[DT]
     span = s[node[AT.since]] if learned else x[DT]
     change = surge - s[node[AT.surge if learned else AT.estimate]]

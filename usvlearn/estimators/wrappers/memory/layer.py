@@ -1,4 +1,4 @@
-"""The step before in torch, for a model that uses it."""
+"""Memory of the step before, in torch."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from usvlearn.signals import Inputs, named_leaves
 class WithMemory(Estimator):
     """An estimator whose model has memory terms.
 
-    Where a segment starts, the acceleration counts as 0 and the commands before as those now. Where it coasts, the
-    acceleration is that of its own estimate.
+    Where a segment starts, the last acceleration is 0 and the last commands equal the present ones. Where the estimator
+    coasts, the acceleration is that of its own estimate.
 
     Args:
         estimator: AID, RLS or SIFtRLS over `SurgeDynamics(memory=True)`.

@@ -1,7 +1,9 @@
-"""What the step before tells: the last acceleration and the last commands, for a model that uses them.
+"""Memory of the step before: the last acceleration and the last commands, for a model that uses them.
 
-A thruster takes a moment to spin up, and the water around a hull swings along: the next increment depends on the last
-one. `SurgeDynamics(memory=True)` has terms for it, and this wrapper hands them over.
+A thruster takes time to spin up, and some water moves with the hull, so the next increment depends on the last one.
+`SurgeDynamics(memory=True)` has terms for this, and the wrapper supplies their inputs.
+
+The derivation is in `docs/theory.md`, section 12.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ class MemoryState(NamedTuple):
 
 
 class Number(Numbers):
-    """Its limit."""
+    """Limit."""
 
     SURGE_DOT_MAX = POSITIVE
 

@@ -1,4 +1,4 @@
-"""Robust learning: what `Robust` does around the steps of its estimator, equations (1) and (2) of `state`."""
+"""Robust learning: the parts of `Robust` before and after the steps of its estimator, (1) and (2) of `state`."""
 
 import numpy as np
 
@@ -16,13 +16,13 @@ def start(node, s):
 
 @jit
 def inflation(node, q):
-    """By what a covariance is inflated where a change is believed."""
+    """The factor by which a covariance is inflated where a change is accepted."""
     return q[node[Node.NUMBERS] :][Number.INFLATION]
 
 
 @jit
 def within(node, s, q, surge, predicted):
-    """What its estimator may learn, (1); whether it is beyond the bound, clipped, or a change's first."""
+    """y' of (1); whether the innovation is beyond the bound, is clipped, is the first of an accepted change."""
     numbers, run = q[node[Node.NUMBERS] :], s[node[AT.run]]
     innovation = surge - predicted
     bound = numbers[Number.THRESHOLD] * np.sqrt(s[node[AT.variance]])

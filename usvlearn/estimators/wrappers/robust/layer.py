@@ -27,16 +27,16 @@ def clipped_moment(c: float) -> float:
 
 
 class Robust(Estimator):
-    """An estimator that outliers do not wreck.
+    """Huber-clips the innovations of any estimator.
 
     Args:
         estimator: any.
-        threshold: c, in standard deviations. 4 leaves the errors of an imperfect model alone and takes gross outliers
-            only. Huber's 1.345 is for regressions: with an estimator that departs from the last speed a sixth of all
-            samples would be replaced by its own predictions (`benchmarks/stress.md`).
-        patience: clipped samples in a row after which the next is believed. 1 follows a boat's steps sooner; with 2 %
-            of outliers two in a row then spoil the parameters now and then.
-        inflation: of the estimator's covariance where a change is believed, 1 or more; broadcasts against the batch.
+        threshold: c, in standard deviations. 4 clips gross outliers only, and not the errors of an imperfect model.
+            Huber's 1.345 is for regressions: an estimator that departs from the last speed would replace a sixth of all
+            samples by its own predictions (`benchmarks/stress.md`).
+        patience: clipped samples in a row after which the next is accepted. 1 follows a boat's steps sooner; but with
+            2 % of outliers, two in a row then sometimes spoil the parameters.
+        inflation: of the estimator's covariance where a change is accepted, 1 or more; broadcasts against the batch.
         scale: s at the start, m/s; broadcasts against the batch.
         memory: 1/b, samples over which the scale is taken.
         scale_min: least scale, m/s, so that a log without noise is not all outliers.

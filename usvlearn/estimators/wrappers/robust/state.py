@@ -1,19 +1,21 @@
-"""Robust learning around any estimator: outliers are clipped, what is not finite is refused, real changes get through.
+"""Robust learning around any estimator: clip outliers, refuse samples that are not finite, accept real changes.
 
-With the innovation e = y − ŷ, a robust scale s of it and a threshold c, the estimator learns from the measurement that
-Huber's function leaves (Huber 1964):
+With the innovation e = y − ŷ, its robust scale s and a threshold c, the estimator learns from y' in place of the
+measurement y (Huber 1964):
 
     y' = ŷ + w e,   w = min(1, c s/|e|)                                                    (1)
     s² ← (1−b) s² + (b/β) min(e², c² s²),   β = E min(z², c²) of a standard normal z          (2)
 
-so that s estimates the standard deviation of what is no outlier. The next step departs from y', too: an outlier of the
-speed would else spoil two increments.
+so that s estimates the standard deviation of the innovations without outliers. The next step also departs from y',
+because an outlier of the speed would otherwise spoil two increments.
 
-*Escape.* An outlier is followed by ordinary samples, a change is not: after `patience` samples beyond the bound in a
-row the next are taken whole, until one lies within it, and the estimator is loosened once (a covariance is inflated).
-The scale follows by (2): to take a change whole for it, too, would open the bound to the outliers after it.
+*Escape.* After an outlier ordinary samples follow; after a change of the boat they do not. After `patience` samples in
+a row beyond the bound, the next are not clipped until one lies within it, and the covariance is inflated once. The
+scale still follows (2): an innovation that is not clipped there would open the bound to later outliers.
 
-*Gate.* A sample after which what was finite would not be leaves the estimator's state as it was, bit for bit.
+*Gate.* A sample that would make a finite state not finite leaves the estimator's state unchanged, bit for bit.
+
+The derivation is in `docs/theory.md`, section 11.
 """
 
 from __future__ import annotations
@@ -27,18 +29,18 @@ if TYPE_CHECKING:
 
 
 class RobustState(NamedTuple):
-    """The estimator's state, the scale, and what was done."""
+    """The estimator's state, the scale, and counts."""
 
     inner: Any
     variance: Tensor  # (*batch,) s², m²/s²
     run: Tensor  # (*batch,) samples beyond the bound in a row
     clipped: Tensor  # (*batch,) count of samples clipped
     rejected: Tensor  # (*batch,) count of samples refused because something was not finite
-    escaped: Tensor  # (*batch,) count of changes taken whole
+    escaped: Tensor  # (*batch,) count of changes accepted
 
 
 class Number(Numbers):
-    """What it is told."""
+    """Constants and hyperparameters."""
 
     THRESHOLD = POSITIVE  # c
     PATIENCE = POSITIVE  # samples
