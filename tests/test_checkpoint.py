@@ -175,6 +175,17 @@ def test_file_and_folder_are_flushed_in_that_order(tmp_path, monkeypatch):
     assert recorded.done == [("5 bytes", file), ("renamed", file), ("folder", folder)]
 
 
+def test_a_writer_leaves_what_another_thread_is_writing(tmp_path, monkeypatch):
+    def fsync(file, flush=os.fsync):
+        monkeypatch.setattr(os, "fsync", flush)
+        store.write_atomically(tmp_path / "b.json", b"b")
+        flush(file)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    store.write_atomically(tmp_path / "a.json", b"a")
+    assert [path.read_bytes() for path in sorted(tmp_path.iterdir())] == [b"a", b"b"]
+
+
 FOREIGN = {
     "list": "[]", "number": "1", "null": "null", "text": '"a"', "deep": '{"schema": 2, "a": ' + "[" * 100_000,
     "closed": '{"schema": 2, "a": ' + "[" * 100_000 + "]" * 100_000 + "}", "digits": '{"schema": ' + "9" * 5000 + "}",
