@@ -75,6 +75,13 @@ def test_forgetting_pauses_at_the_limit_of_the_trace():
     assert 45 * 0.9 <= trace <= 45  # nine parameters, five times the start; without the limit 0.9^-400
 
 
+def test_excitation_is_the_share_of_the_first_variance_that_the_data_removed():
+    rls = RLS(SurgeDynamics(28.0), covariance=10.0)
+    state = rls.init()
+    told = rls.monitor(state._replace(factor=state.factor / 2))
+    assert [told[f"excitation_{name}"].item() for name in rls.model.names] == pytest.approx([0.75] * 9)
+
+
 def test_lanes_with_their_own_mass_scale_the_parameters_alone():
     samples = random_samples(30, 2)
     same = type(samples.inputs)(*(x[:, :1].expand(-1, 2) for x in samples.inputs))

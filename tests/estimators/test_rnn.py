@@ -354,6 +354,12 @@ def test_monitor_tells_margins_rate_time_constant_and_rest():
     assert (told["equilibria"] == 1).all()  # a contraction has one
     broken = state._replace(weights=tree_map(lambda w: w * torch.nan, state.weights))
     assert rnn.monitor(broken)["equilibrium"].isnan().all()
+    zero, one = torch.zeros(20).double(), torch.eye(20)[0].double()  # x⁺ = 2 relu(x − ¼): at rest at 0 and ½
+    tooth = tree_map(
+        lambda w: w.expand(3, *w.shape), ShallowWeights(2 * one, one, zero[:, None].expand(20, 4), -one / 4)
+    )
+    told = rnn.monitor(state._replace(weights=tooth, surge=torch.tensor([-0.2, 0.1, 0.4]) / rnn.scale))
+    assert (told["equilibria"] == 2).all() and (rnn.scale * told["equilibrium"]).tolist() == [0.0, 0.0, 0.5]
 
 
 def test_a_rate_just_below_one_is_not_told_as_one():

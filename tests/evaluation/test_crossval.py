@@ -93,16 +93,19 @@ def test_lanes_equal_single_simulations(ensemble, sets, lanes):
 
 
 @pytest.mark.parametrize("backend", ["kernel", "torch"])
-def test_a_simulation_that_leaves_the_limit_backwards_counts_as_the_limit(ensemble, sets, backend):
+@pytest.mark.parametrize("thrust", [-1e4, torch.nan])
+def test_a_simulation_that_leaves_the_limit_backwards_or_is_no_number_counts_as_the_limit(
+    ensemble, sets, backend, thrust
+):
     rls = sets.members["rls"]
     theta = torch.zeros_like(rls.theta)
-    theta[:, 3] = -1e4  # thrust backwards, and no drag
+    theta[:, 3] = thrust  # and no drag
     sets = sets._replace(members=sets.members | {"rls": rls._replace(theta=theta)})
     run = spoilt(30, 0)
     found, m = cross_validate(ensemble, sets, [numpied(run)], backend=backend), methods(ensemble).index("rls")
     for k in range(3):
         expected = plain(ensemble, tree_map(lambda x, k=k: x[k], sets), run)["rls"]
-        assert expected[2] and expected[0] > ensemble.surge_max
+        assert expected[2] and (expected[0] > ensemble.surge_max) == (thrust < 0)
         assert (found.mae[k, 0, m], found.mse[k, 0, m]) == pytest.approx(expected[:2], rel=1e-10)
         assert found.diverged[k, 0, m]
 

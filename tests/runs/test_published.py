@@ -7,6 +7,7 @@ import pytest
 
 from tests.support.recordings import recording
 from usvlearn import AID, Ensemble, Persistence
+from usvlearn.errors import CheckpointError
 from usvlearn.evaluation import metrics
 from usvlearn.figures import prediction_figure
 from usvlearn.logs.recordings import align_fleet
@@ -73,6 +74,13 @@ def test_scores_do_not_depend_on_how_many_boats_are_judged_at_a_time(tmp_path, f
     monkeypatch.setattr(published, "read", lambda *place: read.append(place) or read_one(*place))
     assert metrics.fleet_scores(fleet, published, folder.names) == found["boats"]
     assert len(read) == len(fleet.boats) * len(published.places())
+
+
+def test_a_file_of_more_steps_than_its_name_says_is_refused(tmp_path, fleet):
+    folder, _ = session(tmp_path, fleet)
+    run, step, end = folder.published.places()[0]
+    with pytest.raises(CheckpointError, match=rf"it holds {end - step} steps, expected {end - step - 1}"):
+        folder.published.read(run, step + 1, end)
 
 
 def test_one_boat_of_a_run_from_a_step_on(tmp_path, fleet):
