@@ -126,13 +126,11 @@ def _speed_up() -> None:
     from tensorboard.summary.writer import record_writer
 
     try:
-        import numba
-
         from usvlearn.crc import masked_crc32c
+        from usvlearn.jit import NUMBA
     except ImportError:
         return
-    options: Any = numba.config  # which numba makes as it is imported, so that no checker sees their names
-    if hasattr(record_writer, "masked_crc32c") and not options.DISABLE_JIT:
+    if hasattr(record_writer, "masked_crc32c") and not NUMBA.DISABLE_JIT:
         masked_crc32c(b"")  # compiles
         record_writer.masked_crc32c = masked_crc32c
 

@@ -13,15 +13,14 @@ the limit, its error is that of the limit, so that means are finite and no simul
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from usvlearn.estimator import clean
-from usvlearn.estimators.ensemble.combiners.layer import Combiner
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.rollouts import choose, free_totals, simulate
 from usvlearn.signals import Inputs, Sample, masks, named_leaves, tree_map, where
@@ -64,8 +63,7 @@ def methods(ensemble: Ensemble) -> tuple[str, ...]:
 
 def _learning(ensemble: Ensemble) -> list[str]:
     like = torch.zeros((), dtype=torch.float64)
-    rules = cast("Mapping[str, Combiner]", ensemble.combiners)  # a ModuleDict does not tell what it holds
-    return [name for name, rule in rules.items() if any(True for _ in named_leaves(rule.init((), like)))]
+    return [name for name, rule in ensemble.combiners.items() if any(True for _ in named_leaves(rule.init((), like)))]
 
 
 @torch.no_grad()

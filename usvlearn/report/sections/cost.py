@@ -5,8 +5,8 @@ from __future__ import annotations
 import platform
 import statistics
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, cast
+from collections.abc import Callable
+from typing import Any
 
 import torch
 
@@ -43,8 +43,7 @@ def cost_section(ensemble: Ensemble) -> Section:
     sample = Sample(Inputs(0.5, 0.4, 1.0, 0.05, 0.4), 0.8, True, True)
     rows: list[tuple[Cell, ...]] = []
     total = 0
-    members = cast("Mapping[str, Estimator | Bank]", ensemble.members)  # a ModuleDict does not tell what it holds
-    for name, member in members.items():
+    for name, member in ensemble.members.items():
         inner, core = unwrapped(member, member.init(()))
         orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
         lanes = len(member.labels) if isinstance(member, Bank) else 1
