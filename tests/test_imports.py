@@ -22,7 +22,7 @@ OURS = {
     "usvlearn.signals": {"usvlearn.errors"},
     "usvlearn.checkpoint": LIGHT,
     "usvlearn.lock": LIGHT,
-    "usvlearn.tensorboard": {"usvlearn.crc"},
+    "usvlearn.tensorboard": {"usvlearn.crc", "usvlearn.jit"},
     "usvlearn.crc": {"usvlearn.jit"},
     "usvlearn.parts": set(),
     "usvlearn.jit": {"usvlearn.parts"},
