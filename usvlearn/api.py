@@ -1,4 +1,4 @@
-"""From logs to predictions in a few lines of Python: `read`, `learn`, and what they return. NumPy in and out.
+"""From logs to predictions in a few lines of Python: `read` and `learn`. All data are NumPy arrays.
 
 >>> import usvlearn
 >>> logs = usvlearn.read(data="simulated", hours=0.1)  # or read("LOGS", "blueboat"): a log, a folder or a pattern
@@ -11,8 +11,8 @@ True
 `print(logs)` and `print(learned)` show tables; `learned.save("heron.safetensors")` writes what `usvlearn.Online.open`
 opens.
 
-As the command line does, this module composes configs/: what `learn` builds by default is the ensemble of
-configs/train.yaml and of nothing else. No other module imports it. `read` imports no torch, but for simulated logs.
+Like the command line, this module composes configs/: by default `learn` builds the ensemble of configs/train.yaml. No
+other module imports this one. `read` imports torch for simulated logs only.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ def read(
         path: a log; a folder, with all logs below it; a pattern such as `logs/*.csv`; or boat -> path.
         data: the configuration that describes them, a name in configs/data: "csv", "alog" and "rosbag" for any boat,
             "blueboat", "vtec", "dalian", "pearl", or "simulated", which has no path.
-        channels: what differs from it, channel -> keys of `usvlearn.logs.channel.Source`.
-        mass, surge_max: of the boat, kg and m/s, where they differ from it.
-        align: options of `usvlearn.Aligner`, such as `{"dt": 0.2}`, where they differ from configs/train.yaml.
+        channels: changes to it, channel -> keys of `usvlearn.logs.channel.Source`.
+        mass, surge_max: of the boat, kg and m/s, if they differ from it.
+        align: options of `usvlearn.Aligner` that differ from configs/train.yaml, such as `{"dt": 0.2}`.
         **settings: further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and `seed`.
 
     Raises:
@@ -95,12 +95,12 @@ def learn(
 
     Args:
         logs: of one boat or of several; see `read`.
-        estimator: an `Ensemble`, or any other estimator, which is then set beside persistence; by default the ensemble
+        estimator: an `Ensemble`, or another estimator, to which persistence is added; by default the ensemble
             of configs/train.yaml for the boat's mass and top speed.
-        start: a parameter set to start from, or a folder of them, of which the newest is taken; or boat -> that.
+        start: a parameter set to start from, or a folder of them, of which the newest is used; or boat -> either.
 
     Raises:
-        ConfigError: `estimator` is none.
+        ConfigError: `estimator` is not an estimator.
         CheckpointError: `start` cannot be read, or belongs to another ensemble.
 
     >>> from usvlearn import AID
@@ -128,7 +128,7 @@ def learn(
 
 
 def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
-    """The ensemble that `learn` was asked for."""
+    """The ensemble that `learn` runs."""
     from usvlearn.estimator import check_estimator
     from usvlearn.estimators.baselines.persistence.layer import Persistence
     from usvlearn.estimators.ensemble.combiners.layer import Average

@@ -1,4 +1,4 @@
-"""Figures; matplotlib is imported where it is used (extra `plot`)."""
+"""Figures. Matplotlib (extra `plot`) is imported inside the functions that use it."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import numpy as np
 
 from usvlearn.errors import MissingExtraError
 
-INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report makes them follow its theme
-KNOWN = {  # Okabe & Ito; then hues between them that are seen on white and on black
+INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report replaces them by the colours of its theme
+KNOWN = {  # Okabe & Ito; then hues between them that are visible on white and on black
     "aid": "#0072B2", "rls": "#E69F00", "sift_map": "#E69F00", "rnn": "#009E73", "average": "#CC79A7",
     "weighted": "#56B4E9", "ensemble": "#D55E00", "persistence": "#999999",
     "dynamic_rls": "#6A5ACD", "steady_rls": "#B0417A", "memory_aid": "#6FA8DC", "memory_rls": "#44AA99",
     "ambient_rls_short": "#999933", "ambient_rls_long": "#4E8F4E",
 }  # fmt: skip
-# The paper's methods; `sift_map` is the thruster map of the default ensemble, by another way of forgetting.
+# The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")
 OTHERS = ("#CC6677", "#AA4499", "#B8A13E", "#A0522D", "#6699CC")
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
-    """The colour of each estimator: its own where it is one of the default ensemble, else the next that is free.
+    """The colour of each estimator: a fixed one if it is in the default ensemble, else the next free colour.
 
     NAME+ has the colour of NAME.
 
@@ -40,7 +40,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 
 @contextmanager
 def themed() -> Iterator[type]:
-    """Matplotlib's Figure, while text and lines are INK and LINE.
+    """A context with Matplotlib's Figure, in which text is INK and lines are LINE.
 
     Raises:
         MissingExtraError: matplotlib is not installed.

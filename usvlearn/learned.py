@@ -40,11 +40,11 @@ class AlignedRun(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class AlignedLogs:
-    """What `read` returns: the runs of one boat or of several on a grid of time.
+    """The result of `read`: the runs of one or several boats on a grid of time.
 
     Attributes:
         fleet: all boats side by side, as estimators take them.
-        settings: the whole configuration, as train.py has it.
+        settings: the whole configuration, as in train.py.
     """
 
     fleet: Fleet
@@ -85,7 +85,7 @@ class AlignedLogs:
 
 @dataclass(frozen=True)
 class Predictions:
-    """Predictions of the speed over one run of one boat, each made before that speed was seen."""
+    """Predictions of the speed over one run of one boat, each made before that speed was used."""
 
     boat: str
     run: str
@@ -104,7 +104,7 @@ class Predictions:
 
 @dataclass(frozen=True, repr=False)
 class Simulated:
-    """A simulation from the inputs alone: the speed is told where a segment starts, and nothing is learned.
+    """A simulation from the inputs and the speed at which each segment starts; nothing is learned.
 
     Attributes:
         predictions: per run and boat.
@@ -124,16 +124,16 @@ class Simulated:
 
 @dataclass(frozen=True, repr=False)
 class Learned:
-    """What `learn` returns: an ensemble, what it has learned of each boat, and all that it predicted meanwhile.
+    """The result of `learn`: an ensemble, its final state for each boat, and all of its predictions.
 
     Attributes:
-        logs: what it has learned from.
+        logs: the logs it has learned from.
         ensemble: its members and rules.
         state: at the end, leaves `(boats, …)`: a parameter set of each boat.
         predictions: per run and boat.
         scores: boat -> member or rule -> MAE, skill against persistence and others; see
             `usvlearn.evaluation.metrics.scores`.
-        alarms: boat -> when a thruster seemed to have lost thrust; see `usvlearn.evaluation.metrics.alarms`.
+        alarms: boat -> alarms of lost thrust; see `usvlearn.evaluation.metrics.alarms`.
     """
 
     logs: AlignedLogs
@@ -148,10 +148,10 @@ class Learned:
         return self.logs.boats
 
     def simulate(self, logs: AlignedLogs) -> Simulated:
-        """Simulate each run of some logs with what was learned of its boat; of one boat it serves them all.
+        """Simulate each run of some logs with its boat's parameters. Parameters of a single boat serve all boats.
 
         Raises:
-            ConfigError: the logs are of a boat of which nothing was learned.
+            ConfigError: nothing was learned of a boat of the logs.
         """
         import torch
 
@@ -175,8 +175,8 @@ class Learned:
         """Write a boat's parameter set, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.
 
         Args:
-            path: of the file; its folder is made.
-            boat: which; it can be left out where there is one.
+            path: of the file; its folder is created.
+            boat: its name; not needed if there is only one.
 
         Raises:
             ConfigError: there is no such boat, or there are several and none is named.
@@ -223,7 +223,7 @@ class Learned:
 def predictions_of(
     fleet: Fleet, names: Sequence[str], published: Sequence[Mapping[str, np.ndarray]]
 ) -> tuple[Predictions, ...]:
-    """What was published of each run of a fleet, arrays `(time, boats, names)`, by run and boat."""
+    """Split what was published of a fleet's runs, arrays `(time, boats, names)`, by run and boat."""
     found = []
     for index, run in enumerate(fleet.runs):
         for lane, boat in enumerate(fleet.boats):
@@ -247,7 +247,7 @@ def _measured(samples: Sample) -> np.ndarray:
 
 
 def _printed(*parts: Any) -> str:
-    """What rich prints of tables, as text."""
+    """Tables as text, as rich prints them."""
     from usvlearn.report.terminal import console
 
     board = console()

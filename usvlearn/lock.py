@@ -1,7 +1,7 @@
-"""One process at a time writes to a folder: a lock that the system releases when its process ends, in any way.
+"""A lock on a folder, so that one process at a time writes there. The system releases it when the process ends.
 
-The lock is held on the file `.lock` in the folder, which names the process. It is removed when the lock is released;
-one that a killed process has left means nothing.
+The process locks the file `.lock` in the folder, which contains its number, and removes it on release. A file that a
+killed process has left is not locked, and is reused.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ class Lock:
     """Holds the lock of a folder until `release`, the end of a `with`, or the end of the process.
 
     Args:
-        folder: that is to be written to; it is made.
-        other: what the user can choose in its place, for the error.
-        shared: whether other processes may hold it, too, if they share it.
+        folder: the folder to write to; it is created.
+        other: the setting by which the user can choose another folder, for the error.
+        shared: whether other processes that share it may hold it at the same time.
 
     Raises:
         ConfigError: another process holds it.
@@ -64,7 +64,7 @@ class Lock:
                 )
             if self._is_current(file):
                 break
-            os.close(file)  # of a process that has just removed it
+            os.close(file)  # another process has just removed it
         self._file: int | None = file
         os.ftruncate(file, 0)
         os.write(file, str(self._process).encode())
@@ -76,11 +76,11 @@ class Lock:
         if file is None:
             return
         atexit.unregister(self.release)
-        if os.getpid() == self._process:  # a fork has a copy, which is not its own
+        if os.getpid() == self._process:  # a forked process has a copy of a lock that belongs to its parent
             try:
-                _lock(file, shared=False)  # the last of those that share it removes the file
+                _lock(file, shared=False)  # the last process that shares it removes the file
                 self.path.unlink(missing_ok=True)
-            except OSError:  # shared, or open on Windows: the file stays
+            except OSError:  # still shared, or open on Windows: the file stays
                 pass
         os.close(file)
 
@@ -99,18 +99,18 @@ class Lock:
 
 
 def _opened(path: Path) -> int:
-    """The lock's file; a folder may come from anybody, and what a link there points to must not be overwritten."""
+    """Open the lock's file. A folder may come from anybody, so the target of a link there must not be overwritten."""
     with suppress(FileNotFoundError):
         if not stat.S_ISREG(path.lstat().st_mode):
-            raise ConfigError(f"{path}: found a link, a folder or the like, expected a file of our own: remove it")
+            raise ConfigError(f"{path}: found a link, a folder or the like, expected a regular file: remove it")
     return os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
 
 
 def _lock(file: int, shared: bool) -> None:
-    """Lock an open file; BlockingIOError or PermissionError where another process holds it."""
+    """Lock an open file; raises BlockingIOError or PermissionError if another process holds it."""
     if sys.platform != "win32":
         fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-    elif not shared:  # Windows has no shared locks: processes that share do not lock
-        os.lseek(file, 1 << 30, os.SEEK_SET)  # a byte behind the content, which others may read
+    elif not shared:  # Windows has no shared locks, so processes that share do not lock
+        os.lseek(file, 1 << 30, os.SEEK_SET)  # a byte after the content, so that others can read the content
         msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
         os.lseek(file, 0, os.SEEK_SET)

@@ -1,20 +1,20 @@
-"""The only writer of TensorBoard files, and the list of tags.
+"""Writes all TensorBoard files; the list of tags.
 
     online/mae/BOAT/ESTIMATOR      m/s, over the last minutes
-    online/skill/BOAT/ESTIMATOR    1 - MAE/MAE(persistence), likewise
-    state/BOAT/ESTIMATOR/NUMBER    what `Estimator.monitor` shows: physical parameters by name, excitation_PARAMETER (0:
-                                   a guess, 1: informed), least_informed_PARAMETER (the direction of which the data say
-                                   least), covariance_trace, deviation in m/s, weight_MEMBER; of a robust
-                                   one clipped, rejected and escaped samples, scale in m/s; of an RNN margin_CONDITION
-                                   (> 0: contracting), contraction_rate, time_constant in s, and at rest the number of
-                                   equilibria, the nearest, m/s, and its class, counted from 0 in the order of
+    online/skill/BOAT/ESTIMATOR    1 - MAE/MAE(persistence), over the same steps
+    state/BOAT/ESTIMATOR/NUMBER    from `Estimator.monitor`: physical parameters by name, excitation_PARAMETER (0:
+                                   a guess, 1: informed), least_informed_PARAMETER (the direction about which the data
+                                   contain least), covariance_trace, deviation in m/s, weight_MEMBER; of a robust
+                                   estimator clipped, rejected and escaped samples, scale in m/s; of an RNN
+                                   margin_CONDITION (> 0: contracting), contraction_rate, time_constant in s, and at
+                                   rest the number of equilibria, the nearest, m/s, and its class, counted from 0 in the order of
                                    certify.equilibria.CLASSES
     rejected/BOAT/CHANNEL/CAUSE    counts over the whole log
     state/BOAT/monitors/NUMBER     whiteness_ESTIMATOR (lag 1; white within ± whiteness_band), scale_ESTIMATOR in m/s;
                                    effectiveness_SIDE and evidence_SIDE of a lost thruster, alarm (0 or 1), alarms
     prediction/BOAT, thrusters/BOAT  figures; the latter of the run in which an alarm was raised
-    total/mae/ESTIMATOR            m/s, whole run, mean over boats: what the HPARAMS page compares
-    report/FIGURE, report/SECTION  of a report: its figures; what was found, and its tables, as text
+    total/mae/ESTIMATOR            m/s, whole run, mean over boats; compared on the HPARAMS page
+    report/FIGURE, report/SECTION  of a report: its figures; its findings and tables, as text
     learn/loss, learn/PATH         of learning by gradient: MAE of a window, m/s, and the hyperparameters
 
 The runs of a tuning are named after its best settings, such as `gain=3.16`.
@@ -57,7 +57,7 @@ class TensorBoardWriter:
             raise
 
     def scalars(self, prefix: str, values: Mapping[str, float], step: int) -> None:
-        """One point of each curve `prefix/name`, all in one record: a record each takes ten times as long."""
+        """Write one point of each curve `prefix/name` in one record; a record for each would take ten times as long."""
         record, places = _template(prefix, tuple(values))
         with np.errstate(over="ignore"):  # beyond float32 it is infinite
             record[places] = (
@@ -66,7 +66,7 @@ class TensorBoardWriter:
         self._writer.file_writer.add_summary(_summary().FromString(record.tobytes()), step)
 
     def charts(self, pages: Mapping[str, Mapping[str, list[str]]]) -> None:
-        """What the CUSTOM SCALARS page draws together: page -> chart -> tags."""
+        """Set which curves the CUSTOM SCALARS page draws together: page -> chart -> tags."""
         layout = {
             page: {chart: ["Multiline", [f"^{tag}$" for tag in tags]] for chart, tags in charts.items()}
             for page, charts in pages.items()
@@ -74,29 +74,29 @@ class TensorBoardWriter:
         self._writer.add_custom_scalars(layout)
 
     def figure(self, tag: str, figure, step: int) -> None:
-        """A matplotlib figure."""
+        """Write a matplotlib figure."""
         png = io.BytesIO()
         figure.savefig(png, format="png", pil_kwargs={"compress_level": 1})  # add_figure imports pyplot for that
         self.image(tag, png.getvalue(), step)
 
     def image(self, tag: str, png: bytes, step: int = 0) -> None:
-        """A picture that has been drawn already."""
+        """Write a picture, given as PNG."""
         Summary = _summary()
-        width, height = (int.from_bytes(png[at : at + 4]) for at in (16, 20))  # of the header, whose place is fixed
+        width, height = (int.from_bytes(png[at : at + 4]) for at in (16, 20))  # the header has a fixed place
         image = Summary.Image(width=width, height=height, colorspace=4, encoded_image_string=png)
         self._writer.file_writer.add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
 
     def text(self, tag: str, markdown: str) -> None:
-        """A text, for the TEXT page."""
+        """Write a text for the TEXT page."""
         self._writer.add_text(tag, markdown)
 
     def hparams(self, settings: Mapping[str, object], results: Mapping[str, float], run: str = ".") -> None:
-        """A record by which TensorBoard's HPARAMS page compares runs; names with a leading _ are left out.
+        """Write the record by which the HPARAMS page compares runs; names with a leading _ are left out.
 
         Args:
-            settings: what was set, a tree.
+            settings: nested by key.
             results: by tag.
-            run: a name of its own, where one folder holds the records of several.
+            run: a name for this record, if one folder contains the records of several runs.
         """
         flat = dict(_flatten(settings))
         self._writer.add_hparams(flat, dict(results), run_name=run)
@@ -122,7 +122,7 @@ def _summary() -> Any:
 
 
 def _speed_up() -> None:
-    """Let TensorBoard take its checksums from compiled code, where numba is installed and compiles."""
+    """Let TensorBoard compute its checksums in compiled code, if numba is installed and enabled."""
     from tensorboard.summary.writer import record_writer
 
     try:
@@ -137,9 +137,9 @@ def _speed_up() -> None:
 
 @functools.lru_cache(maxsize=1024)
 def _template(prefix: str, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The bytes of a record of points, and where their values lie in it, `(names, 4)`.
+    """The bytes of a record of points, and the places of their values in it, `(names, 4)`.
 
-    To fill these in takes a tenth of the time that an object for each point takes.
+    Filling these in takes a tenth of the time of making an object for each point.
     """
     Summary = _summary()
     points = [Summary(value=[Summary.Value(tag=f"{prefix}/{name}", simple_value=1.0)]) for name in names]
@@ -149,7 +149,7 @@ def _template(prefix: str, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarr
 
 
 def _unless_tensorboard(before: Callable[[Any], object], failed: Any) -> None:
-    """Keep quiet of TensorBoard's thread: what it raises, such as on a full disk, is raised again by the next write."""
+    """Report no errors of TensorBoard's thread, such as a full disk: the next write raises them again."""
     if not type(failed.thread).__module__.startswith("tensorboard"):
         before(failed)
 

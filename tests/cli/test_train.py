@@ -124,7 +124,7 @@ def test_killed_and_resumed_equals_uninterrupted(whole, tmp_path, sets):
     assert resumed.returncode == 0, resumed.stderr
     assert "damaged" in resumed.stderr
     if sets > 1:
-        assert "going on after step" in resumed.stdout
+        assert "resuming after step" in resumed.stdout
     assert_equal_runs(tmp_path / "run", whole)
 
 

@@ -245,12 +245,12 @@ def test_one_damaged_set_is_passed_over(copy):
 def test_damaged_predictions_are_passed_over(copy):
     path = sorted((copy / "predictions").glob("00001_*"))[0]
     path.write_bytes(path.read_bytes()[:-20])
-    with pytest.warns(UserWarning, match="goes without predictions"):
+    with pytest.warns(UserWarning, match="has no predictions here"):
         _, seasons, _ = read([copy], tools())
     assert [bool(each.published) for each in seasons[0].runs] == [True, False]
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:  # much in few bytes
         archive.writestr("predictions.npy", bytes(10**7))
-    with pytest.warns(UserWarning, match=r"unpacks to 10 MB, expected .*goes without predictions"):
+    with pytest.warns(UserWarning, match=r"unpacks to 10 MB, expected .*has no predictions here"):
         _, seasons, _ = read([copy], tools())
     assert [bool(each.published) for each in seasons[0].runs] == [True, False]
 

@@ -24,7 +24,7 @@ def test_boxes_by_hand():
     values = np.concatenate([np.arange(100.0), np.full(20, 1000.0)])
     assert box(values).outliers == 20 and box(np.arange(100.0)).outliers == 0  # also beyond 5 % of them
     found = box(np.array([np.nan, 3.0, 1.0, 2.0, 4.0, 100.0]), 2)
-    assert (found.median, found.lower, found.upper, found.count, found.diverged) == (3.0, 2.0, 4.0, 5, 2)
+    assert (found.median, found.lower, found.upper, found.number, found.diverged) == (3.0, 2.0, 4.0, 5, 2)
     assert found.mean == 22.0 and found.beyond.tolist() == [1.0, 100.0]
     assert box(np.array([np.nan])) is None
 

@@ -67,7 +67,7 @@ def test_it_goes_on_where_it_was_killed(tmp_path):
         (folder / lost).unlink()
     console = Console(record=True, width=200)
     train(OmegaConf.create(configuration(RUN)), folder, console, str(folder))
-    assert "going on after step 75 of run 2 of 2" in console.export_text()
+    assert "resuming after step 75 of run 2 of 2" in console.export_text()
     found, expected = (checkpoint.load(each / NEWEST.relative_to(RUN))[0] for each in (folder, RUN))
     assert found.keys() == expected.keys()
     for name, leaf in expected.items():

@@ -94,7 +94,7 @@ def test_damaged_predictions_are_made_anew(tmp_path, fleet, damage):
         again = session(folder.path, fleet, "latest")
         (folder.path / "checkpoints" / "a" / "best.safetensors").unlink()
     else:
-        told = "unpacks to 80 MB, expected 0" if damage == "bomb" else "going on from before it"
+        told = "unpacks to 80 MB, expected 0" if damage == "bomb" else "resuming from before it"
         with pytest.warns(UserWarning, match=told):
             again = session(folder.path, fleet, "latest")
     assert_same(again, whole)
@@ -104,7 +104,7 @@ def test_another_interval_of_saving_resumes_too(tmp_path, fleet):
     whole, folder = session(tmp_path / "whole", fleet), session(tmp_path / "run", fleet, save_every=10)
     newest = max((folder.path / "checkpoints" / "a").iterdir())
     newest.write_bytes(b"")
-    with pytest.warns(UserWarning, match="going on from before it"):
+    with pytest.warns(UserWarning, match="resuming from before it"):
         again = session(folder.path, fleet, "latest", save_every=4)
     for ours, theirs in zip(*(published(f, "thrusters") for f in (again, whole)), strict=True):
         np.testing.assert_array_equal(ours, theirs)

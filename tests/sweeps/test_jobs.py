@@ -97,7 +97,7 @@ def test_a_killed_sweep_goes_on_and_equals_an_uninterrupted_one(swept, tmp_path)
     assert not (sweep / "2" / "results.json").exists() and not (sweep / "leaderboard.csv").exists()
     stamp = (sweep / "0" / "results.json").stat().st_mtime_ns
     done = run(*GRID, folder=tmp_path)
-    assert done.returncode == 2 and "going on after step" in done.stdout, done.stderr
+    assert done.returncode == 2 and "resuming after step" in done.stdout, done.stderr
     assert done.stdout.count("finished before") == 1 and (sweep / "0" / "results.json").stat().st_mtime_ns == stamp
     for job in ("0", "2"):
         assert_equal_runs(sweep / job, swept / "sweep" / job)

@@ -1,1 +1,1 @@
-"""Replays: what they save, how they go on, what TensorBoard shows of them."""
+"""Replays: what they save, how they resume, what TensorBoard shows of them."""

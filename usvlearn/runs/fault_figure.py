@@ -1,4 +1,4 @@
-"""The figure of a thruster that fails: what is left of the thrust, the speed, the evidence over time."""
+"""The figure of a failing thruster: remaining thrust, speed, and evidence over time."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def fault_figure(
     title: str = "",
     unit: str = "share of the thrust",
 ):
-    """Three panels over time: the thrust of both sides, measured and predicted speed, the evidence of a loss.
+    """Three panels over time: thrust of both sides, measured and predicted speed, evidence of a loss.
 
     Args:
         time: s, `(time,)`.
@@ -33,8 +33,8 @@ def fault_figure(
         predictions: m/s, `(time,)` each, by the estimator's name.
         evidence: against the left and right thruster, `(time, 2)`.
         threshold: of the evidence.
-        fault: when it happened, s; None where there was none.
-        alarms: when they were raised, s.
+        fault: time of the fault, s; None if there was none.
+        alarms: times at which they were raised, s.
         title: of the figure.
         unit: of `effectiveness`, for its axis.
 
@@ -79,7 +79,7 @@ def fault_figure(
 
 
 def _mark(panel, fault: float | None, alarms: Sequence[float]) -> None:
-    """Names the vertical lines above the panel; of the alarms the first alone, on the far side of the fault."""
+    """Label the vertical lines above the panel. Only the first alarm gets a label, on the right of the fault's."""
     style = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": "small"}
     if fault is not None:
         panel.annotate("fault ", (fault / 60, 1), (0, 4), ha="right", color=FAULT, **style)

@@ -1,13 +1,13 @@
-"""What a run's folder holds, by name. Imports no torch.
+"""The files in a run's folder. Imports no torch.
 
 checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the boat's state after S steps of its run with index R
-predictions/RRRRR_SSSSSSS.npz                what was published since the file before, of all boats: predictions,
+predictions/RRRRR_SSSSSSS.npz                what was published of all boats since the previous file: predictions,
                                              half-widths of their intervals, health of the thrusters
-runs.json                                    which runs, of which samples, through which ensemble; when it began, and
-                                             as which number among the runs beside it
-results.json                                 the scores, at the end; {"partial": scores} of a run that was stopped
-tuning.json                                  what tuning leaves in place of all that
-optuna.log                                   the trials of a search, as they come
+runs.json                                    names and digests of the runs, digest of the ensemble, start time, and the
+                                             number of this run among the runs beside it
+results.json                                 the scores, written at the end; {"partial": scores} if the run was stopped
+tuning.json                                  the result of a tuning, which writes none of the above
+optuna.log                                   the trials of a search, written as they finish
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from usvlearn.checkpoint import write_atomically
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
 TUNING, JOURNAL = "tuning.json", "optuna.log"
-ESTIMATOR = "Ensemble"  # whose state a checkpoint holds
+ESTIMATOR = "Ensemble"  # the kind of state in a checkpoint
 
 
 def save_results(folder: Path, results: Mapping[str, Any]) -> None:
-    """Write `results.json`; NaN, which JSON has not, becomes null.
+    """Write `results.json`. NaN becomes null, because JSON has no NaN.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:

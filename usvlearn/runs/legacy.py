@@ -1,10 +1,10 @@
-"""Settings that earlier versions have saved: what has another name since then."""
+"""Settings that earlier versions have saved: names that have changed since then."""
 
 from __future__ import annotations
 
 from typing import Any
 
-_PUBLIC = {  # module that a class was in before version 0.2: its classes, which are now named by the package itself
+_PUBLIC = {  # module before version 0.2 -> its classes, which are now named by the package itself
     "aid": ["AID"], "rls": ["RLS"], "sift": ["SIFtRLS"], "projected": ["Projected"], "rnn": ["RNN"],
     "persistence": ["Persistence"], "acceleration": ["Acceleration"], "robust": ["Robust"], "memory": ["WithMemory"],
     "ensemble": ["Ensemble", "Bank"], "regressors": ["SurgeDynamics", "QuasiStatic"],
@@ -19,7 +19,7 @@ ARGUMENTS = {"usvlearn.simulate.fleet.fleet": {"hulls": "fleet_seed"}}
 
 
 def first_named(settings: Any) -> Any:
-    """Settings with the names of the first version: by these a run is known, so that it is known to all versions.
+    """Settings with the names of the first version. A run is identified by these, so every version finds the same one.
 
     >>> first_named({"aid": {"_target_": "usvlearn.AID", "gain": 1.0}})
     {'aid': {'_target_': 'usvlearn.estimators.aid.AID', 'gain': 1.0}}
@@ -37,7 +37,7 @@ def current(settings: Any) -> Any:
 
 
 def _renamed(settings: Any, targets: dict[str, str], arguments: dict[str, dict[str, str]], levels: int = 100) -> Any:
-    """Settings with other targets, and other names of arguments; deeper than `levels` they stay as they are."""
+    """Settings with targets and arguments renamed; anything nested deeper than `levels` stays unchanged."""
     if not isinstance(settings, dict | list) or not levels:
         return settings
     if isinstance(settings, list):

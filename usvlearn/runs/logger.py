@@ -1,4 +1,4 @@
-"""What is shown of a replay while it runs, at a bounded cost."""
+"""Shows a replay in TensorBoard while it runs, at a bounded cost."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from usvlearn.signals import Fleet, masks, tree_map
 from usvlearn.tensorboard import TensorBoardWriter
 
 WINDOW = 750  # steps over which errors are averaged
-STEPS_PER_POINT = 100  # and boat: a point of all curves costs about what so many compiled steps cost
-MOST_POINTS = 500  # of a curve: two or three from one parameter set to the next, over a season
-BATCH = 32  # points, or
-PATIENCE = 2.0  # s, after which they are written: what is shown of many states costs little more than of one
-STEPS_PER_FIGURE = 2500  # of the run: a figure costs what some hundred steps cost
+STEPS_PER_POINT = 100  # and boat: one point of all curves costs about as much as 100 compiled steps
+MOST_POINTS = 500  # of a curve; over a season, two or three between two parameter sets
+BATCH = 32  # points that are written together: monitoring many states costs little more than monitoring one
+PATIENCE = 2.0  # s, after which fewer points are written
+STEPS_PER_FIGURE = 2500  # of the run, per figure: a figure costs as much as some hundred steps
 FIGURE_STEPS = 450  # shown in the figure of predictions
 
 
@@ -39,8 +39,8 @@ class TensorBoardLogger:
 
     Args:
         folder: of the TensorBoard files.
-        fleet: what is replayed.
-        ensemble: what learns.
+        fleet: the runs that are replayed.
+        ensemble: the estimators that learn.
     """
 
     def __init__(self, folder: str | Path, fleet: Fleet, ensemble: Ensemble):
@@ -48,8 +48,8 @@ class TensorBoardLogger:
         self.every = max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))  # steps between points
         self._points: list[tuple[int, np.ndarray, EnsembleState]] = []  # step, MAE (boats, estimators), state
         self._written = time.monotonic()
-        self._errors: deque[tuple[int, np.ndarray, np.ndarray]] = deque()  # of a chunk: steps, Σ |error| and how many,
-        # (boats, estimators); of the last WINDOW steps or a little more
+        self._errors: deque[tuple[int, np.ndarray, np.ndarray]] = deque()  # per chunk: steps, Σ |error| and
+        # count, (boats, estimators); covers at least the last WINDOW steps
         charts = {
             boat: {
                 f"{number}, {unit}": [f"online/{number}/{boat}/{name}" for name in ensemble.names]
@@ -76,7 +76,7 @@ class TensorBoardLogger:
         self.board.close()
 
     def show(self, chunk: Chunk) -> None:
-        """One point of every curve, written before long."""
+        """Add one point to every curve; it is written within PATIENCE or BATCH points."""
         part = slice(chunk.begin.step, chunk.end.step)
         samples = tree_map(lambda x: x[part], self.fleet.runs[chunk.end.run].samples)
         surge = np.where(masks(samples, self.ensemble.surge_limit).learns, samples.surge, np.nan)
@@ -93,7 +93,7 @@ class TensorBoardLogger:
             self._write()
 
     def _write(self) -> None:
-        """Write the points that are due, of boats whose speed was measured."""
+        """Write the pending points of all boats whose speed was measured."""
         if self._points:
             names = self.ensemble.names
             with torch.no_grad():
@@ -118,12 +118,10 @@ class TensorBoardLogger:
         published: Published,
         alarms: Mapping[str, Sequence[Mapping]],
     ) -> None:
-        """The record of the run, the counts of what was rejected, a figure of the end of each boat's last run.
+        """Write the run's record, the counts of rejected messages, and a figure of the end of each boat's last run.
 
-        A boat that raised an alarm has a figure of that run, too.
-
-        A short run of a large fleet has figures of its first boats alone. Without matplotlib there is none, and a
-        warning says so.
+        A boat that raised an alarm gets a figure of that run, too. A short run of a large fleet gets figures of its
+        first boats only. Without matplotlib no figure is drawn, and a warning is raised.
 
         Args:
             settings: the run's configuration.
@@ -148,7 +146,7 @@ class TensorBoardLogger:
             warnings.warn(f"no figure of the predictions: {error}", stacklevel=2)
 
     def _draw_alarm(self, lane: int, published: Published, alarms: Sequence[Mapping], data: Mapping, step: int) -> None:
-        """The run of the first alarm; where the log is simulated, with the fault."""
+        """Draw the run of the first alarm; if the log is simulated, also the fault."""
         boat = self.fleet.boats[lane]
         index = next(k for k, run in enumerate(self.fleet.runs) if run.names[lane] == alarms[0]["run"])
         run, found = self.fleet.runs[index], published.lane(index, lane)
@@ -170,7 +168,7 @@ class TensorBoardLogger:
         self.board.figure(f"thrusters/{boat}", figure, step)
 
     def _draw(self, lane: int, published: Published, step: int) -> None:
-        """The ensemble's own prediction and interval, beside the paper's three estimators, or the first three."""
+        """Draw the ensemble's prediction and interval, and three members: the paper's, or else the first ones."""
         index = max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane])
         run, boat = self.fleet.runs[index], self.fleet.boats[lane]
         part = slice(max(0, run.lengths[lane] - FIGURE_STEPS), run.lengths[lane])

@@ -1,20 +1,20 @@
-"""What a run publishes of each step, as its files keep it: `predictions/RRRRR_SSSSSSS.npz`.
+"""What a run publishes of each step: the format of `predictions/RRRRR_SSSSSSS.npz`.
 
-A file holds the steps of one run since the file before. It can be used alone, and opens without pickle. With n steps,
-b boats and m estimators:
+A file contains the steps of one run since the previous file. It can be used alone, and opens without pickle. With n
+steps, b boats and m estimators:
 
     predictions      (n, b, m)  m/s; NaN where no step was made
     halfwidths       (n, b, m)  m/s, of the intervals about them
     thrusters        (n, b, 5)  effectiveness left and right, evidence of a loss left and right, 1 in an alarm
-    time             (n, b)     s since the log's start; NaN behind the end of a boat's shorter run
+    time             (n, b)     s since the run's first step; NaN after the end of a boat's shorter run
     measured_surge   (n, b)     m/s; NaN where it was not measured
-    command_left, command_right, heading, yaw_rate, dt    (n, b)    what was known before each prediction
-    fresh, measured  (n, b)     bool: every input was recent; and so was the speed
-    boats, runs      (b,)       names; a boat without such a run has an empty name there
+    command_left, command_right, heading, yaw_rate, dt    (n, b)    known before each prediction
+    fresh, measured  (n, b)     bool: every input was recent; so was the speed
+    boats, runs      (b,)       names; the run's name is empty for a boat without this run
     estimators       (m,)       names of the last axis of predictions and halfwidths
-    units            (k, 2)     name and unit of all that has one
+    units            (k, 2)     name and unit of each array that has one
 
-Older files have the first three alone.
+Older files contain only the first three.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ UNITS = signals.UNITS | {
 
 
 class Position(NamedTuple):
-    """A place in a fleet's runs: so many steps of the run with that index are done."""
+    """A place in a fleet's runs: `step` steps of the run with index `run` are done."""
 
     run: int
     step: int
@@ -53,7 +53,7 @@ BEGIN = Position(0, 0)
 
 
 class Stretch(NamedTuple):
-    """Steps of one run that one file holds."""
+    """The steps of one run in one file."""
 
     run: int  # its index
     step: int  # the first
@@ -61,7 +61,7 @@ class Stretch(NamedTuple):
 
 
 class Published:
-    """The stretches that a run's folder holds, in order; each is read when it is needed, so that memory holds one.
+    """The stretches in a run's folder, in order. Each is read when it is needed, so that memory contains one at a time.
 
     Args:
         folder: of the run.
@@ -73,7 +73,7 @@ class Published:
         self._folder, self._lengths, self._boats, self._columns = folder / PREDICTIONS, lengths, boats, columns
 
     def places(self) -> list[tuple[int, int, int]]:
-        """Index of the run, first step and end of each stretch, by the names of the files."""
+        """Index of the run, first step and end of each stretch, from the names of the files."""
         found, before = [], BEGIN
         for place in sorted(filter(None, map(position, self._folder.glob("*.npz")))):
             found.append((place.run, before.step if place.run == before.run else 0, place.step))
@@ -81,16 +81,16 @@ class Published:
         return found
 
     def read(self, run: int, step: int, end: int, names: Sequence[str] = PUBLISHED) -> Stretch:
-        """One of the places: the arrays of these names that its file has.
+        """Read the arrays `names` of one of the `places`, as far as its file has them.
 
         Raises:
-            CheckpointError: its file is damaged, or holds other steps.
+            CheckpointError: its file is damaged, or contains other steps.
         """
         path = self._folder / f"{stem(Position(run, end))}.npz"
         try:
             arrays = read_published(path, min(end, self._lengths[run]) - step, self._boats, self._columns, names)
             if other := [len(array) for array in arrays.values() if len(array) != end - step]:
-                raise ValueError(f"it holds {other[0]} steps, expected {end - step}")
+                raise ValueError(f"it contains {other[0]} steps, expected {end - step}")
         except DAMAGE as error:
             raise CheckpointError(f"{path}: is damaged ({error})") from error
         return Stretch(run, step, arrays)
@@ -112,14 +112,14 @@ class Published:
 
 
 def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """Stretches of what was published, one after the other."""
+    """Stretches, concatenated in time."""
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def packed(
     published: Mapping[str, np.ndarray], run: Run, end: int, boats: Sequence[str], estimators: Sequence[str]
 ) -> bytes:
-    """The content of a file: what was published of the last steps of a run before `end`, and what it rests on."""
+    """The content of a file: what was published of the last steps of a run before `end`, with their samples."""
     part = slice(end - len(published["predictions"]), end)
     inputs, surge, fresh, measured = run.samples
     arrays = {
@@ -145,13 +145,13 @@ def packed(
 def read_published(
     path: Path, steps: int, boats: int, columns: int, names: Sequence[str] = PUBLISHED
 ) -> dict[str, np.ndarray]:
-    """The arrays of a file of predictions, by PUBLISHED; one of DAMAGE where it cannot be read.
+    """The arrays of a file of predictions, by name; raises one of DAMAGE if the file cannot be read.
 
     Args:
         path: of the file.
-        steps, boats, columns: how large the predictions can be. A file with much more is not unpacked, and one of other
-            boats or columns is damaged.
-        names: of the arrays; without predictions a file is damaged, without others it is of an older version.
+        steps, boats, columns: the greatest size of the predictions. A much larger file is not unpacked, and one with
+            other boats or columns counts as damaged.
+        names: of the arrays. A file without predictions counts as damaged; older versions lack the others.
     """
     most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (2 * columns + 12)) * boats  # 2048: names
     if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
@@ -170,11 +170,11 @@ def read_published(
 
 
 def position(path: Path) -> Position | None:
-    """What a file's name says, None where it is none of ours."""
+    """The place in a file's name; None if the name has another form."""
     run, _, step = path.stem.partition("_")
     return Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
 
 
 def stem(place: Position) -> str:
-    """The name of a place's files."""
+    """The stem of the names of a place's files."""
     return f"{place.run:05d}_{place.step:07d}"

@@ -25,7 +25,7 @@ class Chunk(NamedTuple):
     end: Position
     state: EnsembleState  # at the end; leaves (boats, ...)
     published: dict[str, np.ndarray]  # see `runs.published`, (time, boats, …), NaN where no step was made
-    save: bool  # whether parameter sets are due at the end
+    save: bool  # whether parameter sets are saved at the end
 
     @property
     def predictions(self) -> np.ndarray:
@@ -46,12 +46,12 @@ def replay(
     The state is carried from run to run, as a boat carries its parameters from mission to mission.
 
     Args:
-        ensemble: what predicts and learns.
+        ensemble: the estimators that predict and learn.
         fleet: aligned runs; see `usvlearn.logs.recordings.align_fleet`.
         state: to start from, leaves `(boats, ...)`.
-        begin: what is already done.
+        begin: the place up to which the replay is already done.
         every: steps in a chunk, at most.
-        save_every: steps between two parameter sets; more fall due at the end of each run.
+        save_every: steps between two parameter sets; sets are also saved at the end of each run.
 
     Yields:
         Chunks in order; together they cover each run once.
@@ -67,7 +67,7 @@ def replay(
 
 
 def _places(fleet: Fleet, begin: Position, every: int, save_every: int) -> Iterator[tuple[int, int, int, bool]]:
-    """Of each chunk the run, the first step and the end, and whether sets are due there."""
+    """For each chunk: index of the run, first step, end, and whether sets are saved there."""
     for index in range(begin.run, len(fleet.runs)):
         length, done = len(fleet.runs[index].time), begin.step if index == begin.run else 0
         for stop in sorted({*range(every, length, every), *range(save_every, length, save_every), length}):
@@ -77,13 +77,13 @@ def _places(fleet: Fleet, begin: Position, every: int, save_every: int) -> Itera
 
 
 def _recorded(state: EnsembleState) -> list[str]:
-    """The leaves that are kept of every step."""
+    """The names of the leaves that are recorded at every step."""
     thrusters = [f"{THRUSTERS}{leaf}" for leaf in HEALTH] if state.monitors else []
     return ["predictions", "halfwidths", *thrusters]
 
 
 def _published(state: EnsembleState, kept: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """What is published of every step, from the leaves that were kept."""
+    """What is published of every step, computed from the recorded leaves."""
     published = {name: kept[name] for name in ("predictions", "halfwidths")}
     if not state.monitors:
         return published

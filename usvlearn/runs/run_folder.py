@@ -1,4 +1,4 @@
-"""A run's folder: parameter sets and predictions as they come, and how a run goes on from them."""
+"""A run's folder: saves parameter sets and predictions during a replay, and resumes from them."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Start(NamedTuple):
 
 
 class Set(NamedTuple):
-    """A parameter set on its way to the disk."""
+    """A parameter set that is to be written."""
 
     path: Path
     state: Any  # a tree of arrays, a copy
@@ -47,12 +47,12 @@ class Set(NamedTuple):
 
 
 class RunFolder:
-    """Saves a replay as it goes, and finds where to go on. As a context, it ends when all is written.
+    """Saves a replay while it runs, and finds where to resume. As a context manager, it waits until all is written.
 
     Args:
         path: the folder.
-        fleet: what is replayed.
-        metadata: JSON values that every checkpoint carries (configuration; `kernel`, how the ensemble is
+        fleet: the runs that are replayed.
+        metadata: JSON values that every checkpoint contains (configuration; `kernel`, how the ensemble is
             built, of all boats).
         names: of the estimators, as `Ensemble.names`.
     """
@@ -63,12 +63,12 @@ class RunFolder:
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
         self._writer = ThreadPoolExecutor(1)
-        self._writing: Future[None] | None = None  # one place behind the replay, at most
+        self._writing: Future[None] | None = None  # at most one place at a time
         self.state: EnsembleState  # the newest, from `begin` on; leaves (boats, ...)
 
     @property
     def published(self) -> Published:
-        """What was published up to the last save, earlier sessions included."""
+        """What was published up to the last save, including earlier sessions."""
         self._wait()
         return self._published(self.path)
 
@@ -77,10 +77,10 @@ class RunFolder:
         return Published(folder, lengths, len(self.fleet.boats), len(self.names))
 
     def begin(self, state: EnsembleState, resume: str | None) -> Start:
-        """Where to start from: `state`, or what `resume` ("latest", a run's folder or a checkpoint) has saved.
+        """Where to start: from `state`, or from what `resume` ("latest", a run's folder or a checkpoint) names.
 
-        Over the same samples, with the same ensemble, a folder is gone on from where it stopped, bit for bit; else its
-        newest parameter sets are what learning starts from, in another folder.
+        With unchanged samples and ensemble, a folder continues bit for bit from where it stopped. Otherwise learning
+        starts from its newest parameter sets, in another folder.
 
         Raises:
             ConfigError: the folder already holds parameter sets that this run would mix with its own.
@@ -103,12 +103,12 @@ class RunFolder:
                 raise CheckpointError(f"resume: {source} does not exist: give a run's folder, a checkpoint or latest")
         if _has_sets(self.path) and not (continued and source.resolve() == self.path.resolve()):
             raise ConfigError(
-                f"{self.path}: already holds the parameter sets of a run: go on from them with resume=latest, "
+                f"{self.path}: already holds the parameter sets of a run: continue from them with resume=latest, "
                 "or choose another hydra.run.dir"
             )
         if continued:
             start = self._continued(source, start)
-        elif resume is not None:  # kept, should the run stop before its first set
+        elif resume is not None:  # saved in case the run stops before its first set
             for lane, boat in enumerate(self.fleet.boats):
                 first = self._lane_set(start.state, lane, boat, BEGIN)
                 save_checkpoint(first.path, first.state, **first.facts)
@@ -122,14 +122,14 @@ class RunFolder:
         return start
 
     def save(self, chunk: Chunk) -> None:
-        """Write what a chunk makes due: predictions first, since a state is gone on from only with them."""
+        """Write what is due after a chunk: predictions first, because a run resumes from a state only with them."""
         self.state, self._reached = chunk.state, chunk.end
         self._pending.append(chunk.published)
         if chunk.save:
             self._hand_on()
 
     def _hand_on(self) -> None:
-        """Have all that is pending written, and every boat's parameter set."""
+        """Start to write the pending predictions and every boat's parameter set."""
         self._wait()
         index, step = self._reached
         run, before = self.fleet.runs[index], self._saved.step if self._saved.run == index else 0
@@ -142,7 +142,7 @@ class RunFolder:
         self._pending, self._saved = [], self._reached
 
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
-        """Predictions and sets of one place; a disk is slow, so that the replay goes on meanwhile."""
+        """Write the predictions and sets of one place, in a thread, while the replay continues."""
         run = self.fleet.runs[place.run]
         content = packed(joined(published), run, place.step, self.fleet.boats, self.names)
         folder = self.path / PREDICTIONS
@@ -152,7 +152,7 @@ class RunFolder:
             save_checkpoint(each.path, each.state, **each.facts)
 
     def _wait(self) -> None:
-        """Until what was handed on is written; raises what went wrong with it."""
+        """Wait for the thread that writes, and raise its error, if any."""
         if self._writing is not None:
             writing, self._writing = self._writing, None
             writing.result()
@@ -164,13 +164,13 @@ class RunFolder:
         self._wait()
 
     def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
-        """Judge all that was published; returns what stands in `results.json`: scores, alarms, the objective."""
+        """Score all predictions; returns the content of `results.json`: scores, alarms, the objective."""
         found = self._judged(ensemble, seconds)
         save_results(self.path, found)
         return found
 
     def stop(self, ensemble: Ensemble, seconds: float) -> None:
-        """Save a replay that ends early, so that it can go on; its results so far are marked as partial."""
+        """Save a replay that ends early, so that it can resume; its results so far are marked as partial."""
         if self._pending:
             self._hand_on()
         steps = {"steps": self.fleet.steps_before(*self._reached), "of": self.fleet.steps}
@@ -197,7 +197,7 @@ class RunFolder:
 
     @cached_property
     def _runs(self) -> dict[str, Any]:
-        """What makes this run the one it is: per boat, name, length and samples of each run; and the ensemble."""
+        """The identity of this run: per boat, name, length and digest of each run; and the digest of the ensemble."""
         configuration = self.metadata.get("configuration", {})
         ensemble = json.dumps(first_named([configuration.get("estimators"), configuration.get("combiners")]))
         boats = {
@@ -207,7 +207,7 @@ class RunFolder:
         return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
 
     def _latest(self) -> Path:
-        """The run that began last, or went on: this one if it began here, else a sibling with parameter sets."""
+        """The run that began or resumed last: this folder if it has one, else a sibling with parameter sets."""
         if (self.path / RUNS).exists():
             return self.path
         found = [path.parent for path in self.path.parent.glob(f"*/{RUNS}")]
@@ -234,7 +234,7 @@ class RunFolder:
         return start._replace(state=state, note=f"starting from {of or 'a set'}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
-        """Every boat starts from its newest readable parameter set; the runs are new to it."""
+        """Every boat starts from its newest readable parameter set, at the first run."""
         lanes = []
         for lane, boat in enumerate(self.fleet.boats):
             folder = source / CHECKPOINTS / boat
@@ -248,7 +248,7 @@ class RunFolder:
         return start._replace(state=stack(lanes), note=note)
 
     def _continued(self, source: Path, start: Start) -> Start:
-        """Go on from the newest place at which every boat and all predictions can be read."""
+        """Resume from the newest place at which every boat's set and all predictions can be read."""
         published, readable, before = self._published(source), [], BEGIN
         for run, step, end in published.places():
             try:
@@ -256,7 +256,7 @@ class RunFolder:
                     raise CheckpointError(f"{source}: predictions of the end of run {before.run + 1} are missing")
                 published.read(run, step, end)
             except CheckpointError as error:
-                warnings.warn(f"{error}; going on from before it", stacklevel=2)
+                warnings.warn(f"{error}; resuming from before it", stacklevel=2)
                 break
             before = Position(run, end)
             readable.append(before)
@@ -269,29 +269,29 @@ class RunFolder:
                     verify(path)
                 break
             except CheckpointError as error:
-                warnings.warn(f"{error}; going on from before it", stacklevel=2)
+                warnings.warn(f"{error}; resuming from before it", stacklevel=2)
                 readable.pop()
         if not readable:
             place, note = BEGIN, "learning from the start"
             paths = [_set(source, boat, BEGIN) for boat in self.fleet.boats]
-            if not all(path.exists() for path in paths):  # it began from nothing
+            if not all(path.exists() for path in paths):  # it began without saved sets
                 self._bring(source, BEGIN)
                 return start
         else:
-            note = f"going on after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
+            note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
         lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
         self._bring(source, place)
         return Start(stack(lanes), place, note)
 
     def _own(self, lane: int, place: Position) -> Position:
-        """Where a boat stood when the fleet stood at `place`: its runs may be shorter, or fewer."""
+        """A boat's own place when the fleet is at `place`: its runs may be shorter, or fewer."""
         for run in range(place.run, -1, -1):
             if length := self.fleet.runs[run].lengths[lane]:
                 return Position(run, min(length, place.step) if run == place.run else length)
         raise AssertionError(f"{self.fleet.boats[lane]} has no run up to {place}")
 
     def _bring(self, source: Path, place: Position) -> None:
-        """Copy what a resumed run rests on, so that its folder is complete."""
+        """Copy the sets and predictions up to `place` from another folder, so that this one is complete."""
         if source.resolve() == self.path.resolve():
             return
         for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
@@ -301,7 +301,7 @@ class RunFolder:
                 write_atomically(new, old.read_bytes())
 
     def _forget(self, place: Position) -> None:
-        """Remove the predictions beyond `place`, the last first, and results: they are made anew."""
+        """Remove the results, and the predictions after `place`, the last first: they are made anew."""
         self.path.mkdir(parents=True, exist_ok=True)
         (self.path / RESULTS).unlink(missing_ok=True)
         for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
@@ -329,10 +329,10 @@ def from_sets(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleStat
 
 
 def begun(folder: Path) -> tuple[int, int, Position, str]:
-    """A key that sorts the runs in one folder by when they began, or last went on.
+    """A key that sorts the runs in one folder by when they began or last resumed.
 
-    Clocks are set back, so that runs are numbered as they begin. Of equal numbers the run that came further is the
-    later. Runs of older versions have no number: they are before the others, and sorted by the time of their files.
+    Clocks can be set back, so runs are numbered as they begin. Of two runs with the same number, the one that came
+    further is the later. Runs of older versions have no number: they come first, sorted by the time of their files.
     """
     sets, number = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), _number(folder)
     stamp = 0 if number else max(path.stat().st_mtime_ns for path in [*sets, folder / RUNS])
@@ -340,7 +340,7 @@ def begun(folder: Path) -> tuple[int, int, Position, str]:
 
 
 def _number(folder: Path) -> int:
-    """How many runs had begun beside a folder's run, itself counted; 0 where that is not noted."""
+    """The number of a folder's run among the runs beside it; 0 if it has none."""
     try:
         number = json.loads((folder / RUNS).read_text())["began"]["number"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
@@ -361,7 +361,7 @@ def digest(run: Run, lane: int) -> str:
 
 
 def _has_sets(folder: Path) -> bool:
-    """Whether a folder holds parameter sets that are worth keeping, not just those from which a run was to start."""
+    """Whether a folder contains parameter sets that must be kept, besides those from which a run was to start."""
     sets = [position(path) for path in (folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")]
     return any(at is None or at > BEGIN for at in sets) or (bool(sets) and (folder / RUNS).exists())
 

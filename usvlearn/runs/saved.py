@@ -1,4 +1,4 @@
-"""Reads what runs have saved: folders as `run_folder` writes them, and the samples that they are judged on."""
+"""Reads the folders that `run_folder` writes, and joins them with the samples on which they are evaluated."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from usvlearn.runs.run_folder import begun, digest
 from usvlearn.runs.trust import check_settings
 from usvlearn.signals import Fleet, tree_map
 
-SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a saved configuration must hold
+SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a saved configuration must contain
 
 
 def run_folders(folder: str | Path) -> list[Path]:
-    """A folder that a run was saved in, or all of those below one, the oldest first.
+    """The folder itself if it contains a run, else all folders below it that do, the oldest first.
 
     Raises:
-        ConfigError: there is none.
+        ConfigError: there is no run.
     """
     folder = Path(folder)
     found = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
@@ -38,14 +38,14 @@ def run_folders(folder: str | Path) -> list[Path]:
         raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which train.py has made a run")
     if len({path.parent for path in found}) == 1:
         return sorted(found, key=begun)
-    return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are those of one folder
+    return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are per folder
 
 
 def is_sweep(folder: Path) -> bool:
-    """Whether the runs below a folder are to be compared, not pooled: jobs of a sweep, or of several ensembles.
+    """Whether the runs below a folder are compared instead of pooled: jobs of a sweep, or runs of several ensembles.
 
     Raises:
-        ConfigError: they are of several ensembles, and their commands are not known, as in a study's folder.
+        ConfigError: they are of several ensembles, and their commands were not saved, as in a study's folder.
     """
     if (folder / "multirun.yaml").exists():
         return True
@@ -59,7 +59,7 @@ def is_sweep(folder: Path) -> bool:
 
 
 def configuration(folder: Path, trust: str | Sequence[str] | None = None) -> dict[str, Any]:
-    """The settings that a run was made with, from its newest readable parameter set; they can be instantiated.
+    """The settings of a run, from its newest readable parameter set; they can be instantiated.
 
     Args:
         folder: of the run.
@@ -95,7 +95,7 @@ def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def results(folder: Path) -> dict[str, Any]:
-    """What a run has found, {} where it is not finished.
+    """The results of a run; {} if it is not finished.
 
     Raises:
         CheckpointError: the file is damaged.
@@ -113,18 +113,18 @@ def results(folder: Path) -> dict[str, Any]:
 
 
 def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[Fleet]) -> list[Season]:
-    """Every boat's parameter sets of all folders, and its runs of all fleets.
+    """Each boat's parameter sets from all folders, and its runs from all fleets.
 
-    A damaged set, or file of predictions, is passed over with a warning.
+    A damaged set or file of predictions is skipped with a warning.
 
     Args:
         folders: of the runs, the oldest first.
         ensemble: to which all sets belong.
-        fleets: what the sets are judged on; a run that stands in several counts once.
+        fleets: on which the sets are evaluated; a run that is in several of them counts once.
 
     Raises:
         CheckpointError: a boat has no readable set; sets of another ensemble or schema.
-        ConfigError: the folders hold no set of a boat of the fleets.
+        ConfigError: the folders contain no set of a boat of the fleets.
     """
     runs: dict[str, dict[str, SeasonRun]] = {}
     for fleet in fleets:
@@ -139,7 +139,7 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
     known = sorted({path.name for folder in folders for path in (folder / CHECKPOINTS).glob("*")})
     if missing := [boat for boat in runs if boat not in known]:
         raise ConfigError(
-            f"data: found the boat {', '.join(missing)}, of which the runs hold no parameter set (they have "
+            f"data: found the boat {', '.join(missing)}, of which the runs contain no parameter set (they have "
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
     lengths = {key: len(run.samples.surge) for found in runs.values() for key, run in found.items()}
@@ -148,7 +148,7 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
 
 
 class _Folder(NamedTuple):
-    """What a run's folder holds of all boats."""
+    """The content of a run's folder, for all boats."""
 
     path: Path
     dt: float  # s, of its grid
@@ -157,7 +157,7 @@ class _Folder(NamedTuple):
 
 
 def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
-    """What stands in a folder; predictions only of the runs whose lengths are given by key."""
+    """Read a folder; predictions only of the runs whose lengths are given by key."""
     learned, dt = _runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
     published: dict[int, list[dict[str, np.ndarray]]] = {}
     for path in sorted((folder / PREDICTIONS).glob("*.npz")):
@@ -169,7 +169,7 @@ def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
         try:
             part = read_published(path, steps, len(learned), columns)
         except DAMAGE as error:
-            warnings.warn(f"{path}: is damaged ({error}); its run goes without predictions", stacklevel=3)
+            warnings.warn(f"{path}: is damaged ({error}); its run has no predictions here", stacklevel=3)
             continue
         published.setdefault(at.run, []).append(part)
     return _Folder(folder, dt, learned, published)
@@ -184,17 +184,17 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
         ends = np.cumsum([0, *(length for _, length, _ in learned)]) * folder.dt / 3600
         for path in checkpoints(folder.path / CHECKPOINTS / boat):
             at = position(path)
-            if at is None or at.step == 0:  # what it started from
+            if at is None or at.step == 0:  # the set it started from
                 continue
             if at.run >= len(learned) or at.step > learned[at.run][1]:
-                warnings.warn(f"{path}: is of no step of the runs in {RUNS}; going on without it", stacklevel=2)
+                warnings.warn(f"{path}: belongs to no step of the runs in {RUNS}; continuing without it", stacklevel=2)
                 continue
             try:
                 sets.append(restore(path, template, ESTIMATOR)[0])
             except CheckpointError as error:
                 if "damaged" not in str(error) and "cannot be read" not in str(error):
                     raise
-                warnings.warn(f"{error}; going on without it", stacklevel=2)
+                warnings.warn(f"{error}; continuing without it", stacklevel=2)
                 continue
             key = learned[at.run][2]
             paths.append(path)
@@ -225,7 +225,7 @@ def _runs_file(folder: Path) -> dict[str, Any]:
 
 
 def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list[SeasonRun]:
-    """The runs with what was published of them in a folder, where its predictions are complete."""
+    """The runs, each with its published arrays if the folder has them for all of its steps."""
     complete = {}
     lane = list(folder.learned).index(boat) if boat in folder.learned else 0
     for index, (_, length, key) in enumerate(folder.learned.get(boat, [])):

@@ -1,9 +1,9 @@
-"""Which saved settings may be instantiated. A run may come from anybody, and each `_target_` in its settings is called.
+"""Which saved settings may be instantiated. A run may come from anybody, and Hydra calls each `_target_` in it.
 
-Allowed are the public classes of usvlearn, those that a module below PACKAGES defines itself, and FUNCTIONS: they
-compute or read, and call nothing that they are given. A re-exported name (`usvlearn.estimators.rnn.layer.torch`) or an
-attribute of a class is refused. The user can allow modules of his own by `trust`. No module is imported before its name
-is allowed.
+Allowed are the public classes of usvlearn, the classes that a module below PACKAGES defines itself, and FUNCTIONS. They
+compute or read, and do not call their arguments. A re-exported name (`usvlearn.estimators.rnn.layer.torch`) or an
+attribute of a class is refused. Users can allow their own modules by `trust`. No module is imported before its name is
+allowed.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ DEEPEST = 50  # levels of settings
 
 
 def check_settings(where: str, settings: Any, trust: str | Sequence[str] | None = None) -> None:
-    """Raise unless settings are plain data, and each `_target_` in them may be called.
+    """Raise an error unless settings are plain data and each `_target_` in them is allowed.
 
     Args:
-        where: the file that they were read from, for the error.
-        settings: dictionaries, lists and scalars, as JSON has them.
-        trust: modules of the user whose classes and functions are allowed, too, with those of their submodules.
+        where: the file from which they were read, for the error.
+        settings: dictionaries, lists and scalars, as in JSON.
+        trust: modules of the user, whose classes and functions are also allowed, with those of their submodules.
 
     Raises:
-        CheckpointError: a target is not allowed, or settings hold an interpolation or too many levels.
-        ConfigError: `trust` is no name of a module, or a list of such names.
+        CheckpointError: a target is not allowed, or settings contain an interpolation or too many levels.
+        ConfigError: `trust` is neither the name of a module nor a list of such names.
 
     >>> check_settings("a", {"estimators": {"rls": {"_target_": "usvlearn.estimators.least_squares.rls.RLS"}}})
     >>> check_settings("a.safetensors", {"estimators": [{"_target_": "os.system", "command": "reboot"}]})
@@ -59,14 +59,14 @@ usvlearn.estimators, usvlearn.logs or usvlearn.simulate: if you know that module
 
 
 def check_setting(where: str, setting: Any) -> dict[str, float]:
-    """Return a tuned setting if it holds finite numbers by dotted paths, so that it can name no code; else raise.
+    """Return a tuned setting if it contains only finite numbers by dotted paths, so that it cannot name code.
 
     Args:
-        where: the file that it was read from, for the error.
-        setting: as the file has it.
+        where: the file from which it was read, for the error.
+        setting: the content of the file.
 
     Raises:
-        ConfigError: it holds something else.
+        ConfigError: it contains something else.
 
     >>> check_setting("tuning.json", {"estimator.memory": 3.0})
     {'estimator.memory': 3.0}
@@ -84,7 +84,7 @@ def check_setting(where: str, setting: Any) -> dict[str, float]:
 
 
 def _leaves(where: str, settings: Any) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The keys and the value of each scalar, and of whatever stands below a `_target_`."""
+    """The keys and the value of each scalar, and of anything given as a `_target_`."""
     waiting: list[tuple[tuple[str, ...], Any]] = [((), settings)]
     while waiting:
         keys, value = waiting.pop()
@@ -98,7 +98,7 @@ def _leaves(where: str, settings: Any) -> Iterator[tuple[tuple[str, ...], Any]]:
 
 
 def _allowed(target: Any, trusted: Sequence[str]) -> bool:
-    """Whether a target is a class of ours, one of FUNCTIONS, or what a trusted module defines."""
+    """Whether a target is a class of usvlearn, one of FUNCTIONS, or defined by a trusted module."""
     if not isinstance(target, str) or not all(part.isidentifier() for part in target.split(".")):
         return False
     module, _, name = target.rpartition(".")
@@ -126,7 +126,7 @@ def _within(module: str, packages: Sequence[str]) -> bool:
 
 
 def _path(keys: Sequence[str]) -> str:
-    """A dotted path that can be printed on one line."""
+    """A dotted path, shortened and escaped so that it prints on one line."""
     path = ".".join(keys)
     return path if path.isprintable() and len(path) <= 80 else _short(path)
 
