@@ -7,8 +7,8 @@
                                    contain least), covariance_trace, deviation in m/s, weight_MEMBER; of a robust
                                    estimator clipped, rejected and escaped samples, scale in m/s; of an RNN
                                    margin_CONDITION (> 0: contracting), contraction_rate, time_constant in s, and at
-                                   rest the number of equilibria, the nearest, m/s, and its class, counted from 0 in the order of
-                                   certify.equilibria.CLASSES
+                                   rest the number of equilibria, the nearest, m/s, and its class, counted from 0
+                                   in the order of certify.equilibria.CLASSES
     rejected/BOAT/CHANNEL/CAUSE    counts over the whole log
     state/BOAT/monitors/NUMBER     whiteness_ESTIMATOR (lag 1; white within ± whiteness_band), scale_ESTIMATOR in m/s;
                                    effectiveness_SIDE and evidence_SIDE of a lost thruster, alarm (0 or 1), alarms
