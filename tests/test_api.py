@@ -157,6 +157,7 @@ def test_an_ensemble_is_taken_as_it_is(logs):
 WRONG = {
     "data": (lambda folder: usvlearn.read(folder, "bluebot"), "data: found 'bluebot'.*did you mean blueboat"),
     "path": (lambda folder: usvlearn.read(folder / "none.csv"), r"none\.csv does not exist"),
+    "several paths": (lambda folder: usvlearn.read([folder]), r"path: found \[.*\], expected a path, a pattern, or a"),
     "no path": (lambda folder: usvlearn.read(), "data.path is not set"),
     "mass": (lambda folder: usvlearn.read(folder, mass=-1), "mass: found -1, expected a positive number of kg"),
     "top speed": (lambda folder: usvlearn.read(folder, surge_max=0), "surge_max: found 0"),
@@ -192,6 +193,22 @@ def test_what_cannot_be_learned_saved_or_simulated_is_told(logs, learned, tmp_pa
     with pytest.raises(CheckpointError, match="does not fit this estimator"):
         usvlearn.learn(logs, AID(), start=path)
     assert not {each.name for each in tmp_path.iterdir()} - {"a.safetensors"}
+
+
+def test_a_path_is_not_taken_for_logs(learned, tmp_path):
+    for call in (usvlearn.learn, learned.simulate):
+        with pytest.raises(ConfigError, match=r"logs: found 'a\.csv', expected what usvlearn\.read returns"):
+            call("a.csv")
+
+
+def test_the_only_boat_is_not_saved_under_another_name(tmp_path):
+    """Its set serves logs of any boat in a simulation, but a name that is given must be its own."""
+    alone = usvlearn.learn(usvlearn.read(data="simulated", hours=0.05), AID(mass=28.0))
+    with pytest.raises(ConfigError, match="boat: found 'herno', of which nothing was learned, expected one of heron"):
+        alone.save(tmp_path / "a.safetensors", "herno")
+    assert not list(tmp_path.iterdir())
+    other = alone.simulate(usvlearn.read(data="simulated", plant="otter", hours=0.05))
+    assert other.scores.keys() == {"otter"}
 
 
 def test_a_real_log(real_logs, tmp_path):

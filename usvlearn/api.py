@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.learned import AlignedLogs, Learned, PathLike, predictions_of
+from usvlearn.learned import AlignedLogs, Learned, PathLike, check_logs, predictions_of
 
 if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
@@ -55,7 +55,7 @@ def read(
         **settings: further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and `seed`.
 
     Raises:
-        ConfigError: an option outside its legal values, or a path that finds no log.
+        ConfigError: an option outside its legal values, or a path that is none or finds no log.
         LogFormatError: no log can be read as it is described.
 
     >>> from tempfile import TemporaryDirectory
@@ -73,8 +73,10 @@ def read(
 
     if isinstance(path, Mapping):
         settings["path"] = {str(boat): os.fspath(each) for boat, each in path.items()}
-    elif path is not None:
+    elif isinstance(path, str | os.PathLike):
         settings["path"] = os.fspath(path)
+    elif path is not None:
+        raise ConfigError(f"path: found {path!r}, expected a path, a pattern, or a dictionary of boat: path")
     if channels is not None:
         settings["channels"] = dict(channels)
     vehicle = {}
@@ -100,7 +102,7 @@ def learn(
         start: a parameter set to start from, or a folder of them, of which the newest is used; or boat -> either.
 
     Raises:
-        ConfigError: `estimator` is not an estimator.
+        ConfigError: `logs` were not made by `read`, or `estimator` is not an estimator.
         CheckpointError: `start` cannot be read, or belongs to another ensemble.
 
     >>> from usvlearn import AID
@@ -111,7 +113,7 @@ def learn(
     from usvlearn.evaluation.metrics import alarms, fleet_scores
     from usvlearn.runs.replay import replay
 
-    fleet, ensemble = logs.fleet, _ensemble(logs, estimator)
+    fleet, ensemble = check_logs(logs).fleet, _ensemble(logs, estimator)
     state = ensemble.init((len(fleet.boats),))
     if start is not None:
         state = _started(state, fleet.boats, start)

@@ -151,14 +151,14 @@ class Learned:
         """Simulate each run of some logs with its boat's parameters. Parameters of a single boat serve all boats.
 
         Raises:
-            ConfigError: nothing was learned of a boat of the logs.
+            ConfigError: the logs were not made by `read`, or nothing was learned of one of their boats.
         """
         import torch
 
         from usvlearn.evaluation.metrics import fleet_scores
         from usvlearn.rollouts import simulate, tensors
 
-        lanes = [self._lane(boat) for boat in logs.boats]
+        lanes = [0 if len(self.boats) == 1 else self._lane(boat) for boat in check_logs(logs).boats]
         state = tree_map(lambda leaf: leaf[lanes], self.state)
         published = []
         for run in logs.fleet.runs:
@@ -205,8 +205,6 @@ class Learned:
     def _lane(self, boat: str) -> int:
         if boat in self.boats:
             return self.boats.index(boat)
-        if len(self.boats) == 1:
-            return 0
         raise ConfigError(
             f"boat: found {boat!r}, of which nothing was learned, expected one of {', '.join(self.boats)}"
         )
@@ -218,6 +216,13 @@ class Learned:
         return _printed(
             report(self.scores, self.logs.rejected, self.alarms, remarks(self.ensemble), explained(self.ensemble))
         )
+
+
+def check_logs(logs: AlignedLogs) -> AlignedLogs:
+    """Logs, if `read` returned them; a path, say, raises ConfigError."""
+    if not isinstance(logs, AlignedLogs):
+        raise ConfigError(f"logs: found {logs!r}, expected what usvlearn.read returns: learn(read(PATH))")
+    return logs
 
 
 def predictions_of(
