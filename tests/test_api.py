@@ -127,8 +127,10 @@ def test_a_saved_set_goes_on_by_learn_and_by_online(tmp_path):
         for name, series in second.predictions[0].predicted.items():
             np.testing.assert_array_equal(series, whole.predictions[1].predicted[name])
     boat = Online.open(path)
-    for (_, leaf), theirs in zip(named_leaves(first.state), boat.state.values(), strict=True):
-        np.testing.assert_array_equal(leaf[0].numpy(), theirs)
+    aboard = dict(boat.state)
+    assert {name for name, _ in named_leaves(first.state)} == aboard.keys()
+    for name, leaf in named_leaves(first.state):
+        np.testing.assert_array_equal(leaf[0].numpy(), aboard[name], err_msg=name)
     samples, expected = other.runs[0].samples, second.predictions[0].predicted["ensemble"]
     online = [boat.step(tree_map(lambda leaf, k=k: leaf[k], samples)) for k in range(20)]
     np.testing.assert_array_equal(np.where(np.isnan(expected[:20]), np.nan, online), expected[:20])
