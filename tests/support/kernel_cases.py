@@ -213,6 +213,7 @@ VARIANTS = {
     "sleepers": lambda: Ensemble(
         _three() | {"acceleration": Acceleration(), "projected": Projected(SIFtRLS(SurgeDynamics(28.0)))},
         {"average": Average(["aid", "rls"]), "fixed": FixedWeights({"rls": 0.5, "rnn": 0.0}), "we": RecursiveWeights(),
+         "alone": RecursiveWeights(["aid"]),
          "exponential": ExponentialWeights(), "boa": BOA(), "square": BOA(loss="square", prior={"rnn": 9.0})},
         surge_max=1.0, output="we",
     ),

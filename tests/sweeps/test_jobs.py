@@ -290,6 +290,11 @@ def test_rows_of_the_hparams_page_have_short_safe_names_and_are_replaced(tmp_pat
     assert {frozenset(x) for _, x in read.values()} == {frozenset(numbers)}  # the page takes its columns from any row
 
 
+def test_jobs_of_equal_settings_have_rows_of_their_own(tmp_path):
+    write_leaderboard(tmp_path, [Job(tmp_path / name, {"align.dt": "0.4"}, {}) for name in ("a", "b")])
+    assert {path.name for path in (tmp_path / "leaderboard").iterdir()} == {"align.dt=0.4 a", "align.dt=0.4 b"}
+
+
 def test_a_leaderboard_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "leaderboard.csv").mkdir()
     with pytest.raises(ConfigError, match="cannot hold the leaderboard") as caught:
