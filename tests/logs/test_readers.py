@@ -128,6 +128,12 @@ def test_badly_declared_tables_are_refused(option, value):
     assert f"data.reader.{option}" in refused(ConfigError, Table, "t", **{option: value})
 
 
+def test_a_source_whose_numbers_are_out_of_range_is_refused():
+    for option, values in {"span": (0, math.nan, math.inf), "window": (0, math.nan), "delay": (-1, math.inf)}.items():
+        for value in values:
+            assert f"{option}: found" in refused(ConfigError, Source, "v", **{option: value})
+
+
 # ---------------------------------------------------------------- MOOS
 
 ALOG = """\
