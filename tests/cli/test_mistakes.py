@@ -125,7 +125,7 @@ def test_a_file_that_is_no_yaml_is_told(tmp_path, monkeypatch, capsys):
     (tmp_path / "experiment").mkdir()
     (tmp_path / "experiment" / "mine.yaml").write_text("# @package _global_\nalign: {dt: 0.4\noutput: x\n")
     error = sentence(train.main, ["--config-dir", str(tmp_path), "experiment=mine"], monkeypatch, capsys)
-    assert "mine.yaml:" in error and "YAML" in error
+    assert "mine.yaml:3: is not legal YAML" in error
 
 
 def test_flags_are_hydras_own():

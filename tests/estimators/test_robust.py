@@ -259,3 +259,11 @@ def test_a_segments_start_forgets_the_run_of_clipped_samples():
     robust = Robust(AID(28.0))
     state = robust.init()._replace(run=torch.tensor(3.0, dtype=torch.float64))
     assert robust.start(state, torch.tensor(1.0, dtype=torch.float64)).run == 0
+
+
+def test_a_state_that_was_spoiled_before_refuses_no_sample():
+    samples, robust = random_samples(1), Robust(RLS(SurgeDynamics(28.0)))
+    state = robust.init()
+    state = state._replace(inner=state.inner._replace(factor=state.inner.factor * torch.nan))
+    after = robust.update(state, Inputs(*(x[0] for x in samples.inputs)), samples.surge[0])
+    assert after.rejected == 0 and after.variance.isfinite()
