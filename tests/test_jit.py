@@ -201,6 +201,8 @@ def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
     assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
     said = done.stderr.splitlines()
     assert [line.partition(",")[0] for line in said] == [
+        "usvlearn: compiling the alignment",
+        "usvlearn: compiling the simulator",
         "usvlearn: compiling the kernels of runs and single steps",
         "usvlearn: compiling the kernels of free runs",
     ]
@@ -209,7 +211,8 @@ def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
 WARM = """
 import numpy as np, torch
 from usvlearn import AID, Ensemble, Online, Persistence, RLS, rollout
-from usvlearn.engine import dispatch, free_runs, warm
+from usvlearn.cli import warm
+from usvlearn.engine import dispatch, free_runs
 from usvlearn.evaluation.crossval import cross_validate
 from tests.support import random_samples
 def compiled():

@@ -12,7 +12,7 @@ import usvlearn
 COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "train": ("usvlearn.cli.train", "replay logs through estimators online, save parameter sets and predictions"),
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
-    "warm": ("usvlearn.engine.warm", "compile the kernels ahead of need, when a boat's computer is set up"),
+    "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
     "certify": ("certify.__main__", "prove whether the networks in parameter sets contract"),
 }
 USAGE = "usage: usvlearn COMMAND ARGUMENTS, usvlearn COMMAND --help or usvlearn --version"

@@ -30,6 +30,7 @@ from usvlearn.signals import named_leaves, rebuild, sort_of
 
 SCHEMA = 2  # schema 1 had another square root of the covariance of least squares
 SUFFIX = ".safetensors"
+RENAMED = {"members.rls.": "members.sift_map."}  # since version 0.1
 KEY = "usvlearn"  # of the metadata in the safetensors header
 QUOTED = 400  # characters of an error that quotes the file
 HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
@@ -124,6 +125,7 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
             f"give a checkpoint of {estimator}"
         )
     wanted = dict(named_leaves(template))
+    leaves = _with_names_of_today(leaves, wanted)
     for kind, names in (
         ("lacks", wanted.keys() - leaves.keys()),
         ("has in addition", leaves.keys() - wanted.keys()),
@@ -144,6 +146,19 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
                 f"{path}: {name} is {leaves[name].dtype}, expected {leaf.dtype}: use the set saved before it"
             )
     return rebuild(template, {name: _like(leaf, leaves[name]) for name, leaf in wanted.items()}), facts
+
+
+def _with_names_of_today(leaves: dict[str, np.ndarray], wanted: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Leaves with the names of today's default ensemble, where the file has those of version 0.1."""
+
+    def only(names: Mapping[str, Any], own: str, other: str) -> bool:
+        return any(name.startswith(own) for name in names) and not any(name.startswith(other) for name in names)
+
+    for before, now in RENAMED.items():
+        if only(leaves, before, now) and only(wanted, now, before):
+            leaves = {now + name.removeprefix(before) if name.startswith(before) else name: leaf
+                      for name, leaf in leaves.items()}  # fmt: skip
+    return leaves
 
 
 def checkpoints(folder: str | Path) -> list[Path]:

@@ -254,7 +254,7 @@ def free_totals(description: dict[str, Any], state: Any, samples: Sample, learni
 
 def _array(x: Tensor) -> np.ndarray:
     """A tensor as an array that shares its memory where it can."""
-    return x.detach().cpu().numpy()  # numpy(force=True) takes ten times as long
+    return x.detach().cpu().resolve_neg().numpy()  # numpy(force=True) takes ten times as long
 
 
 def _arrays(state: Any) -> dict[str, np.ndarray]:

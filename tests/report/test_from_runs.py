@@ -223,7 +223,7 @@ def test_a_damaged_folder_is_told_in_one_sentence(copy, harm, sentence):
     [
         ((), "runs is not set: set runs=FOLDER"),
         (("runs=nowhere",), "runs: found no run below 'nowhere'"),
-        (("runs={run}", "data=simulated", "data.plant=otter"), "found the boat otter, of which the runs hold no"),
+        (("runs={run}", "data=simulated", "data.plant=otter"), "found the boat otter, of which the runs contain no"),
     ],
 )
 def test_bad_arguments_are_told_in_one_sentence(saved, tmp_path, arguments, sentence):

@@ -7,6 +7,7 @@ It was made by version 0.1.0 with these settings:
     ~combiners.ensemble.prior.memory_rls
 """
 
+import json
 import shutil
 import subprocess
 import sys
@@ -59,16 +60,18 @@ def test_it_is_judged(tmp_path):
     assert (folder / "report" / "index.html").exists()
 
 
-def test_it_goes_on_where_it_was_killed(tmp_path):
-    """By its own settings, under the names of today; it ends as it ended in version 0.1."""
-    folder = tmp_path / "run"
+@pytest.mark.parametrize("member", ["rls", "sift_map"])
+def test_it_continues_where_it_was_killed(member, tmp_path):
+    """By its own settings under the names of today, also of its members; it ends as it ended then."""
+    folder, text = tmp_path / "run", json.dumps(configuration(RUN))
     shutil.copytree(RUN, folder)
     for lost in ("results.json", "predictions/00001_0000120.npz", "checkpoints/heron/00001_0000120.safetensors"):
         (folder / lost).unlink()
     console = Console(record=True, width=200)
-    train(OmegaConf.create(configuration(RUN)), folder, console, str(folder))
+    train(OmegaConf.create(json.loads(text.replace('"rls"', f'"{member}"'))), folder, console, str(folder))
     assert "resuming after step 75 of run 2 of 2" in console.export_text()
     found, expected = (checkpoint.load(each / NEWEST.relative_to(RUN))[0] for each in (folder, RUN))
+    expected = {name.replace("members.rls.", f"members.{member}."): leaf for name, leaf in expected.items()}
     assert found.keys() == expected.keys()
     for name, leaf in expected.items():
         np.testing.assert_allclose(found[name], leaf, rtol=1e-9, atol=1e-12, err_msg=name)

@@ -79,7 +79,7 @@ def test_scores_do_not_depend_on_how_many_boats_are_judged_at_a_time(tmp_path, f
 def test_a_file_of_more_steps_than_its_name_says_is_refused(tmp_path, fleet):
     folder, _ = session(tmp_path, fleet)
     run, step, end = folder.published.places()[0]
-    with pytest.raises(CheckpointError, match=rf"it holds {end - step} steps, expected {end - step - 1}"):
+    with pytest.raises(CheckpointError, match=rf"it contains {end - step} steps, expected {end - step - 1}"):
         folder.published.read(run, step + 1, end)
 
 

@@ -11,7 +11,7 @@ they build on each other:
     leaves        the leaves of the state of a specified estimator
     program       from a specification (`Estimator.spec`) to the table, the numbers and the places of the leaves
     check         checks a specification and a state from a file
-    warm          compiles ahead of need
+    first_use     compiles what runs and live steps need together
     run, live, free_runs    runs over samples, single steps, scored simulations: what the rest of the library calls
 """
 

@@ -15,6 +15,7 @@ TARGETS = {
     "usvlearn.logs.table.Table": "usvlearn.logs.csv_table.Table",
     "usvlearn.logs.fleet.align_fleet": "usvlearn.logs.recordings.align_fleet",
 }
+MEMBERS = {"sift_map": "rls"}  # of the default ensemble, the name of today and the first one
 ARGUMENTS = {"usvlearn.simulate.fleet.fleet": {"hulls": "fleet_seed"}}
 
 
@@ -24,7 +25,27 @@ def first_named(settings: Any) -> Any:
     >>> first_named({"aid": {"_target_": "usvlearn.AID", "gain": 1.0}})
     {'aid': {'_target_': 'usvlearn.estimators.aid.AID', 'gain': 1.0}}
     """
-    return _renamed(settings, {new: old for old, new in TARGETS.items()}, {})
+    named = _renamed(settings, {new: old for old, new in TARGETS.items()}, {})
+    for new, old in MEMBERS.items():
+        if not _names(named, old):
+            named = _with_name(named, new, old)
+    return named
+
+
+def _names(settings: Any, name: str) -> bool:
+    """Whether a name is a key or a value anywhere in settings."""
+    if isinstance(settings, dict):
+        return name in settings or any(_names(each, name) for each in settings.values())
+    return any(_names(each, name) for each in settings) if isinstance(settings, list) else settings == name
+
+
+def _with_name(settings: Any, new: str, old: str) -> Any:
+    """Settings in which each key and each value `new` is `old`."""
+    if isinstance(settings, dict):
+        return {old if key == new else key: _with_name(value, new, old) for key, value in settings.items()}
+    if isinstance(settings, list):
+        return [_with_name(each, new, old) for each in settings]
+    return old if settings == new else settings
 
 
 def current(settings: Any) -> Any:
