@@ -4,6 +4,7 @@ import errno
 import os
 import shutil
 from pathlib import Path
+from typing import IO
 
 import numba
 import numpy as np
@@ -157,8 +158,10 @@ def test_the_kernels_know_all_families_and_no_layer():
 def test_machine_code_that_a_full_disk_cannot_keep_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(compiled, "folder", lambda source: tmp_path)
 
-    def full(path: str, mode: str) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    def full(path: str, mode: str) -> IO:  # it can still be read
+        if "w" in mode:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return open(path, mode)
 
     with monkeypatch.context() as patch:
         patch.setattr(caching, "open", full, raising=False)
