@@ -71,19 +71,26 @@ def sources(path: Path) -> set[Path]:
 
 def _imported(path: Path) -> Iterator[Path]:
     """The files of this package that a source file imports."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for names in _import_names(path.read_bytes()):
+        places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
+        files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
+        yield from [file for file in files if file.is_file()][:1]
+        if f"{HERE.name}.estimators.COMPILED" in names:  # the kernels of this list are imported by name
+            yield from (HERE / "estimators").rglob("kernel.py")
+
+
+@cache
+def _import_names(content: bytes) -> tuple[tuple[str, ...], ...]:
+    """For each import of a source, the names that may be a module, the longest first. Each content is parsed once."""
+    found: list[tuple[str, ...]] = []
+    for node in ast.walk(ast.parse(content)):
         if isinstance(node, ast.Import):
-            wanted: list[tuple[str, ...]] = [(each.name,) for each in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            wanted = [(f"{node.module}.{each.name}", node.module or "") for each in node.names]
-        else:
-            continue
-        for names in wanted:  # `from usvlearn.engine import dispatch` names a module, other imports a name in one
-            places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
-            files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
-            yield from [file for file in files if file.is_file()][:1]
-            if f"{HERE.name}.estimators.COMPILED" in names:  # the kernels of this list are imported by name
-                yield from (HERE / "estimators").rglob("kernel.py")
+            found += [(each.name,) for each in node.names]
+        elif isinstance(
+            node, ast.ImportFrom
+        ):  # `from usvlearn.engine import dispatch` names a module, others a name in one
+            found += [(f"{node.module}.{each.name}", str(node.module)) for each in node.names]
+    return tuple(found)
 
 
 @cache
