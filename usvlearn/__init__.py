@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.ensemble.combiners.layer import FixedWeights as FixedWeights
     from usvlearn.estimators.ensemble.combiners.layer import RecursiveWeights as RecursiveWeights
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
+    from usvlearn.estimators.joint.layer import JointEKF as JointEKF
     from usvlearn.estimators.least_squares.projected import Projected as Projected
     from usvlearn.estimators.least_squares.rls import RLS as RLS
     from usvlearn.estimators.least_squares.sift import SIFtRLS as SIFtRLS
@@ -57,6 +58,7 @@ _HOME = {
     "RNN": "estimators.rnn.layer",
     "Persistence": "estimators.baselines.persistence.layer",
     "Acceleration": "estimators.baselines.acceleration.layer",
+    "JointEKF": "estimators.joint.layer",
     "Ensemble": "estimators.ensemble.layer",
     "Bank": "estimators.wrappers.bank",
     "Average": "estimators.ensemble.combiners.layer",

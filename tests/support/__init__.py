@@ -22,6 +22,7 @@ from usvlearn import (
     ExponentialWeights,
     FixedWeights,
     Inputs,
+    JointEKF,
     Persistence,
     Projected,
     QuasiStatic,
@@ -61,6 +62,8 @@ ESTIMATORS = {
     "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
     "persistence": Persistence,
     "acceleration": Acceleration,
+    "joint": lambda: JointEKF(2.5, 28.0),
+    "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, read_every=2.0),
     "average": lambda: Ensemble(_members()),
     "fixed": lambda: Ensemble(_members(), {"fixed": FixedWeights({"aid": 0.5, "rls": 0.2, "rnn": 0.3})}),
     "weighted": lambda: Ensemble(

@@ -5,6 +5,7 @@ COMPILED = (
     "least_squares",
     "aid",
     "rnn",
+    "joint",
     "baselines.persistence",
     "baselines.acceleration",
 )

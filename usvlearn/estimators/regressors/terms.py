@@ -27,11 +27,19 @@ SURGE = {
 }
 MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
 AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
+CUBIC = {"thrust_cubic_left": "N", "thrust_cubic_right": "N"}  # κ_L, κ_R of the joint filter, with their units
+EVEN = {  # e of the joint filter: what does not change its sign with the speed and the commands
+    "drag_even": "kg/m",
+    **{f"thrust_even_{kind}_{side}": unit for side in ("left", "right")
+       for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},
+}  # fmt: skip
+LAG, DISTURBANCE, CURRENT = "command_lag", "disturbance", ("current_north", "current_east")
 UNITS = {
     "drag_quadratic": "kg/m", "drag_linear": "kg/s", "drag_cross": "kg/rad",
     **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
        for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},
     "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
+    **CUBIC, **EVEN, LAG: "share of a step", DISTURBANCE: "N", **dict.fromkeys(CURRENT, "m/s"),
 }  # fmt: skip
 
 TERMS: tuple[list[str], ...] = (

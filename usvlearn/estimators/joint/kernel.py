@@ -1,0 +1,362 @@
+"""The joint filter: the step of `layer`, equations (1) to (9) of `state`.
+
+A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j]. `predict` leaves g, w⁺ and e^(−h/τ_c) in `work`.
+"""
+
+import numpy as np
+
+from usvlearn.arrays import clamp, dot, fill
+from usvlearn.estimators.joint.state import (
+    AGEING,
+    AT,
+    CURRENT_VARIANCE,
+    DECAYED,
+    DROPPED,
+    EAST,
+    EVERY,
+    KAPPA,
+    LAG_LEAST,
+    LAG_MOST,
+    LONGEST,
+    LOOSEST,
+    NEAR,
+    NOISE_COUNT,
+    NOISE_LEAST,
+    NOISE_MOST,
+    NOISE_SHARE,
+    NORTH,
+    REST,
+    SERIES,
+    SPEED_MAX,
+    SPEED_NOISE,
+    SPEED_VARIANCE,
+    STEP,
+    THETA,
+    B,
+    Choice,
+    E,
+    Number,
+    Vector,
+    W,
+)
+from usvlearn.family import Node
+from usvlearn.jit import jit
+from usvlearn.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
+
+
+@jit
+def start(node, s, q, surge):
+    """`JointEKF.start`."""
+    s[node[AT.surge]] = surge
+    s[node[AT.started]] = 1.0
+
+
+@jit
+def predict(node, s, q, x, work):
+    """`JointEKF.predict`: the speed, (3) and (4), twice."""
+    predicted = forecast(node, s, q, x, work)
+    return predicted, predicted
+
+
+@jit
+def coast(node, s, q, x, predicted, work):
+    """The state after `JointEKF.predict`."""
+    advance(node, s, q, x, work)
+
+
+@jit
+def learn(node, s, q, x, estimate, target, work):
+    """The state after `JointEKF.learn`."""
+    n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    spread = advance(node, s, q, x, work)
+    if x[DT] > LONGEST:
+        start(node, s, q, target)
+        return
+    mean, A = s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
+    f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
+    error, noise, k = target - estimate, s[node[AT.noise]], numbers[Number.OUTLIER]
+    square, S = error * error, spread + noise
+    alpha = measure(A, f, G, square / (k * k) - spread if square > k * k * S else noise, gain)
+    for i in range(n):
+        mean[i] += gain[i] * (error / alpha)
+    s[node[AT.updates]] += 1
+    share = max(NOISE_SHARE, 1 / (s[node[AT.updates]] + NOISE_COUNT))
+    learned = noise * (1 + share * (min(square / S, NOISE_MOST) - 1))  # (6)
+    s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
+    project_signs(mean, A, node[Choice.EVEN], gain)
+    s[node[AT.learned]] += x[DT]
+    if s[node[AT.learned]] >= numbers[Number.READ_EVERY]:
+        read(node, s, mean[THETA:])
+
+
+@jit
+def inflate_covariance(node, s, q, factor):
+    """`JointEKF.inflate_covariance`: P times `factor`, up to its limit."""
+    n = node[Node.SIZE]
+    A, prior = s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n), q[node[Vector.VARIANCE] :]
+    total = 0.0
+    for i in range(THETA, n):
+        total += variance(A, i) / prior[i - THETA]
+    limit = LOOSEST * (n - THETA) / total
+    limit = 1.0 if limit < 1.0 else limit
+    for j in range(n):
+        A[j, j] *= limit if factor > limit else factor
+
+
+@jit
+def decay(dt, time):
+    """e^(−h/τ)."""
+    return np.exp(-min(dt / time, DECAYED))
+
+
+@jit
+def phi1(z):
+    """φ₁ and its derivative."""
+    if abs(z) < NEAR:
+        slope = 0.0
+        for c in SERIES:
+            slope = slope * z + c
+        return (1 - z * slope) / (1 - z), slope
+    exponential = np.exp(z)
+    value = (exponential - 1) / z
+    return value, (exponential - value) / z
+
+
+@jit
+def forecast(node, s, q, x, work):
+    """The prediction, m/s; g, w⁺ and e^(−h/τ_c) stay in `work`."""
+    n, numbers, commands = node[Node.SIZE], q[node[Node.NUMBERS] :], node[AT.commands]
+    mean, g = s[node[AT.mean] : node[AT.mean] + n], work[:n]
+    along = x[COS] * mean[NORTH] + x[SIN] * mean[EAST]
+    w, b, left, right = mean[W], mean[B], s[commands], s[commands + 1]
+    if s[node[AT.started]] > 0:
+        w, b, left, right = s[node[AT.surge]] - along, 0.0, x[LEFT], x[RIGHT]
+    speed, moved = flow(node[Choice.EVEN], mean, w, b, left, right, x, g), decay(x[DT], numbers[Number.CURRENT_TIME])
+    work[n], work[n + 1] = speed, moved
+    return clamp(speed, SPEED_MAX) + moved * along
+
+
+@jit
+def flow(even, mean, w, b, left_before, right_before, x, g):
+    """w⁺ of (3); writes its gradient to x into g."""
+    theta, kappa, mu, h = mean[THETA:KAPPA], mean[KAPPA:E], mean[-1], x[DT]
+    speed, turn, sign = abs(w), abs(x[YAW_RATE]), 1.0 if w >= 0 else -1.0
+    f = theta[0] * speed * w + theta[1] * w + theta[2] * turn * w + b
+    J = 2 * theta[0] * speed + theta[1] + theta[2] * turn
+    if even:
+        f += mean[E] * w * w
+        J += 2 * mean[E] * w
+    late, later = 0.0, 0.0  # ∂f/∂μ, ∂J/∂μ
+    for side in range(2):
+        now, before = (x[LEFT], left_before) if side == 0 else (x[RIGHT], right_before)
+        xi = (1 - mu) * now + mu * before
+        size, alpha, beta, gamma = abs(xi), theta[3 + 3 * side], theta[4 + 3 * side], theta[5 + 3 * side]
+        f += xi * (alpha + beta * size + gamma * speed + kappa[side] * xi * xi)
+        J += gamma * xi * sign
+        slope, bend = alpha + 2 * beta * size + gamma * speed + 3 * kappa[side] * xi * xi, gamma * sign
+        if even:
+            e = mean[E + 1 + 3 * side : E + 4 + 3 * side]
+            f += e[0] * size + e[1] * xi * xi + e[2] * xi * w
+            J += e[2] * xi
+            slope += (e[0] if xi >= 0 else -e[0]) + 2 * e[1] * xi + e[2] * w
+            bend += e[2]
+        late += (before - now) * slope
+        later += (before - now) * bend
+    z = h * J
+    z = 1.0 if z > 1 else z
+    value, slope = phi1(z)
+    by_f, by_J = h * value, h * h * slope * f
+    g[W] = 1 + z * value + by_J * 2 * (theta[0] * sign + (mean[E] if even else 0.0))
+    g[B], g[NORTH], g[EAST] = by_f, 0.0, 0.0
+    g[THETA], g[THETA + 1], g[THETA + 2] = (
+        by_f * speed * w + by_J * 2 * speed,
+        by_f * w + by_J,
+        turn * (by_f * w + by_J),
+    )
+    if even:
+        g[E] = by_f * w * w + by_J * 2 * w
+    for side in range(2):
+        now, before = (x[LEFT], left_before) if side == 0 else (x[RIGHT], right_before)
+        xi = (1 - mu) * now + mu * before
+        size, k = abs(xi), THETA + 3 + 3 * side
+        g[k], g[k + 1], g[k + 2] = by_f * xi, by_f * xi * size, xi * (by_f * speed + by_J * sign)
+        g[KAPPA + side] = by_f * xi * xi * xi
+        if even:
+            k = E + 1 + 3 * side
+            g[k], g[k + 1], g[k + 2] = by_f * size, by_f * xi * xi, xi * (by_f * w + by_J)
+    g[-1] = by_f * late + by_J * later
+    return w + by_f * f
+
+
+@jit
+def advance(node, s, q, x, work):
+    """The time update from what `forecast` left in `work`; returns HᵀPH, with f and G of (9) in `work`."""
+    n, numbers, h = node[Node.SIZE], q[node[Node.NUMBERS] :], x[DT]
+    mean, A = s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
+    g, speed, current, noise = work[:n], work[n], work[n + 1], s[node[AT.noise]]
+    if s[node[AT.started]] > 0:
+        begin(mean, A, s[node[AT.surge]], noise, x, work[n + 2 :])
+        s[node[AT.started]] = 0.0
+    rest = x[LEFT] * x[LEFT] + x[RIGHT] * x[RIGHT] + mean[W] * mean[W] <= REST
+    slow = decay(h, numbers[Number.DISTURBANCE_TIME])
+    transition(A, g, slow, current)
+    span, a = min(h, LONGEST) / STEP, work[n + 2 : 2 * n + 2]
+    drift = numbers[Number.CURRENT] ** 2 * (1 - current * current)
+    add(A, EAST, drift, a)
+    add(A, NORTH, drift, a)
+    add(A, B, numbers[Number.DISTURBANCE] * noise * span, a)
+    A[W, W] += SPEED_NOISE * noise * span
+    turn, parameters = s[node[AT.turn]], n - THETA
+    if turn < EVERY * parameters:
+        k = int(turn)
+        if k == turn and k % EVERY == 0 and not rest:
+            share = EVERY * parameters * (STEP * span) / numbers[Number.DRIFT_TIME]
+            add(A, THETA + k // EVERY, share * q[node[Vector.VARIANCE] + k // EVERY], a)
+    s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
+    mean[B], mean[NORTH], mean[EAST] = mean[B] * slow, mean[NORTH] * current, mean[EAST] * current
+    mean[W] = clamp(speed, SPEED_MAX)
+    if abs(speed) >= SPEED_MAX:
+        for j in range(1, n):
+            A[j, W] = 0.0
+        A[W, W] = SPEED_MAX * SPEED_MAX
+    s[node[AT.commands]], s[node[AT.commands] + 1] = x[LEFT], x[RIGHT]
+    spread = seen(A, x, work[:n], work[n : 2 * n])
+    s[node[AT.deviation]] = np.sqrt(spread + noise)
+    return spread
+
+
+@jit
+def begin(mean, A, surge, noise, x, work):
+    """The start of a segment, with the heading of its first step."""
+    n = len(mean)
+    f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
+    A[B, B] = variance(A, B)
+    for j in range(1, n):
+        A[j, W] = 0.0
+    for j in range(2, n):
+        A[j, B] = 0.0
+    A[W, W] = SPEED_VARIANCE
+    add(A, EAST, CURRENT_VARIANCE, f)
+    add(A, NORTH, CURRENT_VARIANCE, f)
+    mean[W], mean[B] = surge - x[COS] * mean[NORTH] - x[SIN] * mean[EAST], 0.0
+    seen(A, x, f, G)
+    measure(A, f, G, noise, gain)
+
+
+@jit
+def variance(A, i):
+    """P_ii."""
+    total = A[i, i]
+    for j in range(i + 1, len(A)):
+        total += A[j, j] * A[j, i] * A[j, i]
+    return total
+
+
+@jit
+def transition(A, g, slow, current):
+    """F P Fᵀ."""
+    n = len(g)
+    for j in range(1, n):
+        A[j, W] = g[j] + dot(g[:j], A[j, :j])
+    A[B, W] /= slow
+    A[NORTH, W], A[EAST, W] = A[NORTH, W] / current, A[EAST, W] / current
+    A[NORTH, B], A[EAST, B] = A[NORTH, B] * (slow / current), A[EAST, B] * (slow / current)
+    for j in range(EAST + 1, n):
+        A[j, B], A[j, NORTH], A[j, EAST] = A[j, B] * slow, A[j, NORTH] * current, A[j, EAST] * current
+    A[W, W] *= g[W] * g[W]
+    A[B, B] *= slow * slow
+    A[NORTH, NORTH], A[EAST, EAST] = A[NORTH, NORTH] * (current * current), A[EAST, EAST] * (current * current)
+
+
+@jit
+def add(A, k, c, a):
+    """P + c e_k e_kᵀ, (8)."""
+    fill(a[:k], 0.0)
+    a[k] = 1.0
+    for j in range(k, -1, -1):
+        d = A[j, j]
+        larger = d + c * a[j] * a[j]
+        if larger > 0:
+            keep, beta = d / larger, c * a[j] / larger
+            c *= keep
+            for i in range(j):
+                u = A[j, i]
+                A[j, i] = u * keep + beta * a[i]
+                a[i] -= a[j] * u
+            A[j, j] = larger
+
+
+@jit
+def seen(A, x, f, G):
+    """f and G of (9); returns HᵀPH."""
+    n, cosine, sine, total = len(f), x[COS], x[SIN], 0.0
+    f[W], f[B] = 1.0, A[B, W]
+    f[NORTH], f[EAST] = A[NORTH, W] + cosine, A[EAST, W] + cosine * A[EAST, NORTH] + sine
+    for j in range(EAST + 1, n):
+        f[j] = A[j, W] + cosine * A[j, NORTH] + sine * A[j, EAST]
+    for j in range(n):
+        G[j] = A[j, j] * f[j]
+        total += f[j] * G[j]
+    return total
+
+
+@jit
+def measure(A, f, G, alpha, gain):
+    """(9) from α_0; writes P H into `gain`, and returns S."""
+    for j in range(len(f)):
+        after, slope = alpha + f[j] * G[j], -f[j] / alpha
+        for i in range(j):
+            u = A[j, i]
+            A[j, i] = u + gain[i] * slope
+            gain[i] += u * G[j]
+        gain[j] = G[j]
+        A[j, j] *= alpha / after
+        alpha = after
+    return alpha
+
+
+@jit
+def project_signs(mean, A, even, t):
+    """(7), and the limits of μ."""
+    for i in range(THETA, THETA + 3):
+        if mean[i] > 0:
+            project(mean, A, i, i, 0.0, t)
+    if even:
+        for sign in (1.0, -1.0):
+            if mean[THETA] + sign * mean[E] > 0:
+                project(mean, A, THETA, E, sign, t)
+    mu = mean[-1]
+    mean[-1] = LAG_LEAST if mu < LAG_LEAST else (LAG_MOST if mu > LAG_MOST else mu)
+
+
+@jit
+def project(mean, A, i, k, sign, t):
+    """x_i + sign x_k becomes 0, and the others follow their covariances with it."""
+    n, value, total = len(mean), mean[i] + sign * mean[k], 0.0
+    for j in range(i, n):
+        t[j] = (1.0 if j == i else A[j, i]) + (0.0 if j < k else sign * (1.0 if j == k else A[j, k]))
+        total += A[j, j] * t[j] * t[j]
+    for j in range(i, n):
+        move = value / total * (A[j, j] * t[j])
+        for other in range(j):
+            mean[other] -= move * A[j, other]
+        mean[j] -= move
+
+
+@jit
+def read(node, s, parameters):
+    """One reading of the parameters."""
+    m = len(parameters)
+    reading, spread = s[node[AT.reading] : node[AT.reading] + m], s[node[AT.spread] : node[AT.spread] + m * m]
+    s[node[AT.learned]] = 0.0
+    s[node[AT.readings]] += 1
+    if s[node[AT.readings]] <= DROPPED:
+        return
+    s[node[AT.weight]] = AGEING * s[node[AT.weight]] + 1
+    share = 1 / s[node[AT.weight]]
+    for i in range(m):
+        for j in range(m):
+            product = (parameters[i] - reading[i]) * (parameters[j] - reading[j])
+            spread[i * m + j] = (1 - share) * (spread[i * m + j] + share * product)
+    for i in range(m):
+        reading[i] += share * (parameters[i] - reading[i])

@@ -1,0 +1,341 @@
+"""The joint filter in torch: equations (1) to (9) of `state`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from usvlearn.errors import ConfigError, check_positive
+from usvlearn.estimator import Estimator, describe
+from usvlearn.estimators.joint import state as at
+from usvlearn.estimators.joint.factored import added, measured, moved, packed, unit, unpacked
+from usvlearn.estimators.joint.state import EAST, FAMILY, KAPPA, NORTH, THETA, B, E, JointState, W, names
+from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
+from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.signals import Inputs, tree_map, where
+
+TIME = 2.5  # s, time constant of the prior's boat
+
+
+class JointEKF(Estimator):
+    """Speed, slow disturbance, current and parameters in one extended Kalman filter, which measures its own noise.
+
+    The prior is a boat that reaches `surge_max` with both sides at full, with a time constant of 2.5 s.
+
+    Args:
+        surge_max: top speed, m/s; 0.5 to 1.4 times the true one does; broadcasts against the batch.
+        mass: kg, added mass included. It only gives the parameters their units; broadcasts against the batch.
+        theta0: the prior's nine parameters, kg/m, kg/s, kg/rad, then N, N, N s/m of each side; None: the boat above.
+        disturbance: q_b, variance of the disturbance's noise in a step of 0.4 s, in units of σ², 1/s²; broadcasts
+            against the batch, as do the next seven.
+        disturbance_time: τ_b, s. With q_b of 5 or more, 30 s or more would take the drag for a disturbance.
+        current: σ_c, standard deviation of each component, m/s; 0.15 where currents are strong.
+        current_time: τ_c, s.
+        drift_time: T_θ, s, after which the parameters' variance has grown by its prior; 3000 to follow a boat that
+            changes, 1e5 for one that does not.
+        lag: prior standard deviation of μ.
+        cubic: that of κ, in units of the force per mass of one side at full.
+        even: ρ, that of the even terms, in units of the drag's and that force; None: without these terms.
+        outlier: k, standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts, too.
+        read_every: s of learned steps between two readings of the parameters; None: none.
+
+    >>> joint = JointEKF(surge_max=2.7, mass=28.0)
+    >>> joint.init((8,)).mean.shape
+    torch.Size([8, 23])
+    >>> round(float(joint.monitor(joint.init())["thrust_linear_left"]), 1)  # N
+    5.7
+    """
+
+    mass: Tensor  # kg, () or as given
+    prior: Tensor  # (m,) or (*batch, m): prior mean of the parameters, per unit mass
+    scale: Tensor  # (m,) or (*batch, m): their standard deviations where `lag`, `cubic` and `even` are 1
+    outlier: Tensor  # () or as given
+    chosen: Tensor  # (4, m): 1 where the parameter's deviation is its scale, and times `cubic`, `even`, `lag`
+    signs: Tensor  # (3 or 5, n): each d of (7)
+
+    def __init__(
+        self,
+        surge_max: Hyper,
+        mass: Hyper = 1.0,
+        theta0: Sequence[float] | None = None,
+        disturbance: Hyper = 0.5,
+        disturbance_time: Hyper = 1.0,
+        current: Hyper = 0.05,
+        current_time: Hyper = 600.0,
+        drift_time: Hyper = 1e5,
+        lag: Hyper = 0.03,
+        cubic: Hyper = 1.0,
+        even: Hyper | None = 0.2,
+        outlier: Hyper | None = 4.0,
+        read_every: float | None = None,
+    ):
+        super().__init__()
+        self.disturbance = Positive(disturbance, "disturbance")
+        self.disturbance_time = Positive(disturbance_time, "disturbance_time")
+        self.current = Positive(current, "current")
+        self.current_time = Positive(current_time, "current_time")
+        self.drift_time = Positive(drift_time, "drift_time")
+        self.lag, self.cubic = Positive(lag, "lag"), Positive(cubic, "cubic")
+        self.even = None if even is None else Positive(even, "even")
+        self.read_every = torch.inf if read_every is None else check_positive("read_every", read_every, "of s")
+        self.register_buffer("outlier", as_tensor(torch.inf if outlier is None else outlier, "outlier"))
+        self.register_buffer("mass", as_tensor(mass, "mass"))
+        v = as_tensor(surge_max, "surge_max")
+        for name, value, unit_ in (
+            ("outlier", self.outlier, "deviations"),
+            ("mass", self.mass, "kg"),
+            ("surge_max", v, "m/s"),
+        ):
+            if not bool((value > 0).all()):
+                raise ConfigError(f"{name}: found {value.tolist()}, expected a positive number of {unit_}")
+        self.names = names(even is not None)
+        one = torch.ones_like(v)
+        linear, quadratic = -0.5 / TIME * one, -0.25 / (TIME * v)
+        force = -(linear * v + quadratic * v * v) / 2
+        zero, side = 0 * one, [force / 2, force / 2, 0 * one]
+        mean = torch.stack([quadratic, linear, zero, *side, *side], -1)
+        if theta0 is not None:
+            given = as_tensor(list(theta0), "theta0")
+            if given.shape != mean.shape[-1:] or not bool(given.isfinite().all()) or bool((given[:3] > 0).any()):
+                raise ConfigError(f"theta0: found {list(theta0)}, expected nine numbers, the first three 0 or less")
+            mean = given / self.mass[..., None]
+        push = [force, force, 0.15 * one]
+        drag = [0.5 / v, 0.4 * one, 0.3 * one]
+        odd = [0.5 / v, *[force, force, force / v] * 2] if even is not None else []
+        self.register_buffer("scale", torch.stack([*drag, *push, *push, force, force, *odd, one], -1))
+        kinds = torch.tensor([0] * 9 + [1] * 2 + [2] * len(odd) + [3])
+        self.register_buffer("chosen", (kinds == torch.arange(4)[:, None]).to(v.dtype))
+        self.register_buffer("prior", torch.cat([mean, mean.new_zeros((*mean.shape[:-1], len(odd) + 3))], -1))
+        held = torch.eye(THETA + len(self.names), dtype=v.dtype)[THETA : THETA + 3]
+        if odd:
+            pair = torch.eye(THETA + len(self.names), dtype=v.dtype)[E]
+            held = torch.cat([held, held[:1] + pair, held[:1] - pair])
+        self.register_buffer("signs", held)
+
+    @property
+    def variance(self) -> Tensor:
+        """Prior variance of the parameters, `(m,)` or `(*batch, m)`."""
+        found, kinds = self.scale * self.chosen[0], (self.cubic, self.even, self.lag)
+        for kind, chosen in zip(kinds, self.chosen[1:], strict=True):
+            if kind is not None:
+                found = found + self.scale * chosen * kind()[..., None]
+        return found * found
+
+    def init(self, batch: Sequence[int] = ()) -> JointState:
+        batch = tuple(batch)
+        check_broadcast(self, batch)
+        m, zero = len(self.names), self.lag.log.new_zeros(batch)
+        first = torch.stack(
+            [zero + at.SPEED_VARIANCE, zero + at.FIRST_DISTURBANCE, *[zero + self.current() ** 2] * 2], -1
+        )
+        D = torch.cat([first, self.variance.expand(*batch, m)], -1)
+        wide = zero[..., None].expand(*batch, m)
+        return JointState(
+            mean=torch.cat([torch.zeros_like(first), self.prior.expand(*batch, m)], -1),
+            factor=torch.diag_embed(D),
+            noise=zero + at.NOISE**2,
+            updates=zero,
+            surge=zero,
+            started=zero > 0,
+            commands=wide[..., :2].clone(),
+            turn=zero,
+            deviation=zero,
+            learned=zero,
+            readings=zero,
+            weight=zero,
+            reading=wide.clone(),
+            spread=wide[..., None].expand(*batch, m, m).clone(),
+        )
+
+    def predict(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
+        return self._advanced(state, inputs)[:2]
+
+    def update(self, state: JointState, inputs: Inputs, surge: Tensor) -> JointState:
+        return self.learn(state, inputs, surge)[0]
+
+    def learn(self, state: JointState, inputs: Inputs, surge: Tensor) -> tuple[JointState, Tensor]:
+        state, predicted, U, D, f = self._advanced(state, inputs)
+        spread, error, noise = (D * f * f).sum(-1), surge - predicted, state.noise
+        square, S = error * error, spread + noise
+        limit = self.outlier * self.outlier
+        wild = square > limit * S
+        U, D, gain, alpha = measured(U, D, f, torch.where(wild, square / limit - spread, noise))  # (5), (9)
+        mean = state.mean + gain * (error / alpha)[..., None]
+        updates = state.updates + 1
+        share = (1 / (updates + at.NOISE_COUNT)).clamp(min=at.NOISE_SHARE)
+        noise = noise * (1 + share * ((square / S).clamp(max=at.NOISE_MOST) - 1))  # (6)
+        learned = state._replace(
+            mean=self._projected(mean, U, D),
+            factor=packed(U, D),
+            noise=noise.clamp(min=at.NOISE_LEAST**2),
+            updates=updates,
+            learned=state.learned + inputs.dt,
+        )
+        learned = self._read(learned)
+        jumps = inputs.dt > at.LONGEST
+        begun = self.start(state, surge)
+        return tree_map(lambda new, old: where(jumps, new, old), begun, learned), predicted
+
+    def start(self, state: JointState, surge: Tensor) -> JointState:
+        return state._replace(surge=surge, started=torch.ones_like(state.started))
+
+    def inflate_covariance(self, state: JointState, factor: Tensor) -> JointState:
+        """P times `factor`, up to `LOOSEST` times the prior: a direction without excitation would not shrink again."""
+        U, D = unpacked(state.factor)
+        total = ((U * U * D[..., None, :]).sum(-1)[..., THETA:] / self.variance).sum(-1)
+        growth = torch.minimum(factor, (at.LOOSEST * len(self.names) / total).clamp(min=1))
+        return state._replace(factor=packed(U, D * growth[..., None]))
+
+    def spec(self) -> dict[str, Any]:
+        even = self.even is not None
+        return describe(FAMILY, self, size=THETA + len(self.names), even=even)
+
+    def monitor(self, state: JointState) -> dict[str, Tensor]:
+        numbers = dict(zip(self.names, (state.mean[..., THETA:] * self.mass[..., None]).unbind(-1), strict=True))
+        numbers |= {LAG: state.mean[..., -1], DISTURBANCE: state.mean[..., B] * self.mass}
+        numbers |= dict(zip(CURRENT, state.mean[..., NORTH : EAST + 1].unbind(-1), strict=True))
+        return numbers | {"noise": state.noise.sqrt(), "deviation": state.deviation, "readings": state.readings}
+
+    def _flow(self, mean: Tensor, w: Tensor, b: Tensor, before: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """w⁺ of (3), `(*batch,)`, and its gradient g to x, `(*batch, n)`."""
+        h, turn, speed, sign = inputs.dt, inputs.yaw_rate.abs(), w.abs(), torch.where(w >= 0, 1.0, -1.0)
+        u = torch.stack([inputs.command_left, inputs.command_right], -1)
+        xi = (1 - mean[..., -1:]) * u + mean[..., -1:] * before
+        size, side = xi.abs(), torch.where(xi >= 0, 1.0, -1.0)
+        zero = torch.zeros_like(w)
+        alpha, beta, gamma = (mean[..., [THETA + 3 + k, THETA + 6 + k]] for k in range(3))
+        cubic, (wide, broad) = mean[..., KAPPA:E], (x[..., None] for x in (w, speed))
+        W_, J_ = [speed * w, w, turn * w], [2 * speed, torch.ones_like(w), turn]  # of f and J to the parameters
+        both = zip(xi.unbind(-1), size.unbind(-1), strict=True)
+        for x, s in both:
+            W_ += [x, x * s, x * speed]
+            J_ += [zero, zero, x * sign]
+        W_ += (xi**3).unbind(-1)
+        J_ += [zero, zero]
+        slope, bend = alpha + 2 * beta * size + gamma * broad + 3 * cubic * xi * xi, gamma * sign[..., None]
+        curve = mean[..., THETA] * sign
+        if self.even is not None:
+            e1, e2, e3 = (mean[..., [E + 1 + k, E + 4 + k]] for k in range(3))
+            W_.append(w * w)
+            J_.append(2 * w)
+            for x, s in zip(xi.unbind(-1), size.unbind(-1), strict=True):
+                W_ += [s, x * x, x * w]
+                J_ += [zero, zero, x]
+            slope, bend = slope + e1 * side + 2 * e2 * xi + e3 * wide, bend + e3
+            curve = curve + mean[..., E]
+        by_parameter, by_speed = torch.stack(W_, -1), torch.stack(J_, -1)
+        parameters = mean[..., THETA:-1]
+        f, J = (by_parameter * parameters).sum(-1) + b, (by_speed * parameters).sum(-1)
+        z = (h * J).clamp(max=1)
+        value, derivative = phi1(z)
+        by_f, by_J = h * value, h * h * derivative * f
+        late, later = ((before - u) * slope).sum(-1), ((before - u) * bend).sum(-1)
+        own = [1 + z * value + by_J * 2 * curve, by_f, zero, zero]
+        others = by_f[..., None] * by_parameter + by_J[..., None] * by_speed
+        g = torch.cat([torch.stack(own, -1), others, (by_f * late + by_J * later)[..., None]], -1)
+        return w + by_f * f, g
+
+    def _advanced(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor, Tensor, Tensor, Tensor]:
+        """The state after the time update, the prediction, and U, D and f = UᵀH of the state's covariance."""
+        h, started, mean = inputs.dt, state.started, state.mean
+        cosine, sine, zero = inputs.heading.cos(), inputs.heading.sin(), torch.zeros_like(inputs.dt)
+        H = torch.stack([zero + 1, zero, cosine, sine, *[zero] * len(self.names)], -1)
+        U, D = unpacked(state.factor)
+        opened = self._begun(U, D, H, state.noise)
+        U, D = (where(started, new, old) for new, old in zip(opened, (U, D), strict=True))
+        along = cosine * mean[..., NORTH] + sine * mean[..., EAST]
+        w = torch.where(started, state.surge - along, mean[..., W])
+        b = torch.where(started, 0.0, mean[..., B])
+        commands = torch.stack([inputs.command_left, inputs.command_right], -1)
+        speed, g = self._flow(mean, w, b, where(started, commands, state.commands), inputs)
+        current = (-(h / self.current_time()).clamp(max=at.DECAYED)).exp()
+        slow = (-(h / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
+        decays = torch.stack([torch.ones_like(h), slow, current, current, *[zero + 1] * len(self.names)], -1)
+        U, D = moved(U, D, g, decays)
+        span, eye = h.clamp(max=at.LONGEST) / at.STEP, torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
+        drift = self.current() ** 2 * (1 - current * current)
+        for place, noise in ((EAST, drift), (NORTH, drift), (B, self.disturbance() * state.noise * span)):
+            U, D = added(U, D, eye[place], noise)
+        D = D + (at.SPEED_NOISE * state.noise * span)[..., None] * eye[W]
+        m = len(self.names)
+        moves = (commands * commands).sum(-1) + w * w > at.REST
+        walks = at.EVERY * torch.arange(m, dtype=D.dtype, device=D.device) == state.turn[..., None]
+        shares = torch.where(walks & moves[..., None], self.variance, 0.0)
+        share = at.EVERY * m * (at.STEP * span) / self.drift_time() * shares.sum(-1)
+        unit_vector = torch.cat([torch.zeros_like(walks[..., :1]).expand(*walks.shape[:-1], THETA), walks], -1)
+        U, D = added(U, D, unit_vector.to(D.dtype), share)
+        turn = torch.where(state.turn + 1 < at.EVERY * m, state.turn + 1, 0.0)
+        beyond = speed.abs() >= at.SPEED_MAX
+        U = torch.where(beyond[..., None, None], unit(U * (1 - eye[W])[:, None]), U)
+        D = torch.where(beyond[..., None], torch.where(eye[W] > 0, at.SPEED_MAX**2, D), D)
+        limited = speed.clamp(-at.SPEED_MAX, at.SPEED_MAX)
+        f = (U * H[..., None]).sum(-2)
+        states = torch.stack([limited, b * slow, mean[..., NORTH] * current, mean[..., EAST] * current], -1)
+        ahead = state._replace(
+            mean=torch.cat([states, mean[..., THETA:]], -1),
+            factor=packed(U, D),
+            started=torch.zeros_like(started),
+            commands=commands,
+            turn=turn,
+            deviation=((D * f * f).sum(-1) + state.noise).sqrt(),
+        )
+        return ahead, limited + current * along, U, D, f
+
+    def _begun(self, U: Tensor, D: Tensor, H: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        """The covariance at the start of a segment, after its speed was measured."""
+        eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
+        disturbed = (U * U * D[..., None, :])[..., B, :].sum(-1)
+        U = unit(U * (1 - eye[W] - eye[B])[:, None])
+        D = torch.cat([torch.full_like(D[..., :1], at.SPEED_VARIANCE), disturbed[..., None], D[..., 2:]], -1)
+        for place in (EAST, NORTH):
+            U, D = added(U, D, eye[place], torch.full_like(noise, at.CURRENT_VARIANCE))
+        return measured(U, D, (U * H[..., None]).sum(-2), noise)[:2]
+
+    def _projected(self, mean: Tensor, U: Tensor, D: Tensor) -> Tensor:
+        """x after (7), with the limits of μ."""
+        for d in self.signs:
+            value, weights = (mean * d).sum(-1), (U * d[:, None]).sum(-2)
+            total = (D * weights * weights).sum(-1)
+            step = torch.where(value > 0, value / total, 0.0)
+            mean = mean - step[..., None] * (U * (D * weights)[..., None, :]).sum(-1)
+        return torch.cat([mean[..., :-1], mean[..., -1:].clamp(at.LAG_LEAST, at.LAG_MOST)], -1)
+
+    def _read(self, state: JointState) -> JointState:
+        """With one reading of the parameters more, where it is time for one."""
+        due = state.learned >= self.read_every
+        readings = state.readings + due
+        counts = due & (readings > at.DROPPED)
+        weight = torch.where(counts, at.AGEING * state.weight + 1, state.weight)
+        share = torch.where(counts, 1 / torch.where(counts, weight, 1.0), 0.0)
+        away = state.mean[..., THETA:] - state.reading
+        product = away[..., :, None] * away[..., None, :]
+        spread = (1 - share)[..., None, None] * (state.spread + share[..., None, None] * product)
+        return state._replace(
+            learned=torch.where(due, 0.0, state.learned),
+            readings=readings,
+            weight=weight,
+            reading=state.reading + share[..., None] * away,
+            spread=torch.where(counts[..., None, None], spread, state.spread),
+        )
+
+
+def phi1(z: Tensor) -> tuple[Tensor, Tensor]:
+    """φ₁(z) = (e^z − 1)/z and its derivative.
+
+    >>> phi1(torch.tensor(0.0))
+    (tensor(1.), tensor(0.5000))
+    """
+    near = z.abs() < at.NEAR
+    small, large = torch.where(near, z, 0.0), torch.where(near, -1.0, z)
+    slope = torch.zeros_like(z)
+    for c in at.SERIES:
+        slope = slope * small + c
+    exponential = large.exp()
+    value = (exponential - 1) / large
+    return (
+        torch.where(near, (1 - small * slope) / (1 - small), value),
+        torch.where(near, slope, (exponential - value) / large),
+    )

@@ -1,0 +1,173 @@
+"""The joint filter: an extended Kalman filter over the speed, a disturbance, the current and the parameters.
+
+State, all per unit mass (n = 16, or 23 with even terms):
+
+    x = [w, b, c_N, c_E, θ (9), κ_L, κ_R, (e (7),) μ]                                                  (1)
+
+w is the speed through the water, m/s; b a slow disturbance, m/s²; c the current, m/s; θ the nine parameters of the
+surge dynamics; κ the cubic thrust; e terms that are even in speed and command; μ the share of a step by which a
+command acts late. With the commands u, the sum over both sides, and h the length of the step:
+
+    ξ = (1−μ) u_k + μ u_{k−1}
+    f = θ_q w|w| + θ_l w + θ_c |r| w + Σ (α ξ + β ξ|ξ| + γ ξ|w| + κ ξ³) + e₀ w² + Σ (e₁|ξ| + e₂ ξ² + e₃ ξ w) + b   (2)
+    J = ∂f/∂w,   z = hJ,   φ₁(z) = (e^z − 1)/z
+    w⁺ = w + h φ₁(z) f,   b⁺ = e^(−h/τ_b) b,   c⁺ = e^(−h/τ_c) c                                        (3)
+    y = w + c_N cos ψ + c_E sin ψ + noise of variance σ²                                                (4)
+
+(3) is the exponential Rosenbrock–Euler step (Hochbruck & Ostermann 2010): exact where f is linear in w, of second
+order elsewhere, and stable however stiff the drag. With g = ∂w⁺/∂x the covariance P goes to F P Fᵀ + Q, where F has the
+row g, the decays of b and c, and ones; Q is (h/0.4 s) times: 0.05 σ² for w, q_b σ² for b, and for each parameter its
+prior variance over T_θ/0.4 s; and σ_c² (1 − e^(−2h/τ_c)) for c. Parameters do not walk while the boat is at rest.
+
+Measurement with the innovation e, S its variance:
+
+    K = P H/S,   x ← x + K e,   P ← P − K HᵀP;   where e² > k² S an outlier: S becomes e²/k²               (5)
+    σ² ← σ² (1 + max(0.005, 1/(count + 20)) (min(e²/S, 9) − 1))                                         (6)
+    θ_q, θ_l, θ_c ≤ 0 and θ_q ± e₀ ≤ 0: where dᵀx > 0, x ← x − P d dᵀx/(dᵀP d)                           (7)
+
+P = U D Uᵀ, U unit upper triangular (Bierman 1977). As w is the first state, F U is triangular but for scales, and a
+time update needs no orthogonalisation. Each step adds noise to w, b and c; one parameter walks at every fourth step, in
+turn, with the noise of all the steps between. A rank-one addition c a aᵀ, column by column from the last:
+
+    d = D_j,  D_j = d + c a_j²,  κ = d/D_j,  β = c a_j/D_j,  c ← c κ
+    U_ij ← U_ij κ + β a_i (as it was),  a_i ← a_i − a_j U_ij (as it was)                                 (8)
+
+and (5), with f = UᵀH, G = D f, α_0 = S − fᵀG, α_j = α_{j−1} + f_j G_j:
+
+    D_j ← D_j α_{j−1}/α_j,   U_ij ← U_ij − (f_j/α_{j−1}) Σ_{i≤l<j} U_il G_l,   P H = U G                   (9)
+
+A segment starts at a measured speed. Its first step knows the heading: there P loses all that joins w and b to others,
+b becomes 0, P_ww 4 m²/s², each variance of c grows by 0.05² m²/s², and the speed is measured. A step of more than 10 s
+is predicted; its speed starts a segment. A speed beyond ±20 m/s is that limit, with P_ww = 400 m²/s².
+
+*Readings.* After each `read_every` s of learned steps the parameters are read; the first three readings are dropped.
+With weights 0.9^age, θ̄ is their mean and C their covariance. P + C is the variance of θ̄ (`benchmarks/study.md`).
+
+The derivation is in `docs/theory.md`, section 19.
+"""
+
+from __future__ import annotations
+
+from math import factorial
+from typing import TYPE_CHECKING, NamedTuple
+
+from usvlearn.estimators.regressors.terms import CUBIC, EVEN, LAG, SURGE
+from usvlearn.family import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_OR_INFINITE,
+    TRIANGLE,
+    Choices,
+    Family,
+    Numbers,
+    Vectors,
+    leaf,
+)
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+W, B, NORTH, EAST, THETA = range(5)  # places in x; κ, e and μ follow the nine of θ
+KAPPA = THETA + len(SURGE)
+E = KAPPA + len(CUBIC)
+SIZES = (E + 1, E + len(EVEN) + 1)  # n without and with even terms
+SPEED_VARIANCE, CURRENT_VARIANCE, FIRST_DISTURBANCE = 4.0, 0.05**2, 1e-2  # m²/s² at a start; (m/s²)² before the first
+NOISE, NOISE_LEAST, NOISE_SHARE, NOISE_COUNT, NOISE_MOST = 0.03, 1e-4, 0.005, 20.0, 9.0  # m/s, m/s; of (6)
+STEP, SPEED_NOISE = 0.4, 0.05  # s, for which the noise of w and b is stated; that of w, in σ²
+REST = 1e-3  # u_L² + u_R² + w² below which a boat is at rest
+EVERY = 4  # steps from one parameter's walk to the next's
+LONGEST, SPEED_MAX = 10.0, 20.0  # s, m/s
+DECAYED = 20.0  # exponent of the longest decay, so that no factor of P is 0
+NEAR = 0.5  # |z| below which the derivative of φ₁ is its series, because the closed form cancels
+SERIES = tuple((k + 1) / factorial(k + 2) for k in range(13, -1, -1))  # of the derivative of φ₁, from the highest power
+LAG_LEAST, LAG_MOST = -0.5, 1.5
+DROPPED, AGEING = 3.0, 0.9  # readings; their weight from one to the next
+LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most
+
+
+class JointState(NamedTuple):
+    """The state of the joint filter."""
+
+    mean: Tensor  # (*batch, n) x
+    factor: Tensor  # (*batch, n, n) U and D, a column of U in each row: U_ij at [j, i] for i < j, D_j at [j, j], else 0
+    noise: Tensor  # (*batch,) σ², m²/s²
+    updates: Tensor  # (*batch,) count of learned steps
+    surge: Tensor  # (*batch,) measured speed with which the last segment started, m/s
+    started: Tensor  # (*batch,) bool: no step since then
+    commands: Tensor  # (*batch, 2) of the last step, left and right
+    turn: Tensor  # (*batch,) steps in the round in which each parameter walks once
+    deviation: Tensor  # (*batch,) standard deviation of the last prediction, m/s
+    learned: Tensor  # (*batch,) s of learned steps since the last reading
+    readings: Tensor  # (*batch,) count of readings, with those that were dropped
+    weight: Tensor  # (*batch,) sum of the weights of the readings
+    reading: Tensor  # (*batch, n − 4) θ̄: mean of the parameters read, in the order of x
+    spread: Tensor  # (*batch, n − 4, n − 4) C: their covariance
+
+    @property
+    def covariance(self) -> Tensor:
+        """P = U D Uᵀ, `(*batch, n, n)`."""
+        D = self.factor.diagonal(dim1=-2, dim2=-1)
+        U = self.factor.tril(-1).mT + D.new_ones(D.shape[-1]).diag()
+        return (U * D[..., None, :]) @ U.mT
+
+
+def names(even: bool) -> tuple[str, ...]:
+    """The names of the parameters, in the order of x.
+
+    >>> len(names(True)), names(False)[-1]
+    (19, 'command_lag')
+    """
+    return (*SURGE, *CUBIC, *(EVEN if even else ()), LAG)
+
+
+class Number(Numbers):
+    """Hyperparameters and constants, in the units of the arguments of `JointEKF`."""
+
+    DISTURBANCE = POSITIVE  # q_b
+    DISTURBANCE_TIME = POSITIVE  # τ_b
+    CURRENT = POSITIVE  # σ_c
+    CURRENT_TIME = POSITIVE  # τ_c
+    DRIFT_TIME = POSITIVE  # T_θ
+    OUTLIER = POSITIVE_OR_INFINITE  # k
+    READ_EVERY = POSITIVE_OR_INFINITE
+
+
+class Vector(Vectors):
+    """One number for each parameter."""
+
+    VARIANCE = POSITIVE, lambda size: size - THETA  # prior
+
+
+class Choice(Choices):
+    """Choices."""
+
+    EVEN = False, True
+
+
+FAMILY = Family(
+    ("joint",),
+    lambda n: JointState(
+        mean=leaf(n),
+        factor=leaf(n, n, legal=TRIANGLE),
+        noise=leaf(legal=POSITIVE),
+        updates=leaf(legal=NOT_NEGATIVE),
+        surge=leaf(),
+        started=leaf(flag=True),
+        commands=leaf(2),
+        turn=leaf(legal=NOT_NEGATIVE),
+        deviation=leaf(legal=NOT_NEGATIVE),
+        learned=leaf(legal=NOT_NEGATIVE),
+        readings=leaf(legal=NOT_NEGATIVE),
+        weight=leaf(legal=NOT_NEGATIVE),
+        reading=leaf(n - THETA),
+        spread=leaf(n - THETA, n - THETA, legal=FINITE),
+    ),
+    Number,
+    Choice,
+    Vector,
+    size=lambda own: SIZES[own["even"]],
+    work=lambda n: 4 * n + 2,
+    heading=lambda own: True,
+)
+AT = FAMILY.at
