@@ -5,7 +5,7 @@ A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j]. `predict` lea
 
 import numpy as np
 
-from usvlearn.arrays import clamp, dot, fill
+from usvlearn.arrays import clamp, fill
 from usvlearn.estimators.joint.state import (
     AGEING,
     AT,
@@ -61,18 +61,19 @@ def predict(node, s, q, x, work):
 @jit
 def coast(node, s, q, x, predicted, work):
     """The state after `JointEKF.predict`."""
-    advance(node, s, q, x, work)
+    mean, A = blocks(node, s)
+    advance(node, s, q, x, mean, A, work)
 
 
 @jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `JointEKF.learn`."""
     n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
-    spread = advance(node, s, q, x, work)
+    mean, A = blocks(node, s)
+    spread = advance(node, s, q, x, mean, A, work)
     if x[DT] > LONGEST:
         start(node, s, q, target)
         return
-    mean, A = s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
     f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
     error, noise, k = target - estimate, s[node[AT.noise]], numbers[Number.OUTLIER]
     square, S = error * error, spread + noise
@@ -93,7 +94,7 @@ def learn(node, s, q, x, estimate, target, work):
 def inflate_covariance(node, s, q, factor):
     """`JointEKF.inflate_covariance`: P times `factor`, up to its limit."""
     n = node[Node.SIZE]
-    A, prior = s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n), q[node[Vector.VARIANCE] :]
+    A, prior = blocks(node, s)[1], q[node[Vector.VARIANCE] :]
     total = 0.0
     for i in range(THETA, n):
         total += variance(A, i) / prior[i - THETA]
@@ -101,6 +102,13 @@ def inflate_covariance(node, s, q, factor):
     limit = 1.0 if limit < 1.0 else limit
     for j in range(n):
         A[j, j] *= limit if factor > limit else factor
+
+
+@jit(inline=True)
+def blocks(node, s):
+    """x and A."""
+    n = node[Node.SIZE]
+    return s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
 
 
 @jit
@@ -189,10 +197,9 @@ def flow(even, mean, w, b, left_before, right_before, x, g):
 
 
 @jit
-def advance(node, s, q, x, work):
+def advance(node, s, q, x, mean, A, work):
     """The time update from what `forecast` left in `work`; returns HᵀPH, with f and G of (9) in `work`."""
     n, numbers, h = node[Node.SIZE], q[node[Node.NUMBERS] :], x[DT]
-    mean, A = s[node[AT.mean] : node[AT.mean] + n], s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n)
     g, speed, current, noise = work[:n], work[n], work[n + 1], s[node[AT.noise]]
     if s[node[AT.started]] > 0:
         begin(mean, A, s[node[AT.surge]], noise, x, work[n + 2 :])
@@ -202,9 +209,8 @@ def advance(node, s, q, x, work):
     transition(A, g, slow, current)
     span, a = min(h, LONGEST) / STEP, work[n + 2 : 2 * n + 2]
     drift = numbers[Number.CURRENT] ** 2 * (1 - current * current)
-    add(A, EAST, drift, a)
-    add(A, NORTH, drift, a)
-    add(A, B, numbers[Number.DISTURBANCE] * noise * span, a)
+    add_current(A, drift)
+    add_slow(A, numbers[Number.DISTURBANCE] * noise * span, 1.0, 0.0)
     A[W, W] += SPEED_NOISE * noise * span
     turn, parameters = s[node[AT.turn]], n - THETA
     if turn < EVERY * parameters:
@@ -236,8 +242,7 @@ def begin(mean, A, surge, noise, x, work):
     for j in range(2, n):
         A[j, B] = 0.0
     A[W, W] = SPEED_VARIANCE
-    add(A, EAST, CURRENT_VARIANCE, f)
-    add(A, NORTH, CURRENT_VARIANCE, f)
+    add_current(A, CURRENT_VARIANCE)
     mean[W], mean[B] = surge - x[COS] * mean[NORTH] - x[SIN] * mean[EAST], 0.0
     seen(A, x, f, G)
     measure(A, f, G, noise, gain)
@@ -252,12 +257,15 @@ def variance(A, i):
     return total
 
 
-@jit
+@jit(reorder=True)
 def transition(A, g, slow, current):
     """F P Fᵀ."""
     n = len(g)
     for j in range(1, n):
-        A[j, W] = g[j] + dot(g[:j], A[j, :j])
+        total = g[j]
+        for i in range(j):
+            total += g[i] * A[j, i]
+        A[j, W] = total
     A[B, W] /= slow
     A[NORTH, W], A[EAST, W] = A[NORTH, W] / current, A[EAST, W] / current
     A[NORTH, B], A[EAST, B] = A[NORTH, B] * (slow / current), A[EAST, B] * (slow / current)
@@ -273,17 +281,52 @@ def add(A, k, c, a):
     """P + c e_k e_kᵀ, (8)."""
     fill(a[:k], 0.0)
     a[k] = 1.0
-    for j in range(k, -1, -1):
+    for j in range(k, 0, -1):
         d = A[j, j]
         larger = d + c * a[j] * a[j]
-        if larger > 0:
-            keep, beta = d / larger, c * a[j] / larger
-            c *= keep
-            for i in range(j):
-                u = A[j, i]
-                A[j, i] = u * keep + beta * a[i]
-                a[i] -= a[j] * u
-            A[j, j] = larger
+        inverse = 1 / larger
+        keep, beta = d * inverse, c * a[j] * inverse
+        c *= keep
+        for i in range(j):
+            u = A[j, i]
+            A[j, i] = u * keep + beta * a[i]
+            a[i] -= a[j] * u
+        A[j, j] = larger
+    A[W, W] += c * a[W] * a[W]
+
+
+@jit
+def add_current(A, c):
+    """`add` for both components of the current, where all numbers stay in registers."""
+    d, north, slow, fast = A[EAST, EAST], -A[EAST, NORTH], -A[EAST, B], -A[EAST, W]
+    larger = d + c
+    keep = d / larger
+    A[EAST, EAST], A[EAST, NORTH], A[EAST, B], A[EAST, W] = larger, -north * keep, -slow * keep, -fast * keep
+    add_north(A, c * keep, north, slow, fast)
+    add_north(A, c, 1.0, 0.0, 0.0)
+
+
+@jit
+def add_north(A, c, north, slow, fast):
+    """P + c a aᵀ with a = [fast, slow, north, 0, …]."""
+    d, v, u = A[NORTH, NORTH], A[NORTH, B], A[NORTH, W]
+    larger = d + c * north * north
+    inverse = 1 / larger
+    keep, beta = d * inverse, c * north * inverse
+    A[NORTH, NORTH], A[NORTH, B], A[NORTH, W] = larger, v * keep + beta * slow, u * keep + beta * fast
+    add_slow(A, c * keep, slow - north * v, fast - north * u)
+
+
+@jit
+def add_slow(A, c, slow, fast):
+    """P + c a aᵀ with a = [fast, slow, 0, …]."""
+    d, u = A[B, B], A[B, W]
+    larger = d + c * slow * slow
+    inverse = 1 / larger
+    keep, beta = d * inverse, c * slow * inverse
+    A[B, B], A[B, W] = larger, u * keep + beta * fast
+    fast -= slow * u
+    A[W, W] += c * keep * fast * fast
 
 
 @jit
@@ -334,10 +377,16 @@ def project(mean, A, i, k, sign, t):
     """x_i + sign x_k becomes 0, and the others follow their covariances with it."""
     n, value, total = len(mean), mean[i] + sign * mean[k], 0.0
     for j in range(i, n):
-        t[j] = (1.0 if j == i else A[j, i]) + (0.0 if j < k else sign * (1.0 if j == k else A[j, k]))
-        total += A[j, j] * t[j] * t[j]
+        t[j] = A[j, i] + sign * A[j, k] if j > k else A[j, i]
+    t[i] = 1.0
+    t[k] += sign
     for j in range(i, n):
-        move = value / total * (A[j, j] * t[j])
+        weight = A[j, j] * t[j]
+        total += weight * t[j]
+        t[j] = weight
+    value /= total
+    for j in range(i, n):
+        move = value * t[j]
         for other in range(j):
             mean[other] -= move * A[j, other]
         mean[j] -= move
