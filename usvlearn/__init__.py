@@ -12,6 +12,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.errors import UsvlearnError as UsvlearnError
     from usvlearn.estimator import Estimator as Estimator
     from usvlearn.estimators.aid.layer import AID as AID
+    from usvlearn.estimators.arx.layer import ARX as ARX
     from usvlearn.estimators.baselines.acceleration.layer import Acceleration as Acceleration
     from usvlearn.estimators.baselines.persistence.layer import Persistence as Persistence
     from usvlearn.estimators.ensemble.combiners.layer import BOA as BOA
@@ -50,6 +51,7 @@ _HOME = {
     "Positive": "hyper",
     "UnitInterval": "hyper",
     "AID": "estimators.aid.layer",
+    "ARX": "estimators.arx.layer",
     "RLS": "estimators.least_squares.rls",
     "SIFtRLS": "estimators.least_squares.sift",
     "WithMemory": "estimators.wrappers.memory.layer",

@@ -7,6 +7,7 @@ import torch
 
 from usvlearn import (
     AID,
+    ARX,
     BOA,
     RLS,
     RNN,
@@ -171,6 +172,9 @@ VARIANTS = {
     "memory_around_robust_aid": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, memory=True)), threshold=0.7)),
     "memory_around_nothing": lambda: WithMemory(Persistence()),
     "acceleration_limited": lambda: Acceleration(surge_dot_max=0.1, surge_max=1.0),
+    "arx_no_lags": lambda: ARX(lags=0, even=False, thrust_speed=True, surge_max=1.0),
+    "arx_long": lambda: ARX(lags=8, turning=True, scale=3.0, walk=0.1, degrees=1.0),
+    "robust_arx": lambda: Robust(ARX(lags=1), threshold=1.0, patience=1, inflation=200.0),
     **{
         f"rnn_{condition}_{gauge}_{unroll}": lambda c=condition, g=gauge, u=unroll: RNN(
             7, condition=c, gauge=g, unroll=u, rate=0.02, contraction_rate=0.9, seed=3, initial="random"
@@ -239,6 +243,7 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _lanes, unroll=2),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
     "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_lanes),
+    "arx": lambda: Robust(ARX(scale=0.3 * _lanes, walk=1e-4 * _lanes, degrees=5 * _lanes), 4.0, inflation=1 + _lanes),
     "pair": lambda: Ensemble(
         {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "still": Robust(Acceleration(), scale=_lanes)},
         {"we": RecursiveWeights(), "boa": BOA()},

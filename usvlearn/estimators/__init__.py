@@ -8,4 +8,5 @@ COMPILED = (
     "joint",
     "baselines.persistence",
     "baselines.acceleration",
+    "arx",
 )

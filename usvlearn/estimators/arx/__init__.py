@@ -1,0 +1,1 @@
+"""The ARX filter."""
