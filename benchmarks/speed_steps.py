@@ -14,6 +14,7 @@ from timing import Effort, Section, Work, in_turn, micro, ratio, table, three_di
 
 from usvlearn import (
     AID,
+    ARX,
     BOA,
     RLS,
     RNN,
@@ -51,6 +52,7 @@ def estimators() -> dict[str, Estimator]:
         "projected sift": of["steady_rls"],
         "memory sift, p = 12": of["memory_rls"],
         "ambient sift, p = 15": ambient,
+        "arx, p = 27": ARX(),
         "rnn, n = 20": of["rnn"],
         "default ensemble": ensemble,
     }

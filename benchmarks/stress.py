@@ -28,7 +28,7 @@ import torch
 from peers import LAM, NOISE, P, Peer, peers
 from torch import Tensor, nn
 
-from usvlearn import AID, BOA, RLS, Average, Ensemble, Persistence, Robust, SIFtRLS
+from usvlearn import AID, ARX, BOA, RLS, Average, Ensemble, Persistence, Robust, SIFtRLS
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.regressors.layer import SurgeDynamics
 from usvlearn.rollouts import rollout
@@ -152,7 +152,8 @@ def default_ensemble() -> Ensemble:
 
 def ours() -> Ensemble:
     """All of ours as members of one ensemble: it publishes what each predicts, so that one pass serves all."""
-    return Ensemble({**single(MODEL), "ensemble": default_ensemble(), "persistence": Persistence()}, {"all": Average()})
+    others = {"arx": ARX(), "ensemble": default_ensemble(), "persistence": Persistence()}
+    return Ensemble({**single(MODEL), **others}, {"all": Average()})
 
 
 def regressors(samples: Sample) -> Tensor:
@@ -177,7 +178,7 @@ def run_ours(scenario: Scenario, model: Ensemble, step: Callable | None = None) 
     surges = torch.stack(published)
     for k, name in enumerate(model.columns):
         leaves = list(named_leaves(state.members[name]))
-        thetas = [leaf for place, leaf in leaves if place.split(".")[-1] == "theta"]
+        thetas = [leaf for place, leaf in leaves if place.split(".")[-1] == "theta" and leaf.shape[-1] == P]
         finite = all(bool(leaf.isfinite().all()) for _, leaf in leaves)
         results[name] = assess(scenario, surges[..., k], thetas[0] if len(thetas) == 1 else None, finite)
     return results
