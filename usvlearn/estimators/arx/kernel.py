@@ -11,6 +11,8 @@ from usvlearn.estimators.arx.state import (
     NOISE_LEAST,
     NOISE_SHARE,
     RATES,
+    REST_SQUARE,
+    REST_TIME,
     STEP,
     Choice,
     Number,
@@ -64,18 +66,20 @@ def learn(node, s, q, x, estimate, target, work):
         phi[i] = h * work[i]
     rotated(A, phi, g)
     S, noise, error, tails = 1.0 + variance(A, g), s[node[AT.noise]], target - estimate, numbers[Number.TAILS]
-    seen = error * error / S
-    weight = (1.0 + tails) / (1.0 + tails * seen / noise)
-    gain = error / measurement(A, g, 1.0 / weight, b)
-    for i in range(p):
-        theta[i] += gain * b[i]
-    turn = s[node[AT.turn]]
-    k = int(turn) if 0 <= turn < p else 0  # a member that diverged may hold any number
-    add(A, k, walked(A, k, prior[k], h * numbers[Number.WALK]), b)
-    learned = noise + NOISE_SHARE * (weight * seen - noise)
-    s[node[AT.turn]] = k + 1 if k + 1 < p else 0
     s[node[AT.deviation]] = np.sqrt(noise * S)
-    s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
+    s[node[AT.rest]] = s[node[AT.rest]] + x[DT] if resting(x, work) else 0.0
+    if s[node[AT.rest]] <= REST_TIME:
+        seen = error * error / S
+        weight = (1.0 + tails) / (1.0 + tails * seen / noise)
+        gain = error / measurement(A, g, 1.0 / weight, b)
+        for i in range(p):
+            theta[i] += gain * b[i]
+        turn = s[node[AT.turn]]
+        k = int(turn) if 0 <= turn < p else 0  # a member that diverged may hold any number
+        add(A, k, walked(A, k, prior[k], h * numbers[Number.WALK]), b)
+        learned = noise + NOISE_SHARE * (weight * seen - noise)
+        s[node[AT.turn]] = k + 1 if k + 1 < p else 0
+        s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
     remember(node, s, q, h, target, work)
 
 
@@ -98,6 +102,12 @@ def inflate_covariance(node, s, q, factor):
 def steps(x):
     """h of (1)."""
     return min(x[DT] / STEP, LONGEST)
+
+
+@jit
+def resting(x, f):
+    """Whether the boat rests; f[1] is its speed."""
+    return x[LEFT] * x[LEFT] + x[RIGHT] * x[RIGHT] + f[1] * f[1] < REST_SQUARE
 
 
 @jit

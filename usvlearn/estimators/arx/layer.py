@@ -20,12 +20,14 @@ from usvlearn.estimators.arx.state import (
     NOISE_LEAST,
     NOISE_SHARE,
     RATES,
+    REST_SQUARE,
+    REST_TIME,
     STEP,
     ARXState,
     deviations,
 )
 from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
-from usvlearn.signals import Inputs
+from usvlearn.signals import Inputs, tree_map, where
 
 GROUP = len(COMMANDS)
 
@@ -81,7 +83,8 @@ class ARX(Estimator):
         p, zero = len(self.names), self.ratios.new_zeros(tuple(batch))
         zeros, noise = self.ratios.new_zeros((*batch, p)), torch.full_like(zero, NOISE**2)
         factor = torch.diag_embed(self.prior).expand(*batch, p, p)
-        return ARXState(zeros, factor, zeros, zero, noise, zero, zero, torch.ones_like(zero, dtype=torch.bool))
+        started = torch.ones_like(zero, dtype=torch.bool)
+        return ARXState(zeros, factor, zeros, zero, noise, zero, zero, zero, started)
 
     def predict(self, state: ARXState, inputs: Inputs) -> tuple[ARXState, Tensor]:
         h, features, estimate = self._estimate(state, inputs)
@@ -97,18 +100,21 @@ class ARX(Estimator):
         h, features, estimate = self._estimate(state, inputs)
         error, tails = surge - estimate, self._tails()
         g, G, spread = rotated(state.factor, h[..., None] * features)
+        state = state._replace(deviation=(state.noise * spread).sqrt())
         seen = error * error / spread
         weight = (1 + tails) / (1 + tails * seen / state.noise)  # (2)
         gain, factor = measured(state.factor, g, G, 1 / weight)
-        theta = state.theta + gain * error[..., None]
-        places = torch.arange(len(self.names), device=theta.device)
-        here = (places == state.turn[..., None]).to(theta.dtype)
-        factor = self._walked(factor, here, h)
         noise = (state.noise + NOISE_SHARE * (weight * seen - state.noise)).clamp(min=NOISE_LEAST**2)  # (3)
-        turn = torch.where(state.turn + 1 < len(self.names), state.turn + 1, 0.0)
-        deviation = (state.noise * spread).sqrt()
-        state = state._replace(theta=theta, factor=factor, noise=noise, turn=turn, deviation=deviation)
-        return self._remember(state, features, surge, h), self._limit(estimate)
+        learned = state._replace(
+            theta=state.theta + gain * error[..., None],
+            factor=self._walked(factor, state.turn, h),
+            noise=noise,
+            turn=torch.where(state.turn + 1 < len(self.names), state.turn + 1, 0.0),
+        )
+        rests = inputs.command_left**2 + inputs.command_right**2 + features[..., 1] ** 2 < REST_SQUARE
+        rest = torch.where(rests, state.rest + inputs.dt, 0.0)
+        state = tree_map(lambda new, old: where(rest <= REST_TIME, new, old), learned, state)
+        return self._remember(state._replace(rest=rest), features, surge, h), self._limit(estimate)
 
     def start(self, state: ARXState, surge: Tensor) -> ARXState:
         past, started = torch.zeros_like(state.past), torch.ones_like(state.started)
@@ -167,8 +173,9 @@ class ARX(Estimator):
         groups = [torch.stack(found, -1), past[..., RATES:begin], now, before]
         return torch.cat([*groups, torch.stack(rest, -1)] if rest else groups, -1)
 
-    def _walked(self, factor: Tensor, here: Tensor, h: Tensor) -> Tensor:
-        """The factor after the walk (4) of the weight where `here` is 1."""
+    def _walked(self, factor: Tensor, turn: Tensor, h: Tensor) -> Tensor:
+        """The factor after the walk (4) of the weight whose turn it is."""
+        here = (torch.arange(len(self.names), device=turn.device) == turn[..., None]).to(factor.dtype)
         U, D = parts(factor)
         prior, own = (here * self.prior).sum(-1), ((U * here[..., None, :]).sum(-1).square() * D).sum(-1)
         share = len(self.names) * (h * self.walk())

@@ -24,7 +24,9 @@ learned step, in turn, with p times its share; its variance grows up to the prio
 
     P_ii ← P_ii + min(p h walk P₀_ii, P₀_ii − P_ii)                                                                 (4)
 
-so that no idle hour lets P grow without bound. While no speed is measured nothing walks.
+so that no idle hour lets P grow without bound. While no speed is measured nothing walks. A boat rests where
+u_L² + u_R² + v² < 0.01. After 60 s of rest nothing is learned, and nothing walks, until it moves: at rest the best
+prediction of a noisy speed is 0, which is wrong for a boat that moves, and hours would teach nothing else.
 
 A segment starts with a speed alone. The increments before it count as 0, the commands before its first step as equal
 to those of this step, and the yaw rate as unchanged. A step without a measured speed departs from the prediction before
@@ -60,6 +62,8 @@ NOISE = 0.05  # m/s, σ before the first innovation
 NOISE_SHARE = 0.02  # of a new innovation in σ²
 NOISE_LEAST = 1e-3  # m/s; exact predictions at rest for hours must not make σ so small that it cannot recover
 LOOSEST = 100.0  # times the trace of P₀, to which P is inflated
+REST_SQUARE = 0.01  # of u_L² + u_R² + v², v in m/s, below which a boat rests
+REST_TIME = 60.0  # s of rest after which nothing is learned
 MOST_LAGS = 50  # 20 s; p grows with it, and the time of a step as p²
 
 RATES = 4  # place in f of the first increment
@@ -98,6 +102,7 @@ class ARXState(NamedTuple):
     noise: Tensor  # (*batch,) σ², m²/s²
     deviation: Tensor  # (*batch,) standard deviation of the last prediction, √(S σ²), m/s
     turn: Tensor  # (*batch,) place of the weight that walks next
+    rest: Tensor  # (*batch,) s of rest so far
     started: Tensor  # (*batch,) bool: no step was made since the segment's start
 
 
@@ -139,6 +144,7 @@ FAMILY = Family(
         noise=leaf(legal=POSITIVE),
         deviation=leaf(legal=NOT_NEGATIVE),
         turn=leaf(legal=Range(0.0, max(p - 1.0, 0.0))),
+        rest=leaf(legal=NOT_NEGATIVE),
         started=leaf(legal=UNIT, flag=True),
     ),
     Number,
