@@ -34,7 +34,7 @@ def clamp(x, limit):
     return limit if x > limit else (-limit if x < -limit else x)
 
 
-@jit
+@jit(reorder=True)
 def finite(block):
     """Whether all numbers of a block are finite, as their sum tells (it overflows only beyond 1e308)."""
     total = 0.0 * block[0]
