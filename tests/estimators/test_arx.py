@@ -1,0 +1,316 @@
+"""The ARX filter against a Kalman filter with a dense covariance, against a ridge regression, and on hard samples."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support import over, random_samples
+from tests.support.kernel_cases import mission
+from usvlearn import ARX, Inputs, Robust, Sample, rollout
+from usvlearn.errors import ConfigError
+from usvlearn.rollouts import simulate
+from usvlearn.signals import PLAUSIBLE, masks, named_leaves, tree_map
+
+OPTIONS = {
+    "default": {},
+    "no_lags": {"lags": 0, "even": False},
+    "all_features": {"lags": 2, "turning": True, "thrust_speed": True, "scale": 2.0, "walk": 1e-2},
+    "gaussian": {"lags": 1, "degrees": None, "surge_max": 1.0},
+}
+BACKENDS = ("kernel", "torch")
+
+
+@pytest.fixture(autouse=True)
+def no_gradients():
+    with torch.no_grad():
+        yield
+
+
+class History:
+    """f of a boat, from the lists of all its commands, yaw rates and speeds since the segment's start."""
+
+    def __init__(self, arx: ARX):
+        self.arx = arx
+        self.start(0.0)
+
+    def start(self, speed):
+        self.speeds, self.steps, self.commands, self.yaw_rates = [speed], [], [], []
+
+    def features(self, left, right, yaw_rate):
+        arx, limit = self.arx, self.arx.surge_max
+        if not self.commands:
+            self.commands, self.yaw_rates = [(left, right)] * arx.lags, [yaw_rate]
+        self.commands.append((left, right))
+        self.yaw_rates.append(yaw_rate)
+        v = float(np.clip(self.speeds[-1], -limit, limit))
+        rates = [(b - a) / h for a, b, h in zip(self.speeds, self.speeds[1:], self.steps, strict=False)]
+        rates = list(np.clip([0.0] * arx.lags + rates, -limit, limit))[::-1][: arx.lags]
+        f = [1.0, v, v * abs(v), abs(yaw_rate) * v, *rates]
+        for l, r in self.commands[::-1][: arx.lags + 1]:  # noqa: E741
+            f += [l + r, l - r, l * abs(l), r * abs(r)]
+        if arx.even:
+            f += [abs(left) + abs(right), left**2 + right**2, v * v, (left + right) * v]
+        if arx.turning:
+            f += [yaw_rate, yaw_rate - self.yaw_rates[-2]]
+        if arx.thrust_speed:
+            f += [left * abs(v), right * abs(v)]
+        return np.array(f)
+
+
+def prior_deviations(arx: ARX) -> np.ndarray:
+    found = [1, 10, 10, 10, *(30 / (1 + j) for j in range(arx.lags)), *[10] * (4 * arx.lags + 4)]
+    found += [1] * 4 * arx.even + [10] * 2 * arx.turning + [10] * 2 * arx.thrust_speed
+    return np.array(found) * float(arx.scale())
+
+
+def textbook(arx: ARX, samples: Sample):
+    """Predictions, θ, P and σ² of a Kalman filter whose covariance is one dense matrix; one boat."""
+    made, inputs = masks(samples, PLAUSIBLE), tree_map(lambda x: x.numpy(), samples.inputs)
+    prior = prior_deviations(arx) ** 2
+    P, theta, noise, turn, rest = np.diag(prior), np.zeros(len(prior)), 0.05**2, 0, 0.0
+    history, walk = History(arx), float(arx.walk())
+    nu = math.inf if arx.degrees is None else float(arx.degrees())
+    predictions = np.full(len(samples.surge), np.nan)
+    for k, surge in enumerate(samples.surge.numpy()):
+        if made.starts[k]:
+            history.start(surge)
+        if not made.steps[k]:
+            continue
+        left, right, yaw_rate = inputs.command_left[k], inputs.command_right[k], inputs.yaw_rate[k]
+        h, f = min(inputs.dt[k] / 0.4, 25.0), history.features(left, right, yaw_rate)
+        estimate = history.speeds[-1] + h * f @ theta
+        predictions[k] = np.clip(estimate, -arx.surge_max, arx.surge_max)
+        if made.learns[k]:
+            rest = rest + inputs.dt[k] if left**2 + right**2 + f[1] ** 2 < 0.01 else 0.0
+            if rest <= 60:
+                phi, e = h * f, surge - estimate
+                S = 1 + phi @ P @ phi
+                w = 1.0 if nu == math.inf else (nu + 1) / (nu + e * e / (S * noise))
+                K = P @ phi / (1 / w + phi @ P @ phi)
+                theta, P = theta + K * e, P - np.outer(K, P @ phi)
+                P = (P + P.T) / 2
+                P[turn, turn] += max(0.0, min(len(f) * h * walk * prior[turn], prior[turn] - P[turn, turn]))
+                noise = max(noise + 0.02 * (w * e * e / S - noise), 1e-6)
+                turn = (turn + 1) % len(f)
+        history.speeds.append(surge if made.learns[k] else predictions[k])
+        history.steps.append(h)
+    return predictions, theta, P, noise
+
+
+def covariance(state) -> torch.Tensor:
+    U = state.factor.tril(-1).mT + torch.eye(state.factor.shape[-1], dtype=state.factor.dtype)
+    return U @ torch.diag_embed(state.factor.diagonal(dim1=-2, dim2=-1)) @ U.mT
+
+
+def constant(steps: int, left: float, right: float, surge, dt: float = 0.4, dtype=torch.float64) -> Sample:
+    """The same commands at every step; a speed, or one for each step."""
+    full, yes = [torch.full((steps,), x, dtype=dtype) for x in (left, right, 0.0, 0.0, dt)], torch.ones(steps) > 0
+    return Sample(Inputs(*full), torch.as_tensor(surge, dtype=dtype).expand(steps).clone(), yes, yes)
+
+
+def noise(steps: int, deviation: float = 0.02) -> torch.Tensor:
+    return deviation * torch.randn(steps, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize("options", OPTIONS)
+@over("backend", BACKENDS)
+def test_equals_a_dense_kalman_filter(options, backend):
+    """Over missing, stale and outlying samples, new segments, rest, and steps of different lengths."""
+    arx, samples = ARX(**OPTIONS[options]), mission(600, seed=2)
+    assert masks(samples).starts.sum() > 2 and (masks(samples).steps & ~masks(samples).learns).sum() > 10
+    state, found, _ = rollout(arx, arx.init(), samples, backend=backend)
+    predictions, theta, P, variance = textbook(arx, samples)
+    np.testing.assert_allclose(found, predictions, atol=1e-7, rtol=1e-7)
+    np.testing.assert_allclose(state.theta, theta, atol=1e-6 * abs(theta).max())
+    np.testing.assert_allclose(covariance(state), P, atol=1e-6 * P.max())
+    np.testing.assert_allclose(state.noise, variance, rtol=1e-6)
+
+
+def test_without_walk_and_tails_it_is_a_ridge_regression():
+    """θ minimises |y − Φθ|² + θᵀP₀⁻¹θ."""
+    arx, samples = ARX(lags=2, degrees=None, walk=1e-30), mission(300, seed=1, faults=False)
+    state, _, _ = rollout(arx, arx.init(), samples)
+    history, rows, increments = History(arx), [], []
+    for left, right, _, yaw_rate, dt, surge in zip(*samples.inputs, samples.surge, strict=True):
+        h = float(dt) / 0.4
+        rows.append(h * history.features(float(left), float(right), float(yaw_rate)))
+        increments.append(float(surge) - history.speeds[-1])
+        history.speeds.append(float(surge))
+        history.steps.append(h)
+    wide = np.vstack([rows, np.diag(1 / prior_deviations(arx))])
+    solution = np.linalg.lstsq(wide, np.r_[increments, np.zeros(wide.shape[1])], rcond=None)[0]
+    np.testing.assert_allclose(state.theta, solution, atol=1e-8)
+    np.testing.assert_allclose(covariance(state), np.linalg.inv(wide.T @ wide), atol=1e-8)
+
+
+@over("options", [{}, {"lags": 1, "turning": True, "thrust_speed": True}])
+def test_recovers_a_boat_that_is_an_arx_model(options):
+    """All weights, over steps of different lengths: without noise only the prior keeps the filter from the truth."""
+    arx, rng, steps = ARX(**options, scale=100.0, degrees=None, walk=1e-12), np.random.default_rng(0), 3000
+    truth = 0.05 * rng.standard_normal(len(arx.names))
+    truth[:4] = 0.02, -0.1, -0.1, -0.05
+    left, right, yaw_rate, dt = (rng.uniform(low, 1, steps) for low in (-1, -1, -1, 0.2))
+    history, surge = History(arx), np.empty(steps)
+    for k in range(steps):
+        f, h = history.features(left[k], right[k], yaw_rate[k]), dt[k] / 0.4
+        surge[k] = history.speeds[-1] + h * f @ truth
+        history.speeds.append(surge[k])
+        history.steps.append(h)
+    assert 0.1 < surge.std() < 3
+    yes = torch.ones(steps, dtype=torch.bool)
+    inputs = Inputs(*map(torch.from_numpy, (left, right, np.zeros(steps), yaw_rate, dt)))
+    state, predicted, _ = rollout(arx, arx.init(), Sample(inputs, torch.from_numpy(surge), yes, yes))
+    np.testing.assert_allclose(state.theta, truth, atol=1e-4)
+    assert abs(predicted[-100:].numpy() - surge[-100:]).max() < 1e-5 < abs(predicted[:100].numpy() - surge[:100]).max()
+
+
+def test_student_weight():
+    """The first correction of the bias, P = s², is e s²/(1/w + s²): it grows with e, then falls; Gaussian, it grows."""
+    still = tree_map(lambda x: x[0], constant(1, 0.0, 0.0, 0.0).inputs)
+    errors = torch.tensor([0.05, 0.5, 5.0, 50.0], dtype=torch.float64)
+    found = {}
+    for degrees in (3.0, None):
+        arx = ARX(degrees=degrees, scale=2.0)
+        inputs = tree_map(lambda x: x.expand(4), still)
+        found[degrees] = arx.update(arx.init((4,)), inputs, errors).theta[:, 0]
+        weight = 1.0 if degrees is None else (degrees + 1) / (degrees + errors**2 / (5 * 0.05**2))
+        torch.testing.assert_close(found[degrees], errors * 4 / (1 / torch.as_tensor(weight) + 4))
+    assert found[3.0][1] > found[3.0][0] and (found[3.0].diff() < 0)[1:].all() and (found[None].diff() > 0).all()
+
+
+def test_variance_of_the_noise_is_found():
+    """σ² of Student's t: the innovations' scale, not their variance, which outliers make large."""
+    surge = noise(20_000, 0.03)
+    arx = ARX(lags=0, walk=1e-12)
+    state, _, _ = rollout(arx, arx.init(), constant(20_000, 0.5, 0.5, surge))
+    assert 0.75 * 0.03**2 < state.noise < 0.03**2 and abs(state.theta[1] + 1) < 0.2  # the best prediction is the mean
+
+
+@over("backend", BACKENDS)
+def test_a_segment_starts_without_memory(backend):
+    """Increments before a start count as 0, commands as this step's, whatever came before."""
+    arx = ARX(lags=2, turning=True)
+    state, _, _ = rollout(arx, arx.init(), mission(200), backend=backend)
+    opening = tree_map(torch.clone, random_samples(6, seed=5))
+    opening.inputs.dt[0] = 0.0
+    other = state._replace(past=state.past + 1.0, surge=state.surge - 0.5)
+    found = [rollout(arx, each, opening, backend=backend)[1][1:] for each in (state, other)]
+    assert torch.equal(*found)
+    history = History(arx)
+    history.start(float(opening.surge[0]))
+    f = history.features(*(float(x[1]) for x in (*opening.inputs[:2], opening.inputs.yaw_rate)))
+    assert f[4] == f[5] == 0 and f[6] == f[10] == f[14] and f[-1] == 0
+    torch.testing.assert_close(found[0][0], opening.surge[0] + torch.from_numpy(f) @ state.theta)
+
+
+@over("backend", BACKENDS)
+def test_free_runs_are_bounded(backend):
+    """Weights of increments and of the speed with which the model explodes: the limit holds."""
+    arx, samples = ARX(surge_max=3.0), mission(400, faults=False)
+    state = arx.init()
+    state = state._replace(theta=torch.linspace(2.0, -0.5, len(arx.names), dtype=torch.float64))
+    _, surge, _ = simulate(arx, state, samples, backend=backend)
+    assert surge.isfinite().all() and surge.abs().max() == 3.0
+
+
+def test_rest_teaches_for_a_minute():
+    arx = ARX()
+    state, _, _ = rollout(arx, arx.init(), mission(500, faults=False))
+    minute, _, _ = rollout(
+        arx, state._replace(surge=torch.zeros_like(state.surge)), constant(150, 0.0, 0.0, noise(150))
+    )
+    hours, _, _ = rollout(arx, minute, constant(10_000, 0.0, 0.0, noise(10_000)))
+    assert not torch.equal(minute.theta, state.theta)
+    for leaf in ("theta", "factor", "noise", "turn"):
+        assert torch.equal(getattr(hours, leaf), getattr(minute, leaf)), leaf
+    moving, _, _ = rollout(arx, hours, constant(1, 0.5, 0.5, 0.1))
+    assert not torch.equal(moving.theta, hours.theta) and moving.rest == 0
+
+
+@functools.cache
+def hard(steps: int) -> dict[str, Sample]:
+    """Samples that have broken filters."""
+    rng = np.random.default_rng(1)
+    wild = tree_map(torch.clone, mission(steps, faults=False))
+    off = torch.from_numpy(rng.random(steps) < 0.02)
+    wild.surge[off] = 99.9 * torch.from_numpy(rng.choice([-1.0, 1.0], steps))[off]
+    long, commands = tree_map(torch.clone, mission(steps, faults=False)), tree_map(torch.clone, wild)
+    long.inputs.dt[:] = torch.from_numpy(rng.choice([1e-6, 0.4, 60.0], steps))
+    commands.inputs.command_left[:] *= 99.0
+    silent = tree_map(torch.clone, mission(steps, faults=False))
+    silent.measured[steps // 10 :] = False
+    missing = tree_map(torch.clone, mission(steps))
+    missing.surge[torch.from_numpy(rng.random(steps) < 0.9)] = math.nan
+    return {
+        "idle": constant(steps, 0.0, 0.0, noise(steps)),
+        "idle_exactly": constant(steps, 0.0, 0.0, 0.0),
+        "cruise": constant(steps, 0.6, 0.6, 1.2 + noise(steps)),
+        "cruise_exactly": constant(steps, 0.6, 0.6, 1.2),
+        "a_minute_a_step": constant(steps, 0.6, 0.6, 1.2 + noise(steps), dt=60.0),
+        "outliers": wild,
+        "steps_of_all_lengths": long,
+        "absurd_commands": commands,
+        "outage": silent,
+        "missing": missing,
+    }
+
+
+@pytest.mark.parametrize("name", hard(20))
+@over("dtype", [torch.float64, torch.float32])
+@over("options", [{}, {"lags": 5, "scale": 10.0, "walk": 1e-2}])
+def test_survives(name, dtype, options):
+    """The state stays finite and P keeps its sign; soon after, predictions are those of a filter that began then."""
+
+    def typed(samples):
+        return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)
+
+    arx = ARX(**options).to(dtype)
+    state, predicted, _ = rollout(arx, arx.init(), typed(hard(100_000)[name]))
+    assert all(leaf.isfinite().all() for _, leaf in named_leaves(state))
+    assert not predicted.isinf().any() and predicted.nan_to_num().abs().max() <= arx.surge_max
+    P = covariance(tree_map(lambda x: x.double() if x.is_floating_point() else x, state))
+    assert (state.factor.diagonal() > 0).all() and torch.linalg.eigvalsh(P).min() > -1e-12 * P.max()
+    assert (P.diagonal() <= (1 + 1e-3) * arx.prior.double()).all()
+    if not options:
+        after = typed(mission(3000, seed=7, faults=False))
+        errors = [(rollout(arx, s, after)[1] - after.surge).abs()[-1000:].mean() for s in (state, arx.init())]
+        assert errors[0] < 2 * errors[1]
+
+
+def test_outliers_inside_robust():
+    """An outlier is also the speed from which the next step departs; `Robust` clips it before it becomes one."""
+    wild, clean = hard(10_000)["outliers"], mission(10_000, faults=False)
+    errors = {}
+    for name, estimator in {"bare": ARX(), "robust": Robust(ARX(), threshold=6.0)}.items():
+        for kind, samples in {"wild": wild, "clean": clean}.items():
+            _, surge, _ = rollout(estimator, estimator.init(), samples)
+            errors[name, kind] = (surge - clean.surge).abs()[-5000:].mean()
+    assert errors["robust", "wild"] < 1.3 * errors["robust", "clean"] < 0.3 * errors["bare", "wild"]
+
+
+def test_inflation_has_a_limit():
+    arx = ARX()
+    state, _, _ = rollout(arx, arx.init(), mission(100, faults=False))
+    twice, most = (arx.inflate_covariance(state, state.surge.new_tensor(x)) for x in (2.0, 1e9))
+    torch.testing.assert_close(covariance(twice), 2 * covariance(state))
+    torch.testing.assert_close(covariance(most).trace(), 100 * arx.prior.sum())
+
+
+def test_a_turn_that_is_no_place_reads_no_other_memory():
+    """A member of an ensemble that diverged may hold any number, also after it was read from a file."""
+    arx, samples = ARX(), mission(3, faults=False)
+    state, expected, _ = rollout(arx, arx.init(), samples)
+    for turn in (math.nan, math.inf, 1e12, -5.0):
+        begin = arx.init()._replace(turn=torch.tensor(turn, dtype=torch.float64))
+        end, found, _ = rollout(arx, begin, samples, backend="kernel")
+        assert torch.equal(found, expected) and torch.equal(end.factor, state.factor)
+
+
+@over("options", [{"lags": -1}, {"lags": 2.0}, {"lags": True}, {"lags": 51}, {"even": "yes"}, {"turning": 1},
+                  {"scale": 0.0}, {"walk": -1.0}, {"degrees": 0.0}, {"surge_max": 0.0}])  # fmt: skip
+def test_wrong_options_are_named(options):
+    with pytest.raises(ConfigError, match=f"^{next(iter(options))}: found .*, expected "):
+        ARX(**options)
