@@ -166,7 +166,7 @@ class Fixed(Persistence):
         self.model, self.theta = model, theta
 
     def predict(self, state, inputs):
-        base, phi = self.model(state.surge, inputs)
+        base, phi = self.model(state.surge, inputs, self.theta)
         surge = (base + (phi * self.theta).sum(-1)).clamp(-10, 10)
         return PersistenceState(surge), surge
 

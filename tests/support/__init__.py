@@ -45,6 +45,7 @@ def _members() -> dict:
 
 ESTIMATORS = {
     "aid": lambda: AID(28.0),
+    "aid_exponential": lambda: AID(model=SurgeDynamics(28.0, cubic=True, exponential=True)),
     "aid_estimate": lambda: AID(28.0, feedback="estimate", dead_zone=0.01),
     "rls": lambda: RLS(QuasiStatic(), forgetting=0.98),
     "dynamic_rls": lambda: RLS(SurgeDynamics(28.0), forgetting=0.98),
@@ -52,6 +53,7 @@ ESTIMATORS = {
     "sift": lambda: SIFtRLS(QuasiStatic(), memory=5.0),
     "dynamic_sift": lambda: SIFtRLS(SurgeDynamics(28.0), memory=5.0),
     "dynamic_sift_estimate": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5.0, feedback="estimate"),
+    "exponential_sift": lambda: SIFtRLS(SurgeDynamics(28.0, cubic=True, exponential=True), memory=5.0),
     "projected": lambda: Projected(SIFtRLS(SurgeDynamics(28.0), memory=5.0)),
     "robust_aid": lambda: Robust(AID(28.0), threshold=1.345),
     "robust_memory": lambda: Robust(

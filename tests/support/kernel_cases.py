@@ -31,9 +31,11 @@ from usvlearn import (
 from usvlearn.signals import named_leaves, tree_map
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
+STIFF = [-9e3, -9e3, 0, 500, 500, -200, 500, 500, -200]  # dt Ĵ far below −20
 CONDITIONS = ("simple", "gershgorin", "lmi", "tight", "interval")
 SIGNS = [-1, 1, -1, 1, -1, 1, -1, 1, -1]  # most of them wrong, so that the projection acts
 FULL = {"memory": True, "ambient": True}
+ALL = {**FULL, "cubic": True, "exponential": True}
 
 
 def mission(steps: int, *batch: int, seed: int = 0, faults: bool = True, dtype=torch.float64) -> Sample:
@@ -142,6 +144,12 @@ VARIANTS = {
     "aid_ambient": lambda: AID(model=SurgeDynamics(20.0, ambient=True), gain=2.0),
     "aid_quasi_static": lambda: AID(model=QuasiStatic(), gain=0.5),
     "aid_full": lambda: WithMemory(AID(model=SurgeDynamics(28.0, **FULL)), surge_dot_max=0.5),
+    "aid_all_terms": lambda: WithMemory(AID(model=SurgeDynamics(28.0, **ALL), feedback="estimate")),
+    "aid_stiff": lambda: AID(28.0, theta0=STIFF, model=SurgeDynamics(28.0, exponential=True)),
+    "rls_all_terms": lambda: WithMemory(RLS(SurgeDynamics(28.0, **ALL), forgetting=0.97, covariance=0.1)),
+    "rls_exponential": lambda: RLS(SurgeDynamics(28.0, exponential=True), forgetting=0.95),
+    "sift_cubic": lambda: SIFtRLS(SurgeDynamics(28.0, cubic=True), memory=5.0),
+    "projected_all_terms": lambda: WithMemory(Projected(SIFtRLS(SurgeDynamics(28.0, **ALL), memory=5.0))),
     "rls_surge_max": lambda: RLS(SurgeDynamics(28.0, ambient=True), forgetting=0.9, surge_max=1.2),
     "rls_trace": lambda: RLS(SurgeDynamics(28.0), forgetting=0.8, trace_growth=1e-3, feedback="estimate"),
     "rls_memory": lambda: WithMemory(RLS(SurgeDynamics(28.0, **FULL), forgetting=0.97, covariance=0.1)),

@@ -20,9 +20,9 @@ def start(node, s, q, surge):
 def predict(node, s, q, x, work):
     """`AID.predict`: the speed, (1), and what it was before its limits; φ stays in `work`."""
     p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
-    phi = work[:p]
-    base = regressor(node[Choice.TERMS], s[node[AT.surge]], x, numbers[Number.SCALE], phi)
-    estimate = base + dot(phi, s[node[AT.theta] : node[AT.theta] + p])
+    phi, theta = work[:p], s[node[AT.theta] : node[AT.theta] + p]
+    base = regressor(node[Choice.TERMS], s[node[AT.surge]], x, numbers[Number.SCALE], theta, phi)
+    estimate = base + dot(phi, theta)
     return clamp(estimate, numbers[Number.SURGE_MAX]), estimate
 
 
@@ -97,7 +97,7 @@ def run_alone(node, s, q, rows, free, predictions, picked, picks, work):
         if row[MODE] == START:
             s[at] = row[SURGE]
         elif row[MODE] != HOLD:
-            estimate = regressor(terms, s[at], row, numbers[Number.SCALE], phi) + dot(phi, theta)
+            estimate = regressor(terms, s[at], row, numbers[Number.SCALE], theta, phi) + dot(phi, theta)
             predicted = clamp(estimate, numbers[Number.SURGE_MAX])
             if row[MODE] == LEARN and not free:
                 s[at] = adapt(

@@ -24,9 +24,9 @@ def start(node, s, q, surge):
 def predict(node, s, q, x, work):
     """`LeastSquares.predict`: the speed, and what it was before its limits; φ stays in `work`."""
     p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
-    phi = work[:p]
-    base = regressor(node[Choice.TERMS], s[node[AT.surge]], x, numbers[Number.SCALE], phi)
-    estimate = base + dot(phi, s[node[AT.theta] : node[AT.theta] + p])
+    phi, theta = work[:p], s[node[AT.theta] : node[AT.theta] + p]
+    base = regressor(node[Choice.TERMS], s[node[AT.surge]], x, numbers[Number.SCALE], theta, phi)
+    estimate = base + dot(phi, theta)
     return clamp(estimate, numbers[Number.SURGE_MAX]), estimate
 
 

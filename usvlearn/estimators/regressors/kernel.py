@@ -1,18 +1,38 @@
 """The regressors of `usvlearn.estimators.regressors.layer`, written into an array."""
 
-from usvlearn.estimators.regressors.terms import TERMS
+import numpy as np
+
+from usvlearn.estimators.regressors.terms import LEAST, MOST, TERMS
 from usvlearn.jit import jit
 from usvlearn.rows import COS, DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SIN, SURGE_DOT, YAW_RATE
 
-QUASI_STATIC = TERMS.index([])
+QUASI_STATIC, PLAIN = TERMS.index([]), TERMS.index(["dynamics"])
 # Sets of places in TERMS, as bits.
-MEMORY = sum(1 << place for place, terms in enumerate(TERMS) if "memory" in terms)
-AMBIENT = sum(1 << place for place, terms in enumerate(TERMS) if "ambient" in terms)
+CUBIC, MEMORY, AMBIENT, EXPONENTIAL = (
+    sum(1 << place for place, terms in enumerate(TERMS) if name in terms)
+    for name in ("cubic", "memory", "ambient", "exponential")
+)
 
 
 @jit
-def regressor(terms, surge, x, scale, phi):
-    """Write φ of the model with these TERMS; returns the base of the prediction, m/s."""
+def phi1(z):
+    """φ1(z) = (e^z − 1)/z, as `layer.phi1`; 1 at z = 0."""
+    return np.expm1(z) / z if z != 0 else z + 1.0
+
+
+@jit
+def mean_decay(step, surge, x, theta):
+    """φ1(dt Ĵ) of the exponential step, `layer` (1); `step` is dt/m."""
+    sign = np.sign(surge)
+    slope = 2 * abs(surge) * theta[0] + theta[1] + abs(x[YAW_RATE]) * theta[2]
+    slope += sign * (x[LEFT] * theta[5] + x[RIGHT] * theta[8])
+    z = step * slope
+    return phi1(LEAST if z < LEAST else (MOST if z > MOST else z))
+
+
+@jit
+def regressor(terms, surge, x, scale, theta, phi):
+    """Write φ of the model with these TERMS and parameters; returns the base of the prediction, m/s."""
     left, right = x[LEFT], x[RIGHT]
     if terms == QUASI_STATIC:
         phi[0], phi[1], phi[2] = right, right * abs(right), right * right * right
@@ -23,10 +43,20 @@ def regressor(terms, surge, x, scale, phi):
     phi[0], phi[1], phi[2] = step * (speed * surge), step * surge, step * (abs(x[YAW_RATE]) * surge)
     phi[3], phi[4], phi[5] = step * left, step * (left * abs(left)), step * (left * speed)
     phi[6], phi[7], phi[8] = step * right, step * (right * abs(right)), step * (right * speed)
+    if terms == PLAIN:
+        return surge
     place = 9
+    if CUBIC >> terms & 1:
+        phi[9], phi[10] = step * (left * left * left), step * (right * right * right)
+        place = 11
     if MEMORY >> terms & 1:
-        phi[9], phi[10], phi[11] = step * x[SURGE_DOT], step * x[LEFT_BEFORE], step * x[RIGHT_BEFORE]
-        place = 12
+        phi[place], phi[place + 1], phi[place + 2] = step * x[SURGE_DOT], step * x[LEFT_BEFORE], step * x[RIGHT_BEFORE]
+        place += 3
     if AMBIENT >> terms & 1:
         phi[place], phi[place + 1], phi[place + 2] = step, step * x[SIN], step * x[COS]
+        place += 3
+    if EXPONENTIAL >> terms & 1:
+        share = mean_decay(step, surge, x, theta)
+        for i in range(place):
+            phi[i] *= share
     return surge

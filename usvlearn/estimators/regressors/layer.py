@@ -3,9 +3,18 @@
 Commands and speeds are signed, so that boats may back up: ξ|ξ| stands for ξ² and ξ|v| for ξv. Where ξ ≥ 0 and
 v ≥ 0 these are the paper's own terms.
 
-The surge dynamics may have two groups of terms that the paper leaves out. *Memory*, the last acceleration and the
+The surge dynamics may have three groups of terms that the paper leaves out. *Memory*, the last acceleration and the
 commands one step before, describes thrusters that lag and the added water that moves with the hull. *Ambient*, a force
-that is constant in the earth's frame and a bias, describes wind and current.
+that is constant in the earth's frame and a bias, describes wind and current. *Cubic*, κ ξ³ of each side, follows thrust
+curves that a parabola cannot: a dead band, saturation.
+
+The step is Euler's, v⁺ = v + h f with h = dt and f = Wᵀθ/m, or exponential (Rosenbrock–Euler; Hochbruck & Ostermann
+2010), which is of second order and never overshoots, however strong the drag:
+
+    v⁺ = v + h φ1(z) f,   z = h ∂f/∂v,   φ1(z) = (e^z − 1)/z                                (1)
+
+Its φ is h φ1(z) W/m. z comes from the present parameters and is held within −20 … 1. An estimator that learns takes
+φ1(z) as known: it leaves out ∂z/∂θ, so that the model stays linear in θ.
 
 The derivation is in `docs/theory.md`, section 2.
 """
@@ -19,7 +28,7 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.estimators.regressors.terms import QUASI_STATIC, signs_of
+from usvlearn.estimators.regressors.terms import LEAST, MOST, QUASI_STATIC, signs_of
 from usvlearn.hyper import Hyper, as_tensor
 from usvlearn.signals import Inputs
 
@@ -42,8 +51,8 @@ class LinearModel(Protocol):
         """The size of the parameters, in their units."""
         ...
 
-    def __call__(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
-        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`."""
+    def __call__(self, surge: Tensor, inputs: Inputs, theta: Tensor) -> tuple[Tensor, Tensor]:
+        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`, at the parameters `(*batch, p)`."""
         ...
 
 
@@ -72,6 +81,13 @@ def surge_regressor(surge: Tensor, inputs: Inputs | MemoryInputs) -> Tensor:
     return torch.cat([drag, thrust.flatten(-2)], -1)
 
 
+def force_slope(surge: Tensor, inputs: Inputs | MemoryInputs, theta: Tensor) -> Tensor:
+    """∂(Wᵀθ)/∂v, kg/s, `(*batch,)`, with sgn 0 = 0; cubic, memory and ambient terms do not depend on v."""
+    q, linear, cross, _, _, left, _, _, right = theta[..., :9].unbind(-1)
+    pull = inputs.command_left * left + inputs.command_right * right
+    return 2 * surge.abs() * q + linear + inputs.yaw_rate.abs() * cross + surge.sign() * pull
+
+
 def quasi_static_regressor(inputs: Inputs) -> Tensor:
     """Φ of v ≈ Φᵀζ: [ξ_R, ξ_R|ξ_R|, ξ_R³, ξ_L, ξ_L|ξ_L|, ξ_L³, sin θ, cos θ, |r|], shape `(*batch, 9)`."""
     xi = torch.stack([inputs.command_right, inputs.command_left], -1)  # (*batch, 2)
@@ -81,13 +97,28 @@ def quasi_static_regressor(inputs: Inputs) -> Tensor:
     return torch.cat([thrust.flatten(-2), rest], -1)
 
 
+def phi1(z: Tensor) -> Tensor:
+    """φ1(z) = (e^z − 1)/z, 1 at z = 0, with its derivative.
+
+    >>> phi1(torch.tensor([0.0, -1.0])).round(decimals=4)
+    tensor([1.0000, 0.6321])
+    """
+    small = z.abs() < 0.5  # there the derivative of the quotient would cancel
+    series, safe = torch.ones_like(z), torch.where(small, 1.0, z)
+    for k in range(15, 1, -1):  # Σ z^k/(k+1)!
+        series = 1 + torch.where(small, z, 0.0) / k * series
+    return torch.where(small, series, torch.expm1(safe) / safe)
+
+
 class SurgeDynamics(nn.Module):
-    """One step of the surge dynamics, m·surge_dot = Wᵀθ: v⁺ = v + φᵀθ with φ = dt·W/m.
+    """One step of the surge dynamics, m·surge_dot = Wᵀθ: v⁺ = v + φᵀθ with φ = dt·W/m, or (1).
 
     Args:
         mass: m, kg, added mass included; broadcasts against the batch.
         memory: adds the last acceleration and the last commands; the estimator then needs `WithMemory` around it.
         ambient: adds a force from a compass direction, N, and a bias.
+        cubic: adds thrust κ ξ³ of each side, N.
+        exponential: makes the step (1) in place of Euler's; AID and least squares take its φ1 as known.
 
     Attributes:
         names: of the parameters.
@@ -100,10 +131,18 @@ class SurgeDynamics(nn.Module):
 
     mass: Tensor  # kg, () or as given
 
-    def __init__(self, mass: Hyper = 36.0, memory: bool = False, ambient: bool = False):
+    def __init__(
+        self,
+        mass: Hyper = 36.0,
+        memory: bool = False,
+        ambient: bool = False,
+        cubic: bool = False,
+        exponential: bool = False,
+    ):
         super().__init__()
-        self.memory, self.ambient = memory, ambient
-        self.terms = ["dynamics", *(["memory"] if memory else []), *(["ambient"] if ambient else [])]
+        self.memory, self.ambient, self.cubic, self.exponential = memory, ambient, cubic, exponential
+        options = {"cubic": cubic, "memory": memory, "ambient": ambient, "exponential": exponential}
+        self.terms = ["dynamics", *(name for name, chosen in options.items() if chosen)]
         parts = signs_of(self.terms)
         self.names, self.signs = tuple(parts), tuple(parts.values())
         given = as_tensor(mass, "mass")
@@ -120,23 +159,30 @@ class SurgeDynamics(nn.Module):
         """The size of the parameters, which are proportional to the mass."""
         return self.mass
 
-    def forward(self, surge: Tensor, inputs: Inputs | MemoryInputs) -> tuple[Tensor, Tensor]:
-        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`."""
+    def forward(
+        self, surge: Tensor, inputs: Inputs | MemoryInputs, theta: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`; `exponential` needs θ, `(*batch, p)`."""
         W = surge_regressor(surge, inputs)
-        extra = []
+        extra = [inputs.command_left**3, inputs.command_right**3] if self.cubic else []
         if self.memory:
             if not isinstance(inputs, MemoryInputs):
                 raise ShapeError(
                     "SurgeDynamics(memory=True): the inputs have no last acceleration and commands: wrap the "
                     "estimator, as in WithMemory(AID(model=SurgeDynamics(memory=True)))"
                 )
-            extra = [inputs.surge_dot, inputs.command_left_before, inputs.command_right_before]
+            extra = [*extra, inputs.surge_dot, inputs.command_left_before, inputs.command_right_before]
         if self.ambient:
             heading = inputs.heading
             extra = [*extra, torch.ones_like(heading), heading.sin(), heading.cos()]
         if extra:
             W = torch.cat([W, torch.stack(extra, -1)], -1)
-        return surge, (inputs.dt / self.mass)[..., None] * W
+        step = inputs.dt / self.mass
+        if self.exponential:
+            if theta is None:
+                raise ShapeError("SurgeDynamics(exponential=True): found no parameters, expected theta, (*batch, p)")
+            step = step * phi1((step * force_slope(surge, inputs, theta)).clamp(LEAST, MOST))
+        return surge, step[..., None] * W
 
 
 class QuasiStatic(nn.Module):
@@ -153,6 +199,6 @@ class QuasiStatic(nn.Module):
         """It has none of the terms of the dynamics."""
         return []
 
-    def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+    def forward(self, surge: Tensor, inputs: Inputs, theta: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """The base of the prediction, 0 m/s, `(*batch,)`, and Φ, `(*batch, 9)`."""
         return torch.zeros_like(surge), quasi_static_regressor(inputs)

@@ -25,6 +25,7 @@ SURGE = {
     "thrust_quadratic_right": 1,
     "thrust_speed_right": -1,
 }
+CUBIC = {"thrust_cubic_left": 0, "thrust_cubic_right": 0}  # κ_L, κ_R, N: bends a thrust curve either way
 MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
 AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
 CUBIC = {"thrust_cubic_left": "N", "thrust_cubic_right": "N"}  # κ_L, κ_R of the joint filter, with their units
@@ -37,18 +38,24 @@ LAG, DISTURBANCE, CURRENT = "command_lag", "disturbance", ("current_north", "cur
 UNITS = {
     "drag_quadratic": "kg/m", "drag_linear": "kg/s", "drag_cross": "kg/rad",
     **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
-       for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},
+       for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m", "cubic": "N"}.items()},
     "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
     **CUBIC, **EVEN, LAG: "share of a step", DISTURBANCE: "N", **dict.fromkeys(CURRENT, "m/s"),
 }  # fmt: skip
 
+# What a model may have. "exponential" is not a term but the step that is made with the others.
 TERMS: tuple[list[str], ...] = (
     [],
-    ["dynamics"],
-    ["dynamics", "memory"],
-    ["dynamics", "ambient"],
-    ["dynamics", "memory", "ambient"],
+    *(
+        ["dynamics", *cubic, *memory, *ambient, *step]
+        for step in ([], ["exponential"])
+        for cubic in ([], ["cubic"])
+        for ambient in ([], ["ambient"])
+        for memory in ([], ["memory"])
+    ),
 )
+
+LEAST, MOST = -20.0, 1.0  # of dt Ĵ in the exponential step: identified parameters may be far off
 
 
 def signs_of(terms: Collection[str]) -> dict[str, int]:
@@ -59,7 +66,8 @@ def signs_of(terms: Collection[str]) -> dict[str, int]:
     """
     if "dynamics" not in terms:
         return QUASI_STATIC
-    return SURGE | (MEMORY if "memory" in terms else {}) | (AMBIENT if "ambient" in terms else {})
+    groups = {"cubic": CUBIC, "memory": MEMORY, "ambient": AMBIENT}
+    return SURGE | {name: sign for group, parts in groups.items() if group in terms for name, sign in parts.items()}
 
 
 def parameters(own: Mapping[str, Any]) -> int:
