@@ -13,7 +13,7 @@ from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import box
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.online_error import online_section
-from usvlearn.report.sections.parameters import course
+from usvlearn.report.sections.parameters import TOO_SMALL, _findings, course
 from usvlearn.report.sections.tuning_gain import tuning_section
 from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of
@@ -86,6 +86,13 @@ def test_intervals_of_sums_are_those_of_the_covariance():
         assert found[k] == pytest.approx(math.sqrt(noise * (w @ P @ w)), rel=1e-12)
     ensemble = Ensemble({"map": RLS(), "dynamic": Robust(rls), "memory": SIFtRLS(SurgeDynamics(memory=True))})
     assert physical_members(ensemble) == ["dynamic"]
+
+
+def test_a_bias_of_one_sign_is_explained():
+    rows = [("heron", "drag at 1 m/s", "N", "aid", value, None, 10.0) for value in (6.0, 8.0)]
+    assert TOO_SMALL in _findings(["aid"], np.ones((2, 2, 2)), rows)
+    rows[1] = (*rows[1][:4], 20.0, None, 10.0)
+    assert TOO_SMALL not in _findings(["aid"], np.ones((2, 2, 2)), rows)
 
 
 @pytest.mark.parametrize("plant", ["heron", "otter", "vtec"])
