@@ -43,7 +43,7 @@ def test_mean_is_weighted_by_time_and_carries_the_value_in_force():
     assert math.isnan(mean(*held, -2.0, -1.5))
 
 
-def closed_loop(inputs: str, seed: int = 0) -> float:
+def closed_loop(inputs: str, seed: int = 0, **options) -> float:
     """How much of the target's noise the aligned command tells: a controller computes each command from the speed
     that it is logged beside, ξ = −v, and v is white noise, so that nothing else can tell it."""
     rng = np.random.default_rng(seed)
@@ -52,7 +52,7 @@ def closed_loop(inputs: str, seed: int = 0) -> float:
     command = channel(time, np.clip(-0.2 * noise, -1, 1))
     channels = in_order({"command_left": command, "command_right": command, "heading": channel(time, 0.0),
                          "surge": channel(time, noise)})  # fmt: skip
-    samples = align(channels, inputs=inputs).samples
+    samples = align(channels, inputs=inputs, **options).samples
     steps = samples.measured
     return float(np.corrcoef(samples.inputs.command_left[steps], samples.surge[steps])[0, 1])
 
@@ -61,6 +61,7 @@ def test_nothing_stamped_at_or_after_the_target_reaches_a_prediction():
     bound = 4 / math.sqrt(1000)  # four standard deviations of the correlation of independent series
     assert abs(closed_loop("mean")) < bound
     assert abs(closed_loop("last")) < bound
+    assert abs(closed_loop("mean", steps="speed", dt=0.35)) < bound
     assert closed_loop("next") < -0.9  # the paper's form leaks
 
 
@@ -277,8 +278,9 @@ def test_live_messages_make_the_samples_of_the_replay():
 
 
 @over("patience", [0.0, 1.0, 8.0])
+@pytest.mark.parametrize("steps", ["grid", "speed"])
 @pytest.mark.parametrize("inputs", ["mean", "last", "next"])
-def test_a_boat_that_forgets_makes_the_samples_of_a_whole_log_bit_for_bit(inputs, patience):
+def test_a_boat_that_forgets_makes_the_samples_of_a_whole_log_bit_for_bit(inputs, steps, patience):
     """Late, lost, repeated and stray stamps, outages, a clock set back: however the messages come in pieces."""
     rng = np.random.default_rng(1)
     count = 4000
@@ -287,20 +289,31 @@ def test_a_boat_that_forgets_makes_the_samples_of_a_whole_log_bit_for_bit(inputs
     stamps[rng.integers(0, count, 20)] = 1e9
     stamps[rng.integers(1, count, 40)] = stamps[rng.integers(1, count, 40) - 1]
     which, values = rng.integers(0, len(CHANNELS), count), rng.uniform(-0.2, 1.25, count)
+    values[which == CHANNELS.index("surge")] = values[which == CHANNELS.index("surge")].round(1)
     channels = {name: channel([], [], held=name == "command_left", delay=0.2 * (name == "yaw_rate"), window=0.5)
                 for name in CHANNELS}  # fmt: skip
-    whole, live = (Aligner(channels, inputs=inputs, patience=patience) for _ in range(2))
+    channels["surge"] = channels["surge"]._replace(period=0.3)
+    whole, live = (Aligner(channels, inputs=inputs, patience=patience, steps=steps) for _ in range(2))
     rows = whole.feed(which, stamps, values, flush=True)
     pushed = [done for c, t, x in zip(which, stamps, values, strict=True) for done in live.push(CHANNELS[c], t, x)]
     pushed += live.flush()
-    assert len(rows) > 250 and whole.rejected == live.rejected and len(whole.rejected) == len(CHANNELS)
+    assert len(rows) > 200 and whole.rejected == live.rejected and len(whole.rejected) == len(CHANNELS)
+    assert whole.rejected["surge"]["copied"] > 10
     np.testing.assert_array_equal(np.array([(t, *s.inputs, *s[1:]) for t, s in pushed], dtype=float), rows)
     assert live._times.shape[1] < 1000  # it holds seconds, not the log
 
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"dt": 0.0}, {"dt": -0.4}, {"inputs": "future"}, {"surge_max": math.nan}, {"patience": -1.0}, {"outage": 0}],
+    [
+        {"dt": 0.0},
+        {"dt": -0.4},
+        {"inputs": "future"},
+        {"steps": "own"},
+        {"surge_max": math.nan},
+        {"patience": -1.0},
+        {"outage": 0},
+    ],
 )
 def test_illegal_options_are_refused(wrong):
     with pytest.raises(ConfigError, match=next(iter(wrong))):

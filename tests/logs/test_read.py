@@ -164,7 +164,7 @@ def test_generic_configs_list_every_option_of_every_channel(name):
     options = set(Source.__dataclass_fields__) - (set() if name == "rosbag" else {"field"})
     assert len(channels) == 5
     for name, source in channels.items():
-        assert set(source) == options - ({"delay"} if name == "surge" else set()), name
+        assert set(source) == options - {"delay" if name == "surge" else "period"}, name
 
 
 def test_csv_config_reads_a_plain_table(tmp_path):

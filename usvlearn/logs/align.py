@@ -8,13 +8,17 @@ The step k → k+1 runs from the grid time t_k to t_{k+1} = t_k + dt. Its *targe
     next   the value at t_{k+1}, the paper's own form. It leaks: in a closed loop the command logged beside a speed was
            computed from that speed.
 
+With `steps="speed"` a step ends at the first speed message at or after t_k + dt, if one comes within its window, and so
+has the length that the speeds have; else, and with `steps="grid"`, it ends at t_k + dt.
+
 An input with a `delay` takes effect that long after its stamp, so it can only be seen later than stamped. (If the speed
 lags behind, give that delay to all inputs.)
 
 A message is rejected, and counted by channel and cause, if it is not a number (`not_a_number`), beyond a physical limit
 (`out_of_range`), an exact copy (`duplicate`), older than an earlier message of its channel or of the log (`backwards`),
 or the first one after an outage, whose stamp may be wrong (`ahead`). If two values have one stamp, the later one is
-used (`repeated`). A step without a recent message of a channel counts as `stale`.
+used (`repeated`). A speed that repeats the last one within two `period`s of the sensor is a copy of one measurement
+(`copied`). A step without a recent message of a channel counts as `stale`.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not_negative, check_positive
-from usvlearn.logs.channel import CHANNELS, REQUIRED, Channel
+from usvlearn.logs.channel import AUTO, CHANNELS, REQUIRED, Channel
 from usvlearn.signals import Inputs, Sample
 
 LEAST_DT = 1e-3  # s; far below the time constants of a hull; a finer grid would fill the memory
@@ -40,13 +44,14 @@ class Aligner:
     """Turns messages into samples; feed it with `push`, and with `flush` at the end of a log.
 
     Args:
-        dt: step, s.
+        dt: step, s; with `steps="speed"` the least one.
         inputs: "mean", "last" or "next", as above.
-        channels: the logged channels, each with its `held`, `window` and `delay` (a `Channel` or a `Source`). Without
-            "yaw_rate", the slope of the heading is used.
+        channels: the logged channels, each with its `held`, `window`, `delay` and `period` (a `Channel` or a `Source`).
+            Without "yaw_rate", the slope of the heading is used.
         surge_max, command_max, yaw_rate_max: physical limits, m/s, share of full scale, rad/s.
         patience: time to wait for late messages after a grid time, s.
         outage: silence of all channels after which the grid starts anew, s; it gives no samples.
+        steps: "grid" or "speed", as above.
 
     Attributes:
         rejected: counts by channel and cause.
@@ -74,6 +79,7 @@ class Aligner:
         yaw_rate_max: float = 3.0,
         patience: float = 0.1,
         outage: float = 5.0,
+        steps: str = "grid",
     ):
         from usvlearn.jit import announced
 
@@ -81,6 +87,7 @@ class Aligner:
         if check_positive("dt", dt, "of s") < LEAST_DT:
             raise ConfigError(f"dt: found {dt!r}, expected {LEAST_DT:g} s or more")
         check_choice("inputs", inputs, compiled.INPUTS)
+        check_choice("steps", steps, compiled.STEPS)
         check_positive("outage", outage, "of s")
         check_not_negative("patience", patience, "of s")
         limits = {
@@ -102,11 +109,21 @@ class Aligner:
             raise ConfigError(
                 "data.channels.surge.held: found true, expected false: an old speed is not measured again"
             )
+        for name, channel in channels.items():
+            if channel.period == AUTO:
+                raise ConfigError(
+                    f"data.channels.{name}.period: found {AUTO}, expected a time in s: live messages do not tell it; "
+                    "take that which reading a log of this boat prints, or 0"
+                )
+            if channel.period and name != "surge":
+                raise ConfigError(f"data.channels.{name}.period: found {channel.period}, expected 0: it is for surge")
         self._places = {name: CHANNELS.index(name) for name in channels}
         logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope replaces a missing yaw rate
         self._settings = compiled.new_settings(
             dt=dt,
             inputs=compiled.INPUTS.index(inputs),
+            steps=compiled.STEPS.index(steps),
+            period=channels["surge"].period,
             patience=patience,
             outage=outage,
             limit=[limits[name] for name in CHANNELS],

@@ -18,10 +18,12 @@ LATEST = 1e12  # s; at later stamps, adding a step would not change the time
 RESETS = 3  # so many messages in a row, of several channels, far behind: the clock was set back
 TURN = 2 * math.pi
 LEFT, RIGHT, HEADING, YAW_RATE, SURGE = range(5)
-CAUSES = ("not_a_number", "out_of_range", "backwards", "ahead", "duplicate", "repeated", "stale")
-NOT_A_NUMBER, OUT_OF_RANGE, BACKWARDS, AHEAD, DUPLICATE, REPEATED, STALE = range(7)
+CAUSES = ("not_a_number", "out_of_range", "backwards", "ahead", "duplicate", "repeated", "stale", "copied")
+NOT_A_NUMBER, OUT_OF_RANGE, BACKWARDS, AHEAD, DUPLICATE, REPEATED, STALE, COPIED = range(8)
 INPUTS = ("mean", "last", "next")
 MEAN, LAST, NEXT = range(3)
+STEPS = ("grid", "speed")
+GRID, SPEED = range(2)
 DROP, TAKE, ANEW = range(3)  # what is done with a message
 COLUMNS = 9  # of a row: time, command left and right, heading, yaw rate, dt, surge, fresh, measured
 
@@ -31,6 +33,7 @@ SETTINGS = np.dtype(
     [
         ("dt", "f8"),  # s
         ("inputs", "i8"),  # MEAN, LAST or NEXT
+        ("steps", "i8"),  # GRID or SPEED
         ("patience", "f8"),  # s
         ("outage", "f8"),  # s
         ("limit", "f8", len(CHANNELS)),  # largest magnitude of a value
@@ -38,6 +41,7 @@ SETTINGS = np.dtype(
         ("held", "i8", len(CHANNELS)),
         ("window", "f8", len(CHANNELS)),  # s
         ("delay", "f8", len(CHANNELS)),  # s
+        ("period", "f8"),  # s, between two measurements of the speed; 0: every message is one
     ]
 )
 MEMORY = np.dtype(
@@ -201,7 +205,7 @@ def _action(settings, memory, channel, time, value):
 
 @jit(memory=True)
 def _keep(settings, memory, times, values, channel, time, value):
-    """Remember a message; returns whether it is a new one of its channel."""
+    """Remember a message; returns whether it is newer than all of its channel."""
     n = memory.count[channel]
     if channel == HEADING and n > 0:
         value += TURN * np.rint((values[channel, n - 1] - value) / TURN)
@@ -215,10 +219,19 @@ def _keep(settings, memory, times, values, channel, time, value):
             memory.rejected[channel, REPEATED] += 1
             values[channel, n - 1] = value
         return False
+    memory.newest = max(memory.newest, time)
+    if channel == SURGE and n > 0 and _is_copy(settings, value, values[SURGE, n - 1], time - times[SURGE, n - 1]):
+        memory.rejected[SURGE, COPIED] += 1
+        return True
     times[channel, n], values[channel, n] = effect, value
     memory.count[channel] = n + 1
-    memory.newest = max(memory.newest, time)
     return True
+
+
+@jit(memory=True)
+def _is_copy(settings, value, last, age):
+    """Whether a speed is the last measurement once more; a sensor may miss one. A boat at rest is measured again."""
+    return value == last and value != 0 and age < 2 * settings.period - EPSILON
 
 
 @jit(memory=True)
@@ -245,19 +258,43 @@ def _write(row, time, dt, surge):
 
 @jit(memory=True)
 def _advance(settings, memory, times, values, until, rows, count):
-    while memory.tick + settings.dt <= until + EPSILON:
+    end = _end(settings, memory, times, until)
+    while end <= until + EPSILON:
         rows = _room(rows, count)
-        _step(settings, memory, times, values, memory.tick, memory.tick + settings.dt, rows[count])
-        memory.tick, count = memory.tick + settings.dt, count + 1
+        _step(settings, memory, times, values, memory.tick, end, rows[count])
+        memory.tick, count = end, count + 1
+        end = _end(settings, memory, times, until)
     return rows, count
+
+
+@jit(memory=True)
+def _end(settings, memory, times, until):
+    """The end of the next step; infinite while the speed that may end it has not come.
+
+    With SPEED it is the first speed at or after dt. If none comes within its window, it is that of the grid.
+    """
+    end = memory.tick + settings.dt
+    if settings.steps == GRID:
+        return end
+    speeds, latest = times[SURGE, : memory.count[SURGE]], end + _surge_window(settings)
+    i = before(speeds, end) + 1
+    if i < len(speeds) and speeds[i] <= latest + EPSILON:
+        return speeds[i]
+    return end if latest <= until + EPSILON else math.inf
+
+
+@jit(memory=True)
+def _surge_window(settings):
+    """Staleness of a speed, s. Where its copies are dropped, it counts from when the next measurement was due."""
+    return settings.window[SURGE] + settings.period
 
 
 @jit(memory=True)
 def _step(settings, memory, times, values, start, end, row):
     """The row of the step from `start` to `end`."""
-    speeds, window = times[SURGE, : memory.count[SURGE]], settings.window[SURGE]
+    speeds, dt = times[SURGE, : memory.count[SURGE]], settings.dt if settings.steps == GRID else end - start
     i = at(speeds, end)
-    measured = i >= 0 and speeds[i] > start + EPSILON and end - speeds[i] <= window + EPSILON
+    measured = i >= 0 and speeds[i] > start + EPSILON and end - speeds[i] <= _surge_window(settings) + EPSILON
     surge = values[SURGE, i] if measured else math.nan
     if not measured:
         memory.rejected[SURGE, STALE] += 1
@@ -275,9 +312,9 @@ def _step(settings, memory, times, values, start, end, row):
         fresh = fresh and not math.isnan(row[1 + c])
     if not (fresh and memory.known):
         memory.known = measured
-        _write(row, end, 0.0 if measured else settings.dt, surge)
+        _write(row, end, 0.0 if measured else dt, surge)
         return
-    row[0], row[3], row[5], row[6], row[7], row[8] = end, row[3] % TURN, settings.dt, surge, 1.0, measured
+    row[0], row[3], row[5], row[6], row[7], row[8] = end, row[3] % TURN, dt, surge, 1.0, measured
 
 
 @jit(memory=True)

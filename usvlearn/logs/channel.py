@@ -16,6 +16,7 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice
 
 LISTED, QUOTED = 60, 60  # names in an error, and characters of one
 CHANNELS = ("command_left", "command_right", "heading", "yaw_rate", "surge")
+AUTO = "auto"  # a period that is found from the logs
 REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be computed from the heading
 
 # unit -> (factor, offset): SI value = factor * value + offset
@@ -51,6 +52,9 @@ class Source:
         held: the value stays in force until the next message, however old (commands that are posted only on change).
         window: staleness window, s.
         delay: time from the stamp of a value to its effect on the measured speed, s (thruster and filter lag).
+        period: time between two measurements of the speed's sensor, s, where messages come faster than it measures: the
+            same number again within two periods is a copy of one measurement. 0: every message is a measurement.
+            "auto": found from the logs, see `usvlearn.logs.copies`.
 
     >>> Source("thr_left", zero=1511, span=-400).convert(np.array([1511.0, 1111.0]))
     array([0., 1.])
@@ -64,6 +68,7 @@ class Source:
     held: bool = False
     window: float = 0.2
     delay: float = 0.0
+    period: float | str = 0.0
 
     def __post_init__(self):
         check_choice("unit", self.unit, tuple(UNITS))
@@ -73,6 +78,8 @@ class Source:
             raise ConfigError(f"window: found {self.window!r}, expected a positive time in s")
         if not 0 <= self.delay < math.inf:
             raise ConfigError(f"delay: found {self.delay!r}, expected a time of 0 s or more")
+        if self.period != AUTO and not (isinstance(self.period, int | float) and 0 <= self.period < math.inf):
+            raise ConfigError(f"period: found {self.period!r}, expected a time of 0 s or more, or {AUTO}")
 
     def convert(self, raw: np.ndarray) -> np.ndarray:
         """Raw values to SI units; shape unchanged."""
@@ -89,6 +96,7 @@ class Channel(NamedTuple):
     held: bool = False  # stays in force until the next message
     window: float = 0.2  # staleness window, s
     delay: float = 0.0  # from a stamp to its effect on the measured speed, s
+    period: float | str = 0.0  # between two measurements of the sensor, s; see `Source`
 
 
 class Recording(NamedTuple):
@@ -183,5 +191,5 @@ def build_channel(
             "name another source, or leave this log out"
         )
     places = np.asarray(order, dtype=np.int64)[usable]
-    channel = Channel(time[usable], source.convert(raw[usable]), places, source.held, source.window, source.delay)
-    return channel, dict(dropped)
+    how = source.held, source.window, source.delay, source.period
+    return Channel(time[usable], source.convert(raw[usable]), places, *how), dict(dropped)

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Protocol
 
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, under
-from usvlearn.logs.channel import CHANNELS, REQUIRED, Channel, Recording, Source
+from usvlearn.logs.channel import AUTO, CHANNELS, REQUIRED, Channel, Recording, Source
+from usvlearn.logs.copies import settle_period
 
 SOURCE_KEYS = tuple(field.name for field in fields(Source))
 
@@ -84,7 +85,7 @@ def read_recordings(
         raise unread[0]
     for each in unread:
         warnings.warn(f"log left out: {each}", stacklevel=2)
-    return recordings
+    return settle_period(str(boat), recordings)
 
 
 def _read(file: Path, root: Path, reader: Reader, sources: dict[str, Source], boat: str) -> Recording:
@@ -174,7 +175,7 @@ def _source(channel: str, given: Source | Mapping | None) -> Source | None:
         if name not in SOURCE_KEYS:
             hint = did_you_mean(name, SOURCE_KEYS)
             raise ConfigError(f"{key}: found {name!r}, expected keys among {', '.join(SOURCE_KEYS)}{hint}")
-        numeric = name in ("zero", "span", "window", "delay")
+        numeric = name in ("zero", "span", "window", "delay") or (name == "period" and value != AUTO)
         if numeric and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise ConfigError(f"{key}.{name}: found {value!r}, expected a number")
         if name == "held" and not isinstance(value, bool):
