@@ -81,7 +81,7 @@ def test_dropping_copies_gives_the_samples_of_a_log_without_copies(steps):
 
 
 def leak(period: float) -> float:
-    """How much of the target's noise the aligned command tells: each row's command is ξ = −0.2 v of that row's speed."""
+    """How much of the target's noise the aligned command tells: a row's command is −0.2 of its speed."""
     surge = polled(400, 5, 10, jitter=0.0, period=period)
     surge = surge._replace(time=surge.time[1:], value=surge.value[1:])  # each step of 0.4 s ends with a copy
     command = channel(surge.time, np.clip(-0.2 * surge.value, -1, 1))

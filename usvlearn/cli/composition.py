@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
 from usvlearn.cli.mistakes import in_one_sentence, known_names
@@ -41,14 +41,21 @@ def recordings_of(data: str, changes: Mapping[str, Any]) -> tuple[Iterable[Recor
     >>> [recording.boat for recording in recordings], settings["estimators"]["aid"]["mass"]
     (['heron'], 20.0)
     """
-    configs = configs_folder()
-    with in_one_sentence(known_names(configs, "train", [])):
-        with initialize_config_dir(str(configs), version_base="1.3"):
-            settings = compose("train", [f"data={data}"])
-        OmegaConf.set_struct(settings, False)
-        settings.merge_with(OmegaConf.create(dict(changes)))
-    check_settings(settings)
+    settings = compose_train([f"data={data}"], changes)
     return instantiate(settings.data), plain(settings)
+
+
+def compose_train(overrides: Sequence[str], changes: Mapping[str, Any] | None = None) -> DictConfig:
+    """The configuration of train.py with overrides, as on its command line, and changes, as of `recordings_of`."""
+    configs = configs_folder()
+    with in_one_sentence(known_names(configs, "train", overrides)):
+        with initialize_config_dir(str(configs), version_base="1.3"):
+            settings = compose("train", list(overrides))
+        if changes:
+            OmegaConf.set_struct(settings, False)
+            settings.merge_with(OmegaConf.create(dict(changes)))
+    check_settings(settings)
+    return settings
 
 
 def plain(cfg: Any) -> dict[str, Any]:

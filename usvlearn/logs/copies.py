@@ -1,13 +1,13 @@
 """Copies of a measured speed: a sensor that is logged faster than it measures.
 
 A GPS that measures at 5 Hz and is logged at 9 Hz fills 45 % of the rows with its last speed. Such a copy is no new
-measurement, and a command that is logged beside it was computed from the speed that is to be predicted. A measured speed
-may repeat, too: a coarse sensor at steady speed, or a boat at rest. Speeds other than 0 are taken as copies if
+measurement, and a command that is logged beside it was computed from the speed that is to be predicted. A measured
+speed may repeat, too: a coarse sensor at steady speed, or a boat at rest. Speeds other than 0 are taken as copies if
 
 1. at least a quarter of them repeat the one before;
-2. a value comes a regular number of times: the variance of that number is below m(m − 1)/2, m being its mean. Repeats by
-   chance give a geometric distribution, whose variance is m(m − 1); a sensor of r messages a measurement gives the
-   two whole numbers next to r;
+2. a value comes a regular number of times: the variance of that number is below m(m − 1)/2, m being its mean. Repeats
+   by chance give a geometric distribution, whose variance is m(m − 1); a sensor of r messages a measurement gives
+   the two whole numbers next to r;
 3. the sensor is fine: no single size of change makes up a quarter of all changes. With a smooth distribution of the
    changes, an unchanged speed is then about as rare.
 
