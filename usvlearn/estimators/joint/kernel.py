@@ -70,7 +70,7 @@ def learn(node, s, q, x, estimate, target, work):
     """The state after `JointEKF.learn`."""
     n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
     mean, A = blocks(node, s)
-    spread = advance(node, s, q, x, mean, A, work)
+    spread, rest = advance(node, s, q, x, mean, A, work)
     if x[DT] > LONGEST:
         start(node, s, q, target)
         return
@@ -80,10 +80,11 @@ def learn(node, s, q, x, estimate, target, work):
     alpha = measure(A, f, G, square / (k * k) - spread if square > k * k * S else noise, gain)
     for i in range(n):
         mean[i] += gain[i] * (error / alpha)
-    s[node[AT.updates]] += 1
-    share = max(NOISE_SHARE, 1 / (s[node[AT.updates]] + NOISE_COUNT))
-    learned = noise * (1 + share * (min(square / S, NOISE_MOST) - 1))  # (6)
-    s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
+    if not rest:
+        s[node[AT.updates]] += 1
+        share = max(NOISE_SHARE, 1 / (s[node[AT.updates]] + NOISE_COUNT))
+        learned = noise * (1 + share * (min(square / S, NOISE_MOST) - 1))  # (6)
+        s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
     project_signs(mean, A, node[Choice.EVEN], gain)
     s[node[AT.learned]] += x[DT]
     if s[node[AT.learned]] >= numbers[Number.READ_EVERY]:
@@ -198,7 +199,10 @@ def flow(even, mean, w, b, left_before, right_before, x, g):
 
 @jit
 def advance(node, s, q, x, mean, A, work):
-    """The time update from what `forecast` left in `work`; returns HᵀPH, with f and G of (9) in `work`."""
+    """The time update from what `forecast` left in `work`; f and G of (9) stay there.
+
+    Returns HᵀPH, and whether the boat was at rest.
+    """
     n, numbers, h = node[Node.SIZE], q[node[Node.NUMBERS] :], x[DT]
     g, speed, current, noise = work[:n], work[n], work[n + 1], s[node[AT.noise]]
     if s[node[AT.started]] > 0:
@@ -228,7 +232,7 @@ def advance(node, s, q, x, mean, A, work):
     s[node[AT.commands]], s[node[AT.commands] + 1] = x[LEFT], x[RIGHT]
     spread = seen(A, x, work[:n], work[n : 2 * n])
     s[node[AT.deviation]] = np.sqrt(spread + noise)
-    return spread
+    return spread, rest
 
 
 @jit

@@ -157,20 +157,20 @@ class JointEKF(Estimator):
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: JointState, inputs: Inputs, surge: Tensor) -> tuple[JointState, Tensor]:
-        state, predicted, U, D, f = self._advanced(state, inputs)
+        state, predicted, U, D, f, moves = self._advanced(state, inputs)
         spread, error, noise = (D * f * f).sum(-1), surge - predicted, state.noise
         square, S = error * error, spread + noise
         limit = self.outlier * self.outlier
         wild = square > limit * S
         U, D, gain, alpha = measured(U, D, f, torch.where(wild, square / limit - spread, noise))  # (5), (9)
         mean = state.mean + gain * (error / alpha)[..., None]
-        updates = state.updates + 1
+        updates = state.updates + moves
         share = (1 / (updates + at.NOISE_COUNT)).clamp(min=at.NOISE_SHARE)
-        noise = noise * (1 + share * ((square / S).clamp(max=at.NOISE_MOST) - 1))  # (6)
+        heard = noise * (1 + share * ((square / S).clamp(max=at.NOISE_MOST) - 1))  # (6)
         learned = state._replace(
             mean=self._projected(mean, U, D),
             factor=packed(U, D),
-            noise=noise.clamp(min=at.NOISE_LEAST**2),
+            noise=torch.where(moves, heard.clamp(min=at.NOISE_LEAST**2), noise),
             updates=updates,
             learned=state.learned + inputs.dt,
         )
@@ -238,8 +238,8 @@ class JointEKF(Estimator):
         g = torch.cat([torch.stack(own, -1), others, (by_f * late + by_J * later)[..., None]], -1)
         return w + by_f * f, g
 
-    def _advanced(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor, Tensor, Tensor, Tensor]:
-        """The state after the time update, the prediction, and U, D and f = UᵀH of the state's covariance."""
+    def _advanced(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """The state after the time update, the prediction, U, D and f = UᵀH, and whether the boat was not at rest."""
         h, started, mean = inputs.dt, state.started, state.mean
         cosine, sine, zero = inputs.heading.cos(), inputs.heading.sin(), torch.zeros_like(inputs.dt)
         H = torch.stack([zero + 1, zero, cosine, sine, *[zero] * len(self.names)], -1)
@@ -282,7 +282,7 @@ class JointEKF(Estimator):
             turn=turn,
             deviation=((D * f * f).sum(-1) + state.noise).sqrt(),
         )
-        return ahead, limited + current * along, U, D, f
+        return ahead, limited + current * along, U, D, f, moves
 
     def _begun(self, U: Tensor, D: Tensor, H: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """The covariance at the start of a segment, after its speed was measured."""

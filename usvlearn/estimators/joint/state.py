@@ -17,7 +17,8 @@ command acts late. With the commands u, the sum over both sides, and h the lengt
 (3) is the exponential Rosenbrock–Euler step (Hochbruck & Ostermann 2010): exact where f is linear in w, of second
 order elsewhere, and stable however stiff the drag. With g = ∂w⁺/∂x the covariance P goes to F P Fᵀ + Q, where F has the
 row g, the decays of b and c, and ones; Q is (h/0.4 s) times: 0.05 σ² for w, q_b σ² for b, and for each parameter its
-prior variance over T_θ/0.4 s; and σ_c² (1 − e^(−2h/τ_c)) for c. Parameters do not walk while the boat is at rest.
+prior variance over T_θ/0.4 s; and σ_c² (1 − e^(−2h/τ_c)) for c. While the boat is at rest the parameters do not walk,
+and σ² stays as it is: a sensor that reports 0 there says nothing about its noise under way.
 
 Measurement with the innovation e, S its variance:
 
@@ -92,7 +93,7 @@ class JointState(NamedTuple):
     mean: Tensor  # (*batch, n) x
     factor: Tensor  # (*batch, n, n) U and D, a column of U in each row: U_ij at [j, i] for i < j, D_j at [j, j], else 0
     noise: Tensor  # (*batch,) σ², m²/s²
-    updates: Tensor  # (*batch,) count of learned steps
+    updates: Tensor  # (*batch,) count of learned steps, without those at rest
     surge: Tensor  # (*batch,) measured speed with which the last segment started, m/s
     started: Tensor  # (*batch,) bool: no step since then
     commands: Tensor  # (*batch, 2) of the last step, left and right
