@@ -11,7 +11,7 @@ Further groups, each an option: *even*, for boats that differ forwards and backw
 limited to ±`surge_max`, each a_j to ±`surge_max`, and h to 25 (a step of 10 s).
 
 Measurement update with e = v_meas − v − hfᵀθ, φ = hf and the covariance P in units of σ². The noise has Student's t
-distribution of ν degrees; its weight w makes the filter forget outliers (Huang et al. 2017; West 1981):
+distribution of ν degrees; its weight w is small for outliers (West 1981):
 
     S = 1 + φᵀPφ,   w = (ν + 1)/(ν + e²/(S σ²)),   θ⁺ = θ + Pφ e/(1/w + φᵀPφ),   P⁺ = P − PφφᵀP/(1/w + φᵀPφ)         (2)
     σ² ← σ² + 0.02 (w e²/S − σ²),   at least (1 mm/s)²                                                              (3)
