@@ -84,7 +84,14 @@ def test_intervals_of_sums_are_those_of_the_covariance():
     for k, noise in enumerate((0.04, 0.09)):
         P = factor[k].numpy() @ factor[k].numpy().T
         assert found[k] == pytest.approx(math.sqrt(noise * (w @ P @ w)), rel=1e-12)
-    ensemble = Ensemble({"map": RLS(), "dynamic": Robust(rls), "memory": SIFtRLS(SurgeDynamics(memory=True))})
+    ensemble = Ensemble(
+        {
+            "map": RLS(),
+            "dynamic": Robust(rls),
+            "memory": SIFtRLS(SurgeDynamics(memory=True)),
+            "cubic": RLS(SurgeDynamics(cubic=True)),
+        }
+    )
     assert physical_members(ensemble) == ["dynamic"]
 
 

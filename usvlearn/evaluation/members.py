@@ -23,7 +23,7 @@ def physical_members(ensemble: Ensemble) -> list[str]:
     found = []
     for name, member in ensemble.members.items():
         model = getattr(unwrapped(member)[0], "model", None)
-        plain = isinstance(model, SurgeDynamics) and not (model.memory or model.ambient)
+        plain = isinstance(model, SurgeDynamics) and not (model.memory or model.ambient or model.cubic)
         if plain and not isinstance(member, Bank):
             found.append(name)
     return found
