@@ -169,3 +169,12 @@ def test_live_messages_need_a_period_and_only_the_speed_has_one():
         Aligner({**sources, "heading": Source("psi", period=0.2)})
     with pytest.raises(ConfigError, match="period: found 'often', expected a time of 0 s or more, or auto"):
         Source("v", period="often")
+
+
+@pytest.mark.parametrize(("boat", "column", "expected"), [("dalian", "Speed", 0.2), ("blueboat", "surge", 0.0)])
+def test_the_sensors_of_recorded_boats(boat, column, expected, real_logs):
+    time = "DateTime" if boat == "dalian" else "original_timestamp"
+    reader = Table(time, time_unit="s" if boat == "dalian" else "ms")
+    logs = [reader.read(path, {"surge": Source(column)})[0]["surge"] for path in (real_logs / boat).glob("*.csv")]
+    period, share = find_period(logs)
+    assert period == expected and share == pytest.approx(0.455 if expected else 0.0, abs=0.001)
