@@ -34,7 +34,7 @@ def write(folder: Path, name: str, delay: float, seconds: float = 120, seed: int
     return path
 
 
-def halves(path: Path) -> tuple[Half, Half]:
+def halves(path: Path | dict[str, Path]) -> tuple[Half, Half]:
     model = SIFtRLS(SurgeDynamics(28.0), memory=30.0)
     return find_halves(read_recordings(path, Table("t"), CHANNELS), model, {"dt": 0.4})
 
@@ -74,6 +74,23 @@ def test_a_delay_shifts_what_the_boat_hears_and_not_which_steps_are_compared(tmp
     for half in (first, second):
         assert np.isfinite(half.skills).all() and half.blocks.shape[1] == len(DELAYS)
         np.testing.assert_allclose(half.blocks.mean(0), half.skills, atol=0.15)
+
+
+def test_several_boats_count_alike(tmp_path):
+    """Each boat's skill has the same weight, however long its logs are, and each boat has halves of its own."""
+    paths = {"a": write(tmp_path, "a", 0.2, 100), "b": write(tmp_path, "b", 0.2, 300)}
+    both, alone = halves(paths), [halves(path) for path in paths.values()]
+    for k in range(2):
+        np.testing.assert_allclose(both[k].skills, np.mean([each[k].skills for each in alone], 0), atol=1e-12)
+    assert DELAYS[choose(both[0])[0]] == pytest.approx(0.2, abs=0.051)
+
+
+def test_commands_that_never_change_tell_no_delay(tmp_path):
+    path = tmp_path / "straight.csv"
+    speed = 1 + 0.1 * np.random.default_rng(0).normal(size=1500)
+    path.write_text("\n".join(["t,L,R,psi,v", *(f"{k / 10},0.5,0.5,90,{v}" for k, v in enumerate(speed))]))
+    place, equal, _ = choose(halves(path)[0])
+    assert place == 0 and len(equal) == len(DELAYS)
 
 
 def test_short_logs_and_boats_at_rest_are_told_in_one_sentence(tmp_path):
