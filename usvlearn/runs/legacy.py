@@ -1,4 +1,4 @@
-"""Settings that earlier versions have saved: names that have changed since then."""
+"""Settings that earlier versions have saved: names that have changed since then, and arguments that are newer."""
 
 from __future__ import annotations
 
@@ -16,20 +16,36 @@ TARGETS = {
     "usvlearn.logs.fleet.align_fleet": "usvlearn.logs.recordings.align_fleet",
 }
 MEMBERS = {"sift_map": "rls"}  # of the default ensemble, the name of today and the first one
+ADDED = {"usvlearn.SurgeDynamics": {"cubic": False, "exponential": False}}  # arguments, and what they were before
 ARGUMENTS = {"usvlearn.simulate.fleet.fleet": {"hulls": "fleet_seed"}}
 
 
 def first_named(settings: Any) -> Any:
     """Settings with the names of the first version. A run is identified by these, so every version finds the same one.
 
+    A newer argument is left out where its value changes nothing.
+
     >>> first_named({"aid": {"_target_": "usvlearn.AID", "gain": 1.0}})
     {'aid': {'_target_': 'usvlearn.estimators.aid.AID', 'gain': 1.0}}
     """
-    named = _renamed(settings, {new: old for old, new in TARGETS.items()}, {})
+    named = _renamed(_without_added(settings), {new: old for old, new in TARGETS.items()}, {})
     for new, old in MEMBERS.items():
         if not _names(named, old):
             named = _with_name(named, new, old)
     return named
+
+
+def _without_added(settings: Any) -> Any:
+    """Settings without the arguments of `ADDED` that change nothing."""
+    if isinstance(settings, list):
+        return [_without_added(each) for each in settings]
+    if not isinstance(settings, dict):
+        return settings
+    target = settings.get("_target_")
+    added = ADDED.get(target, {}) if isinstance(target, str) else {}
+    return {
+        key: _without_added(value) for key, value in settings.items() if key not in added or value is not added[key]
+    }
 
 
 def _names(settings: Any, name: str) -> bool:

@@ -12,7 +12,7 @@ from usvlearn.errors import ConfigError, check_choice, check_not_negative, check
 from usvlearn.estimator import Estimator, describe, spec_of
 from usvlearn.estimators.aid.state import FAMILY, AIDState
 from usvlearn.estimators.mass import known_rows, recover_mass
-from usvlearn.estimators.regressors.layer import LinearModel, SurgeDynamics
+from usvlearn.estimators.regressors.layer import LinearModel, SurgeDynamics, linearised
 from usvlearn.family import FEEDBACK
 from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
@@ -119,7 +119,7 @@ class AID(Estimator):
         return AIDState(self.theta0.repeat(*batch, 1), self.theta0.new_zeros(tuple(batch)))
 
     def predict(self, state: AIDState, inputs: Inputs) -> tuple[AIDState, Tensor]:
-        base, phi = self.model(state.surge, inputs, state.theta)
+        base, phi = linearised(self.model, state.surge, inputs, state.theta)
         surge = (base + (phi * state.theta).sum(-1)).clamp(-self.surge_max, self.surge_max)  # (1)
         return state._replace(surge=surge), surge
 
@@ -127,7 +127,7 @@ class AID(Estimator):
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: AIDState, inputs: Inputs, surge: Tensor) -> tuple[AIDState, Tensor]:
-        base, phi = self.model(state.surge, inputs, state.theta)
+        base, phi = linearised(self.model, state.surge, inputs, state.theta)
         estimate = base + (phi * state.theta).sum(-1)
         error = estimate - surge
         outside = error - error.clamp(-self.dead_zone, self.dead_zone) if self.dead_zone else error

@@ -13,7 +13,7 @@ from usvlearn.errors import check_choice, check_positive
 from usvlearn.estimator import Estimator, describe, spec_of
 from usvlearn.estimators.ensemble.monitors.layer import excitation_report
 from usvlearn.estimators.least_squares.state import FAMILY, LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE, RLSState
-from usvlearn.estimators.regressors.layer import LinearModel, QuasiStatic
+from usvlearn.estimators.regressors.layer import LinearModel, QuasiStatic, linearised
 from usvlearn.family import FEEDBACK
 from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
@@ -107,7 +107,7 @@ class LeastSquares(Estimator):
         return RLSState(like.new_zeros((*batch, p)), factor, zero, noise, zero)
 
     def predict(self, state: RLSState, inputs: Inputs) -> tuple[RLSState, Tensor]:
-        base, phi = self.model(state.surge, inputs, state.theta)
+        base, phi = linearised(self.model, state.surge, inputs, state.theta)
         surge = self._limit(base + (phi * state.theta).sum(-1))
         return state._replace(surge=surge, deviation=(state.noise * spread(state.factor, phi)).sqrt()), surge
 
@@ -115,7 +115,7 @@ class LeastSquares(Estimator):
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: RLSState, inputs: Inputs, surge: Tensor) -> tuple[RLSState, Tensor]:
-        base, phi = self.model(state.surge, inputs, state.theta)
+        base, phi = linearised(self.model, state.surge, inputs, state.theta)
         estimate = base + (phi * state.theta).sum(-1)
         innovation, s = surge - estimate, spread(state.factor, phi)
         theta, factor = self._step(state.theta, state.factor, phi, innovation, inputs.dt)

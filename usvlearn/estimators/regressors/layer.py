@@ -51,9 +51,16 @@ class LinearModel(Protocol):
         """The size of the parameters, in their units."""
         ...
 
-    def __call__(self, surge: Tensor, inputs: Inputs, theta: Tensor) -> tuple[Tensor, Tensor]:
-        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`, at the parameters `(*batch, p)`."""
+    def __call__(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """The base of the prediction, m/s, `(*batch,)`, and φ, `(*batch, p)`."""
         ...
+
+
+def linearised(model: LinearModel, surge: Tensor, inputs: Inputs, theta: Tensor) -> tuple[Tensor, Tensor]:
+    """The base and φ of any model; one that makes the exponential step is told the parameters θ, `(*batch, p)`."""
+    if isinstance(model, SurgeDynamics) and model.exponential:
+        return model(surge, inputs, theta)
+    return model(surge, inputs)
 
 
 class MemoryInputs(NamedTuple):
@@ -199,6 +206,6 @@ class QuasiStatic(nn.Module):
         """It has none of the terms of the dynamics."""
         return []
 
-    def forward(self, surge: Tensor, inputs: Inputs, theta: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def forward(self, surge: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """The base of the prediction, 0 m/s, `(*batch,)`, and Φ, `(*batch, 9)`."""
         return torch.zeros_like(surge), quasi_static_regressor(inputs)
