@@ -297,3 +297,178 @@ void rnn(long steps, const Samples *s, const Network *net, NetworkState *state, 
         state->surge = s->surge[k];
     }
 }
+
+/* ---- joint filter, JointEKF, without readings */
+
+enum { JOINT_MAX = 24 };                                          /* numbers of the state, to whole vectors */
+enum { SPEED, FORCE, NORTH, EAST, THETA, KAPPA = 13, EVEN = 15 }; /* places in it; the last is the lag */
+
+typedef struct {
+    int n; /* 16, or 23 with even terms */
+    double disturbance, disturbance_time, current, current_time, drift_time, outlier;
+    double variance[JOINT_MAX]; /* of the parameters' prior */
+} Joint;
+
+typedef struct {
+    double mean[JOINT_MAX], D[JOINT_MAX];
+    double columns[JOINT_MAX][JOINT_MAX]; /* of U, unit upper triangular, P = U D U'; zeros elsewhere */
+    double noise, updates, turn, deviation, commands[2];
+} JointState;
+
+/* phi_1(z) = (e^z - 1)/z; its derivative cancels near 0, where it is summed. */
+static inline double phi1(double z, double *slope) {
+    static const double series[14] = {
+        1. / 2, 2. / 6, 3. / 24, 4. / 120, 5. / 720, 6. / 5040, 7. / 40320, 8. / 362880, 9. / 3628800, 10. / 39916800,
+        11. / 479001600, 12. / 6227020800, 13. / 87178291200, 14. / 1307674368000};
+    if (fabs(z) < 0.5) {
+        double sum = 0;
+        for (int k = 13; k >= 0; k--) sum = sum * z + series[k];
+        *slope = sum;
+        return (1 - z * sum) / (1 - z);
+    }
+    double e = exp(z), value = (e - 1) / z;
+    *slope = (e - value) / z;
+    return value;
+}
+
+/* w+ and its gradient g to the state. */
+static inline double flow(int n, const double *x, const double *now, const double *before, double turn, double h,
+                          double *g) {
+    const double *p = x + THETA, *e = x + EVEN;
+    int even = n > 16;
+    double w = x[SPEED], mu = x[n - 1], v = fabs(w), sign = w >= 0 ? 1 : -1, xi[2], late = 0, later = 0;
+    double f = x[FORCE] + p[0] * v * w + p[1] * w + p[2] * turn * w, J = 2 * p[0] * v + p[1] + p[2] * turn;
+    if (even) {
+        f += e[0] * w * w;
+        J += 2 * e[0] * w;
+    }
+    for (int k = 0; k < 2; k++) {
+        double c = xi[k] = (1 - mu) * now[k] + mu * before[k], size = fabs(c), change = before[k] - now[k];
+        const double *a = p + 3 + 3 * k, *b = e + 1 + 3 * k;
+        f += c * (a[0] + a[1] * size + a[2] * v + x[KAPPA + k] * c * c);
+        J += a[2] * c * sign;
+        late += change * (a[0] + 2 * a[1] * size + a[2] * v + 3 * x[KAPPA + k] * c * c);
+        later += change * a[2] * sign;
+        if (!even) continue;
+        f += b[0] * size + b[1] * c * c + b[2] * c * w;
+        J += b[2] * c;
+        late += change * ((c >= 0 ? b[0] : -b[0]) + 2 * b[1] * c + b[2] * w);
+        later += change * b[2];
+    }
+    double slope, z = fmin(h * J, 1), value = phi1(z, &slope), F = h * value, G = h * h * slope * f;
+    g[SPEED] = 1 + z * value + G * 2 * (p[0] * sign + (even ? e[0] : 0));
+    g[FORCE] = F;
+    g[NORTH] = g[EAST] = 0;
+    g[THETA] = F * v * w + 2 * G * v;
+    g[THETA + 1] = F * w + G;
+    g[THETA + 2] = turn * (F * w + G);
+    if (even) g[EVEN] = F * w * w + 2 * G * w;
+    for (int k = 0; k < 2; k++) {
+        double c = xi[k], size = fabs(c), *a = g + THETA + 3 + 3 * k, *b = g + EVEN + 1 + 3 * k;
+        a[0] = F * c;
+        a[1] = F * c * size;
+        a[2] = c * (F * v + G * sign);
+        g[KAPPA + k] = F * c * c * c;
+        if (!even) continue;
+        b[0] = F * size;
+        b[1] = F * c * c;
+        b[2] = c * (F * w + G);
+    }
+    g[n - 1] = F * late + G * later;
+    return w + F * f;
+}
+
+/* P + c e_k e_k'. */
+static inline void widen(double (*U)[JOINT_MAX], double *D, int k, double c) {
+    double a[JOINT_MAX] = {0};
+    a[k] = 1;
+    for (int j = k; j > 0; j--) {
+        double larger = D[j] + c * a[j] * a[j], keep = D[j] / larger, beta = c * a[j] / larger, own = a[j];
+        for (int i = 0; i < j; i++) {
+            double u = U[j][i];
+            U[j][i] = u * keep + beta * a[i];
+            a[i] -= own * u;
+        }
+        D[j] = larger;
+        c *= keep;
+    }
+    D[0] += c * a[0] * a[0];
+}
+
+/* x_i + sign x_k becomes 0 where it is positive; the others follow their covariances with it. */
+static inline void hold(int n, double *x, double (*U)[JOINT_MAX], const double *D, int i, int k, double sign) {
+    double value = x[i] + sign * x[k], t[JOINT_MAX], total = 0;
+    if (value <= 0) return;
+    for (int j = i; j < n; j++) {
+        t[j] = U[j][i] + sign * U[j][k];
+        total += D[j] * t[j] * t[j];
+    }
+    for (int j = i; j < n; j++)
+        for (int l = 0; l <= j; l++) x[l] -= value / total * D[j] * t[j] * U[j][l];
+}
+
+void joint(long steps, const Samples *s, const Joint *joint, JointState *state, double *predictions) {
+    int n = joint->n, m = n - THETA;
+    double(*U)[JOINT_MAX] = state->columns, *D = state->D, *x = state->mean, g[JOINT_MAX] = {0};
+    for (long k = 0; k < steps; k++) {
+        double h = s->dt[k], now[2] = {s->left[k], s->right[k]}, noise = state->noise, span = h / 0.4;
+        double cosine = cos(s->heading[k]), sine = sin(s->heading[k]);
+        double rest = now[0] * now[0] + now[1] * now[1] + x[SPEED] * x[SPEED];
+        double ahead = flow(n, x, now, state->commands, fabs(s->yaw_rate[k]), h, g);
+        double slow = exp(-h / joint->disturbance_time), kept = exp(-h / joint->current_time);
+        double scale[4] = {1, slow, kept, kept}, drift = joint->current * joint->current * (1 - kept * kept);
+        for (int j = 1; j < n; j++) {
+            double sum = 0;
+            for (int i = 0; i < ((j + 4) & -4); i++) sum += g[i] * U[j][i];
+            for (int i = 1; i < 4 && i < j; i++) U[j][i] *= scale[i] / (j < 4 ? scale[j] : 1);
+            U[j][0] = sum / (j < 4 ? scale[j] : 1);
+        }
+        D[0] *= g[0] * g[0];
+        for (int j = 1; j < 4; j++) D[j] *= scale[j] * scale[j];
+        widen(U, D, EAST, drift);
+        widen(U, D, NORTH, drift);
+        widen(U, D, FORCE, joint->disturbance * noise * span);
+        D[0] += 0.05 * noise * span;
+        int place = (int)state->turn;
+        if (place % 4 == 0 && rest > 1e-3)
+            widen(U, D, THETA + place / 4, 4 * m * h / joint->drift_time * joint->variance[place / 4]);
+        state->turn = place + 1 < 4 * m ? place + 1 : 0;
+        for (int j = 1; j < 4; j++) x[j] *= scale[j];
+        x[SPEED] = ahead;
+        memcpy(state->commands, now, sizeof now);
+        predictions[k] = ahead + cosine * x[NORTH] + sine * x[EAST];
+
+        double f[JOINT_MAX], G[JOINT_MAX], slope[JOINT_MAX], gain[JOINT_MAX] = {0}, spread = 0;
+        for (int j = 0; j < n; j++) {
+            f[j] = U[j][0] + cosine * U[j][NORTH] + sine * U[j][EAST];
+            G[j] = D[j] * f[j];
+            spread += f[j] * G[j];
+        }
+        double error = s->surge[k] - predictions[k], square = error * error, S = spread + noise;
+        double limit = joint->outlier * joint->outlier, alpha = square > limit * S ? square / limit - spread : noise;
+        state->deviation = sqrt(S);
+        for (int j = 0; j < n; j++) {
+            double after = alpha + f[j] * G[j];
+            slope[j] = -f[j] / alpha;
+            D[j] *= alpha / after;
+            alpha = after;
+        }
+        for (int j = 0; j < n; j++) {
+            for (int i = 0; i < ((j + 4) & -4); i++) { /* beyond j all is 0, and stays so; at j, 1 */
+                double u = U[j][i];
+                U[j][i] = u + gain[i] * slope[j];
+                gain[i] += u * G[j];
+            }
+        }
+        for (int i = 0; i < n; i++) x[i] += gain[i] * (error / alpha);
+        if (rest > 1e-3) {
+            state->updates += 1;
+            noise *= 1 + fmax(0.005, 1 / (state->updates + 20)) * (fmin(square / S, 9) - 1);
+            state->noise = fmax(noise, 1e-8);
+        }
+        for (int i = THETA; i < THETA + 3; i++) hold(n, x, U, D, i, i, 0);
+        if (n > 16)
+            for (int sign = 1; sign >= -1; sign -= 2) hold(n, x, U, D, THETA, EVEN, sign);
+        x[n - 1] = clamp(x[n - 1], -0.5, 1.5);
+    }
+}

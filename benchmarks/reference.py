@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from usvlearn import AID, RLS, RNN, Estimator, QuasiStatic, Sample, SIFtRLS
+from usvlearn import AID, RLS, RNN, Estimator, JointEKF, QuasiStatic, Sample, SIFtRLS
 
 SOURCE = Path(__file__).with_suffix(".c")
 FLAGS = ("-std=c99", "-O3", "-march=native", "-ffast-math")  # no sample is NaN
-P, N, ROWS = 16, 520, 7  # P_MAX, N_MAX, ROWS
+P, N, ROWS, JOINT = 16, 520, 7, 24  # P_MAX, N_MAX, ROWS, JOINT_MAX
 NUMBER, WHOLE = ctypes.c_double, ctypes.c_int
 POINTER = ctypes.POINTER(NUMBER)
 
@@ -60,6 +60,16 @@ class NetworkState(ctypes.Structure):
     _fields_ = [*fields("weights squares", NUMBER * N * ROWS), *fields("updates surge")]
 
 
+class Joint(ctypes.Structure):
+    _fields_ = [("n", WHOLE), *fields("disturbance disturbance_time current current_time drift_time outlier"),
+                ("variance", NUMBER * JOINT)]  # fmt: skip
+
+
+class JointState(ctypes.Structure):
+    _fields_ = [*fields("mean D", NUMBER * JOINT), ("columns", NUMBER * JOINT * JOINT),
+                *fields("noise updates turn deviation"), ("commands", NUMBER * 2)]  # fmt: skip
+
+
 class Reference(NamedTuple):
     """An estimator in C."""
 
@@ -87,11 +97,12 @@ def reference(estimator: Estimator, samples: Sample) -> Reference | None:
     """The same estimator in C, or None where there is none.
 
     Args:
-        estimator: an AID, RLS, SIFtRLS or RNN; all but the RNN's size, the model and the numbers that are tuned as by
-            default.
+        estimator: an AID, RLS, SIFtRLS, RNN or JointEKF without readings; all but the RNN's size, the model and the
+            numbers that are tuned as by default.
         samples: `(time,)`, as arrays or tensors.
     """
-    make = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network}.get(type(estimator))
+    makes = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network, JointEKF: joint}
+    make = makes.get(type(estimator))
     if make is None:
         return None
     function, settings, first, state = make(estimator)
@@ -161,3 +172,20 @@ def network(rnn: RNN):
         return {"a": a, "w1": w1, "W2": np.stack(W2, -1), "b": b, "surge": np.array(here.surge)}
 
     return "rnn", settings, first, state
+
+
+def joint(filter: JointEKF):
+    begin, n = filter.init(), 4 + len(filter.names)
+    tuned = (filter.disturbance, filter.disturbance_time, filter.current, filter.current_time, filter.drift_time)
+    settings = Joint(n, *(float(each()) for each in tuned), float(filter.outlier), numbers(filter.variance, JOINT))
+    first = JointState(noise=float(begin.noise))
+    first.mean, first.D = numbers(begin.mean, JOINT), numbers(begin.factor.diagonal(), JOINT)
+    for k in range(n):
+        first.columns[k][k] = 1.0
+
+    def state(here: JointState) -> dict[str, np.ndarray]:
+        found = {name: np.array(getattr(here, name)) for name, _ in here._fields_}
+        U, D = found.pop("columns")[:n, :n].T, found.pop("D")[:n]
+        return {**found, "mean": found["mean"][:n], "covariance": (U * D) @ U.T}
+
+    return "joint", settings, first, state

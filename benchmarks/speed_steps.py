@@ -21,6 +21,7 @@ from usvlearn import (
     Ensemble,
     Estimator,
     Inputs,
+    JointEKF,
     Online,
     Robust,
     Sample,
@@ -54,6 +55,8 @@ def estimators() -> dict[str, Estimator]:
         "ambient sift, p = 15": ambient,
         "arx, p = 27": ARX(),
         "rnn, n = 20": of["rnn"],
+        "joint, n = 16": JointEKF(2.74, mass, even=None),
+        "joint, n = 23": JointEKF(2.74, mass),
         "default ensemble": ensemble,
     }
 

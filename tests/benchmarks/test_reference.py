@@ -4,7 +4,7 @@ import pytest
 import torch
 from reference import compiler, reference
 
-from usvlearn import AID, RLS, RNN, Persistence, SIFtRLS, SurgeDynamics, rollout
+from usvlearn import AID, RLS, RNN, JointEKF, Persistence, SIFtRLS, SurgeDynamics, rollout
 from usvlearn.estimator import clean
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.signals import tree_map
@@ -20,6 +20,8 @@ TWINS = {
     "dynamic_sift": lambda: SIFtRLS(SurgeDynamics(MASS), memory=4.0),
     "ambient_sift": lambda: SIFtRLS(SurgeDynamics(MASS, ambient=True), memory=20.0),
     "rnn": RNN,
+    "joint": lambda: JointEKF(2.7, MASS),
+    "odd_joint": lambda: JointEKF(2.7, MASS, even=None, disturbance=5.0, outlier=2.0, drift_time=300.0),
     "small_rnn": lambda: RNN(7, contraction_rate=0.9, rate=5e-3),
 }
 

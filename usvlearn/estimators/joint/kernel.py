@@ -1,11 +1,21 @@
 """The joint filter: the step of `layer`, equations (1) to (9) of `state`.
 
-A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j]. `predict` leaves g, w⁺ and e^(−h/τ_c) in `work`.
+`predict` leaves g, w⁺ and e^(−h/τ_c) in `work`. A is the leaf `factor`.
 """
 
 import numpy as np
 
-from usvlearn.arrays import clamp, fill
+from usvlearn.arrays import clamp
+from usvlearn.estimators.joint.factored_kernel import (
+    add,
+    add_current,
+    add_slow,
+    measure,
+    project,
+    seen,
+    transition,
+    variance,
+)
 from usvlearn.estimators.joint.state import (
     AGEING,
     AT,
@@ -253,116 +263,6 @@ def begin(mean, A, surge, noise, x, work):
 
 
 @jit
-def variance(A, i):
-    """P_ii."""
-    total = A[i, i]
-    for j in range(i + 1, len(A)):
-        total += A[j, j] * A[j, i] * A[j, i]
-    return total
-
-
-@jit(reorder=True)
-def transition(A, g, slow, current):
-    """F P Fᵀ."""
-    n = len(g)
-    for j in range(1, n):
-        total = g[j]
-        for i in range(j):
-            total += g[i] * A[j, i]
-        A[j, W] = total
-    A[B, W] /= slow
-    A[NORTH, W], A[EAST, W] = A[NORTH, W] / current, A[EAST, W] / current
-    A[NORTH, B], A[EAST, B] = A[NORTH, B] * (slow / current), A[EAST, B] * (slow / current)
-    for j in range(EAST + 1, n):
-        A[j, B], A[j, NORTH], A[j, EAST] = A[j, B] * slow, A[j, NORTH] * current, A[j, EAST] * current
-    A[W, W] *= g[W] * g[W]
-    A[B, B] *= slow * slow
-    A[NORTH, NORTH], A[EAST, EAST] = A[NORTH, NORTH] * (current * current), A[EAST, EAST] * (current * current)
-
-
-@jit
-def add(A, k, c, a):
-    """P + c e_k e_kᵀ, (8)."""
-    fill(a[:k], 0.0)
-    a[k] = 1.0
-    for j in range(k, 0, -1):
-        d = A[j, j]
-        larger = d + c * a[j] * a[j]
-        inverse = 1 / larger
-        keep, beta = d * inverse, c * a[j] * inverse
-        c *= keep
-        for i in range(j):
-            u = A[j, i]
-            A[j, i] = u * keep + beta * a[i]
-            a[i] -= a[j] * u
-        A[j, j] = larger
-    A[W, W] += c * a[W] * a[W]
-
-
-@jit
-def add_current(A, c):
-    """`add` for both components of the current, where all numbers stay in registers."""
-    d, north, slow, fast = A[EAST, EAST], -A[EAST, NORTH], -A[EAST, B], -A[EAST, W]
-    larger = d + c
-    keep = d / larger
-    A[EAST, EAST], A[EAST, NORTH], A[EAST, B], A[EAST, W] = larger, -north * keep, -slow * keep, -fast * keep
-    add_north(A, c * keep, north, slow, fast)
-    add_north(A, c, 1.0, 0.0, 0.0)
-
-
-@jit
-def add_north(A, c, north, slow, fast):
-    """P + c a aᵀ with a = [fast, slow, north, 0, …]."""
-    d, v, u = A[NORTH, NORTH], A[NORTH, B], A[NORTH, W]
-    larger = d + c * north * north
-    inverse = 1 / larger
-    keep, beta = d * inverse, c * north * inverse
-    A[NORTH, NORTH], A[NORTH, B], A[NORTH, W] = larger, v * keep + beta * slow, u * keep + beta * fast
-    add_slow(A, c * keep, slow - north * v, fast - north * u)
-
-
-@jit
-def add_slow(A, c, slow, fast):
-    """P + c a aᵀ with a = [fast, slow, 0, …]."""
-    d, u = A[B, B], A[B, W]
-    larger = d + c * slow * slow
-    inverse = 1 / larger
-    keep, beta = d * inverse, c * slow * inverse
-    A[B, B], A[B, W] = larger, u * keep + beta * fast
-    fast -= slow * u
-    A[W, W] += c * keep * fast * fast
-
-
-@jit
-def seen(A, x, f, G):
-    """f and G of (9); returns HᵀPH."""
-    n, cosine, sine, total = len(f), x[COS], x[SIN], 0.0
-    f[W], f[B] = 1.0, A[B, W]
-    f[NORTH], f[EAST] = A[NORTH, W] + cosine, A[EAST, W] + cosine * A[EAST, NORTH] + sine
-    for j in range(EAST + 1, n):
-        f[j] = A[j, W] + cosine * A[j, NORTH] + sine * A[j, EAST]
-    for j in range(n):
-        G[j] = A[j, j] * f[j]
-        total += f[j] * G[j]
-    return total
-
-
-@jit
-def measure(A, f, G, alpha, gain):
-    """(9) from α_0; writes P H into `gain`, and returns S."""
-    for j in range(len(f)):
-        after, slope = alpha + f[j] * G[j], -f[j] / alpha
-        for i in range(j):
-            u = A[j, i]
-            A[j, i] = u + gain[i] * slope
-            gain[i] += u * G[j]
-        gain[j] = G[j]
-        A[j, j] *= alpha / after
-        alpha = after
-    return alpha
-
-
-@jit
 def project_signs(mean, A, even, t):
     """(7), and the limits of μ."""
     for i in range(THETA, THETA + 3):
@@ -374,26 +274,6 @@ def project_signs(mean, A, even, t):
                 project(mean, A, THETA, E, sign, t)
     mu = mean[-1]
     mean[-1] = LAG_LEAST if mu < LAG_LEAST else (LAG_MOST if mu > LAG_MOST else mu)
-
-
-@jit
-def project(mean, A, i, k, sign, t):
-    """x_i + sign x_k becomes 0, and the others follow their covariances with it."""
-    n, value, total = len(mean), mean[i] + sign * mean[k], 0.0
-    for j in range(i, n):
-        t[j] = A[j, i] + sign * A[j, k] if j > k else A[j, i]
-    t[i] = 1.0
-    t[k] += sign
-    for j in range(i, n):
-        weight = A[j, j] * t[j]
-        total += weight * t[j]
-        t[j] = weight
-    value /= total
-    for j in range(i, n):
-        move = value * t[j]
-        for other in range(j):
-            mean[other] -= move * A[j, other]
-        mean[j] -= move
 
 
 @jit
