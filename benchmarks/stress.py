@@ -11,7 +11,8 @@ Memory: all least squares forget over 200 steps (λ = 0.995). For SIFt-RLS that 
 mean loss of information is the same. For the Kalman filter, whose parameters walk at random, it is the Q by which a
 prediction has the same variance. All start from P = 10 in units of the noise's variance. `plain_rls` is the textbook's
 P ← (P − K φᵀP)/λ. The rates of `padasip_nlms` and `river_linear` are the best of 0.01, 0.03, 0.1, 0.3 and 1 on another
-seed. `robust_huber` has the threshold 1.345 instead of 4. `ensemble` is BOA over AID, Robust(SIFt-RLS) and persistence.
+seed. `robust_huber` has the threshold 1.345 instead of 4. `joint_ekf` has its defaults, and no wrapper. `ensemble` is
+BOA over AID, Robust(SIFt-RLS) and persistence.
 """
 
 import argparse
@@ -28,7 +29,7 @@ import torch
 from peers import LAM, NOISE, P, Peer, peers
 from torch import Tensor, nn
 
-from usvlearn import AID, ARX, BOA, RLS, Average, Ensemble, Persistence, Robust, SIFtRLS
+from usvlearn import AID, ARX, BOA, RLS, Average, Ensemble, JointEKF, Persistence, Robust, SIFtRLS
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.regressors.layer import SurgeDynamics
 from usvlearn.rollouts import rollout
@@ -40,6 +41,7 @@ SIFT_MEMORY = -DT / math.log(1 - P * (1 - LAM))  # s
 WINDOW, WITHIN = 240, 1.5  # samples of the running error, all lanes; times its level before, where it counts as back
 COMPILED = 10_000  # steps from which it pays
 MODEL = SurgeDynamics(1.0)
+SURGE_MAX = 3.3  # m/s, the boat's top speed
 
 
 class Scenario(NamedTuple):
@@ -152,7 +154,12 @@ def default_ensemble() -> Ensemble:
 
 def ours() -> Ensemble:
     """All of ours as members of one ensemble: it publishes what each predicts, so that one pass serves all."""
-    others = {"arx": ARX(), "ensemble": default_ensemble(), "persistence": Persistence()}
+    others = {
+        "arx": ARX(),
+        "joint_ekf": JointEKF(SURGE_MAX),
+        "ensemble": default_ensemble(),
+        "persistence": Persistence(),
+    }
     return Ensemble({**single(MODEL), **others}, {"all": Average()})
 
 

@@ -20,7 +20,9 @@ BAD_INPUTS = [
     ("command_left", math.nan), ("command_right", math.inf), ("heading", -math.inf), ("yaw_rate", math.nan),
     ("dt", math.nan), ("dt", math.inf), ("dt", -0.4),
 ]  # fmt: skip
-COMPILED = ["aid_estimate", "arx", "projected", "robust_memory", "rnn_penalty", "weighted", "boa"]  # of each family one
+COMPILED = [  # of each family one
+    "aid_estimate", "arx", "projected", "robust_memory", "rnn_penalty", "joint", "weighted", "boa",
+]  # fmt: skip
 
 
 def leaves(tree):
