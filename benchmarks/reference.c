@@ -415,6 +415,7 @@ void joint(long steps, const Samples *s, const Joint *joint, JointState *state, 
         double cosine = cos(s->heading[k]), sine = sin(s->heading[k]);
         double rest = now[0] * now[0] + now[1] * now[1] + x[SPEED] * x[SPEED];
         double ahead = flow(n, x, now, state->commands, fabs(s->yaw_rate[k]), h, g);
+        if (rest <= 1e-3) memset(g + THETA, 0, sizeof g - THETA * sizeof *g);
         double slow = exp(-h / joint->disturbance_time), kept = exp(-h / joint->current_time);
         double scale[4] = {1, slow, kept, kept}, drift = joint->current * joint->current * (1 - kept * kept);
         for (int j = 1; j < n; j++) {

@@ -105,6 +105,8 @@ def dense(joint: JointEKF, samples: Sample):
             move = lambda y, a=(left, right, before, yaw_rate, h, tau_b, tau_c): step(y, *a)  # noqa: E731
             with torch.enable_grad():
                 F = torch.autograd.functional.jacobian(move, x.clone())
+            if not moves:
+                F[0, 4:] = 0
             x = move(x)
             P = F @ P @ F.T
             P[0, 0] += 0.05 * noise * span
@@ -256,7 +258,7 @@ def test_a_hundred_thousand_steps_at_rest(name, dtype):
     samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, boat(1.0)[1])
     state, before, _ = rollout(joint, joint.init(), samples)
     zero, yes = torch.zeros(steps, dtype=dtype), torch.ones(steps, dtype=torch.bool)
-    still = 0.005 * torch.randn(steps, generator=torch.Generator().manual_seed(3), dtype=torch.float64).to(dtype)
+    still = 0.01 * torch.randn(steps, generator=torch.Generator().manual_seed(3), dtype=torch.float64).to(dtype)
     idle, _, _ = rollout(joint, state, Sample(Inputs(zero, zero, zero, zero, zero + 0.4), still, yes, yes))
     sound(joint, idle)
     assert ((idle.covariance - state.covariance).diagonal()[4:] <= 0.01 * joint.variance).all()

@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from usvlearn.arrays import clamp
+from usvlearn.arrays import clamp, fill
 from usvlearn.estimators.joint.factored_kernel import (
     add,
     add_current,
@@ -219,6 +219,8 @@ def advance(node, s, q, x, mean, A, work):
         begin(mean, A, s[node[AT.surge]], noise, x, work[n + 2 :])
         s[node[AT.started]] = 0.0
     rest = x[LEFT] * x[LEFT] + x[RIGHT] * x[RIGHT] + mean[W] * mean[W] <= REST
+    if rest:
+        fill(g[THETA:], 0.0)
     slow = decay(h, numbers[Number.DISTURBANCE_TIME])
     transition(A, g, slow, current)
     span, a = min(h, LONGEST) / STEP, work[n + 2 : 2 * n + 2]

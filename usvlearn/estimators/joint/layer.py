@@ -254,6 +254,8 @@ class JointEKF(Estimator):
         current = (-(h / self.current_time()).clamp(max=at.DECAYED)).exp()
         slow = (-(h / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
         decays = torch.stack([torch.ones_like(h), slow, current, current, *[zero + 1] * len(self.names)], -1)
+        moves = (commands * commands).sum(-1) + w * w > at.REST
+        g = torch.cat([g[..., :THETA], torch.where(moves[..., None], g[..., THETA:], 0.0)], -1)
         U, D = moved(U, D, g, decays)
         span, eye = h.clamp(max=at.LONGEST) / at.STEP, torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
         drift = self.current() ** 2 * (1 - current * current)
@@ -261,7 +263,6 @@ class JointEKF(Estimator):
             U, D = added(U, D, eye[place], noise)
         D = D + (at.SPEED_NOISE * state.noise * span)[..., None] * eye[W]
         m = len(self.names)
-        moves = (commands * commands).sum(-1) + w * w > at.REST
         walks = at.EVERY * torch.arange(m, dtype=D.dtype, device=D.device) == state.turn[..., None]
         shares = torch.where(walks & moves[..., None], self.variance, 0.0)
         share = at.EVERY * m * (at.STEP * span) / self.drift_time() * shares.sum(-1)
