@@ -172,6 +172,7 @@ def test_student_weight():
     still = tree_map(lambda x: x[0], constant(1, 0.0, 0.0, 0.0).inputs)
     errors = torch.tensor([0.05, 0.5, 5.0, 50.0], dtype=torch.float64)
     found = {}
+    assert ARX(degrees=math.inf).degrees is None
     for degrees in (3.0, None):
         arx = ARX(degrees=degrees, scale=2.0)
         inputs = tree_map(lambda x: x.expand(4), still)
@@ -310,7 +311,8 @@ def test_a_turn_that_is_no_place_reads_no_other_memory():
 
 
 @over("options", [{"lags": -1}, {"lags": 2.0}, {"lags": True}, {"lags": 51}, {"even": "yes"}, {"turning": 1},
-                  {"scale": 0.0}, {"walk": -1.0}, {"degrees": 0.0}, {"surge_max": 0.0}])  # fmt: skip
+                  {"scale": 0.0}, {"walk": -1.0}, {"degrees": 0.0}, {"degrees": -math.inf},
+                  {"surge_max": 0.0}])  # fmt: skip
 def test_wrong_options_are_named(options):
     with pytest.raises(ConfigError, match=f"^{next(iter(options))}: found .*, expected "):
         ARX(**options)

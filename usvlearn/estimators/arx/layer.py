@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -42,7 +43,7 @@ class ARX(Estimator):
         thrust_speed: adds each side's command times |v|.
         scale: s, of the prior deviations of the weights, as multiples of the noise; broadcasts against the batch.
         walk: variance by which the weights walk in 0.4 s, as a share of the prior's; broadcasts against the batch.
-        degrees: ν of Student's t distribution of the noise; broadcasts against the batch. None: infinite, as for
+        degrees: ν of Student's t distribution of the noise; broadcasts against the batch. None and infinity:
             Gaussian noise.
         surge_max: physical limit of the prediction, m/s.
 
@@ -73,6 +74,7 @@ class ARX(Estimator):
         self.lags, self.even, self.turning, self.thrust_speed = lags, even, turning, thrust_speed
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.scale, self.walk = Positive(scale, "scale"), Positive(walk, "walk")
+        degrees = None if isinstance(degrees, float) and degrees == math.inf else degrees
         self.degrees = None if degrees is None else Positive(degrees, "degrees")
         found = deviations(lags, even, turning, thrust_speed)
         self.names = tuple(found)
