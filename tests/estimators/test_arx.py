@@ -18,7 +18,7 @@ OPTIONS = {
     "default": {},
     "no_lags": {"lags": 0, "even": False},
     "all_features": {"lags": 2, "turning": True, "thrust_speed": True, "scale": 2.0, "walk": 1e-2},
-    "gaussian": {"lags": 1, "degrees": None, "surge_max": 1.0},
+    "gaussian": {"lags": 1, "degrees": None, "surge_max": 1.0, "project": False},
 }
 BACKENDS = ("kernel", "torch")
 
@@ -66,6 +66,17 @@ def prior_deviations(arx: ARX) -> np.ndarray:
     return np.array(found) * float(arx.scale())
 
 
+def slowed(arx: ARX, theta, P):
+    """θ moved, in the metric of P⁻¹, to where drag slows a boat: one sum of weights after the other."""
+    quadratic, even = np.eye(len(theta))[2], np.zeros(len(theta))
+    if arx.even:
+        even[arx.names.index("even_speed_square")] = 1.0
+    for a in (np.eye(len(theta))[1], quadratic + even, quadratic - even) if arx.project else ():
+        if a @ theta > 0:
+            theta = theta - P @ a * (a @ theta) / (a @ P @ a)
+    return theta
+
+
 def textbook(arx: ARX, samples: Sample):
     """Predictions, θ, P and σ² of a Kalman filter whose covariance is one dense matrix; one boat."""
     made, inputs = masks(samples, PLAUSIBLE), tree_map(lambda x: x.numpy(), samples.inputs)
@@ -92,6 +103,7 @@ def textbook(arx: ARX, samples: Sample):
                 K = P @ phi / (1 / w + phi @ P @ phi)
                 theta, P = theta + K * e, P - np.outer(K, P @ phi)
                 P = (P + P.T) / 2
+                theta = slowed(arx, theta, P)
                 P[turn, turn] += max(0.0, min(len(f) * h * walk * prior[turn], prior[turn] - P[turn, turn]))
                 noise = max(noise + 0.02 * (w * e * e / S - noise), 1e-6)
                 turn = (turn + 1) % len(f)
@@ -131,7 +143,7 @@ def test_equals_a_dense_kalman_filter(options, backend):
 
 def test_without_walk_and_tails_it_is_a_ridge_regression():
     """θ minimises |y − Φθ|² + θᵀP₀⁻¹θ."""
-    arx, samples = ARX(lags=2, degrees=None, walk=1e-30), mission(300, seed=1, faults=False)
+    arx, samples = ARX(lags=2, degrees=None, walk=1e-30, project=False), mission(300, seed=1, faults=False)
     state, _, _ = rollout(arx, arx.init(), samples)
     history, rows, increments = History(arx), [], []
     for left, right, _, yaw_rate, dt, surge in zip(*samples.inputs, samples.surge, strict=True):
@@ -215,6 +227,23 @@ def test_free_runs_are_bounded(backend):
     state = state._replace(theta=torch.linspace(2.0, -0.5, len(arx.names), dtype=torch.float64))
     _, surge, _ = simulate(arx, state, samples, backend=backend)
     assert surge.isfinite().all() and surge.abs().max() == 3.0
+
+
+@over("even", [True, False])
+def test_drag_slows(even):
+    """A boat whose drag falls with the square of the speed: the weights end on the bound, others take their place."""
+    samples, v = mission(2000, faults=False), 0.0
+    for k, (left, right, dt) in enumerate(zip(*samples.inputs[:2], samples.inputs.dt, strict=True)):
+        v += float(dt / 0.4 * (-0.2 * v + 0.02 * v * abs(v) + 0.15 * (left + right)))
+        samples.surge[k] = v
+    sums, errors = {}, {}
+    for project in (True, False):
+        arx = ARX(even=even, project=project)
+        state, surge, _ = rollout(arx, arx.init(), samples)
+        sums[project] = max(float(a @ state.theta) for a in arx.drags)
+        errors[project] = (surge - samples.surge)[-1000:].abs().mean()
+    assert sums[True] < 1e-9 < 1e-2 < sums[False]
+    assert errors[False] < errors[True] < 0.02
 
 
 def test_rest_teaches_for_a_minute():
@@ -311,7 +340,7 @@ def test_a_turn_that_is_no_place_reads_no_other_memory():
 
 
 @over("options", [{"lags": -1}, {"lags": 2.0}, {"lags": True}, {"lags": 51}, {"even": "yes"}, {"turning": 1},
-                  {"scale": 0.0}, {"walk": -1.0}, {"degrees": 0.0}, {"degrees": -math.inf},
+                  {"project": None}, {"scale": 0.0}, {"walk": -1.0}, {"degrees": 0.0}, {"degrees": -math.inf},
                   {"surge_max": 0.0}])  # fmt: skip
 def test_wrong_options_are_named(options):
     with pytest.raises(ConfigError, match=f"^{next(iter(options))}: found .*, expected "):

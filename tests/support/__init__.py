@@ -68,7 +68,9 @@ ESTIMATORS = {
     "joint": lambda: JointEKF(2.5, 28.0),
     "joint_odd": lambda: JointEKF(2.5, 28.0, disturbance=5.0, even=None, lag=0.3, outlier=8.0, read_every=2.0),
     "arx": ARX,
-    "arx_gaussian": lambda: ARX(lags=1, even=False, turning=True, thrust_speed=True, walk=1e-2, degrees=None),
+    "arx_gaussian": lambda: ARX(
+        lags=1, even=False, turning=True, thrust_speed=True, project=False, walk=1e-2, degrees=None
+    ),
     "average": lambda: Ensemble(_members()),
     "fixed": lambda: Ensemble(_members(), {"fixed": FixedWeights({"aid": 0.5, "rls": 0.2, "rnn": 0.3})}),
     "weighted": lambda: Ensemble(

@@ -251,7 +251,7 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _lanes, unroll=2),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
     "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_lanes),
-    "arx": lambda: Robust(ARX(scale=0.3 * _lanes, walk=1e-4 * _lanes, degrees=5 * _lanes), 4.0, inflation=1 + _lanes),
+    "arx": lambda: ARX(scale=0.3 * _lanes, walk=1e-4 * _lanes, degrees=5 * _lanes),
     "pair": lambda: Ensemble(
         {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "still": Robust(Acceleration(), scale=_lanes)},
         {"we": RecursiveWeights(), "boa": BOA()},

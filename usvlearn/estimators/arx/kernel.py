@@ -1,4 +1,4 @@
-"""The ARX filter: the step of `layer`, equations (1) to (6) of `state`."""
+"""The ARX filter: the step of `layer`, equations (1) to (7) of `state`."""
 
 import numpy as np
 
@@ -6,6 +6,7 @@ from usvlearn.arrays import clamp, copy, dot, fill
 from usvlearn.estimators.arx.state import (
     AT,
     COMMANDS,
+    EVEN_SQUARE,
     LONGEST,
     LOOSEST,
     NOISE_LEAST,
@@ -13,6 +14,8 @@ from usvlearn.estimators.arx.state import (
     RATES,
     REST_SQUARE,
     REST_TIME,
+    SPEED,
+    SQUARE,
     STEP,
     Choice,
     Number,
@@ -74,6 +77,13 @@ def learn(node, s, q, x, estimate, target, work):
         gain = error / measurement(A, g, 1.0 / weight, b)
         for i in range(p):
             theta[i] += gain * b[i]
+        if node[Choice.PROJECT] > 0:
+            even, share = SQUARE, 0.0
+            if node[Choice.EVEN] > 0:
+                even, share = RATES + node[Choice.LAGS] + GROUP * (node[Choice.LAGS] + 1) + EVEN_SQUARE, 1.0
+            slow(theta, A, SPEED, SPEED, 0.0, b)
+            slow(theta, A, SQUARE, even, share, b)
+            slow(theta, A, SQUARE, even, -share, b)
         turn = s[node[AT.turn]]
         k = int(turn) if 0 <= turn < p else 0  # a member that diverged may hold any number
         add(A, k, walked(A, k, prior[k], h * numbers[Number.WALK]), b)
@@ -182,6 +192,27 @@ def measurement(A, g, alpha, b):
         A[j, j] = d * (alpha / after)
         alpha = after
     return alpha
+
+
+@jit
+def slow(theta, A, i, j, share, b):
+    """(7) of θ_i + share θ_j, i <= j."""
+    value = theta[i] + share * theta[j]
+    if not value > 0:
+        return
+    p, size = len(theta), 0.0
+    fill(b, 0.0)
+    for m in range(i, p):
+        g = 1.0 if m == i else A[m, i]
+        if m >= j:
+            g += share * (1.0 if m == j else A[m, j])
+        G = A[m, m] * g
+        size += G * g
+        for k in range(m):
+            b[k] += A[m, k] * G
+        b[m] += G
+    for k in range(p):
+        theta[k] -= b[k] * (value / size)
 
 
 @jit

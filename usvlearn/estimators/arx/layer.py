@@ -1,4 +1,4 @@
-"""The ARX filter in torch: equations (1) to (6) of `state`."""
+"""The ARX filter in torch: equations (1) to (7) of `state`."""
 
 from __future__ import annotations
 
@@ -41,6 +41,7 @@ class ARX(Estimator):
         even: adds four features that are the same forwards and backwards.
         turning: adds the yaw rate and its change.
         thrust_speed: adds each side's command times |v|.
+        project: keeps the weights of the drag where drag slows the boat, so that free runs do not run away.
         scale: s, of the prior deviations of the weights, as multiples of the noise; broadcasts against the batch.
         walk: variance by which the weights walk in 0.4 s, as a share of the prior's; broadcasts against the batch.
         degrees: ν of Student's t distribution of the noise; broadcasts against the batch. None and infinity:
@@ -53,6 +54,7 @@ class ARX(Estimator):
     """
 
     ratios: Tensor  # (p,) prior deviations over `scale`
+    drags: Tensor  # (3, p) a of (7)
 
     def __init__(
         self,
@@ -60,6 +62,7 @@ class ARX(Estimator):
         even: bool = True,
         turning: bool = False,
         thrust_speed: bool = False,
+        project: bool = True,
         scale: Hyper = 0.3,
         walk: Hyper = 1e-4,
         degrees: Hyper | None = 5.0,
@@ -68,10 +71,11 @@ class ARX(Estimator):
         super().__init__()
         if isinstance(lags, bool) or not (isinstance(lags, int) and 0 <= lags <= MOST_LAGS):
             raise ConfigError(f"lags: found {lags!r}, expected a whole number, 0 … {MOST_LAGS}")
-        for name, value in {"even": even, "turning": turning, "thrust_speed": thrust_speed}.items():
+        options = {"even": even, "turning": turning, "thrust_speed": thrust_speed, "project": project}
+        for name, value in options.items():
             if not isinstance(value, bool):
                 raise ConfigError(f"{name}: found {value!r}, expected true or false")
-        self.lags, self.even, self.turning, self.thrust_speed = lags, even, turning, thrust_speed
+        self.lags, self.even, self.turning, self.thrust_speed, self.project = lags, *options.values()
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.scale, self.walk = Positive(scale, "scale"), Positive(walk, "walk")
         degrees = None if isinstance(degrees, float) and degrees == math.inf else degrees
@@ -79,6 +83,8 @@ class ARX(Estimator):
         found = deviations(lags, even, turning, thrust_speed)
         self.names = tuple(found)
         self.register_buffer("ratios", as_tensor(list(found.values())))
+        drags = [{"speed": 1.0}, *({"speed_square": 1.0, "even_speed_square": sign} for sign in (1.0, -1.0))]
+        self.register_buffer("drags", as_tensor([[row.get(name, 0.0) for name in found] for row in drags]))
 
     def init(self, batch: Sequence[int] = ()) -> ARXState:
         check_broadcast(self, tuple(batch))
@@ -107,8 +113,9 @@ class ARX(Estimator):
         weight = (1 + tails) / (1 + tails * seen / state.noise)  # (2)
         gain, factor = measured(state.factor, g, G, 1 / weight)
         noise = (state.noise + NOISE_SHARE * (weight * seen - state.noise)).clamp(min=NOISE_LEAST**2)  # (3)
+        theta = state.theta + gain * error[..., None]
         learned = state._replace(
-            theta=state.theta + gain * error[..., None],
+            theta=self._projected(theta, factor) if self.project else theta,
             factor=self._walked(factor, state.turn, h),
             noise=noise,
             turn=torch.where(state.turn + 1 < len(self.names), state.turn + 1, 0.0),
@@ -174,6 +181,14 @@ class ARX(Estimator):
             rest += [left * v.abs(), right * v.abs()]
         groups = [torch.stack(found, -1), past[..., RATES:begin], now, before]
         return torch.cat([*groups, torch.stack(rest, -1)] if rest else groups, -1)
+
+    def _projected(self, theta: Tensor, factor: Tensor) -> Tensor:
+        """θ after (7)."""
+        for a in self.drags.unbind(0):
+            g, G, _ = rotated(factor, a)
+            value = (a * theta).sum(-1).clamp(min=0) / (g * G).sum(-1)
+            theta = theta - (parts(factor)[0] * G[..., None]).sum(-2) * value[..., None]
+        return theta
 
     def _walked(self, factor: Tensor, turn: Tensor, h: Tensor) -> Tensor:
         """The factor after the walk (4) of the weight whose turn it is."""

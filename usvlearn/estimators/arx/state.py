@@ -16,8 +16,15 @@ distribution of ν degrees; its weight w is small for outliers (West 1981):
     S = 1 + φᵀPφ,   w = (ν + 1)/(ν + e²/(S σ²)),   θ⁺ = θ + Pφ e/(1/w + φᵀPφ),   P⁺ = P − PφφᵀP/(1/w + φᵀPφ)         (2)
     σ² ← σ² + 0.02 (w e²/S − σ²),   at least (1 mm/s)²                                                              (3)
 
-w is 1 for all e where ν is infinite. Before the first sample P is diagonal, with the deviations `scale` × (1 for the
-bias and the even terms, 30/j for a_j, 10 for all others): as multiples of the noise.
+w is 1 for all e where ν is infinite. With `project` drag slows the boat: the weights of v, and of v|v| plus and minus
+that of the even v², are not positive. With a for the three sums in turn, where aᵀθ > 0, in the metric of P:
+
+    θ ← θ − Pa aᵀθ/(aᵀPa)                                                                                            (7)
+
+Without it a model may grow without bound beyond the speeds that it has seen.
+
+Before the first sample P is diagonal, with the deviations `scale` × (1 for the bias and the even terms, 30/j for a_j,
+10 for all others): as multiples of the noise.
 
 Weights walk at random: of variance `walk` P₀ per step of 0.4 s. The factored covariance takes one of the p weights per
 learned step, in turn, with p times its share; its variance grows up to the prior's and no further:
@@ -66,7 +73,8 @@ REST_SQUARE = 0.01  # of u_L² + u_R² + v², v in m/s, below which a boat rests
 REST_TIME = 60.0  # s of rest after which nothing is learned
 MOST_LAGS = 50  # 20 s; p grows with it, and the time of a step as p²
 
-RATES = 4  # place in f of the first increment
+SPEED, SQUARE, RATES = 1, 2, 4  # places in f of v, of v|v| and of the first increment
+EVEN_SQUARE = 2  # place of v² in its group
 COMMANDS = ("sum", "difference", "square_left", "square_right")
 EVEN = ("even_command", "even_command_square", "even_speed_square", "even_command_speed")
 TURNING = ("yaw_rate", "yaw_rate_change")
@@ -127,11 +135,12 @@ class Choice(Choices):
     EVEN = False, True
     TURNING = False, True
     THRUST_SPEED = False, True
+    PROJECT = False, True
 
 
 def parameters(own: Mapping[str, Any]) -> int:
     """How many features an estimator has, from its entries in a specification."""
-    return len(deviations(*(own[choice.key] for choice in Choice)))
+    return len(deviations(*(own[choice.key] for choice in Choice if choice != Choice.PROJECT)))
 
 
 FAMILY = Family(
