@@ -9,7 +9,7 @@ that is constant in the earth's frame and a bias, describes wind and current. *C
 curves that a parabola cannot: a dead band, saturation.
 
 The step is Euler's, v⁺ = v + h f with h = dt and f = Wᵀθ/m, or exponential (Rosenbrock–Euler; Hochbruck & Ostermann
-2010), which is of second order and never overshoots, however strong the drag:
+2010), which is of second order and stays stable however strong the drag is:
 
     v⁺ = v + h φ1(z) f,   z = h ∂f/∂v,   φ1(z) = (e^z − 1)/z                                (1)
 
