@@ -18,6 +18,7 @@ from usvlearn import (
     ExponentialWeights,
     FixedWeights,
     Inputs,
+    JointEKF,
     Persistence,
     Projected,
     QuasiStatic,
@@ -250,6 +251,9 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     "rnn": lambda: RNN(6, rate=1e-3 * _lanes, contraction_rate=1 - 0.1 * _lanes),
     "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _lanes, unroll=2),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
+    "joint": lambda: JointEKF(
+        1 + _lanes, 28.0 * _lanes, disturbance=_lanes, even=0.1 * _lanes, outlier=3 + _lanes, read_every=60.0
+    ),
     "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_lanes),
     "arx": lambda: ARX(scale=0.3 * _lanes, walk=1e-4 * _lanes, degrees=5 * _lanes),
     "pair": lambda: Ensemble(
