@@ -18,6 +18,7 @@ from usvlearn.signals import Inputs, Sample, named_leaves
 
 if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
+    from usvlearn.estimators.joint.reading import Identified
 
 
 class Online:
@@ -98,6 +99,24 @@ class Online:
             ShapeError: a field is neither one number nor of the batch's shape; the state is unchanged.
         """
         return self._live.step(sample)
+
+    def identified(self) -> Identified | list[Identified]:
+        """Physical quantities with 90 % intervals; of a batch a list, one entry for each boat.
+
+        Raises:
+            ConfigError: no member is a joint filter with `read_every`.
+
+        >>> from usvlearn import JointEKF
+        >>> Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()["steady_speed_full"].unit
+        'm/s'
+        """
+        from usvlearn.identified import identified, members_of
+
+        batch = self._live.batch
+        leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
+        described = self._description and members_of(self._description)  # an ensemble that runs in torch has none
+        found = identified(described or getattr(self._template.estimator, "descriptions", {}), leaves)
+        return found if batch else found[0]
 
     def save(self, path: str | Path, **metadata: Any) -> Path:
         """Save the state and the description of the estimator; see `usvlearn.checkpoint.save`."""

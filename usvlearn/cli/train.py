@@ -19,7 +19,7 @@ from usvlearn.cli.sweep import do_job
 from usvlearn.errors import check_positive
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report import terminal
-from usvlearn.report.tables import report, summary_lines
+from usvlearn.report.tables import identified_table, report, summary_lines
 from usvlearn.sweeps.launchers import set_threads
 
 
@@ -36,11 +36,13 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
     """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
+    from usvlearn.evaluation.identification import identified_boats
     from usvlearn.evaluation.members import explained, remarks
     from usvlearn.report.stability import stability
     from usvlearn.runs.logger import TensorBoardLogger
     from usvlearn.runs.replay import replay
     from usvlearn.runs.run_folder import RunFolder
+    from usvlearn.simulate.truth import quantities_of
 
     began, settings = time.perf_counter(), {**plain(cfg), "resume": None}
     set_threads(cfg.threads)
@@ -59,9 +61,11 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
             run.save(chunk)
             logger.show(chunk)
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
-        found = run.finish(ensemble, time.perf_counter() - began)
+        truth = quantities_of([settings["data"]], cfg.vehicle.mass)
+        found = run.finish(ensemble, time.perf_counter() - began, truth)
         logger.finish(settings, found["boats"], run.published, found["alarms"])
     console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)))
+    console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
     console.print(
         *stability(ensemble, run.state, fleet.boats),
         *summary_lines(found, folder),

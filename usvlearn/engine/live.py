@@ -56,6 +56,10 @@ class Live:
         return Live, (self._description, self.leaves)
 
     @property
+    def batch(self) -> tuple[int, ...]:
+        return self.plan.batch
+
+    @property
     def leaves(self) -> dict[str, np.ndarray]:
         """The state, copied, between two steps of any thread."""
         with self._lock:

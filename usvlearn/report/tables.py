@@ -9,6 +9,8 @@ from pathlib import Path
 from rich.console import Group
 from rich.text import Text
 
+from usvlearn.estimators.joint.reading import Identified, shown
+from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.metrics import by_error, mean_mae
 from usvlearn.evaluation.ranking import differing, own_columns, ranked
 from usvlearn.report.terminal import Blocks
@@ -103,6 +105,44 @@ def report(
         for each in raised
     ]
     return Group(*filter(None, tables), *map(Text, notes), *lines)
+
+
+def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None) -> Group:
+    """Quantities with their 90 % intervals: a column per boat, or of one boat a column for each number.
+
+    The nine single parameters are in `results.json` and in the report alone, because they trade against each other.
+
+    Args:
+        found: of each boat; nothing is printed for none.
+        truth: boat -> quantity -> value.
+    """
+    if not found:
+        return Group()
+    first, truth = next(iter(found.values())), truth or {}
+    rows = [name for name in first if name not in SURGE]
+    if len(found) == 1:
+        known = next(iter(truth.values()), {})
+        table = Blocks(
+            "Identified, with 90 % intervals", ["quantity"], ["value", "from", "to", *["truth"][: len(known)], "unit"]
+        )
+        for name in rows:
+            *numbers, unit = first[name]
+            true = [shown(known[name]) if name in known else "–"] if known else []
+            table.add(name, *map(shown, numbers), *true, unit)
+    else:
+        table = Blocks("Identified: value, and 90 % interval", ["quantity", "unit"], list(found))
+        for name in rows:
+            cells = (
+                f"{shown(each[name].value)} ({shown(each[name].low)} … {shown(each[name].high)})"
+                for each in found.values()
+            )
+            table.add(name, first[name].unit, *cells)
+    said: dict[str, list[str]] = {}
+    for boat, each in found.items():
+        for sentence in filter(None, (each.basis, each.scale, *each.lacks)):
+            said.setdefault(sentence, []).append(boat)
+    lines = [sentence if len(of) == len(found) else f"{', '.join(of)}: {sentence}" for sentence, of in said.items()]
+    return Group(Text(), table, *map(Text, lines))
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:

@@ -21,6 +21,7 @@ from usvlearn.engine import of_lane
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.evaluation.identification import Truth, as_results, identified_boats
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.rollouts import stack
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
@@ -163,9 +164,15 @@ class RunFolder:
     def __exit__(self, *_: object) -> None:
         self._wait()
 
-    def finish(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
-        """Score all predictions; returns the content of `results.json`: scores, alarms, the objective."""
-        found = self._judged(ensemble, seconds)
+    def finish(self, ensemble: Ensemble, seconds: float, truth: Truth | None = None) -> dict[str, Any]:
+        """Score all predictions; returns the content of `results.json`: scores, alarms, identified, the objective.
+
+        Args:
+            ensemble: that has learned.
+            seconds: that the run took.
+            truth: of simulated boats, to be written beside what was identified.
+        """
+        found = self._judged(ensemble, seconds, truth or {})
         save_results(self.path, found)
         return found
 
@@ -174,9 +181,9 @@ class RunFolder:
         if self._pending:
             self._hand_on()
         steps = {"steps": self.fleet.steps_before(*self._reached), "of": self.fleet.steps}
-        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, seconds)}})
+        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, seconds, {})}})
 
-    def _judged(self, ensemble: Ensemble, seconds: float) -> dict[str, Any]:
+    def _judged(self, ensemble: Ensemble, seconds: float, truth: Truth) -> dict[str, Any]:
         self._wait()
         published = self.published
         boats = fleet_scores(self.fleet, published, ensemble.names, ensemble.surge_limit)
@@ -184,6 +191,7 @@ class RunFolder:
             "boats": boats,
             "alarms": alarms(self.fleet, published.stretches(["thrusters"])),
             "rejected": self.fleet.rejected,
+            **as_results(identified_boats(ensemble, self.state, self.fleet.boats), truth),
         }
         return found | {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
 

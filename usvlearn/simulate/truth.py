@@ -15,9 +15,11 @@ import numpy as np
 import torch
 
 from usvlearn.simulate.fleet import fleet_names, fleet_vessels
-from usvlearn.simulate.vessel import drag, static_thrust, steady_surge
+from usvlearn.simulate.vessel import drag, static_thrust, steady_surge, thrust
 
 GRID = 101  # points of a fit
+COAST = 0.1  # share of the speed that is left at the end of the stopping distance
+COMMANDS = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 
 
 def truth_of(sources: Sequence[Mapping[str, Any]], mass: float) -> dict[str, dict[str, np.ndarray]]:
@@ -29,6 +31,71 @@ def truth_of(sources: Sequence[Mapping[str, Any]], mass: float) -> dict[str, dic
     if len(sources) != 1 or not sources[0]["_target_"].endswith("simulate.fleet.fleet") or sources[0].get("fault"):
         return {}  # a fault changes the truth during the season
     return true_parameters(mass, **sources[0])
+
+
+def quantities_of(sources: Sequence[Mapping[str, Any]], mass: float) -> dict[str, dict[str, float]]:
+    """`true_quantities` of a single configured simulation; {} as of `truth_of`.
+
+    >>> quantities_of([{"_target_": "usvlearn.logs.read.read", "path": "logs"}], 28.0)
+    {}
+    """
+    parameters = truth_of(sources, mass)
+    return true_quantities(mass, parameters, **sources[0]) if parameters else {}
+
+
+def true_quantities(
+    mass: float,
+    parameters: Mapping[str, Mapping[str, np.ndarray]],
+    n: int,
+    plant: str,
+    hours: float,
+    mission_minutes: float,
+    seed: int,
+    spread: float = 1.0,
+    drift: float = 0.2,
+    fleet_seed: int | None = None,
+    **_,
+) -> dict[str, dict[str, float]]:
+    """What `identified` is compared with: boat -> quantity -> value on the last mission.
+
+    The names and definitions are those of `usvlearn.estimators.joint.quantities`. Tables of thrust and a knee in the
+    drag count as they are, except for the parameters, which are fits.
+
+    Args:
+        mass: declared, kg.
+        parameters: of `true_parameters`.
+        n, plant, hours, mission_minutes, seed, spread, drift, fleet_seed: as of `usvlearn.simulate.fleet.fleet`.
+
+    >>> known = {"n": 1, "plant": "heron", "hours": 1.0, "mission_minutes": 30.0, "seed": 0, "spread": 0.0}
+    >>> found = true_quantities(28.0, true_parameters(28.0, **known), **known)["heron"]
+    >>> round(found["steady_speed_full"], 3), round(found["thrust_full_left"], 1)
+    (2.741, 33.6)
+    """
+    missions = math.ceil(round(hours * 60 / mission_minutes, 6))
+    vessel = fleet_vessels(n, spread, plant, seed if fleet_seed is None else fleet_seed, missions, drift)
+    both = torch.ones(2, dtype=torch.float64)
+    found = {f"steady_speed_{name}": steady_surge(vessel, share * both) for name, share in COMMANDS.items()}
+    top, scale = found["steady_speed_full"], mass / vessel.mass
+    for k, side in enumerate(("left", "right")):
+        found[f"thrust_full_{side}"] = static_thrust(vessel, both)[..., k] * scale
+    found["thrust_ratio"] = found["thrust_full_left"] / found["thrust_full_right"]
+    found["drag_half_speed"] = -drag(vessel, top / 2) * scale
+    step = 1e-4 * top
+    above, below = (
+        drag(vessel, top / 2 + sign * step) + thrust(vessel, both / 2, top / 2 + sign * step).sum(-1)
+        for sign in (1, -1)
+    )
+    found["time_constant"] = vessel.mass * 2 * step / (below - above)
+    shares = torch.linspace(COAST, 1.0, 2001, dtype=torch.float64)
+    found["stopping_distance"] = torch.trapezoid(
+        torch.stack([vessel.mass * share * top * top / -drag(vessel, share * top) for share in shares], -1), shares
+    )
+    last = {name: value.expand(missions, n)[-1] for name, value in found.items()}
+    return {
+        boat: {name: float(value[-1]) for name, value in parameters[boat].items()}
+        | {name: float(value[k]) for name, value in last.items()}
+        for k, boat in enumerate(fleet_names(n, plant))
+    }
 
 
 def true_parameters(

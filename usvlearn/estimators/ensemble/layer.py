@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
@@ -25,7 +26,8 @@ class Ensemble(Estimator):
 
     Args:
         members: estimators, or banks of them, by name.
-        combiners: rules by name, `{"average": Average()}` by default.
+        combiners: rules by name, `{"average": Average()}` by default. A rule without `members` combines all of them but
+            those that only identify (`JointEKF` with `read_every`).
         output: the combiner whose prediction is the ensemble's own; the last by default.
         coverage: share of the measurements that the intervals are to cover, 0 … 1.
         surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
@@ -81,6 +83,9 @@ class Ensemble(Estimator):
         self.surge_limit = min(self.surge_limit, self.surge_max)
         if not 0 < coverage < 1:
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
+        # A reader only identifies: a rule combines it where it is named.
+        self._weighed = [name for name in members if not math.isfinite(getattr(members[name], "read_every", math.inf))]
+        self._weighed = self._weighed or list(members)
         # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
         self.members = cast("Mapping[str, Estimator | Bank]", nn.ModuleDict(members))
         self.combiners = cast("Mapping[str, Combiner]", nn.ModuleDict(rules))
@@ -94,7 +99,7 @@ class Ensemble(Estimator):
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
         """The columns that a combiner means; the name of a bank stands for all of its own."""
         known = {column: [column] for column in self.columns} | self._columns
-        chosen = list(self._columns) if members is None else list(members)
+        chosen = self._weighed if members is None else list(members)
         if not chosen or (unknown := sorted(set(chosen) - set(known))):
             raise ConfigError(
                 f"combiners.{combiner}.members: found {', '.join(chosen) or 'none'}, "
@@ -155,8 +160,13 @@ class Ensemble(Estimator):
         }
         return state._replace(members=members)
 
+    @property
+    def descriptions(self) -> dict[str, dict[str, Any] | None]:
+        """The description of each member; None of one that has none."""
+        return {name: spec_of(member) for name, member in self.members.items()}
+
     def spec(self) -> dict[str, Any] | None:
-        members = {name: spec_of(member) for name, member in self.members.items()}
+        members = self.descriptions
         rules = {
             name: (own := spec_of(rule)) and {**own, "columns": self._places[name]}
             for name, rule in self.combiners.items()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -12,7 +13,9 @@ from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.joint import state as at
 from usvlearn.estimators.joint.factored import added, measured, moved, packed, unit, unpacked
+from usvlearn.estimators.joint.quantities import sums
 from usvlearn.estimators.joint.state import EAST, FAMILY, KAPPA, NORTH, THETA, B, E, JointState, W, names
+from usvlearn.estimators.mass import known_rows
 from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
 from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.signals import Inputs, tree_map, where
@@ -41,6 +44,8 @@ class JointEKF(Estimator):
         even: ρ, that of the even terms, in units of the drag's and that force; None: without these terms.
         outlier: k, standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts, too.
         read_every: s of learned steps between two readings of the parameters; None: none.
+        known: forces by name, or by a sum of names, in N, as `{"thrust_full_left": 33.6}`: the mass is identified too
+            (`usvlearn.estimators.mass`); the names are those of `quantities.sums`.
 
     >>> joint = JointEKF(surge_max=2.7, mass=28.0)
     >>> joint.init((8,)).mean.shape
@@ -55,6 +60,7 @@ class JointEKF(Estimator):
     outlier: Tensor  # () or as given
     chosen: Tensor  # (4, m): 1 where the parameter's deviation is its scale, and times `cubic`, `even`, `lag`
     signs: Tensor  # (3 or 5, n): each d of (7)
+    inverse_mass: Tensor  # (m,) g of 1/m = gᵀθ, with equal weight for every known force; zeros where none is known
 
     def __init__(
         self,
@@ -71,6 +77,7 @@ class JointEKF(Estimator):
         even: Hyper | None = 0.2,
         outlier: Hyper | None = 4.0,
         read_every: float | None = None,
+        known: Mapping[str, float] | None = None,
     ):
         super().__init__()
         self.disturbance = Positive(disturbance, "disturbance")
@@ -114,6 +121,16 @@ class JointEKF(Estimator):
             pair = torch.eye(THETA + len(self.names), dtype=v.dtype)[E]
             held = torch.cat([held, held[:1] + pair, held[:1] - pair])
         self.register_buffer("signs", held)
+        self.known = None if known is None else dict(known)
+        rows = sums(even is not None)
+        inverse = torch.zeros(len(self.names), dtype=v.dtype)
+        if self.known is not None:
+            chosen, values = known_rows(self.known, tuple(rows))
+            coefficients = torch.tensor(chosen, dtype=v.dtype) @ torch.tensor(
+                np.stack(list(rows.values())), dtype=v.dtype
+            )
+            inverse = (coefficients / torch.tensor(values, dtype=v.dtype)[:, None]).mean(0)
+        self.register_buffer("inverse_mass", inverse)
 
     @property
     def variance(self) -> Tensor:

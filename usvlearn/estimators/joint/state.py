@@ -44,7 +44,7 @@ b becomes 0, P_ww 4 m²/s², each variance of c grows by 0.05² m²/s², and the
 is predicted; its speed starts a segment. A speed beyond ±20 m/s is that limit, with P_ww = 400 m²/s².
 
 *Readings.* After each `read_every` s of learned steps the parameters are read; the first three readings are dropped.
-With weights 0.9^age, θ̄ is their mean and C their covariance. P + C is taken as the covariance of θ̄.
+With weights 0.9^age, θ̄ is their mean and C their covariance; `reading` makes intervals of them.
 
 The derivation is in `docs/theory.md`, section 19.
 """
@@ -57,6 +57,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from usvlearn.estimators.regressors.terms import CUBIC, EVEN, LAG, SURGE
 from usvlearn.family import (
     FINITE,
+    MODEST,
     NOT_NEGATIVE,
     POSITIVE,
     POSITIVE_OR_INFINITE,
@@ -134,12 +135,15 @@ class Number(Numbers):
     DRIFT_TIME = POSITIVE  # T_θ
     OUTLIER = POSITIVE_OR_INFINITE  # k
     READ_EVERY = POSITIVE_OR_INFINITE
+    MASS = MODEST  # kg: for the units of what is read
 
 
 class Vector(Vectors):
     """One number for each parameter."""
 
     VARIANCE = POSITIVE, lambda size: size - THETA  # prior
+    PRIOR = FINITE, lambda size: size - THETA  # mean, per unit mass
+    INVERSE_MASS = FINITE, lambda size: size - THETA  # g of 1/m = gᵀθ; zeros where the mass is an assumption
 
 
 class Choice(Choices):

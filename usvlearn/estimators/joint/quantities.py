@@ -1,0 +1,151 @@
+"""Physical quantities of a boat that moves ahead, from the parameters of a joint filter. Imports no torch.
+
+All parameters are per unit mass, in the order of `state.names`. Ahead (w > 0, ξ > 0) an even term adds to the odd one
+beside it, q + e₀, α + e₁, β + e₂, γ + e₃. The paper's two terms of thrust are the least-squares fit of all three over
+commands from 0 to 1, as `usvlearn.simulate.truth` fits a thrust table:
+
+    ξ³ ≈ −0.4 ξ + 1.33 ξ²,   α' = α − 0.4 κ,   β' = β + 1.33 κ                                         (1)
+
+With q, l, γ and the thrust at standstill T(ξ) = Σ (α ξ + β ξ² + κ ξ³) of motion straight ahead, Γ = Σ γ:
+
+    steady speed at ξ     q v² + (l + Γ ξ) v + T(ξ) = 0                                                 (2)
+    drag at half speed    −m (q v + l) v,   v = V/2,   V the steady speed at full command               (3)
+    time constant         −1/(2 q v + l + Γ/2)   at v = V/2 and half command                            (4)
+    stopping distance     ∫ dv/(−(q v + l)) from V/10 to V = ln((q V + l)/(q V/10 + l))/−q              (5)
+
+(5) is the way from V with both thrusters off until a tenth of V is left. With quadratic drag alone a boat never rests.
+
+The derivation is in `docs/theory.md`, section 21.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from usvlearn.estimators.joint.state import names
+from usvlearn.estimators.regressors.terms import SURGE, UNITS
+
+SIDES = ("left", "right")
+COMMANDS = {"full": 1.0, "half": 0.5, "quarter": 0.25}
+CUBIC_FIT = {"linear": -0.4, "quadratic": 4 / 3}  # of (1)
+COAST = 0.1  # share of the speed that is left at the end of (5)
+FORCES = {name: UNITS[name] for name in SURGE} | {  # what a mass scales, with its unit
+    **{f"thrust_full_{side}": "N" for side in SIDES}, "drag_half_speed": "N",
+}  # fmt: skip
+QUANTITIES = FORCES | {
+    **{f"steady_speed_{name}": "m/s" for name in COMMANDS},
+    "time_constant": "s", "stopping_distance": "m", "thrust_ratio": "left/right", "mass": "kg",
+}  # fmt: skip
+EVEN_BESIDE = {"drag_quadratic": "drag_even"} | {
+    f"thrust_{kind}_{side}": f"thrust_even_{kind}_{side}" for side in SIDES for kind in ("linear", "quadratic", "speed")
+}
+
+
+@functools.cache
+def sums(even: bool) -> dict[str, np.ndarray]:
+    """Coefficients of the quantities that are sums of parameters: the nine of motion ahead, and each side's pull, (1).
+
+    Args:
+        even: whether the filter has even terms.
+
+    Returns:
+        `(m,)` by name.
+
+    >>> sums(even=False)["thrust_full_left"]
+    array([0., 0., 0., 1., 1., 0., 0., 0., 0., 1., 0., 0.])
+    """
+    of = dict(zip(names(even), np.eye(len(names(even))), strict=True))
+    found = {name: of[name] + (of[EVEN_BESIDE[name]] if even and name in EVEN_BESIDE else 0.0) for name in SURGE}
+    pulls = {
+        f"thrust_full_{side}": found[f"thrust_linear_{side}"]
+        + found[f"thrust_quadratic_{side}"]
+        + of[f"thrust_cubic_{side}"]
+        for side in SIDES
+    }
+    for side in SIDES:
+        for kind, share in CUBIC_FIT.items():
+            found[f"thrust_{kind}_{side}"] = found[f"thrust_{kind}_{side}"] + share * of[f"thrust_cubic_{side}"]
+    return found | pulls
+
+
+class Ahead:
+    """The boat of some parameters while it moves straight ahead: forces per mass, and speeds.
+
+    Args:
+        theta: per unit mass, `(..., m)`.
+
+    >>> float(Ahead(np.array([0.0, -0.5, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])).steady_speed(0.5))
+    2.0
+    """
+
+    def __init__(self, theta: np.ndarray):
+        even = theta.shape[-1] == len(names(even=True))
+        self.sums = {name: theta @ row for name, row in sums(even).items()}
+        own = dict(zip(names(even), np.moveaxis(theta, -1, 0), strict=True))
+        self.cubic = {side: own[f"thrust_cubic_{side}"] for side in SIDES}
+        self.quadratic, self.linear = self.sums["drag_quadratic"], self.sums["drag_linear"]
+        self.lift = self.sums["thrust_speed_left"] + self.sums["thrust_speed_right"]
+
+    def thrust(self, command, side: str):
+        """Force of a side at standstill, m/s²."""
+        alpha, beta = (
+            self.sums[f"thrust_{kind}_{side}"] - share * self.cubic[side] for kind, share in CUBIC_FIT.items()
+        )
+        return (alpha + (beta + self.cubic[side] * command) * command) * command
+
+    def drag(self, speed):
+        """Force of the water, positive, m/s²."""
+        return -(self.quadratic * speed + self.linear) * speed
+
+    def steady_speed(self, command):
+        """(2), m/s; where the thrust points astern, minus the speed of as much thrust ahead; infinite without drag."""
+        push = sum(self.thrust(command, side) for side in SIDES)
+        slope = -(self.linear + self.lift * command)
+        root = np.sqrt(slope * slope + 4 * np.abs(self.quadratic * push))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return 2 * push / (slope + root)
+
+
+def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict[str, np.ndarray]:
+    """All quantities of `QUANTITIES`; NaN or infinite where the parameters determine none.
+
+    Args:
+        theta: per unit mass, `(..., m)`.
+        mass: kg, as configured.
+        inverse_mass: g of 1/m = gᵀθ where a known force fixes the mass, `(m,)`; zeros where `mass` is an assumption.
+
+    Returns:
+        `(...)` by name; the mass only where a known force fixes it.
+    """
+    boat = Ahead(theta)
+    known = bool(np.any(inverse_mass))
+    with np.errstate(all="ignore"):
+        inverse = theta @ inverse_mass
+        kilograms = np.where(inverse > 0, 1 / inverse, np.nan) if known else np.asarray(mass)
+        speeds = {f"steady_speed_{name}": boat.steady_speed(command) for name, command in COMMANDS.items()}
+        top = np.abs(speeds["steady_speed_full"])
+        slope = -(boat.quadratic * top + boat.linear + boat.lift / 2)
+        quadratic = np.maximum(-boat.quadratic, 1e-9)  # (5) goes to its limit, ln(10)/-l
+        fast, slow = (quadratic * part - boat.linear for part in (top, COAST * top))
+        forces = boat.sums | {"drag_half_speed": boat.drag(top / 2)}
+        found = {name: kilograms * forces[name] for name in FORCES} | speeds
+        found["time_constant"] = np.where(slope > 0, 1 / slope, np.nan)
+        found["stopping_distance"] = np.log(fast / slow) / quadratic
+        found["thrust_ratio"] = forces["thrust_full_left"] / forces["thrust_full_right"]
+    return found | ({"mass": kilograms} if known else {})
+
+
+def gradients(
+    theta: np.ndarray, mass: float, inverse_mass: np.ndarray, steps: np.ndarray
+) -> tuple[dict[str, float], dict[str, np.ndarray]]:
+    """All quantities at `theta`, `(m,)`, and their gradients by central differences of `steps`, `(m,)`."""
+    shifts = np.diag(steps)
+    every = quantities(np.concatenate([theta[None], theta + shifts, theta - shifts]), mass, inverse_mass)
+    m = len(theta)
+    with np.errstate(invalid="ignore"):
+        return (
+            {name: float(found[0]) for name, found in every.items()},
+            {name: (found[1 : m + 1] - found[m + 1 :]) / (2 * steps) for name, found in every.items()},
+        )

@@ -1,0 +1,301 @@
+"""What a joint filter has identified: every physical quantity with a 90 % interval. Imports no torch.
+
+θ̄ is the mean of n readings and C their covariance (`state`), P the filter's own covariance of the parameters. With the
+gradient ∇g of a quantity g the interval is
+
+    g(θ̄) ± 1.645 √(∇gᵀ (λ²P + C) ∇g),   λ² = 1 + 4/n                                                 (1)
+
+Before the first reading that counts, θ̄ is the filter's present mean, C = 0, and after t s of learned steps
+
+    λ = √5 (1 + 600/(t + 300))                                                                         (2)
+
+λ is from simulated boats (`benchmarks/identify.md`); n → ∞ gives P + C. Positive quantities have their intervals on
+the log scale. An interval always contains the filter's present estimate, so that a boat that has changed is not missed.
+
+A log that lacks something must not give a narrow interval. What it lacks is seen in P. The least share of its prior
+variance that is left in any combination of some parameters is small as soon as the log informs about one combination,
+and about 1 where it informs about none:
+
+    s(A) = least eigenvalue of (A P Aᵀ)(A P₀ Aᵀ)⁻¹                                                     (3)
+
+Where it is large for the drag or for the thrust of both sides together, the interval contains the prior's, too.
+
+The derivation is in `docs/theory.md`, section 21.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.estimators.joint.quantities import EVEN_BESIDE, QUANTITIES, SIDES, gradients
+from usvlearn.estimators.joint.state import DROPPED, NORTH, THETA, names
+
+DEVIATIONS = 1.645  # of a normal distribution: 90 %
+FIRST, FADES = 600.0, 300.0  # s, of (2)
+POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
+WIDEST = math.log(1000)  # exponent of an interval on the log scale
+OWN_ERROR = {"drag_cross": 1.5}  # standard deviation relative to the value: noise in the yaw rate makes it too small
+FEW = 100  # learned steps below which nothing else is said
+UNUSED = 0.8  # of (3): no step told anything
+VAGUE_DRAG, VAGUE_THRUST = 0.3, 0.5  # of (3), beyond which an interval contains the prior's
+ONE_HEADING = 0.05, 0.6  # of (3) for the current: its least and its greatest share, where the boat never turned
+FAR = 1.5  # ratio of the steady speed to vehicle.surge_max, or its inverse
+ASTERN_ONLY = 4.0, 0.1  # ratio of (3) ahead to (3) astern, and least (3) ahead, where the boat went astern only
+
+
+class Quantity(NamedTuple):
+    """A quantity with its 90 % interval; NaN where nothing is known."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+
+
+@dataclass(frozen=True, repr=False)
+class Identified(Mapping[str, Quantity]):
+    """All quantities of a boat, by name (`quantities.QUANTITIES`).
+
+    Attributes:
+        quantities: with their intervals.
+        basis: of the values and intervals, one sentence.
+        scale: what fixes the scale of the forces, one sentence.
+        lacks: what the log lacks, one sentence each.
+        theta: θ̄, per unit mass, `(m,)`.
+        covariance: λ²P + C of (1), with what the log lacks, `(m, m)`.
+    """
+
+    quantities: dict[str, Quantity]
+    basis: str
+    scale: str
+    lacks: tuple[str, ...]
+    theta: np.ndarray
+    covariance: np.ndarray
+
+    def __getitem__(self, name: str) -> Quantity:
+        return self.quantities[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.quantities)
+
+    def __len__(self) -> int:
+        return len(self.quantities)
+
+    def json(self) -> dict[str, dict[str, Any]]:
+        """The quantities as `results.json` has them."""
+        return {name: each._asdict() for name, each in self.items()}
+
+    def __repr__(self) -> str:
+        wide = max(map(len, self.quantities))
+        lines = [
+            f"{name:{wide}}  {shown(each.value):>9}  {shown(each.low):>9} … {shown(each.high):<9}  {each.unit}"
+            for name, each in self.items()
+        ]
+        return "\n".join(
+            [f"{'quantity':{wide}}  {'value':>9}  90 % interval", *lines, self.basis, self.scale, *self.lacks]
+        )
+
+
+def shown(value: float) -> str:
+    """A number with three significant digits; a dash for NaN.
+
+    >>> shown(33.6123), shown(-0.01234), shown(1234.5), shown(math.nan)
+    ('33.6', '-0.0123', '1234', '–')
+    """
+    if not math.isfinite(value):
+        return "–" if math.isnan(value) else f"{value:g}"
+    if abs(value) >= 1e5:
+        return f"{value:.2g}"
+    digits = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
+    return f"{value:.{min(digits, 4)}f}"
+
+
+def reader_of(members: Mapping[str, Mapping[str, Any] | None]) -> str | None:
+    """The name of the member whose readings are used: the first joint filter that reads. None without one.
+
+    Args:
+        members: descriptions by name (`Estimator.spec`).
+    """
+    return next((name for name, member in members.items() if member is not None and reads(member)), None)
+
+
+def reads(description: Mapping[str, Any]) -> bool:
+    """Whether a description is that of a joint filter with readings."""
+    return description.get("kind") == "joint" and math.isfinite(description["numbers"]["read_every"])
+
+
+def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -> Identified:
+    """All quantities of one boat.
+
+    Args:
+        description: of a joint filter, of one lane (`JointEKF.spec`).
+        leaves: of its state, by name, without batch axes.
+
+    >>> from usvlearn import JointEKF
+    >>> joint = JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)
+    >>> found = identify(joint.spec(), {name: leaf.detach().numpy() for name, leaf in joint.init()._asdict().items()})
+    >>> found["steady_speed_full"].unit, found["thrust_full_left"].low < 0 < found["thrust_full_left"].high
+    ('m/s', True)
+    """
+    numbers, vectors = description["numbers"], description["vectors"]
+    state = {name: np.asarray(leaf, dtype=np.float64) for name, leaf in leaves.items()}
+    mass, inverse = float(numbers["mass"]), np.asarray(vectors["inverse_mass"], dtype=np.float64)
+    prior, variance = (np.asarray(vectors[name], dtype=np.float64) for name in ("prior", "variance"))
+    steps, now, P = 1e-4 * np.sqrt(variance), state["mean"][THETA:], _covariance(state["factor"])
+    used = max(float(state["readings"]) - DROPPED, 0.0)
+    every = float(numbers["read_every"])
+    learned = float(state["learned"]) + (float(state["readings"]) * every if math.isfinite(every) else 0.0)
+    if not all(np.isfinite(x).all() for x in (now, P, state["reading"], state["spread"])):
+        return _nothing(now, P, bool(inverse.any()))
+    if used:
+        theta, spread, width = state["reading"], state["spread"], math.sqrt(1 + 4 / used)
+        basis = f"Means of {used:.0f} readings, one each {every / 60:.0f} min of learned steps, with 90 % intervals."
+    else:
+        theta, spread, width = now, np.zeros_like(state["spread"]), math.sqrt(5) * (1 + FIRST / (learned + FADES))
+        basis = (
+            f"Values of the moment, with wider 90 % intervals: the mean of readings needs {(DROPPED + 1) * every / 60:.0f} min "
+            "of learned steps."
+        )
+    found = _found(P, variance, float(numbers["current"]), float(state["updates"]))
+    total = width * width * P[THETA:, THETA:] + spread + np.diag(found.astern)
+    values, slopes = gradients(theta, mass, inverse, steps)
+    present, first = gradients(now, mass, inverse, steps)[0], gradients(prior, mass, inverse, steps)
+    speed = max(abs(values["steady_speed_full"]), 1e-9)
+    common = 2 * found.blind / speed
+    quantities = {}
+    for name, unit in QUANTITIES.items():
+        if name not in values:
+            continue
+        value, slope = values[name], slopes[name]
+        if not (math.isfinite(value) and np.isfinite(slope).all()):
+            quantities[name] = Quantity(math.nan, math.nan, math.nan, unit)
+            continue
+        own = math.hypot(OWN_ERROR.get(name, 0.0), common) * abs(value)
+        low, high = _interval(name, value, math.hypot(_deviation(slope, total), own))
+        ends = [low, high, present[name] if math.isfinite(present[name]) else value]
+        if found.vague:
+            ends += [
+                x for x in _interval(name, first[0][name], _deviation(first[1][name], np.diag(variance))) if x == x
+            ]
+        quantities[name] = Quantity(value, min(ends), max(ends), unit)
+    return Identified(
+        quantities, basis, _scale(inverse, mass), (*found.lacks, *_top(quantities, variance)), theta, total
+    )
+
+
+class _Found(NamedTuple):
+    """What a log lacks."""
+
+    lacks: tuple[str, ...]
+    vague: bool  # whether the drag or the thrust is not informed
+    astern: np.ndarray  # (m,) variance of even terms, to be added where the boat never went ahead
+    blind: float  # m/s, standard deviation of a current that cannot be told from the speed
+
+
+def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) -> _Found:
+    """What a log lacks, from the covariance P, `(n, n)`, and the prior variance of the parameters, `(m,)`."""
+    m = len(variance)
+    even = m == len(names(even=True))
+    share = {
+        name: _least_share(A @ P[THETA:, THETA:] @ A.T, A @ (variance[:, None] * A.T))
+        for name, A in _combinations(even).items()
+    }  # (3)
+    drag, ahead, astern, apart = (share[name] for name in ("drag", "ahead", "astern", "apart"))
+    shares = np.linalg.eigvalsh(P[NORTH:THETA, NORTH:THETA]) / current**2
+    vague, lacks = drag > VAGUE_DRAG or ahead > VAGUE_THRUST, []
+    only_astern = even and ahead > ASTERN_ONLY[0] * astern and ahead > ASTERN_ONLY[1]
+    turned = not (shares[0] > ONE_HEADING[0] and shares[1] > ONE_HEADING[1])
+    never = [side for side in SIDES if share[side] > UNUSED]
+    if updates < FEW:
+        lacks.append(f"Only {updates:.0f} steps were learned: the intervals are little more than the prior.")
+        turned = True
+    elif len(never) == 1:
+        lacks.append(f"The {never[0]} thruster was never used: its thrust is the prior's.")
+    elif vague and not only_astern:
+        lacks.append("Commands and speed hardly changed: neither drag nor thrust can be told; let both vary.")
+    elif apart > UNUSED:
+        lacks.append("Both thrusters always had the same command: the left and the right one cannot be told apart.")
+    if only_astern:
+        lacks.append("The boat went astern only: what it does ahead is a guess; let it go ahead, too.")
+    if not turned:
+        lacks.append("The boat kept one heading: current and surge cannot be told apart; let it turn.")
+    added = np.zeros(m)
+    if only_astern:
+        place = {name: k for k, name in enumerate(names(even))}
+        for odd, beside in EVEN_BESIDE.items():
+            added[place[beside]] = variance[place[odd]]
+    return _Found(tuple(lacks), vague, added, 0.0 if turned else current)
+
+
+@functools.cache
+def _combinations(even: bool) -> dict[str, np.ndarray]:
+    """The combinations of parameters, `(combinations, m)`, of which (3) is computed."""
+    of = dict(zip(names(even), np.eye(len(names(even))), strict=True))
+    odd = {side: [f"thrust_{kind}_{side}" for kind in ("linear", "quadratic", "speed", "cubic")] for side in SIDES}
+    beside = {name: of[other] for name, other in EVEN_BESIDE.items() if even}
+    each = {side: [of[name] for name in odd[side]] + [beside[x] for x in odd[side] if x in beside] for side in SIDES}
+    found = dict(each)
+    found["drag"] = [of["drag_quadratic"], of["drag_linear"], *([of["drag_even"]] if even else [])]
+    found["apart"] = [left - right for left, right in zip(each["left"], each["right"], strict=True)]
+    for name, sign in (("ahead", 1.0), ("astern", -1.0)):  # linear and quadratic thrust of both sides together
+        found[name] = [
+            sum((of[odd[side][k]] + sign * beside.get(odd[side][k], 0.0) for side in SIDES), np.zeros(len(of)))
+            for k in range(2)
+        ]
+    return {name: np.stack(rows) for name, rows in found.items()}
+
+
+def _least_share(left: np.ndarray, prior: np.ndarray) -> float:
+    """The least eigenvalue of `left` relative to `prior`, both covariances."""
+    lower = np.linalg.inv(np.linalg.cholesky(prior))
+    return float(np.linalg.eigvalsh(lower @ left @ lower.T)[0])
+
+
+def _covariance(factor: np.ndarray) -> np.ndarray:
+    """P = U D Uᵀ."""
+    U = np.tril(factor, -1).T + np.eye(len(factor))
+    return (U * np.diag(factor)) @ U.T
+
+
+def _deviation(slope: np.ndarray, covariance: np.ndarray) -> float:
+    return math.sqrt(max(float(slope @ covariance @ slope), 0.0))
+
+
+def _interval(name: str, value: float, deviation: float) -> tuple[float, float]:
+    half = DEVIATIONS * deviation
+    if name in POSITIVE and value > 0:
+        ratio = math.exp(min(half / value, WIDEST))
+        return value / ratio, value * ratio
+    return value - half, value + half
+
+
+def _scale(inverse: np.ndarray, mass: float) -> str:
+    """A sentence that says what fixes the scale of the forces."""
+    if inverse.any():
+        return "The mass and all forces follow from the known forces."
+    return f"Forces are those of a boat of {mass:g} kg, as configured: speeds alone do not tell the mass."
+
+
+def _top(quantities: Mapping[str, Quantity], variance: np.ndarray) -> list[str]:
+    """A sentence if the steady speed at full command is far from the top speed of the prior, .5/√variance."""
+    stated, speed = 0.5 / math.sqrt(variance[0]), quantities["steady_speed_full"]
+    if not (speed.low > FAR * stated or speed.high < stated / FAR):
+        return []
+    return [
+        f"vehicle.surge_max: found {stated:.3g} m/s, and the boat's steady speed at full command is "
+        f"{speed.value:.2f} m/s: correct it, and learn anew."
+    ]
+
+
+def _nothing(theta: np.ndarray, P: np.ndarray, known: bool) -> Identified:
+    """The quantities of a filter whose state is not finite."""
+    every = {name: Quantity(math.nan, math.nan, math.nan, unit) for name, unit in QUANTITIES.items()}
+    if not known:
+        del every["mass"]
+    return Identified(every, "Nothing is identified.", "", ("The filter has diverged.",), theta, P[THETA:, THETA:])

@@ -1,0 +1,43 @@
+"""What an ensemble's reader has identified of each boat."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from usvlearn.checkpoint import as_array
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.joint.reading import Identified, reader_of
+from usvlearn.identified import identified
+from usvlearn.signals import named_leaves
+
+Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
+
+
+def identified_boats(ensemble: Ensemble, state: Any, boats: Sequence[str]) -> dict[str, Identified]:
+    """The quantities of each boat by name; {} if the ensemble has no reader.
+
+    Args:
+        ensemble: with its members.
+        state: leaves `(boats, …)`.
+        boats: their names.
+    """
+    members = ensemble.descriptions
+    name = reader_of(members)
+    if name is None:
+        return {}
+    leaves = {key: as_array(leaf) for key, leaf in named_leaves(state.members[name], f"members.{name}")}
+    return dict(zip(boats, identified(members, leaves), strict=True))
+
+
+def as_results(found: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:
+    """The entries of `results.json`: `identified`, boat -> quantity -> value, low, high, unit, and truth if known; and
+    `lacks`, boat -> what its log lacks. {} without a reader.
+    """
+    if not found:
+        return {}
+    values = {boat: each.json() for boat, each in found.items()}
+    for boat, known in truth.items():
+        for name in known.keys() & values.get(boat, {}).keys():
+            values[boat][name]["truth"] = known[name]
+    return {"identified": values, "lacks": {boat: list(each.lacks) for boat, each in found.items()}}

@@ -1,0 +1,47 @@
+"""`identified`: the physical quantities of a boat, from the reader among an ensemble's members. Imports no torch.
+
+The reader is the first member that is a joint filter with readings (`usvlearn.estimators.joint.reading`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from usvlearn.engine import of_lane
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.reading import Identified, identify, reader_of
+
+Members = Mapping[str, Mapping[str, Any] | None]  # descriptions by name; None of an estimator without one
+
+
+def members_of(description: Mapping[str, Any]) -> Members:
+    """The members of a described ensemble; a single estimator has the name ""."""
+    return description["members"] if description["kind"] == "ensemble" else {"": description}
+
+
+def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Identified]:
+    """What the reader has identified of each boat.
+
+    Args:
+        members: descriptions by name; see `members_of`.
+        leaves: of the state by dotted name, `(boats, …)`.
+
+    Raises:
+        ConfigError: none of the members is a reader.
+    """
+    name = reader_of(members)
+    if name is None:
+        raise ConfigError(
+            "identified: found no joint filter with read_every among the estimators, expected one: add "
+            "+estimator@estimators.reader=joint_reader and learn anew"
+        )
+    prefix, description = f"members.{name}." if name else "", members[name]
+    own = {key.removeprefix(prefix): np.asarray(leaf) for key, leaf in leaves.items() if key.startswith(prefix)}
+    boats = len(own["mean"])
+    return [
+        identify(of_lane(description, boats, lane), {key: leaf[lane] for key, leaf in own.items()})
+        for lane in range(boats)
+    ]
