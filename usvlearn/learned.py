@@ -16,6 +16,7 @@ from usvlearn.signals import Fleet, Sample, masks, named_leaves, tree_map
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
     from usvlearn.estimators.ensemble.state import EnsembleState
+    from usvlearn.estimators.joint.reading import Identified
 
 PathLike = str | os.PathLike[str]
 
@@ -170,6 +171,16 @@ class Learned:
         names, stretches = self.ensemble.names, [(index, 0, arrays) for index, arrays in enumerate(published)]
         scores = fleet_scores(logs.fleet, stretches, names, self.ensemble.surge_limit)
         return Simulated(predictions_of(logs.fleet, names, published), scores)
+
+    def identified(self) -> dict[str, Identified]:
+        """The physical quantities of each boat by name, with 90 % intervals; `print` shows one as a table.
+
+        Raises:
+            ConfigError: the ensemble has no reader (`configs/estimator/joint_reader.yaml`).
+        """
+        from usvlearn.evaluation.identification import identified_boats
+
+        return identified_boats(self.ensemble, self.state, self.boats, required=True)
 
     def save(self, path: PathLike, boat: str | None = None) -> Path:
         """Write a boat's parameter set, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.

@@ -12,6 +12,7 @@
     rejected/BOAT/CHANNEL/CAUSE    counts over the whole log
     state/BOAT/monitors/NUMBER     whiteness_ESTIMATOR (lag 1; white within ± whiteness_band), scale_ESTIMATOR in m/s;
                                    effectiveness_SIDE and evidence_SIDE of a lost thruster, alarm (0 or 1), alarms
+    identified/BOAT/QUANTITY/…     value, and low and high of its 90 % interval (`usvlearn.identified`)
     prediction/BOAT, thrusters/BOAT  figures; the latter of the run in which an alarm was raised
     total/mae/ESTIMATOR            m/s, whole run, mean over boats; compared on the HPARAMS page
     report/FIGURE, report/SECTION  of a report: its figures; its findings and tables, as text

@@ -14,19 +14,22 @@ from usvlearn.signals import named_leaves
 Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
 
 
-def identified_boats(ensemble: Ensemble, state: Any, boats: Sequence[str]) -> dict[str, Identified]:
+def identified_boats(
+    ensemble: Ensemble, state: Any, boats: Sequence[str], required: bool = False
+) -> dict[str, Identified]:
     """The quantities of each boat by name; {} if the ensemble has no reader.
 
     Args:
         ensemble: with its members.
         state: leaves `(boats, …)`.
         boats: their names.
+        required: whether a missing reader raises a ConfigError.
     """
     members = ensemble.descriptions
     name = reader_of(members)
-    if name is None:
+    if name is None and not required:
         return {}
-    leaves = {key: as_array(leaf) for key, leaf in named_leaves(state.members[name], f"members.{name}")}
+    leaves = {key: as_array(leaf) for key, leaf in named_leaves(state.members.get(name, {}), f"members.{name}")}
     return dict(zip(boats, identified(members, leaves), strict=True))
 
 

@@ -15,6 +15,7 @@ from usvlearn.report.section import Section
 from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
+from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import Truth, parameters_section
@@ -45,6 +46,7 @@ def assemble(
     seasons: Sequence[Season],
     truth: Truth,
     advance: Callable[[int], object] = lambda steps: None,
+    known: Mapping[str, Mapping[str, float]] | None = None,
 ) -> tuple[list[Section], dict[str, FreeErrors]]:
     """Simulate, compare and draw.
 
@@ -53,6 +55,7 @@ def assemble(
         seasons: of all boats.
         truth: true parameters of simulated boats (see `usvlearn.simulate.truth`), else empty.
         advance: receives the number of simulated steps, for a progress bar.
+        known: true quantities of simulated boats at the end.
 
     Returns:
         The sections in the paper's order, and the errors of every boat's cross-validation.
@@ -74,7 +77,11 @@ def assemble(
         for season in seasons
         if season.boat in truth
     }
-    sections += [network_section(seasons, ensemble), parameters_section(seasons, ensemble, truth, mission)]
+    sections += [
+        network_section(seasons, ensemble),
+        identified_section(seasons, ensemble, known or {}),
+        parameters_section(seasons, ensemble, truth, mission),
+    ]
     return [section for section in (*sections, cost_section(ensemble)) if section is not None], errors
 
 

@@ -94,10 +94,25 @@ def evaluate(
         ensemble, seasons, truth = read(folders, tools, data)
         with Progress(console=tools.console) as progress:
             bar = progress.add_task("simulating", total=simulations(ensemble, seasons))
-            sections, errors = assemble(ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps))
+            known = known_quantities(results(folders[-1])) if data is None else {}
+            sections, errors = assemble(
+                ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps), known
+            )
         page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
     tools.say(f"report: {page}")
     return page
+
+
+def known_quantities(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """The true quantities of simulated boats that a run's results contain.
+
+    >>> known_quantities({"identified": {"heron": {"mass": {"value": 27.0, "truth": 28.0}, "lag": {"value": 1.0}}}})
+    {'heron': {'mass': 28.0}}
+    """
+    return {
+        boat: {name: each["truth"] for name, each in quantities.items() if each.get("truth") is not None}
+        for boat, quantities in found.get("identified", {}).items()
+    }
 
 
 def start_of(folder: Path, tools: Tools) -> Path:

@@ -15,7 +15,10 @@ from usvlearn.errors import MissingExtraError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.estimators.joint.quantities import QUANTITIES
+from usvlearn.estimators.joint.reading import reader_of
 from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.evaluation.identification import identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE, mean_mae
 from usvlearn.figures import PAPER, prediction_figure
 from usvlearn.rollouts import stack
@@ -28,6 +31,8 @@ from usvlearn.tensorboard import TensorBoardWriter
 WINDOW = 750  # steps over which errors are averaged
 STEPS_PER_POINT = 100  # and boat: one point of all curves costs about as much as 100 compiled steps
 MOST_POINTS = 500  # of a curve; over a season, two or three between two parameter sets
+MOST_IDENTIFIED = 100  # points of a curve of what is identified: one costs a millisecond a boat
+CHARTED = ("thrust_full_left", "thrust_full_right", "steady_speed_full", "time_constant")  # of what is identified
 BATCH = 32  # points that are written together: monitoring many states costs little more than monitoring one
 PATIENCE = 2.0  # s, after which fewer points are written
 STEPS_PER_FIGURE = 2500  # of the run, per figure: a figure costs as much as some hundred steps
@@ -47,7 +52,7 @@ class TensorBoardLogger:
         self.board, self.fleet, self.ensemble = TensorBoardWriter(folder), fleet, ensemble
         self.every = max(STEPS_PER_POINT * len(fleet.boats), -(-fleet.steps // MOST_POINTS))  # steps between points
         self._points: list[tuple[int, np.ndarray, EnsembleState]] = []  # step, MAE (boats, estimators), state
-        self._written = time.monotonic()
+        self._written, self._identified = time.monotonic(), 0  # step of the last point of what is identified
         self._errors: deque[tuple[int, np.ndarray, np.ndarray]] = deque()  # per chunk: steps, Σ |error| and
         # count, (boats, estimators); covers at least the last WINDOW steps
         charts = {
@@ -61,6 +66,9 @@ class TensorBoardLogger:
             charts[boat][f"weights of {ensemble.output}"] = [f"state/{boat}/{ensemble.output}/weight_.*"]
             if ensemble.watched:
                 charts[boat]["thrusters: evidence of a loss, alarm"] = [f"state/{boat}/monitors/(evidence_.*|alarm)"]
+            if reader_of(ensemble.descriptions) is not None:
+                for name in CHARTED:
+                    charts[boat][f"{name}, {QUANTITIES[name]}"] = [f"identified/{boat}/{name}/.*"]
         for name, member in ensemble.members.items():
             if isinstance(member, RNN):
                 for boat in fleet.boats:
@@ -99,7 +107,9 @@ class TensorBoardLogger:
             with torch.no_grad():
                 found = self.ensemble.monitor(stack([state for _, _, state in self._points]))
                 state = torch.stack([x.double() for x in found.values()], -1).tolist()  # points, boats, numbers
-            for k, (step, mae, _) in enumerate(self._points):
+            for k, (step, mae, at) in enumerate(self._points):
+                if step - self._identified >= self.fleet.steps / MOST_IDENTIFIED:
+                    self._show_identified(step, at)
                 for lane, boat in enumerate(self.fleet.boats):
                     if np.isfinite(mae[lane]).any():
                         row = dict(zip(names, mae[lane].tolist(), strict=True))
@@ -110,6 +120,14 @@ class TensorBoardLogger:
                         self.board.scalars(f"state/{boat}", dict(zip(found, state[k][lane], strict=True)), step)
         self._points.clear()
         self._written = time.monotonic()
+
+    def _show_identified(self, step: int, state: EnsembleState) -> None:
+        """Write one point of every quantity, with the ends of its interval."""
+        self._identified = step
+        for boat, found in identified_boats(self.ensemble, state, self.fleet.boats).items():
+            for name, (value, low, high, _) in found.items():
+                if value == value:
+                    self.board.scalars(f"identified/{boat}/{name}", {"value": value, "low": low, "high": high}, step)
 
     def finish(
         self,

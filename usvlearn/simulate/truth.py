@@ -54,9 +54,10 @@ def true_quantities(
     spread: float = 1.0,
     drift: float = 0.2,
     fleet_seed: int | None = None,
+    mission: int = -1,
     **_,
 ) -> dict[str, dict[str, float]]:
-    """What `identified` is compared with: boat -> quantity -> value on the last mission.
+    """What `identified` is compared with: boat -> quantity -> value on one mission.
 
     The names and definitions are those of `usvlearn.estimators.joint.quantities`. Tables of thrust and a knee in the
     drag count as they are, except for the parameters, which are fits.
@@ -65,6 +66,7 @@ def true_quantities(
         mass: declared, kg.
         parameters: of `true_parameters`.
         n, plant, hours, mission_minutes, seed, spread, drift, fleet_seed: as of `usvlearn.simulate.fleet.fleet`.
+        mission: its index; by default the last one: what the boat is at the end.
 
     >>> known = {"n": 1, "plant": "heron", "hours": 1.0, "mission_minutes": 30.0, "seed": 0, "spread": 0.0}
     >>> found = true_quantities(28.0, true_parameters(28.0, **known), **known)["heron"]
@@ -90,9 +92,9 @@ def true_quantities(
     found["stopping_distance"] = torch.trapezoid(
         torch.stack([vessel.mass * share * top * top / -drag(vessel, share * top) for share in shares], -1), shares
     )
-    last = {name: value.expand(missions, n)[-1] for name, value in found.items()}
+    last = {name: value.expand(missions, n)[mission] for name, value in found.items()}
     return {
-        boat: {name: float(value[-1]) for name, value in parameters[boat].items()}
+        boat: {name: float(value[mission]) for name, value in parameters[boat].items()}
         | {name: float(value[k]) for name, value in last.items()}
         for k, boat in enumerate(fleet_names(n, plant))
     }

@@ -108,6 +108,14 @@ class Ahead:
             return 2 * push / (slope + root)
 
 
+def kilograms_of(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> np.ndarray:
+    """The mass, kg, `(...)`: of known forces where there are any, NaN where they have the wrong sign, else `mass`."""
+    if not inverse_mass.any():
+        return np.full(theta.shape[:-1], mass)
+    inverse = theta @ inverse_mass
+    return np.where(inverse > 0, 1 / np.where(inverse > 0, inverse, 1.0), np.nan)
+
+
 def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict[str, np.ndarray]:
     """All quantities of `QUANTITIES`; NaN or infinite where the parameters determine none.
 
@@ -120,10 +128,8 @@ def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict
         `(...)` by name; the mass only where a known force fixes it.
     """
     boat = Ahead(theta)
-    known = bool(np.any(inverse_mass))
     with np.errstate(all="ignore"):
-        inverse = theta @ inverse_mass
-        kilograms = np.where(inverse > 0, 1 / inverse, np.nan) if known else np.asarray(mass)
+        kilograms = kilograms_of(theta, mass, inverse_mass)
         speeds = {f"steady_speed_{name}": boat.steady_speed(command) for name, command in COMMANDS.items()}
         top = np.abs(speeds["steady_speed_full"])
         slope = -(boat.quadratic * top + boat.linear + boat.lift / 2)
@@ -134,7 +140,7 @@ def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict
         found["time_constant"] = np.where(slope > 0, 1 / slope, np.nan)
         found["stopping_distance"] = np.log(fast / slow) / quadratic
         found["thrust_ratio"] = forces["thrust_full_left"] / forces["thrust_full_right"]
-    return found | ({"mass": kilograms} if known else {})
+    return found | ({"mass": kilograms} if inverse_mass.any() else {})
 
 
 def gradients(

@@ -3,14 +3,15 @@
 θ̄ is the mean of n readings and C their covariance (`state`), P the filter's own covariance of the parameters. With the
 gradient ∇g of a quantity g the interval is
 
-    g(θ̄) ± 1.645 √(∇gᵀ (λ²P + C) ∇g),   λ² = 1 + 4/n                                                 (1)
+    g(θ̄) ± 1.645 √(∇gᵀ (λ²P + ν²C) ∇g),   λ² = 1 + 8/n,   ν² = 1 + 2/n                                (1)
 
 Before the first reading that counts, θ̄ is the filter's present mean, C = 0, and after t s of learned steps
 
     λ = √5 (1 + 600/(t + 300))                                                                         (2)
 
-λ is from simulated boats (`benchmarks/identify.md`); n → ∞ gives P + C. Positive quantities have their intervals on
-the log scale. An interval always contains the filter's present estimate, so that a boat that has changed is not missed.
+λ and ν were chosen on simulated boats (`benchmarks/identify.md`); of many readings P + C is left. Positive quantities
+have their intervals on the log scale. An interval always contains the filter's present estimate, so that a boat that
+has changed is not missed.
 
 A log that lacks something must not give a narrow interval. What it lacks is seen in P. The least share of its prior
 variance that is left in any combination of some parameters is small as soon as the log informs about one combination,
@@ -37,6 +38,7 @@ from usvlearn.estimators.joint.quantities import EVEN_BESIDE, QUANTITIES, SIDES,
 from usvlearn.estimators.joint.state import DROPPED, NORTH, THETA, names
 
 DEVIATIONS = 1.645  # of a normal distribution: 90 %
+FEW_P, FEW_C = 8.0, 2.0  # of (1)
 FIRST, FADES = 600.0, 300.0  # s, of (2)
 POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
 WIDEST = math.log(1000)  # exponent of an interval on the log scale
@@ -67,14 +69,18 @@ class Identified(Mapping[str, Quantity]):
         basis: of the values and intervals, one sentence.
         scale: what fixes the scale of the forces, one sentence.
         lacks: what the log lacks, one sentence each.
+        mass: kg, as configured.
+        inverse_mass: g of 1/m = gᵀθ where a known force fixes the mass, `(m,)`; else zeros.
         theta: θ̄, per unit mass, `(m,)`.
-        covariance: λ²P + C of (1), with what the log lacks, `(m, m)`.
+        covariance: λ²P + ν²C of (1), with what the log lacks, `(m, m)`.
     """
 
     quantities: dict[str, Quantity]
     basis: str
     scale: str
     lacks: tuple[str, ...]
+    mass: float
+    inverse_mass: np.ndarray
     theta: np.ndarray
     covariance: np.ndarray
 
@@ -152,18 +158,18 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     every = float(numbers["read_every"])
     learned = float(state["learned"]) + (float(state["readings"]) * every if math.isfinite(every) else 0.0)
     if not all(np.isfinite(x).all() for x in (now, P, state["reading"], state["spread"])):
-        return _nothing(now, P, bool(inverse.any()))
+        return _nothing(mass, inverse, now, P[THETA:, THETA:])
     if used:
-        theta, spread, width = state["reading"], state["spread"], math.sqrt(1 + 4 / used)
+        theta, spread, inflation = state["reading"], (1 + FEW_C / used) * state["spread"], 1 + FEW_P / used
         basis = f"Means of {used:.0f} readings, one each {every / 60:.0f} min of learned steps, with 90 % intervals."
     else:
-        theta, spread, width = now, np.zeros_like(state["spread"]), math.sqrt(5) * (1 + FIRST / (learned + FADES))
+        theta, spread, inflation = now, np.zeros_like(state["spread"]), 5 * (1 + FIRST / (learned + FADES)) ** 2
         basis = (
-            f"Values of the moment, with wider 90 % intervals: the mean of readings needs {(DROPPED + 1) * every / 60:.0f} min "
-            "of learned steps."
+            "Values of the moment, with wider 90 % intervals: a mean of readings needs "
+            f"{(DROPPED + 1) * every / 60:.0f} min of learned steps."
         )
     found = _found(P, variance, float(numbers["current"]), float(state["updates"]))
-    total = width * width * P[THETA:, THETA:] + spread + np.diag(found.astern)
+    total = inflation * P[THETA:, THETA:] + spread + np.diag(found.astern)
     values, slopes = gradients(theta, mass, inverse, steps)
     present, first = gradients(now, mass, inverse, steps)[0], gradients(prior, mass, inverse, steps)
     speed = max(abs(values["steady_speed_full"]), 1e-9)
@@ -185,7 +191,14 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
             ]
         quantities[name] = Quantity(value, min(ends), max(ends), unit)
     return Identified(
-        quantities, basis, _scale(inverse, mass), (*found.lacks, *_top(quantities, variance)), theta, total
+        quantities,
+        basis,
+        _scale(inverse, mass),
+        (*found.lacks, *_top(quantities, variance)),
+        mass,
+        inverse,
+        theta,
+        total,
     )
 
 
@@ -293,9 +306,9 @@ def _top(quantities: Mapping[str, Quantity], variance: np.ndarray) -> list[str]:
     ]
 
 
-def _nothing(theta: np.ndarray, P: np.ndarray, known: bool) -> Identified:
+def _nothing(mass: float, inverse: np.ndarray, *filtered: np.ndarray) -> Identified:
     """The quantities of a filter whose state is not finite."""
     every = {name: Quantity(math.nan, math.nan, math.nan, unit) for name, unit in QUANTITIES.items()}
-    if not known:
+    if not inverse.any():
         del every["mass"]
-    return Identified(every, "Nothing is identified.", "", ("The filter has diverged.",), theta, P[THETA:, THETA:])
+    return Identified(every, "Nothing is identified.", "", ("The filter has diverged.",), mass, inverse, *filtered)
