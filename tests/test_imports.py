@@ -38,8 +38,10 @@ OURS = {
                                     *KERNELS},
     "usvlearn.engine": LIGHT | {"usvlearn.engine", "usvlearn.estimators", *KERNELS},
     "usvlearn.rollouts": LIGHT | {"usvlearn.engine", "usvlearn.estimator"},
-    "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.checkpoint", "usvlearn.engine"},
-    "usvlearn.evaluation": LEARNS | {"usvlearn.evaluation"},
+    "usvlearn.identified": LIGHT | {"usvlearn.engine", "usvlearn.estimators"},
+    "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.checkpoint",
+                                "usvlearn.engine", "usvlearn.identified"},
+    "usvlearn.evaluation": LEARNS | {"usvlearn.evaluation", "usvlearn.identified"},
     "usvlearn.runs": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.lock", "usvlearn.tensorboard",
                                "usvlearn.engine"},
     "usvlearn.tuning": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.tuning", "usvlearn.sweeps",
@@ -63,8 +65,8 @@ CERTIFY = {
 }
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",
-            "usvlearn.engine", "usvlearn.online", "usvlearn.logs", "usvlearn.evaluation", "usvlearn.lock",
-            "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
+            "usvlearn.engine", "usvlearn.online", "usvlearn.identified", "usvlearn.logs", "usvlearn.evaluation",
+            "usvlearn.lock", "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))

@@ -15,6 +15,7 @@ MEMBERS = (
     "memory_rls",
     "ambient_rls",
     "persistence",
+    "reader",
 )
 PIECES = pieces(MEMBERS)
 

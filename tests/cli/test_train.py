@@ -19,7 +19,7 @@ from usvlearn.errors import bad_input
 
 NAMES = {
     "aid", "sift_map", "rnn", "dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls_short",
-    "ambient_rls_long", "persistence", "average", "weighted", "ensemble",
+    "ambient_rls_long", "persistence", "reader", "average", "weighted", "ensemble",
 }  # fmt: skip
 
 
@@ -48,6 +48,19 @@ def test_results(whole):
     assert found["seconds"] > 0
     maes = [rows["ensemble"]["mae"] for rows in found["boats"].values()]
     assert found["objective"] == pytest.approx(np.mean(maes))
+
+
+def test_results_have_what_was_identified(whole):
+    found = results(whole)
+    assert list(found["identified"]) == list(found["lacks"]) == ["heron1", "heron2"]
+    for quantities in found["identified"].values():
+        assert {"thrust_full_left", "drag_linear", "steady_speed_quarter", "time_constant"} <= quantities.keys()
+        for name, row in quantities.items():
+            assert set(row) == {"value", "low", "high", "unit", "truth"} and row["low"] <= row["value"] <= row["high"]
+            assert name != "mass"
+        assert 1 < quantities["steady_speed_full"]["truth"] < 4 and quantities["thrust_full_left"]["unit"] == "N"
+    text = (whole.parent / "output.txt").read_text()
+    assert "Identified: value, and 90 % interval" in text and "28 kg, as configured" in text
 
 
 def test_terminal(whole):
@@ -84,6 +97,8 @@ def test_tensorboard(whole):
         "state/heron2/ensemble/weight_memory_aid",
         "state/heron1/rnn/margin_simple", "state/heron1/rnn/margin_tight", "state/heron1/weighted/weight_aid",
         "rejected/heron1/surge/lost", "total/mae/aid",
+        "identified/heron1/time_constant/value", "identified/heron2/drag_linear/low",
+        "identified/heron1/steady_speed_full/high",
     ):  # fmt: skip
         assert tag in scalars, tag
     assert "prediction/heron1" in events.Tags()["images"]

@@ -23,11 +23,12 @@ from usvlearn.checkpoint import checkpoints, load
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.assembly import assemble
-from usvlearn.report.from_runs import Tools, read
+from usvlearn.report.from_runs import Tools, known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.result_table import ResultTable
+from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.parameters import parameters_section
-from usvlearn.runs.saved import configuration, is_sweep, read_seasons, run_folders
+from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
 from usvlearn.simulate.truth import truth_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -363,3 +364,18 @@ def test_a_report_is_written_twice_without_leftovers(tmp_path):
     assert len(list((tmp_path / "tensorboard").iterdir())) == 1
     assert "Two &lt;i&gt;</p>" in page.read_text() and "python train.py" not in page.read_text()
     assert not list(tmp_path.glob(".*"))
+
+
+def test_identified_boats_are_drawn_with_their_truth_and_their_sentences(saved):
+    ensemble, seasons, _ = read([saved], tools())
+    known = known_quantities(results(saved))
+    section = identified_section(seasons, ensemble, known)
+    (drawn,), (table,) = section.figures, section.sheets
+    assert len(drawn.figure.axes) == 3 and "Crosses: truth" in drawn.caption
+    row = {row[1]: row for row in table.rows}["steady_speed_full"]
+    assert row[2] == "m/s" and row[4] <= row[3] <= row[5] and row[6] == known["heron"]["steady_speed_full"]
+    assert "The intervals hold" in section.here[0] and any("as configured" in each for each in section.here)
+    unknown = identified_section(seasons, ensemble, {})
+    assert all(row[6] is None for row in unknown.sheets[0].rows) and "truth" not in unknown.figures[0].caption
+    alone = Ensemble({name: member for name, member in ensemble.members.items() if name != "reader"})
+    assert identified_section(seasons, alone, known) is None

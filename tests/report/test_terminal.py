@@ -13,8 +13,9 @@ import pytest
 from rich.console import Console
 
 from tests.support import ROOT, over
+from usvlearn.estimators.joint.reading import Identified, Quantity
 from usvlearn.evaluation.metrics import scores
-from usvlearn.report.tables import report, sweep_table, tuning_table
+from usvlearn.report.tables import identified_table, report, sweep_table, tuning_table
 from usvlearn.report.terminal import Blocks, console
 
 WIDTHS = [60, 80, 100, 160]
@@ -141,3 +142,21 @@ def test_a_pipe_has_no_width_and_a_terminal_has_its_own(monkeypatch):
     assert max(len(re.sub(r"\x1b\[[\d;]*m", "", line)) for line in text.splitlines()) <= 60
     monkeypatch.delenv("COLUMNS")
     assert console(quiet=True).quiet and console().width > 10_000
+
+
+@over("width", WIDTHS)
+def test_what_eight_boats_are_fits_the_terminal(width):
+    each = {"drag_linear": Quantity(-12.34, -20.0, -5.0, "kg/s"), "time_constant": Quantity(1.234, 0.5, np.nan, "s")}
+    nothing = np.zeros(0)
+    boats = {
+        f"heron{k}": Identified(each, "Means of 9 readings.", "", ("It drifted.",) * (k == 3), 28.0, *[nothing] * 3)
+        for k in range(1, 9)
+    }
+    lines = printed(identified_table(boats), width)
+    assert all(len(line) <= width for line in lines)
+    text = "\n".join(lines)
+    assert text.count("1.23 (0.500 … –)") == 8 and "drag_linear" not in text
+    assert text.count("Means of 9 readings.") == 1 and "heron3: It drifted." in text
+    one = "\n".join(printed(identified_table({"heron1": boats["heron1"]}, {"heron1": {"time_constant": 1.5}}), width))
+    assert "truth" in one and "1.50" in one
+    assert "".join(printed(identified_table({}), width)) == ""

@@ -19,7 +19,8 @@ and about 1 where it informs about none:
 
     s(A) = least eigenvalue of (A P Aᵀ)(A P₀ Aᵀ)⁻¹                                                     (3)
 
-Where it is large for the drag or for the thrust of both sides together, the interval contains the prior's, too.
+Where it is large for the drag or for the thrust of both sides together, the interval contains the prior's, too. Where
+the steady speed is far from the prior's top speed, the variance is multiplied by their ratio.
 
 The derivation is in `docs/theory.md`, section 21.
 """
@@ -46,7 +47,7 @@ OWN_ERROR = {"drag_cross": 1.5}  # standard deviation relative to the value: noi
 FEW = 100  # learned steps below which nothing else is said
 UNUSED = 0.8  # of (3): no step told anything
 VAGUE_DRAG, VAGUE_THRUST = 0.3, 0.5  # of (3), beyond which an interval contains the prior's
-ONE_HEADING = 0.05, 0.6  # of (3) for the current: its least and its greatest share, where the boat never turned
+ONE_HEADING = 0.9  # share of the current's variance across the heading, after some 10 min without a turn
 FAR = 1.5  # ratio of the steady speed to vehicle.surge_max, or its inverse
 ASTERN_ONLY = 4.0, 0.1  # ratio of (3) ahead to (3) astern, and least (3) ahead, where the boat went astern only
 
@@ -171,6 +172,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     found = _found(P, variance, float(numbers["current"]), float(state["updates"]))
     total = inflation * P[THETA:, THETA:] + spread + np.diag(found.astern)
     values, slopes = gradients(theta, mass, inverse, steps)
+    total *= _astray(values["steady_speed_full"], variance)
     present, first = gradients(now, mass, inverse, steps)[0], gradients(prior, mass, inverse, steps)
     speed = max(abs(values["steady_speed_full"]), 1e-9)
     common = 2 * found.blind / speed
@@ -189,7 +191,8 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
             ends += [
                 x for x in _interval(name, first[0][name], _deviation(first[1][name], np.diag(variance))) if x == x
             ]
-        quantities[name] = Quantity(value, min(ends), max(ends), unit)
+        least, most = (min(ends), max(ends)) if np.isfinite(ends).all() else (math.nan, math.nan)
+        quantities[name] = Quantity(value if least == least else math.nan, least, most, unit)
     return Identified(
         quantities,
         basis,
@@ -223,7 +226,7 @@ def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) 
     shares = np.linalg.eigvalsh(P[NORTH:THETA, NORTH:THETA]) / current**2
     vague, lacks = drag > VAGUE_DRAG or ahead > VAGUE_THRUST, []
     only_astern = even and ahead > ASTERN_ONLY[0] * astern and ahead > ASTERN_ONLY[1]
-    turned = not (shares[0] > ONE_HEADING[0] and shares[1] > ONE_HEADING[1])
+    turned = bool(shares[-1] < ONE_HEADING)
     never = [side for side in SIDES if share[side] > UNUSED]
     if updates < FEW:
         lacks.append(f"Only {updates:.0f} steps were learned: the intervals are little more than the prior.")
@@ -237,7 +240,10 @@ def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) 
     if only_astern:
         lacks.append("The boat went astern only: what it does ahead is a guess; let it go ahead, too.")
     if not turned:
-        lacks.append("The boat kept one heading: current and surge cannot be told apart; let it turn.")
+        lacks.append(
+            "The boat kept one heading, or its opposite, for the last ten minutes or more: current and surge cannot be "
+            "told apart; let it turn."
+        )
     added = np.zeros(m)
     if only_astern:
         place = {name: k for k, name in enumerate(names(even))}
@@ -293,6 +299,15 @@ def _scale(inverse: np.ndarray, mass: float) -> str:
     if inverse.any():
         return "The mass and all forces follow from the known forces."
     return f"Forces are those of a boat of {mass:g} kg, as configured: speeds alone do not tell the mass."
+
+
+def _astray(speed: float, variance: np.ndarray) -> float:
+    """How far the steady speed at full command is from the top speed of the prior, .5/√variance, as a ratio above 1;
+    1 below `FAR`. The deviations of the prior are wrong by powers of it.
+    """
+    stated = 0.5 / math.sqrt(variance[0])
+    ratio = max(stated / max(abs(speed), 1e-3 * stated), abs(speed) / stated) if math.isfinite(speed) else 1.0
+    return ratio if ratio > FAR else 1.0
 
 
 def _top(quantities: Mapping[str, Quantity], variance: np.ndarray) -> list[str]:

@@ -1,0 +1,328 @@
+"""What a joint filter has identified: quantities against closed forms, intervals, and what a log lacks."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import solve_ivp
+
+from usvlearn import AID, Ensemble, Inputs, JointEKF, Online, Persistence, Sample
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.curves import curves
+from usvlearn.estimators.joint.quantities import COAST, FORCES, QUANTITIES, Ahead, gradients, quantities, sums
+from usvlearn.estimators.joint.reading import DEVIATIONS, Identified, identify, reader_of
+from usvlearn.estimators.joint.state import THETA, names
+from usvlearn.evaluation.identification import as_results, identified_boats
+from usvlearn.rollouts import rollout
+from usvlearn.simulate.truth import true_parameters, true_quantities
+
+MASS, TOP, STEP = 28.0, 2.7, 0.4
+READER = {"disturbance": 0.05, "disturbance_time": 3.0, "current": 0.15, "drift_time": 5000.0, "lag": 0.3}
+FREE = np.zeros(19)  # no known force
+THETA_ODD = np.array([-0.1, -0.6, -0.3, 0.2, 0.5, -0.05, 0.25, 0.6, -0.02, 0.3, 0.2, 0.1])  # without even terms
+
+
+def reader(**changed) -> JointEKF:
+    return JointEKF(**({"surge_max": TOP, "mass": MASS, "read_every": 600.0} | READER | changed))
+
+
+def leaves_of(state) -> dict[str, np.ndarray]:
+    return {name: leaf.detach().numpy().copy() for name, leaf in state._asdict().items()}
+
+
+def read(joint: JointEKF, **changed) -> Identified:
+    """What is identified in the filter's first state, with some leaves replaced."""
+    return identify(joint.spec(), leaves_of(joint.init()) | {name: np.asarray(x) for name, x in changed.items()})
+
+
+def log(steps: int, left, right, heading=None, current: float = 0.0, noise: float = 0.02, seed: int = 0) -> Sample:
+    """A boat of THETA_ODD without cubic thrust under some commands, `(steps,)`; measured over ground."""
+    rng = np.random.default_rng(seed)
+    quadratic, linear, _, *sides = THETA_ODD[:9]
+    v, found = 0.0, np.empty(steps)
+    for k in range(steps):
+        for _ in range(8):
+            push = sum(
+                a * x + b * x * abs(x) + c * x * abs(v)
+                for x, (a, b, c) in zip((left[k], right[k]), (sides[:3], sides[3:]), strict=True)
+            )
+            v += STEP / 8 * (quadratic * abs(v) * v + linear * v + push)
+        found[k] = v
+    heading = 2 * np.pi * np.arange(steps) / 150 if heading is None else np.full(steps, heading)
+    surge = found + current * np.cos(heading) + noise * rng.standard_normal(steps)
+    dt, yes = np.full(steps, STEP), np.ones(steps, dtype=bool)
+    dt[0] = 0.0
+    turn = np.gradient(np.unwrap(heading), STEP)
+    columns = (torch.from_numpy(np.asarray(x, dtype=np.float64)) for x in (left, right, heading, turn, dt, surge))
+    *inputs, measured = columns
+    return Sample(Inputs(*inputs), measured, torch.from_numpy(yes), torch.from_numpy(yes.copy()))
+
+
+def varied(steps: int, low: float = 0.0, high: float = 1.0, seed: int = 1) -> np.ndarray:
+    """A command that changes every 4 to 20 s."""
+    rng = np.random.default_rng(seed)
+    return np.repeat(rng.uniform(low, high, steps), rng.integers(10, 50, steps))[:steps]
+
+
+def learned(sample: Sample, **changed) -> Identified:
+    joint = reader(**changed)
+    with torch.no_grad():
+        state, _, _ = rollout(joint, joint.init(), sample)
+    return identify(joint.spec(), leaves_of(state))
+
+
+def acceleration(v: float, left: float, right: float) -> float:
+    quadratic, linear, _, *sides, left_cubic, right_cubic, _ = THETA_ODD
+    push = sum(
+        a * x + b * x * abs(x) + c * x * abs(v) + k * x**3
+        for x, (a, b, c), k in zip((left, right), (sides[:3], sides[3:]), (left_cubic, right_cubic), strict=True)
+    )
+    return quadratic * abs(v) * v + linear * v + push
+
+
+FOUND = {name: float(x) for name, x in quantities(THETA_ODD, MASS, np.zeros(12)).items()}
+
+
+def test_steady_speeds_balance_drag_and_thrust():
+    for name, command in {"full": 1.0, "half": 0.5, "quarter": 0.25}.items():
+        assert acceleration(FOUND[f"steady_speed_{name}"], command, command) == pytest.approx(0, abs=1e-12)
+
+
+def test_time_constant_is_that_of_a_small_departure():
+    v, h = FOUND["steady_speed_full"] / 2, 1e-6
+    slope = (acceleration(v + h, 0.5, 0.5) - acceleration(v - h, 0.5, 0.5)) / (2 * h)
+    assert FOUND["time_constant"] == pytest.approx(-1 / slope, rel=1e-6)
+
+
+def test_stopping_distance_is_that_of_a_boat_that_coasts():
+    top = FOUND["steady_speed_full"]
+
+    def rest(t, y):
+        return y[1] - COAST * top
+
+    rest.terminal = True
+    done = solve_ivp(
+        lambda t, y: [y[1], acceleration(y[1], 0.0, 0.0)], (0, 1000), [0.0, top], events=rest, rtol=1e-10, atol=1e-12
+    )
+    assert FOUND["stopping_distance"] == pytest.approx(done.y[0, -1], rel=1e-7)
+
+
+def test_stopping_distance_of_linear_drag_alone():
+    theta = np.array([0.0, -0.5, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    found = quantities(theta, 1.0, np.zeros(12))
+    assert found["stopping_distance"] == pytest.approx((1 - COAST) * found["steady_speed_full"] / 0.5, rel=1e-6)
+
+
+def test_thrust_of_two_terms_is_the_best_fit_of_three():
+    xi = (np.arange(100_000) + 0.5) / 100_000
+    curve = Ahead(THETA_ODD).thrust(xi, "left")
+    assert curve == pytest.approx(THETA_ODD[3] * xi + THETA_ODD[4] * xi**2 + THETA_ODD[9] * xi**3)
+    alpha, beta = np.linalg.lstsq(np.stack([xi, xi**2], -1), curve, rcond=None)[0]
+    assert FOUND["thrust_linear_left"] == pytest.approx(MASS * alpha, rel=1e-6)
+    assert FOUND["thrust_quadratic_left"] == pytest.approx(MASS * beta, rel=1e-6)
+
+
+def test_even_terms_add_ahead():
+    theta = dict.fromkeys(names(even=True), 0.0) | {"drag_quadratic": -0.3, "drag_even": 0.1, "thrust_linear_left": 1.0}
+    theta |= {"thrust_even_linear_left": 0.2, "thrust_even_quadratic_left": 0.3}
+    boat = Ahead(np.array(list(theta.values())))
+    assert boat.drag(2.0) == pytest.approx(0.8) and boat.thrust(1.0, "left") == pytest.approx(1.5)
+
+
+def test_quantities_agree_with_a_simulated_boat_of_the_same_equations():
+    """The WAM-V's thrust is linear and its drag has two terms, so nothing is fitted."""
+    season = {"n": 1, "plant": "wamv", "hours": 0.5, "mission_minutes": 15.0, "seed": 3}
+    known = true_parameters(180.0, **season)
+    truth = true_quantities(180.0, known, **season)["wamv"]
+    theta = np.array([known["wamv"][name][-1] for name in sums(False) if name in known["wamv"]] + [0.0] * 3) / 180.0
+    found = quantities(theta, 180.0, np.zeros(12))
+    for name, value in truth.items():
+        assert found[name] == pytest.approx(value, rel=2e-4, abs=1e-3), name
+    assert set(truth) == set(QUANTITIES) - {"mass"}
+
+
+def test_gradients_of_sums_are_their_coefficients():
+    _, slopes = gradients(THETA_ODD, MASS, np.zeros(12), np.full(12, 1e-4))
+    for name, row in sums(False).items():
+        assert slopes[name] == pytest.approx(MASS * row, abs=1e-8)
+
+
+def test_many_readings_leave_their_own_covariance_and_the_filters():
+    """(1): for a sum of parameters the half-width is 1.645 m √(wᵀ(P + C)w), as n → ∞."""
+    joint = reader(even=None)
+    rng = np.random.default_rng(0)
+    root = 0.01 * rng.standard_normal((12, 12))
+    leaves = leaves_of(joint.init())
+    mean = np.concatenate([leaves["mean"][:THETA], THETA_ODD])
+    D = np.full(16, 1e-4)
+    changed = {"mean": mean, "reading": THETA_ODD, "spread": root @ root.T, "readings": 1e12, "factor": np.diag(D)}
+    found = read(joint, **changed, updates=1e9)
+    row = sums(False)["thrust_full_left"]
+    half = DEVIATIONS * MASS * math.sqrt(row @ (root @ root.T + 1e-4 * np.eye(12)) @ row)
+    value, low, high, unit = found["thrust_full_left"]
+    assert (value, unit) == (pytest.approx(MASS * 1.0), "N")
+    assert high - value == pytest.approx(half, rel=1e-6) and value - low == pytest.approx(half, rel=1e-6)
+    few = read(joint, **changed | {"readings": 4.0}, updates=1e9)["thrust_full_left"]
+    expected = DEVIATIONS * MASS * math.sqrt(row @ (3 * root @ root.T + 9e-4 * np.eye(12)) @ row)
+    assert few.high - few.value == pytest.approx(expected, rel=1e-6)
+
+
+def test_before_the_first_reading_intervals_are_wider_and_shrink():
+    joint = reader(even=None)
+    mean = np.concatenate([np.zeros(THETA), THETA_ODD])
+    factor = np.diag(np.full(16, 1e-4))
+    first, later = (
+        read(joint, mean=mean, factor=factor, learned=t, updates=1e9)["thrust_full_left"] for t in (0.0, 2000.0)
+    )
+    sd = MASS * math.sqrt(3e-4)
+    assert first.high - first.value == pytest.approx(DEVIATIONS * sd * math.sqrt(5) * 3, rel=1e-6)
+    assert later.high - later.value == pytest.approx(DEVIATIONS * sd * math.sqrt(5) * (1 + 600 / 2300), rel=1e-6)
+
+
+def test_an_interval_contains_the_present_estimate():
+    joint = reader(even=None)
+    now = THETA_ODD.copy()
+    now[3] += 1.0  # a propeller was cleaned
+    found = read(
+        joint,
+        mean=np.concatenate([np.zeros(THETA), now]),
+        reading=THETA_ODD,
+        readings=30.0,
+        factor=np.diag(np.full(16, 1e-6)),
+        updates=1e9,
+    )
+    pull = found["thrust_full_left"]
+    assert pull.high == pytest.approx(MASS * 2.0) and pull.value == pytest.approx(MASS)
+
+
+def test_a_known_force_fixes_the_mass_and_scales_all_forces():
+    mean = np.concatenate([np.zeros(THETA), THETA_ODD])
+    known = read(reader(even=None, known={"thrust_full_left": 50.0}), mean=mean)
+    assert known["mass"].value == pytest.approx(50.0)  # the pull per mass is 1 N/kg
+    assert known["thrust_full_left"].value == pytest.approx(50.0)
+    assert known["thrust_full_left"].high - known["thrust_full_left"].low == pytest.approx(0.0, abs=1e-6)
+    plain = read(reader(even=None), mean=mean)
+    assert "mass" not in plain and "speeds alone do not tell the mass" in plain.scale
+    for name in plain:
+        ratio = 50.0 / MASS if name in FORCES else 1.0
+        assert known[name].value == pytest.approx(ratio * plain[name].value, rel=1e-6), name
+    with pytest.raises(ConfigError, match="known: found 'pull'"):
+        reader(known={"pull": 3.0})
+
+
+@pytest.fixture(scope="module")
+def ordinary() -> Identified:
+    return learned(log(4500, varied(4500), varied(4500, seed=2)))
+
+
+def test_an_ordinary_log_is_identified_with_intervals_that_hold(ordinary):
+    truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
+    assert ordinary.lacks == ()
+    for name in ("drag_half_speed", "steady_speed_full", "steady_speed_half", "time_constant", "stopping_distance"):
+        value, low, high, _ = ordinary[name]
+        assert low <= truth[name] <= high and high - low < value, name
+
+
+LACKING = {
+    "The left thruster was never used": (lambda n: np.zeros(n), varied, {}, {}),
+    "Both thrusters always had the same command": (varied, varied, {}, {}),
+    "The boat kept one heading": (varied, lambda n: varied(n, seed=2), {"heading": 0.7, "current": 0.2}, {}),
+    "The boat went astern only": (lambda n: -varied(n), lambda n: -varied(n, seed=2), {}, {}),
+    "Commands and speed hardly changed": (lambda n: np.zeros(n), lambda n: np.zeros(n), {}, {}),
+    "vehicle.surge_max: found 27 m/s": (varied, lambda n: varied(n, seed=2), {}, {"surge_max": 27.0}),
+}
+
+
+@pytest.mark.parametrize("sentence", LACKING)
+def test_what_a_log_lacks_is_said_and_no_interval_is_false(sentence):
+    left, right, boat, settings = LACKING[sentence]
+    found = learned(log(3000, left(3000), right(3000), **boat), **settings)
+    assert any(said.startswith(sentence) for said in found.lacks), found.lacks
+    truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
+    for name in ("thrust_full_left", "thrust_full_right", "drag_half_speed", "steady_speed_full", "time_constant"):
+        assert found[name].low <= truth[name] <= found[name].high, (name, found[name])
+
+
+def test_a_thruster_that_was_never_used_has_a_wide_interval(ordinary):
+    found = learned(log(3000, np.zeros(3000), varied(3000)))
+    width = {name: each.high - each.low for name, each in found.items()}
+    assert width["thrust_full_left"] > 5 * (ordinary["thrust_full_left"].high - ordinary["thrust_full_left"].low)
+
+
+def test_twenty_samples_say_so_and_are_wider_than_the_prior():
+    found = learned(log(20, varied(20), varied(20, seed=2)))
+    assert found.lacks[0].startswith("Only 19 steps were learned")
+    prior = reader().variance.sqrt().detach()
+    single = found["drag_linear"]
+    assert single.high - single.low > MASS * DEVIATIONS * float(prior[1])
+
+
+def test_a_filter_that_diverged_identifies_nothing_and_writes_null(tmp_path):
+    from usvlearn.runs.layout import save_results
+
+    joint = reader()
+    found = read(joint, mean=np.full(23, np.nan))
+    assert found.lacks == ("The filter has diverged.",) and curves(found) == {}
+    save_results(tmp_path, as_results({"heron": found}, {}))
+    text = (tmp_path / "results.json").read_text()
+    assert "NaN" not in text and json.loads(text)["identified"]["heron"]["time_constant"]["value"] is None
+
+
+def test_no_state_raises_or_gives_an_interval_without_its_value():
+    rng = np.random.default_rng(0)
+    joint = reader()
+    for scale in (0.0, 1e-6, 1.0, 1e3, 1e9):
+        mean = scale * rng.standard_normal(23)
+        factor = np.tril(rng.standard_normal((23, 23)), -1) + np.diag(rng.random(23) * scale + 1e-30)
+        found = read(joint, mean=mean, factor=factor, readings=float(rng.integers(0, 9)), updates=1e3)
+        for value, low, high, _ in found.values():
+            assert math.isnan(value) or low <= value <= high
+        assert repr(found)
+
+
+def test_curves_agree_with_the_quantities(ordinary):
+    found = curves(ordinary)
+    assert found["thrust_left"].value[-1] == pytest.approx(ordinary["thrust_full_left"].value)
+    assert found["steady_speed"].value[-1] == pytest.approx(ordinary["steady_speed_full"].value)
+    middle = len(found["drag"].at) // 2
+    assert found["drag"].value[middle] == pytest.approx(ordinary["drag_half_speed"].value)
+    assert (found["drag"].high >= found["drag"].value).all() and found["drag"].low[0] == found["drag"].high[0] == 0
+
+
+def test_online_identifies_with_and_without_torch_and_says_where_it_cannot(tmp_path):
+    ensemble = Ensemble({"aid": AID(MASS), "reader": reader()})
+    online = Online(ensemble)
+    sample = log(30, varied(30), varied(30, seed=2))
+    for k in range(30):
+        inputs = Inputs(*(float(x[k]) for x in sample.inputs))
+        online.step(Sample(inputs, float(sample.surge[k]), fresh=True, measured=True))
+    path = online.save(tmp_path / "set.safetensors")
+    assert Online.open(path).identified().quantities == online.identified().quantities
+    batch = Online(reader(), batch=(2,)).identified()
+    assert len(batch) == 2 and batch[0].quantities == batch[1].quantities
+    with pytest.raises(ConfigError, match="no joint filter with read_every"):
+        Online(Ensemble({"aid": AID(MASS), "joint": JointEKF(TOP)})).identified()
+    with pytest.raises(ConfigError, match="no joint filter with read_every"):
+        Online(AID(MASS)).identified()
+
+
+def test_an_ensemble_without_kernels_identifies_too():
+    class Slow(Persistence):
+        pass
+
+    ensemble = Ensemble({"slow": Slow(), "reader": reader()})
+    assert ensemble.spec() is None and reader_of(ensemble.descriptions) == "reader"
+    assert "time_constant" in Online(ensemble).identified()
+
+
+def test_each_boat_has_its_own_mass():
+    ensemble = Ensemble({"reader": reader(mass=torch.tensor([14.0, 28.0], dtype=torch.float64))})
+    found = identified_boats(ensemble, ensemble.init((2,)), ["a", "b"])
+    assert found["b"]["thrust_full_left"].value == pytest.approx(2 * found["a"]["thrust_full_left"].value)
+
+
+def test_a_reader_takes_no_part_in_a_rule_that_does_not_name_it():
+    assert Ensemble({"aid": AID(), "reader": reader()}).combiners["average"].names == ("aid",)
+    assert Ensemble({"reader": reader()}).combiners["average"].names == ("reader",)
