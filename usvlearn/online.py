@@ -114,8 +114,15 @@ class Online:
 
         batch = self._live.batch
         leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
-        described = self._description and members_of(self._description)  # an ensemble that runs in torch has none
-        found = identified(described or getattr(self._template.estimator, "descriptions", {}), leaves)
+        if self._description is not None:
+            members = members_of(self._description)
+        else:  # an ensemble that runs in torch; its reader alone is described
+            from usvlearn.estimator import spec_of
+
+            ensemble = self._template.estimator
+            name = getattr(ensemble, "reader", None)
+            members = {} if name is None else {name: spec_of(ensemble.members[name])}
+        found = identified(members, leaves)
         return found if batch else found[0]
 
     def save(self, path: str | Path, **metadata: Any) -> Path:

@@ -12,7 +12,7 @@ from usvlearn import AID, Ensemble, Inputs, JointEKF, Online, Persistence, Sampl
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.quantities import COAST, FORCES, QUANTITIES, Ahead, gradients, quantities, sums
-from usvlearn.estimators.joint.reading import DEVIATIONS, Identified, identify, reader_of
+from usvlearn.estimators.joint.reading import DEVIATIONS, Identified, identify
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.evaluation.identification import as_results, identified_boats
 from usvlearn.rollouts import rollout
@@ -313,7 +313,7 @@ def test_an_ensemble_without_kernels_identifies_too():
         pass
 
     ensemble = Ensemble({"slow": Slow(), "reader": reader()})
-    assert ensemble.spec() is None and reader_of(ensemble.descriptions) == "reader"
+    assert ensemble.spec() is None and ensemble.reader == "reader"
     assert "time_constant" in Online(ensemble).identified()
 
 

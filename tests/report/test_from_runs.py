@@ -370,10 +370,11 @@ def test_identified_boats_are_drawn_with_their_truth_and_their_sentences(saved):
     ensemble, seasons, _ = read([saved], tools())
     known = known_quantities(results(saved))
     section = identified_section(seasons, ensemble, known)
-    (drawn,), (table,) = section.figures, section.sheets
-    assert len(drawn.figure.axes) == 3 and "Crosses: truth" in drawn.caption
-    row = {row[1]: row for row in table.rows}["steady_speed_full"]
-    assert row[2] == "m/s" and row[4] <= row[3] <= row[5] and row[6] == known["heron"]["steady_speed_full"]
+    assert all(len(drawn.figure.axes) == 3 and "Crosses: truth" in drawn.caption for drawn in section.figures)
+    assert len(section.figures) == len(seasons)
+    rows = [row for row in section.sheets[0].rows if row[1] == "steady_speed_full"]
+    for (boat, _, unit, value, low, high, truth), season in zip(rows, seasons, strict=True):
+        assert (boat, unit, truth) == (season.boat, "m/s", known[boat]["steady_speed_full"]) and low <= value <= high
     assert "The intervals hold" in section.here[0] and any("as configured" in each for each in section.here)
     unknown = identified_section(seasons, ensemble, {})
     assert all(row[6] is None for row in unknown.sheets[0].rows) and "truth" not in unknown.figures[0].caption

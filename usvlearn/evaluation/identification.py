@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from usvlearn.checkpoint import as_array
+from usvlearn.estimator import spec_of
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.joint.reading import Identified, reader_of
+from usvlearn.estimators.joint.reading import Identified
 from usvlearn.identified import identified
 from usvlearn.signals import named_leaves
 
@@ -25,10 +26,10 @@ def identified_boats(
         boats: their names.
         required: whether a missing reader raises a ConfigError.
     """
-    members = ensemble.descriptions
-    name = reader_of(members)
+    name = ensemble.reader
     if name is None and not required:
         return {}
+    members = {} if name is None else {name: spec_of(ensemble.members[name])}
     leaves = {key: as_array(leaf) for key, leaf in named_leaves(state.members.get(name, {}), f"members.{name}")}
     return dict(zip(boats, identified(members, leaves), strict=True))
 

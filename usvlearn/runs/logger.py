@@ -16,7 +16,6 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.joint.quantities import QUANTITIES
-from usvlearn.estimators.joint.reading import reader_of
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.evaluation.identification import identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE, mean_mae
@@ -66,7 +65,7 @@ class TensorBoardLogger:
             charts[boat][f"weights of {ensemble.output}"] = [f"state/{boat}/{ensemble.output}/weight_.*"]
             if ensemble.watched:
                 charts[boat]["thrusters: evidence of a loss, alarm"] = [f"state/{boat}/monitors/(evidence_.*|alarm)"]
-            if reader_of(ensemble.descriptions) is not None:
+            if ensemble.reader is not None:
                 for name in CHARTED:
                     charts[boat][f"{name}, {QUANTITIES[name]}"] = [f"identified/{boat}/{name}/.*"]
         for name, member in ensemble.members.items():

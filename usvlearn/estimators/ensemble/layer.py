@@ -36,6 +36,7 @@ class Ensemble(Estimator):
     Attributes:
         columns: names of the members' predictions; a bank has several.
         names: those and the combiners'.
+        reader: the first member that reads parameters, or None.
 
     Raises:
         ConfigError: no members, a name that is used twice, or a combiner of members that do not exist.
@@ -84,8 +85,9 @@ class Ensemble(Estimator):
         if not 0 < coverage < 1:
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
         # A reader only identifies: a rule combines it where it is named.
-        self._weighed = [name for name in members if not math.isfinite(getattr(members[name], "read_every", math.inf))]
-        self._weighed = self._weighed or list(members)
+        readers = [name for name in members if math.isfinite(getattr(members[name], "read_every", math.inf))]
+        self.reader = readers[0] if readers else None
+        self._weighed = [name for name in members if name not in readers] or list(members)
         # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
         self.members = cast("Mapping[str, Estimator | Bank]", nn.ModuleDict(members))
         self.combiners = cast("Mapping[str, Combiner]", nn.ModuleDict(rules))
@@ -160,13 +162,8 @@ class Ensemble(Estimator):
         }
         return state._replace(members=members)
 
-    @property
-    def descriptions(self) -> dict[str, dict[str, Any] | None]:
-        """The description of each member; None of one that has none."""
-        return {name: spec_of(member) for name, member in self.members.items()}
-
     def spec(self) -> dict[str, Any] | None:
-        members = self.descriptions
+        members = {name: spec_of(member) for name, member in self.members.items()}
         rules = {
             name: (own := spec_of(rule)) and {**own, "columns": self._places[name]}
             for name, rule in self.combiners.items()
