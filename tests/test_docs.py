@@ -144,7 +144,7 @@ CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("ensemble", "prior"), *itertools.product(
         ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls"), ("patience", "inflation")),
     ("joint_slow", "disturbance"), ("joint_slow", "drift_time"), *itertools.product(
-        ("joint_reader",), ("disturbance_time", "drift_time", "current", "lag", "read_every")),
+        ("joint_reader",), ("disturbance", "disturbance_time", "drift_time", "current", "lag", "read_every")),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "labels", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle
 

@@ -119,7 +119,7 @@ class Online:
         else:  # an ensemble that runs in torch; its reader alone is described
             from usvlearn.estimator import spec_of
 
-            ensemble = self._template.estimator
+            ensemble: Any = getattr(self._template, "estimator", None)
             name = getattr(ensemble, "reader", None)
             members = {} if name is None else {name: spec_of(ensemble.members[name])}
         found = identified(members, leaves)

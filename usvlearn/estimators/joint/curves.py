@@ -37,12 +37,12 @@ def curves(found: Identified) -> dict[str, Curve]:
             kilograms_of(theta, found.mass, found.inverse_mass)[..., None] * of(Ahead(theta[..., None, :]))
         )
 
+    def pull(side: str) -> Callable[[Ahead], np.ndarray]:
+        return lambda boat: boat.thrust(commands, side)
+
     return {
         "drag": _banded(found, speeds, force(lambda boat: boat.drag(speeds))),
-        **{
-            f"thrust_{side}": _banded(found, commands, force(lambda boat, side=side: boat.thrust(commands, side)))
-            for side in SIDES
-        },
+        **{f"thrust_{side}": _banded(found, commands, force(pull(side))) for side in SIDES},
         "steady_speed": _banded(found, commands, lambda theta: Ahead(theta[..., None, :]).steady_speed(commands)),
     }
 

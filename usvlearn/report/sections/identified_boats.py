@@ -72,9 +72,9 @@ def identified_figure(shown: Mapping[str, Curve], found: Identified, truth: Mapp
         figure = Figure(figsize=(9.5, 2.9), layout="constrained")
         panels = figure.subplots(1, 3)
         for name, (place, colour) in lines.items():
-            at, value, low, high = shown[name]
-            panels[place].plot(at, value, color=colour, linewidth=1.4, label=name.rpartition("_")[2])
-            panels[place].fill_between(at, low, high, color=colour, alpha=0.22, linewidth=0)
+            curve, label = shown[name], name.rpartition("_")[2]
+            panels[place].plot(curve.at, curve.value, color=colour, linewidth=1.4, label=label)
+            panels[place].fill_between(curve.at, curve.low, curve.high, color=colour, alpha=0.22, linewidth=0)
         for place, at, name, colour in points:
             if name in truth:
                 panels[place].plot(at, truth[name], marker="x", color=colour, linestyle="", clip_on=False)
