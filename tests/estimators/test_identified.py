@@ -37,9 +37,12 @@ def read(joint: JointEKF, **changed) -> Identified:
     return identify(joint.spec(), leaves_of(joint.init()) | {name: np.asarray(x) for name, x in changed.items()})
 
 
-def log(steps: int, left, right, heading=None, current: float = 0.0, noise: float = 0.02, seed: int = 0) -> Sample:
-    """A boat of THETA_ODD without cubic thrust under some commands, `(steps,)`; measured over ground."""
-    rng = np.random.default_rng(seed)
+def log(steps: int, left, right, heading=None, current: float = 0.0, noise: float = 0.02, skip: int = 0) -> Sample:
+    """A boat of THETA_ODD without cubic thrust under some commands, `(steps,)`, measured over ground.
+
+    Without the first `skip` samples, in which it speeds up.
+    """
+    rng = np.random.default_rng(0)
     quadratic, linear, _, *sides = THETA_ODD[:9]
     v, found = 0.0, np.empty(steps)
     for k in range(steps):
@@ -53,11 +56,12 @@ def log(steps: int, left, right, heading=None, current: float = 0.0, noise: floa
     heading = 2 * np.pi * np.arange(steps) / 150 if heading is None else np.full(steps, heading)
     surge = found + current * np.cos(heading) + noise * rng.standard_normal(steps)
     dt, yes = np.full(steps, STEP), np.ones(steps, dtype=bool)
-    dt[0] = 0.0
     turn = np.gradient(np.unwrap(heading), STEP)
     columns = (torch.from_numpy(np.asarray(x, dtype=np.float64)) for x in (left, right, heading, turn, dt, surge))
-    *inputs, measured = columns
-    return Sample(Inputs(*inputs), measured, torch.from_numpy(yes), torch.from_numpy(yes.copy()))
+    *inputs, measured = (x[skip:] for x in columns)
+    inputs[-1][0] = 0.0
+    fresh = torch.from_numpy(yes[skip:])
+    return Sample(Inputs(*inputs), measured, fresh, fresh.clone())
 
 
 def varied(steps: int, low: float = 0.0, high: float = 1.0, seed: int = 1) -> np.ndarray:
@@ -230,7 +234,8 @@ LACKING = {
     "Both thrusters always had the same command": (varied, varied, {}, {}),
     "The boat kept one heading": (varied, lambda n: varied(n, seed=2), {"heading": 0.7, "current": 0.2}, {}),
     "The boat went astern only": (lambda n: -varied(n), lambda n: -varied(n, seed=2), {}, {}),
-    "Commands and speed hardly changed": (lambda n: np.zeros(n), lambda n: np.zeros(n), {}, {}),
+    "Commands and speed hardly changed": (lambda n: np.full(n, 0.5), lambda n: np.full(n, 0.5), {"skip": 200}, {}),
+    "Only 0 steps were learned under way": (lambda n: np.zeros(n), lambda n: np.zeros(n), {}, {}),
     "vehicle.surge_max: found 27 m/s": (varied, lambda n: varied(n, seed=2), {}, {"surge_max": 27.0}),
 }
 

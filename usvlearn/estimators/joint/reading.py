@@ -229,7 +229,7 @@ def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) 
     turned = bool(shares[-1] < ONE_HEADING)
     never = [side for side in SIDES if share[side] > UNUSED]
     if updates < FEW:
-        lacks.append(f"Only {updates:.0f} steps were learned: the intervals are little more than the prior.")
+        lacks.append(f"Only {updates:.0f} steps were learned under way: the intervals are little more than the prior.")
         turned = True
     elif len(never) == 1:
         lacks.append(f"The {never[0]} thruster was never used: its thrust is the prior's.")
