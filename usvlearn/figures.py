@@ -16,6 +16,7 @@ KNOWN = {  # Okabe & Ito; then hues between them that are visible on white and o
     "weighted": "#56B4E9", "ensemble": "#D55E00", "persistence": "#999999",
     "dynamic_rls": "#6A5ACD", "steady_rls": "#B0417A", "memory_aid": "#6FA8DC", "memory_rls": "#44AA99",
     "ambient_rls_short": "#999933", "ambient_rls_long": "#4E8F4E",
+    "joint": "#6A5ACD", "joint_quick": "#B0417A", "arx": "#44AA99", "reader": "#999933",
 }  # fmt: skip
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")

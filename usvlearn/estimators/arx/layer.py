@@ -64,7 +64,7 @@ class ARX(Estimator):
         thrust_speed: bool = False,
         project: bool = True,
         scale: Hyper = 0.3,
-        walk: Hyper = 1e-4,
+        walk: Hyper = 3e-4,
         degrees: Hyper | None = 5.0,
         surge_max: float = 10.0,
     ):
