@@ -22,71 +22,65 @@ from usvlearn.runs.replay import replay
 from usvlearn.signals import masks, tree_map, where
 
 E, RULE = "estimators", "combiners.ensemble"
-ROBUST = ("dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls.estimator")
-SIFT = ("sift_map", "dynamic_rls.estimator", "steady_rls.estimator.estimator", "memory_rls.estimator.estimator",
-        "ambient_rls.estimator.estimator.estimator")  # fmt: skip
+JOINT = ("joint", "joint_quick", "reader")
+OTHERS = (
+    "dynamic_rls",
+    "steady_rls",
+    "memory_aid",
+    "memory_rls",
+    "ambient_rls",
+    "acceleration",
+)  # of configs/estimator
+KEYS = ("memory", "loss", "scale", "share", "prior")  # of BOA
 
 
-def exponential(place: str) -> list[str]:
-    """SIFt-RLS there becomes RLS with exponential forgetting of the paper's memory."""
-    at = f"{E}.{place}"
-    return [f"{at}._target_=usvlearn.RLS", f"~{at}.memory", f"~{at}.floor", f"+{at}.forgetting=0.995"]
+def weighing(names: Sequence[str]) -> str:
+    return f"{RULE}.members=[{','.join(names)}]"
 
 
-def pieces(members: Sequence[str]) -> Mapping[str, list[str]]:
+def rule(name: str, *more: str) -> list[str]:
+    """Another rule in place of BOA."""
+    return [f"{RULE}._target_=usvlearn.{name}", *(f"~{RULE}.{key}" for key in KEYS), *more]
+
+
+def pieces() -> Mapping[str, list[str]]:
     """Overrides of the configuration, by what they switch off or add."""
-    priors = configuration(()).combiners.ensemble.prior
-    without = {
-        f"without {name}": [f"~{E}.{name}", *(f"~{RULE}.prior.{p}" for p in priors if f"{p}_".startswith(f"{name}_"))]
-        for name in members
+    default = configuration(())
+    weighed = list(default.combiners.ensemble.members)
+    joint = {
+        "no even terms": "even=null",
+        "no cubic thrust": "cubic=1e-3",
+        "no lag of the commands": "lag=1e-3",
+        "no current": "current=1e-3",
+        "no limit for outliers": "outlier=null",
     }
     return {
-        **without,
-        "and constant acceleration": [f"+estimator@{E}.acceleration=acceleration"],
-        "and AID at gains 0.3 and 3": [
-            f"+estimator@{E}.{name}=aid" for name in ("slow_aid", "fast_aid")
-        ] + [f"{E}.slow_aid.gain=0.3", f"{E}.fast_aid.gain=3"],
-        "and dynamic RLS with memories of 30 and 1000 s": [
-            f"+estimator@{E}.{name}=dynamic_rls" for name in ("middle_rls", "long_rls")
-        ] + [f"{E}.middle_rls.estimator.memory=30", f"{E}.long_rls.estimator.memory=1000"],
-        "exponential forgetting for SIFt": [o for place in SIFT for o in exponential(place)],
-        "no robustness": [f"{E}.{place}.threshold=1e9" for place in ROBUST],
-        "Huber's threshold, 1.345": [f"{E}.{place}.threshold=1.345" for place in ROBUST],
-        "patience of 2, inflation of 20": [
-            f"{E}.{place}.{setting}" for place in ROBUST for setting in ("patience=2", "inflation=20")
+        **{f"without {name}": [weighing([each for each in weighed if each != name])] for name in weighed},
+        **{f"and {name}": [weighing([*weighed, name])] for name in default.estimators if name not in weighed},
+        **{f"and {name}": [f"+estimator@{E}.{name}={name}", weighing([*weighed, name])] for name in OTHERS},
+        "and a slow joint filter": [
+            f"+estimator@{E}.slow=joint", f"{E}.slow.disturbance=0.05", f"{E}.slow.drift_time=3000",
+            weighing([*weighed, "slow"]),
         ],
-        "no inflation at an escape": [f"{E}.{place}.inflation=1.0" for place in ROBUST],
-        "no signs of the drag": [f"{E}.steady_rls.estimator.signs=[0,0,0,0,0,0,0,0,0]"],
-        "AID: no leakage": [f"{E}.aid.sigma=0.0", f"{E}.memory_aid.estimator.estimator.sigma=0.0"],
-        "AID: equal spreads": [f"{E}.{place}.spread=EQUAL" for place in ("aid", "memory_aid.estimator.estimator")],
-        "RNN: random start": [f"{E}.rnn.initial=random"],
-        "RNN: no projection": [f"{E}.rnn.stability=none"],
-        "RNN: no clipping": [f"{E}.rnn.clip=null"],
+        "joint: disturbance of 5": [f"{E}.joint.disturbance=5"],
+        "joint: parameters that change within an hour": [f"{E}.joint.drift_time=3000"],
+        **{f"joint filters: {label}": [f"{E}.{name}.{setting}" for name in JOINT] for label, setting in joint.items()},
+        "ARX: no even features": [f"{E}.arx.estimator.even=false"],
+        "ARX: Gaussian noise": [f"{E}.arx.estimator.degrees=null"],
+        "ARX: no robustness": [f"{E}.arx.threshold=1e9"],
         "BOA that never forgets": [f"{RULE}.memory=null"],
+        "BOA, memory of 30 s": [f"{RULE}.memory=30"],
         "BOA, square loss": [f"{RULE}.loss=square"],
-        "BOA, equal priors": [f"{RULE}.prior=null"],
         "BOA, no shared weight": [f"{RULE}.share=0.0"],
-        "exponential weights": [
-            f"{RULE}._target_=usvlearn.ExponentialWeights", f"+{RULE}.rate=20.0", f"~{RULE}.scale", f"~{RULE}.share",
-        ],
-        "the paper's RLS weights": [
-            f"{RULE}._target_=usvlearn.RecursiveWeights",
-            *(f"~{RULE}.{key}" for key in ("memory", "loss", "scale", "share", "prior")),
-        ],
-        "the mean": [
-            f"{RULE}._target_=usvlearn.Average",
-            *(f"~{RULE}.{key}" for key in ("memory", "loss", "scale", "share", "prior")),
-        ],
+        "exponential weights": rule("ExponentialWeights"),
+        "the paper's RLS weights": rule("RecursiveWeights"),
+        "the mean": rule("Average"),
     }  # fmt: skip
 
 
 def settings(given: tuple[str, ...], overrides: Sequence[str]) -> dict:
-    """The configuration; EQUAL stands for the mass for each parameter."""
-    cfg = OmegaConf.to_container(configuration((*given, *overrides)), resolve=True)
-    text = json.dumps(cfg["estimators"])
-    for names in (9, 12):  # of the dynamics, and with memory
-        text = text.replace('"spread": "EQUAL"', f'"spread": {[cfg["vehicle"]["mass"]] * names}', 1)
-    return {**cfg, "estimators": json.loads(text)}
+    """The configuration."""
+    return OmegaConf.to_container(configuration((*given, *overrides)), resolve=True)
 
 
 @cache
@@ -102,8 +96,8 @@ def columns(given: tuple[str, ...], name: str, settings: str) -> tuple[tuple[str
 def combined(given: tuple[str, ...], overrides: Sequence[str]) -> np.ndarray:
     """The ensemble's predictions, m/s, `(time, boats)`."""
     cfg = settings(given, overrides)
-    found = [columns(given, name, json.dumps(node)) for name, node in cfg["estimators"].items()]
     rule = instantiate(cfg["combiners"]["ensemble"], _convert_="all")
+    found = [columns(given, name, json.dumps(cfg["estimators"][name])) for name in rule.members]
     rule.bind([name for names, _ in found for name in names])
     predictions = torch.from_numpy(np.concatenate([array for _, array in found], -1))
     awake = torch.where(predictions.abs() <= 10.0, predictions, torch.nan)
@@ -130,7 +124,7 @@ def table(logs: Sequence[Log]) -> Iterator[str]:
     yield "|---|" + "---:|" * (len(logs) + 1)
     base = np.array([error(log, ()) for log in logs])
     yield "| **default**, m/s | " + " | ".join(f"{e:.4f}" for e in base) + " | |"
-    for label, overrides in pieces(list(configuration(logs[0].overrides).estimators)).items():
+    for label, overrides in pieces().items():
         ratios = np.array([error(log, overrides) for log in logs]) / base
         yield f"| {label} | " + " | ".join(f"{r:.3f}" for r in ratios) + f" | {ratios.mean():.3f} |"
         print(label, np.round(ratios, 3), flush=True)

@@ -134,15 +134,10 @@ def every_member(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
 
 @torch.no_grad()
 def own_intervals(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
-    """What ±1.645 standard deviations of RLS's own (from P and σ²) cover, beside the conformal intervals."""
-    names = ("dynamic_rls", "steady_rls", "memory_rls")
+    """What ±1.645 of the joint filters' own standard deviations cover, beside the conformal intervals."""
+    names = ("joint", "joint_quick", "reader")
     yield "| boat | " + " | ".join(f"{name}: own | conformal" for name in names) + " |"
     yield "|---|" + "---:|" * (2 * len(names))
-
-    def deviation(state):
-        while not hasattr(state, "deviation"):
-            state = state.inner
-        return state.deviation
 
     for label, log in logs:
         cells, found = [], rows(log)
@@ -150,7 +145,7 @@ def own_intervals(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
             estimator = instantiate(configuration(log.overrides).estimators[name])
             state, inside = estimator.init((len(log.fleet.boats),)), []
             for samples in (tensors(run.samples) for run in log.fleet.runs):
-                state, surge, own = rollout(estimator, state, samples, record=deviation)
+                state, surge, own = rollout(estimator, state, samples, record=lambda s: s.deviation)
                 scored = masks(samples).learns
                 within = (surge - samples.surge).abs() <= 1.645 * own
                 inside.append(within[:, log.lane][scored[:, log.lane]])
@@ -292,7 +287,7 @@ def main() -> None:
         "",
         *every_member([*real, *boats]),
         "",
-        "## Intervals of 90 % from least squares' own covariance",
+        "## Intervals of 90 % from the joint filters' own covariance",
         "",
         *own_intervals([*real, *boats]),
         "",

@@ -39,9 +39,10 @@ WAYS = {"C": "C", "streamed": "streamed", "call": "called from Python", "torch":
 
 
 def estimators() -> dict[str, Estimator]:
-    """One of each kind, as the default configuration has them, and its ensemble."""
+    """One of each kind, as the configuration has them, and the default ensemble."""
     ensemble = accuracy.ensemble(())
-    of = ensemble.members
+    names = ("dynamic_rls", "steady_rls", "memory_rls")
+    of = accuracy.ensemble([f"+estimator@estimators.{name}={name}" for name in names]).members
     mass = float(of["aid"].model.mass)
     ambient = Robust(WithMemory(SIFtRLS(SurgeDynamics(mass, memory=True, ambient=True), memory=4.0)))
     return {
@@ -54,6 +55,7 @@ def estimators() -> dict[str, Estimator]:
         "memory sift, p = 12": of["memory_rls"],
         "ambient sift, p = 15": ambient,
         "arx, p = 27": ARX(),
+        "joint, n = 23": of["joint"],
         "rnn, n = 20": of["rnn"],
         "joint, n = 16": JointEKF(2.74, mass, even=None),
         "joint, n = 23": JointEKF(2.74, mass),

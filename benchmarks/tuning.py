@@ -18,7 +18,7 @@ from omegaconf import OmegaConf
 from usvlearn.tuning import tune as tuning
 
 SEASON = ("data.n=8", "data.hours=0.5", "data.seed=2021", "data.mission_minutes=10")
-MEMBERS = ("aid", "sift_map", "dynamic_rls", "rnn")
+MEMBERS = ("aid", "sift_map", "rnn", "joint", "arx")
 WAYS = {
     "grid": ("grid",),
     "gradient, cut after 100 steps": ("learn", "tuning.window=100"),

@@ -82,7 +82,7 @@ def test_predictions_are_time_series_with_intervals(learned):
         inside += ((low <= run.measured) & (run.measured <= high))[counted].sum()
         steps += counted.sum()
     assert steps > 1000 and 0.85 < inside / steps < 0.95
-    assert all(word in str(learned) for word in ("skill", "heron2", "steady_rls", "Rejected"))
+    assert all(word in str(learned) for word in ("skill", "heron2", "joint", "Rejected"))
     with pytest.raises(ConfigError, match=r"interval: found 'esnemble', expected one of .*did you mean ensemble"):
         learned.predictions[0].interval("esnemble")
 
@@ -93,10 +93,10 @@ def test_a_simulation_is_told_the_speed_where_a_segment_starts_and_no_other(logs
     for one, other in zip(free.predictions, told.predictions, strict=True):
         for name in learned.ensemble.names:
             np.testing.assert_array_equal(one.predicted[name], other.predicted[name])
-        assert not other.halfwidth and np.nanmax(abs(other.predicted["steady_rls"])) < 5
+        assert not other.halfwidth and np.nanmax(abs(other.predicted["joint"])) < 5
     for boat in logs.boats:
-        assert told.scores[boat]["persistence"]["mae"] > 2 * told.scores[boat]["steady_rls"]["mae"]
-    assert "Simulation" in str(told) and "steady_rls" in str(told)
+        assert told.scores[boat]["persistence"]["mae"] > 2 * told.scores[boat]["joint"]["mae"]
+    assert "Simulation" in str(told) and "joint" in str(told)
 
 
 def _without_speeds(run):
@@ -221,5 +221,5 @@ def test_a_real_log(real_logs, tmp_path):
     (scores,) = learned.scores.values()
     assert scores["ensemble"]["skill"] > 0.1 and 0.85 < scores["ensemble"]["coverage"] < 0.95
     (free,) = learned.simulate(logs).scores.values()
-    assert free["steady_rls"]["mae"] < 0.5 * free["persistence"]["mae"]
+    assert free["joint"]["mae"] < 0.5 * free["persistence"]["mae"]
     assert Online.open(learned.save(tmp_path / "blueboat.safetensors")).names == learned.ensemble.names

@@ -140,10 +140,10 @@ def test_every_estimator_and_combiner_file_instantiates():
 CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("dynamic_rls", "memory"), ("memory_rls", "memory"), ("ambient_rls", "memory"), ("ambient_rls", "ambient"),
     ("memory_aid", "memory"), ("steady_rls", "memory"), ("steady_rls", "covariance"), ("steady_rls", "signs"),
-    ("steady_rls", "threshold"),
-    ("ensemble", "prior"), *itertools.product(
+    ("steady_rls", "threshold"), ("ensemble", "memory"), *itertools.product(
         ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls"), ("patience", "inflation")),
-    ("joint_slow", "disturbance"), ("joint_slow", "drift_time"), *itertools.product(
+    *itertools.product(("joint_quick",), ("disturbance", "disturbance_time", "current", "drift_time", "outlier")),
+    *itertools.product(
         ("joint_reader",), ("disturbance", "disturbance_time", "drift_time", "current", "lag", "read_every")),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "labels", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle

@@ -5,7 +5,7 @@
 >>> learned = usvlearn.learn(logs)  # predicts each speed before it learns from it
 >>> first = learned.predictions[0]  # first.time, s; first.measured, m/s; first.predicted["ensemble"], m/s
 >>> free = learned.simulate(usvlearn.read(data="simulated", hours=0.1, seed=1, fleet_seed=0))  # from the inputs alone
->>> learned.scores["heron"]["ensemble"]["skill"] > 0 and free.scores["heron"]["steady_rls"]["mae"] < 0.3
+>>> learned.scores["heron"]["ensemble"]["skill"] > 0 and free.scores["heron"]["joint"]["mae"] < 0.3
 True
 
 `print(logs)` and `print(learned)` show tables; `learned.save("heron.safetensors")` writes what `usvlearn.Online.open`

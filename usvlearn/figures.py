@@ -14,8 +14,6 @@ INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report replaces them
 KNOWN = {  # Okabe & Ito; then hues between them that are visible on white and on black
     "aid": "#0072B2", "rls": "#E69F00", "sift_map": "#E69F00", "rnn": "#009E73", "average": "#CC79A7",
     "weighted": "#56B4E9", "ensemble": "#D55E00", "persistence": "#999999",
-    "dynamic_rls": "#6A5ACD", "steady_rls": "#B0417A", "memory_aid": "#6FA8DC", "memory_rls": "#44AA99",
-    "ambient_rls_short": "#999933", "ambient_rls_long": "#4E8F4E",
     "joint": "#6A5ACD", "joint_quick": "#B0417A", "arx": "#44AA99", "reader": "#999933",
 }  # fmt: skip
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.

@@ -1,28 +1,21 @@
 """The studies in `benchmarks/` compose: every ablation is an ensemble that can be built."""
 
+import numpy as np
 import pytest
-from ablation import pieces, settings
+from ablation import OTHERS, combined, pieces, settings
+from accuracy import replayed
 
 from usvlearn import Ensemble
 
-MEMBERS = (
-    "aid",
-    "sift_map",
-    "rnn",
-    "dynamic_rls",
-    "steady_rls",
-    "memory_aid",
-    "memory_rls",
-    "ambient_rls",
-    "persistence",
-    "reader",
-)
-PIECES = pieces(MEMBERS)
+PIECES = pieces()
+SEASON = ("data.hours=0.05",)
 
 
-def test_every_member_is_switched_off_in_turn():
-    assert set(settings((), ())["estimators"]) == set(MEMBERS)
-    assert {f"without {name}" for name in MEMBERS} < set(PIECES)
+def test_every_member_is_switched_off_or_added_in_turn():
+    default = settings((), ())
+    weighed = default["combiners"]["ensemble"]["members"]
+    assert {f"without {name}" for name in weighed} < set(PIECES)
+    assert {f"and {name}" for name in {*default["estimators"], *OTHERS} - {*weighed}} < set(PIECES)
 
 
 @pytest.mark.parametrize("piece", PIECES)
@@ -35,3 +28,9 @@ def test_ablations_build_another_ensemble(piece):
     rules = {"ensemble": instantiate(cfg["combiners"]["ensemble"], _convert_="all")}
     ensemble = Ensemble(instantiate(cfg["estimators"]), rules)
     assert ensemble.init((2,)).predictions.shape == (2, len(ensemble.names))
+
+
+def test_an_ablation_that_changes_nothing_is_the_ensemble():
+    """Its members are replayed one by one, and weighed afterwards."""
+    names, predictions, _ = replayed(SEASON)
+    np.testing.assert_allclose(combined(SEASON, ()), predictions[..., names.index("ensemble")], rtol=1e-9, atol=1e-12)

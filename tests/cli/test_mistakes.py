@@ -58,7 +58,7 @@ VALUES = {  # after torch: constructors check these
     "no path": ([], ["data.path is not set"]),
     "less than nothing": (["estimators.sift_map.memory=-1"], ["estimators.sift_map.memory: found -1"]),
     "a word": (["estimators.sift_map.memory=abc"], ["estimators.sift_map.memory: found 'abc'"]),
-    "inside wrappers": (["estimators.dynamic_rls.estimator.memory=-1"], ["estimators.dynamic_rls.estimator.memory: "]),
+    "inside wrappers": (["estimators.arx.estimator.walk=-1"], ["estimators.arx.estimator.walk: "]),
     "a choice": (["combiners.ensemble.loss=abs"], ["combiners.ensemble.loss: found 'abs'"]),
     "members": (["combiners.weighted.members=[aidd]"], ["combiners.weighted.members: found aidd"]),
     "argument": (["+estimators.sift_map.memmory=3"], ["sift_map.memmory", "did you mean estimators.sift_map.memory?"]),

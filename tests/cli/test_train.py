@@ -18,8 +18,7 @@ from usvlearn.cli import train
 from usvlearn.errors import bad_input
 
 NAMES = {
-    "aid", "sift_map", "rnn", "dynamic_rls", "steady_rls", "memory_aid", "memory_rls", "ambient_rls_short",
-    "ambient_rls_long", "persistence", "reader", "average", "weighted", "ensemble",
+    "aid", "sift_map", "rnn", "persistence", "joint", "joint_quick", "arx", "reader", "average", "weighted", "ensemble",
 }  # fmt: skip
 
 
@@ -91,10 +90,10 @@ def test_tensorboard(whole):
     events.Reload()
     scalars = set(events.Tags()["scalars"])
     for tag in (
-        "online/mae/heron1/aid", "online/skill/heron2/steady_rls", "state/heron1/aid/drag_quadratic",
-        "state/heron1/steady_rls/excitation_drag_linear", "state/heron2/sift_map/covariance_trace",
-        "state/heron1/memory_rls/clipped", "state/heron1/monitors/evidence_left",
-        "state/heron2/ensemble/weight_memory_aid",
+        "online/mae/heron1/aid", "online/skill/heron2/joint", "state/heron1/aid/drag_quadratic",
+        "state/heron1/reader/thrust_cubic_left", "state/heron2/sift_map/covariance_trace",
+        "state/heron1/sift_map/excitation_thrust_left", "state/heron1/arx/covariance_trace",
+        "state/heron1/monitors/evidence_left", "state/heron2/ensemble/weight_joint_quick",
         "state/heron1/rnn/margin_simple", "state/heron1/rnn/margin_tight", "state/heron1/weighted/weight_aid",
         "rejected/heron1/surge/lost", "total/mae/aid",
         "identified/heron1/time_constant/value", "identified/heron2/drag_linear/low",

@@ -31,6 +31,7 @@ from usvlearn.report.sections.parameters import parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders
 from usvlearn.simulate.truth import truth_of
 
+LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameters have a band
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -38,7 +39,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 def saved(tmp_path_factory) -> Path:
     """A finished run of two simulated boats, two missions each, and its report."""
     folder = tmp_path_factory.mktemp("saved")
-    done = run(*SMALL, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
+    done = run(*SMALL, LEAST_SQUARES, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
     assert done.returncode == 0, done.stderr
     done = run(f"runs={folder}/run", folder=folder, script="evaluate.py")
     assert done.returncode == 0, done.stderr

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from tests.support.seasons import boats
-from usvlearn import AID, RLS, RNN, Ensemble, Robust, SIFtRLS, SurgeDynamics
+from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, SurgeDynamics
 from usvlearn.evaluation.members import physical_members
 from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import box
@@ -69,8 +69,11 @@ def test_sheets_escape_and_keep_digits():
 
 def test_cost_counts_the_papers_parameters():
     members = {"aid": AID(), "rls": RLS(), "rnn": RNN(), "robust": Robust(SIFtRLS(SurgeDynamics()))}
+    members |= {"joint": JointEKF(3.0), "arx": Robust(ARX())}
     result_table = cost_section(Ensemble(members)).sheets[0]
-    assert [(row[0], row[2]) for row in result_table.rows[:4]] == [("aid", 9), ("rls", 9), ("rnn", 140), ("robust", 9)]
+    counts = {"aid": 9, "rls": 9, "rnn": 140, "robust": 9, "joint": 19, "arx": 27}
+    assert {row[0]: row[2] for row in result_table.rows[:6]} == counts
+    assert [row[3:5] for row in result_table.rows[4:6]] == [("O(p)", "O(p²)")] * 2
     assert all(row[5] > 0 and row[6] > 0 for row in result_table.rows)
 
 
@@ -90,6 +93,8 @@ def test_intervals_of_sums_are_those_of_the_covariance():
             "dynamic": Robust(rls),
             "memory": SIFtRLS(SurgeDynamics(memory=True)),
             "cubic": RLS(SurgeDynamics(cubic=True)),
+            "joint": JointEKF(3.0),
+            "arx": ARX(),
         }
     )
     assert physical_members(ensemble) == ["dynamic"]

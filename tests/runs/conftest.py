@@ -9,8 +9,7 @@ from tests.support.recordings import recording
 from usvlearn.logs.recordings import align_fleet
 
 SMALL = [
-    "~estimators.rnn", "~estimators.dynamic_rls", "~estimators.steady_rls", "~estimators.memory_aid",
-    "~estimators.memory_rls", "~estimators.ambient_rls",
+    "~estimators.rnn", "~estimators.joint", "~estimators.joint_quick", "~estimators.arx", "~estimators.reader",
     "~combiners.ensemble", "~combiners.weighted", "output=average", "combiners.average.members=[aid,sift_map]",
     "data.hours=0.05", "data.mission_minutes=1.5", "data.n=1",
 ]  # fmt: skip

@@ -20,11 +20,11 @@ ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
 SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
 
 
-LEFT_OUT = ["rnn", "memory_aid", "memory_rls", "ambient_rls", "steady_rls"]
+LEFT_OUT = ["rnn", "joint_quick", "arx", "reader"]
 
 
 QUICK = ["data.hours=0.05", "save_minutes=0.5", *(f"~estimators.{name}" for name in LEFT_OUT),
-         "~combiners.average", "~combiners.weighted", "~combiners.ensemble.prior"]  # fmt: skip
+         "~combiners.average", "~combiners.weighted", "combiners.ensemble.members=[aid,sift_map,joint]"]  # fmt: skip
 
 
 GOOD = "time,L,R,heading,speed\n" + "".join(f"{0.1 * k},0.5,0.5,90,{0.01 * k}\n" for k in range(100))

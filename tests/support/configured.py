@@ -14,6 +14,12 @@ from usvlearn.tuning import tune as tuning
 TWO_BOATS = ["data.n=2", "data.hours=0.05", "data.mission_minutes=1.5", "data.seed=7", "estimators.rnn.neurons=4"]
 
 
+def added(member: str) -> list[str]:
+    """What adds a member to the default configuration, if it is not there."""
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        return [] if member in compose("train").estimators else [f"+estimator@estimators.{member}={member}"]
+
+
 def configured(*overrides: str) -> dict:
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         return OmegaConf.to_container(compose("train", [*TWO_BOATS, *overrides]), resolve=True)

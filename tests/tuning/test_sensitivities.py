@@ -9,7 +9,7 @@ import torch
 from hydra.utils import instantiate
 
 from tests.support.commands import results
-from tests.support.configured import configured, replayed, request
+from tests.support.configured import added, configured, replayed, request
 from usvlearn import Persistence, Positive
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet
@@ -45,6 +45,8 @@ SETTINGS = {
     "aid": {"gain": 0.7},
     "sift_map": {"memory": 20.0, "covariance": 30.0},
     "rnn": {"rate": 1e-3, "contraction_rate": 0.97},
+    "joint": {"disturbance": 5.0, "drift_time": 3000.0, "current": 0.1},
+    "arx": {"estimator.walk": 1e-3, "estimator.scale": 0.2},
     "dynamic_rls": {"estimator.memory": 3.0, "estimator.covariance": 10.0},
     "steady_rls": {"estimator.estimator.memory": 300.0},
     "memory_aid": {"estimator.estimator.gain": 2.0},
@@ -54,7 +56,7 @@ SETTINGS = {
 
 @pytest.mark.parametrize("member", SETTINGS)
 def test_the_gradient_is_the_difference_of_the_whole_pass(fleet, member):
-    asked, setting = request(f"learn={member}"), SETTINGS[member]
+    asked, setting = request(f"learn={member}", *added(member)), SETTINGS[member]
     parameters = [each for each in asked.parameters if each.path in setting]
     work = []
     found, gradient = sensitivity(Objective(asked.build, fleet, work.append), parameters, setting)

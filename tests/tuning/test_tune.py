@@ -14,7 +14,7 @@ from hydra.utils import instantiate
 
 from tests.support import ROOT, over
 from tests.support.commands import ENVIRONMENT, command, results
-from tests.support.configured import TWO_BOATS, configured, replayed, request
+from tests.support.configured import TWO_BOATS, added, configured, replayed, request
 from usvlearn import RNN, Estimator, Persistence, Positive, UnitInterval, UsvlearnError
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet
@@ -29,7 +29,8 @@ GAIN = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
 
 SETTINGS = {
     "aid": [{"gain": 0.1}, {"gain": 3.0}, {"gain": 30.0}],
-    "dynamic_rls": [{"estimator.memory": 2.0, "scale": 0.1}, {"estimator.memory": 50.0, "scale": 0.4}],
+    "joint": [{"disturbance": 0.1, "current": 0.02}, {"disturbance": 50.0, "current": 0.2}],
+    "arx": [{"estimator.walk": 1e-5, "scale": 0.1}, {"estimator.walk": 1e-3, "scale": 0.4}],
     "rnn": [{"rate": 1e-3, "contraction_rate": 0.95}, {"rate": 1e-4, "contraction_rate": 0.999}],
 }
 
@@ -140,7 +141,7 @@ def epoch(fleet, estimator, window):
     return list(fit.window_losses(estimator, side, starts, len(fleet.boats), window)), mae
 
 
-@pytest.mark.parametrize("member", ["aid", "sift_map", "dynamic_rls", "rnn"])
+@pytest.mark.parametrize("member", ["aid", "sift_map", "arx", "joint", "rnn"])
 def test_lanes_of_runs_add_up_to_the_pass_in_order(fleet, member):
     losses, mae = epoch(fleet, request(f"learn={member}").build({}), 40)
     assert len(losses) > 4
@@ -150,7 +151,8 @@ def test_lanes_of_runs_add_up_to_the_pass_in_order(fleet, member):
 
 @pytest.mark.parametrize("member, paths", [
     ("aid", ["gain"]), ("sift_map", ["memory", "covariance"]),
-    ("dynamic_rls", ["estimator.memory", "estimator.covariance"]), ("rnn", ["rate", "contraction_rate"]),
+    ("arx", ["estimator.walk", "estimator.scale"]), ("joint", ["disturbance", "current"]),
+    ("rnn", ["rate", "contraction_rate"]),
 ])  # fmt: skip
 def test_the_gradient_is_the_finite_difference(fleet, member, paths):
     """Over one run in one window nothing is truncated: the derivative of what is judged."""
@@ -204,14 +206,14 @@ def test_initial_weights_are_learned_and_can_be_read_back(fleet, tmp_path):
 
 def test_every_file(tmp_path):
     """A sweep over two members: its table, each job's files, and the experiment that each gives."""
-    ranges = "tuning.ranges.dynamic_rls={estimator.memory: [1, 30]}"
-    arguments = [*TWO_BOATS, "grid=aid,dynamic_rls", "tuning.evaluations=12", ranges, "hydra.sweep.dir=sweep"]
+    ranges = "tuning.ranges.arx={estimator.walk: [1e-5, 1e-3]}"
+    arguments = [*TWO_BOATS, "grid=aid,arx", "tuning.evaluations=12", ranges, "hydra.sweep.dir=sweep"]
     done = subprocess.run(
         command("-m", *arguments), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
     assert "persistence" in done.stdout and "default" in done.stdout and "tuned" in done.stdout
-    for k, member in enumerate(("aid", "dynamic_rls")):
+    for k, member in enumerate(("aid", "arx")):
         folder = tmp_path / "sweep" / str(k)
         found = json.loads((folder / "tuning.json").read_text())
         assert found["member"] == member and found["way"] == "grid" and found["seconds"] > 0
@@ -234,10 +236,10 @@ def test_every_file(tmp_path):
         (added / f"tuned_{member}.yaml").write_text(text)
     search_path = f"hydra.searchpath=[file://{tmp_path}/configs]"
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
-        cfg = compose("train", [search_path, "experiment=tuned_dynamic_rls"])
-    assert cfg.estimators.dynamic_rls.estimator.memory == found["best"]["setting"]["estimator.memory"]
-    assert cfg.estimators.dynamic_rls.threshold == 4.0  # all else as it was
-    assert isinstance(instantiate(cfg.estimators.dynamic_rls), Estimator)
+        cfg = compose("train", [search_path, "experiment=tuned_arx"])
+    assert cfg.estimators.arx.estimator.walk == found["best"]["setting"]["estimator.walk"]
+    assert cfg.estimators.arx.threshold == 8.0  # all else as it was
+    assert isinstance(instantiate(cfg.estimators.arx), Estimator)
 
 
 def test_learn_draws_its_curves(fleet, tmp_path):
@@ -254,7 +256,7 @@ def test_learn_draws_its_curves(fleet, tmp_path):
 
 
 BAD_INPUT = {
-    "unknown member": (["grid=nobody"], ["grid", "nobody", "dynamic_rls"]),
+    "unknown member": (["grid=nobody"], ["grid", "nobody", "joint_quick"]),
     "a list": (["grid=[aid]"], ["grid", "aid", "expected"]),
     "empty grid": (["grid={}"], ["grid", "no values"]),
     "empty list": (["grid={aid.gain: []}"], ["aid.gain", "no values"]),
@@ -274,7 +276,7 @@ BAD_INPUT = {
     "too many rounds": (["grid=aid", "tuning.evaluations=2", "tuning.rounds=3"], ["tuning.rounds", "3"]),
     "two ways": (["grid=aid", "learn=aid"], ["grid and learn", "one"]),
     "persistence": (["learn=persistence"], ["persistence", "no hyperparameter"]),
-    "a bank": (["search=ambient_rls"], ["ambient_rls", "bank"]),
+    "a bank": (["search=ambient_rls", *added("ambient_rls")], ["ambient_rls", "bank"]),
     "no ranges": (["grid=aid", "~tuning.ranges.aid"], ["tuning.ranges.aid", "gain"]),
     "weights as lanes": (["grid=rnn", "+tuning.ranges.rnn.initial=[-1,1]"], ["initial", "learn=rnn"]),
     "several values": (["grid=aid", "estimators.aid.gain=[[1],[2]]"], ["gain", "2 values"]),

@@ -26,8 +26,7 @@ class Ensemble(Estimator):
 
     Args:
         members: estimators, or banks of them, by name.
-        combiners: rules by name, `{"average": Average()}` by default. A rule without `members` combines all of them but
-            those that only identify (`JointEKF` with `read_every`).
+        combiners: rules by name, `{"average": Average()}` by default.
         output: the combiner whose prediction is the ensemble's own; the last by default.
         coverage: share of the measurements that the intervals are to cover, 0 … 1.
         surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
@@ -84,10 +83,8 @@ class Ensemble(Estimator):
         self.surge_limit = min(self.surge_limit, self.surge_max)
         if not 0 < coverage < 1:
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
-        # A reader only identifies: a rule combines it where it is named.
-        readers = [name for name in members if math.isfinite(getattr(members[name], "read_every", math.inf))]
-        self.reader = readers[0] if readers else None
-        self._weighed = [name for name in members if name not in readers] or list(members)
+        reads = (name for name, member in members.items() if math.isfinite(getattr(member, "read_every", math.inf)))
+        self.reader = next(reads, None)
         # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
         self.members = cast("Mapping[str, Estimator | Bank]", nn.ModuleDict(members))
         self.combiners = cast("Mapping[str, Combiner]", nn.ModuleDict(rules))
@@ -101,7 +98,7 @@ class Ensemble(Estimator):
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
         """The columns that a combiner means; the name of a bank stands for all of its own."""
         known = {column: [column] for column in self.columns} | self._columns
-        chosen = self._weighed if members is None else list(members)
+        chosen = list(self._columns) if members is None else list(members)
         if not chosen or (unknown := sorted(set(chosen) - set(known))):
             raise ConfigError(
                 f"combiners.{combiner}.members: found {', '.join(chosen) or 'none'}, "

@@ -28,7 +28,6 @@ SURGE = {
 CUBIC = {"thrust_cubic_left": 0, "thrust_cubic_right": 0}  # κ_L, κ_R, N: bends a thrust curve either way
 MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
 AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
-CUBIC = {"thrust_cubic_left": "N", "thrust_cubic_right": "N"}  # κ_L, κ_R of the joint filter, with their units
 EVEN = {  # e of the joint filter: what does not change its sign with the speed and the commands
     "drag_even": "kg/m",
     **{f"thrust_even_{kind}_{side}": unit for side in ("left", "right")
@@ -40,7 +39,7 @@ UNITS = {
     **{f"thrust_{kind}_{side}": unit for side in ("left", "right")
        for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m", "cubic": "N"}.items()},
     "memory_surge_dot": "kg", **dict.fromkeys(("memory_left", "memory_right", *AMBIENT), "N"),
-    **CUBIC, **EVEN, LAG: "share of a step", DISTURBANCE: "N", **dict.fromkeys(CURRENT, "m/s"),
+    **EVEN, LAG: "share of a step", DISTURBANCE: "N", **dict.fromkeys(CURRENT, "m/s"),
 }  # fmt: skip
 
 # What a model may have. "exponential" is not a term but the step that is made with the others.

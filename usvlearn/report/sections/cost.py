@@ -12,7 +12,9 @@ import torch
 
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.aid.layer import AID
+from usvlearn.estimators.arx.layer import ARX
 from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.joint.layer import JointEKF
 from usvlearn.estimators.least_squares.rls import RLS
 from usvlearn.estimators.least_squares.sift import SIFtRLS
 from usvlearn.estimators.rnn.layer import RNN
@@ -30,6 +32,7 @@ PAPER_RESULT = (
 )
 ORDERS = {  # to predict, to learn
     AID: ("p", "p"), RNN: ("n (m + 1)", "n (m + 1), rounds of n to project"), RLS: ("p", "p²"), SIFtRLS: ("p", "p²"),
+    JointEKF: ("p", "p²"), ARX: ("p", "p²"),
 }  # fmt: skip
 STEPS, EAGER, PASSES, MANY = 400, 20, 5, 1000
 
@@ -94,8 +97,10 @@ def _many(ensemble: Ensemble, sample: Sample) -> float:
 
 
 def _parameters(state: Any) -> int:
-    """The identified parameters of a method: θ, or the network's weights."""
-    identified = [leaf for name, leaf in named_leaves(state) if name == "theta" or name.startswith("weights.")]
+    """The identified parameters of a method: θ, the network's weights, or what a joint filter reads of its state."""
+    identified = [
+        leaf for name, leaf in named_leaves(state) if name in ("theta", "reading") or name.startswith("weights.")
+    ]
     return sum(leaf.numel() for leaf in identified)
 
 
