@@ -5,21 +5,14 @@ python benchmarks/ablation.py LOGS        a folder with blueboat, vtec, dalian, 
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import torch
-from accuracy import REAL, Log, configuration, fleet_of, measured, publish, recorded, simulated
-from hydra.utils import instantiate
+from accuracy import REAL, Log, configuration, measured, publish, recorded, replayed, simulated
 from omegaconf import OmegaConf
-
-from usvlearn import Ensemble
-from usvlearn.runs.replay import replay
-from usvlearn.signals import masks, tree_map, where
 
 E, RULE = "estimators", "combiners.ensemble"
 JOINT = ("joint", "joint_quick", "reader")
@@ -31,16 +24,10 @@ OTHERS = (
     "ambient_rls",
     "acceleration",
 )  # of configs/estimator
-KEYS = ("memory", "loss", "scale", "share", "prior")  # of BOA
 
 
 def weighing(names: Sequence[str]) -> str:
     return f"{RULE}.members=[{','.join(names)}]"
-
-
-def rule(name: str, *more: str) -> list[str]:
-    """Another rule in place of BOA."""
-    return [f"{RULE}._target_=usvlearn.{name}", *(f"~{RULE}.{key}" for key in KEYS), *more]
 
 
 def pieces() -> Mapping[str, list[str]]:
@@ -65,16 +52,16 @@ def pieces() -> Mapping[str, list[str]]:
         "joint: disturbance of 5": [f"{E}.joint.disturbance=5"],
         "joint: parameters that change within an hour": [f"{E}.joint.drift_time=3000"],
         **{f"joint filters: {label}": [f"{E}.{name}.{setting}" for name in JOINT] for label, setting in joint.items()},
-        "ARX: no even features": [f"{E}.arx.estimator.even=false"],
-        "ARX: Gaussian noise": [f"{E}.arx.estimator.degrees=null"],
-        "ARX: no robustness": [f"{E}.arx.threshold=1e9"],
+        "ARX: no even features": [f"{E}.arx.even=false"],
+        "ARX: Gaussian noise": [f"{E}.arx.degrees=null"],
+        "ARX: weights that change more slowly": [f"{E}.arx.walk=1e-4"],
         "BOA that never forgets": [f"{RULE}.memory=null"],
         "BOA, memory of 30 s": [f"{RULE}.memory=30"],
         "BOA, square loss": [f"{RULE}.loss=square"],
         "BOA, no shared weight": [f"{RULE}.share=0.0"],
-        "exponential weights": rule("ExponentialWeights"),
-        "the paper's RLS weights": rule("RecursiveWeights"),
-        "the mean": rule("Average"),
+        "exponential weights": ["combiner@combiners.ensemble=exponential"],
+        "the paper's RLS weights": ["combiner@combiners.ensemble=weighted", weighing(weighed)],
+        "the mean": ["combiner@combiners.ensemble=average", weighing(weighed)],
     }  # fmt: skip
 
 
@@ -83,38 +70,9 @@ def settings(given: tuple[str, ...], overrides: Sequence[str]) -> dict:
     return OmegaConf.to_container(configuration((*given, *overrides)), resolve=True)
 
 
-@cache
-def columns(given: tuple[str, ...], name: str, settings: str) -> tuple[tuple[str, ...], np.ndarray]:
-    """What one member predicts, m/s, `(time, boats, its columns)`: members do not know of each other."""
-    member = instantiate(json.loads(settings))
-    alone, fleet = Ensemble({name: member}), fleet_of(given)
-    chunks = replay(alone, fleet, alone.init((len(fleet.boats),)))
-    return alone.columns, np.concatenate([c.predictions for c in chunks])[..., : len(alone.columns)]
-
-
-@torch.no_grad()
-def combined(given: tuple[str, ...], overrides: Sequence[str]) -> np.ndarray:
-    """The ensemble's predictions, m/s, `(time, boats)`."""
-    cfg = settings(given, overrides)
-    rule = instantiate(cfg["combiners"]["ensemble"], _convert_="all")
-    found = [columns(given, name, json.dumps(cfg["estimators"][name])) for name in rule.members]
-    rule.bind([name for names, _ in found for name in names])
-    predictions = torch.from_numpy(np.concatenate([array for _, array in found], -1))
-    awake = torch.where(predictions.abs() <= 10.0, predictions, torch.nan)
-    samples = [tree_map(torch.as_tensor, run.samples) for run in fleet_of(given).runs]
-    surge, dt = (torch.cat(x) for x in zip(*((s.surge, s.inputs.dt) for s in samples), strict=True))
-    learns = torch.cat([masks(s).learns for s in samples])
-    state, out = rule.init(surge.shape[1:], surge), []
-    for k in range(len(surge)):
-        out.append(rule.combine(state, awake[k]))
-        if learns[k].any():
-            new = rule.learn(state, awake[k], torch.where(learns[k], surge[k], 0.0), dt[k])
-            state = tree_map(lambda a, b, m=learns[k]: where(m, a, b), new, state)
-    return torch.stack(out).numpy()
-
-
 def error(log: Log, overrides: Sequence[str]) -> float:
-    predicted, surge = combined(log.overrides, tuple(overrides))[:, log.lane], measured(log)
+    names, predictions, _ = replayed(log.overrides, tuple(overrides))
+    predicted, surge = predictions[:, log.lane, names.index("ensemble")], measured(log)
     scored = np.isfinite(surge) & np.isfinite(predicted)
     return float(np.abs(predicted - surge)[scored].mean())
 

@@ -58,7 +58,6 @@ def estimators() -> dict[str, Estimator]:
         "joint, n = 23": of["joint"],
         "rnn, n = 20": of["rnn"],
         "joint, n = 16": JointEKF(2.74, mass, even=None),
-        "joint, n = 23": JointEKF(2.74, mass),
         "default ensemble": ensemble,
     }
 

@@ -1,14 +1,11 @@
 """The studies in `benchmarks/` compose: every ablation is an ensemble that can be built."""
 
-import numpy as np
 import pytest
-from ablation import OTHERS, combined, pieces, settings
-from accuracy import replayed
+from ablation import OTHERS, pieces, settings
 
 from usvlearn import Ensemble
 
 PIECES = pieces()
-SEASON = ("data.hours=0.05",)
 
 
 def test_every_member_is_switched_off_or_added_in_turn():
@@ -28,9 +25,3 @@ def test_ablations_build_another_ensemble(piece):
     rules = {"ensemble": instantiate(cfg["combiners"]["ensemble"], _convert_="all")}
     ensemble = Ensemble(instantiate(cfg["estimators"]), rules)
     assert ensemble.init((2,)).predictions.shape == (2, len(ensemble.names))
-
-
-def test_an_ablation_that_changes_nothing_is_the_ensemble():
-    """Its members are replayed one by one, and weighed afterwards."""
-    names, predictions, _ = replayed(SEASON)
-    np.testing.assert_allclose(combined(SEASON, ()), predictions[..., names.index("ensemble")], rtol=1e-9, atol=1e-12)

@@ -323,8 +323,3 @@ def test_each_boat_has_its_own_mass():
     ensemble = Ensemble({"reader": reader(mass=torch.tensor([14.0, 28.0], dtype=torch.float64))})
     found = identified_boats(ensemble, ensemble.init((2,)), ["a", "b"])
     assert found["b"]["thrust_full_left"].value == pytest.approx(2 * found["a"]["thrust_full_left"].value)
-
-
-def test_a_reader_takes_no_part_in_a_rule_that_does_not_name_it():
-    assert Ensemble({"aid": AID(), "reader": reader()}).combiners["average"].names == ("aid",)
-    assert Ensemble({"reader": reader()}).combiners["average"].names == ("reader",)
