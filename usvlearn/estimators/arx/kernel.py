@@ -1,4 +1,4 @@
-"""The ARX filter: the step of `layer`, equations (1) to (7) of `state`."""
+"""The ARX filter: the step of `layer`, equations (1) to (4) of `state`."""
 
 import numpy as np
 
@@ -8,9 +8,6 @@ from usvlearn.estimators.arx.state import (
     COMMANDS,
     EVEN_SQUARE,
     LONGEST,
-    LOOSEST,
-    NOISE_LEAST,
-    NOISE_SHARE,
     RATES,
     REST_SQUARE,
     REST_TIME,
@@ -21,6 +18,8 @@ from usvlearn.estimators.arx.state import (
     Number,
     Vector,
 )
+from usvlearn.estimators.factored.kernel import add, loosen, measure, project, rotated, variance
+from usvlearn.estimators.least_squares.state import LOOSEST, NOISE_LEAST, NOISE_SHARE
 from usvlearn.family import Node
 from usvlearn.jit import jit
 from usvlearn.rows import DT, LEFT, RIGHT, YAW_RATE
@@ -49,13 +48,12 @@ def predict(node, s, q, x, work):
 @jit
 def coast(node, s, q, x, predicted, work):
     """The state after `ARX.predict`: the deviation of its prediction, and its increment."""
-    p = node[Node.SIZE]
-    phi, g, h = work[p : 2 * p], work[2 * p : 3 * p], steps(x)
+    p, h = node[Node.SIZE], steps(x)
+    phi, g, G = work[p : 2 * p], work[2 * p : 3 * p], work[3 * p : 4 * p]
     for i in range(p):
         phi[i] = h * work[i]
     A = s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
-    rotated(A, phi, g)
-    s[node[AT.deviation]] = np.sqrt(s[node[AT.noise]] * (1.0 + variance(A, g)))
+    s[node[AT.deviation]] = np.sqrt(s[node[AT.noise]] * (1.0 + rotated(A, phi, g, G)))
     remember(node, s, q, h, predicted, work)
 
 
@@ -63,30 +61,30 @@ def coast(node, s, q, x, predicted, work):
 def learn(node, s, q, x, estimate, target, work):
     """The state after `ARX.learn`."""
     p, numbers, prior = node[Node.SIZE], q[node[Node.NUMBERS] :], q[node[Vector.PRIOR] :]
-    phi, g, b, h = work[p : 2 * p], work[2 * p : 3 * p], work[3 * p : 4 * p], steps(x)
+    phi, g, G, gain = work[p : 2 * p], work[2 * p : 3 * p], work[3 * p : 4 * p], work[4 * p : 5 * p]
     theta, A = s[node[AT.theta] : node[AT.theta] + p], s[node[AT.factor] : node[AT.factor] + p * p].reshape(p, p)
+    h, noise, error, tails = steps(x), s[node[AT.noise]], target - estimate, numbers[Number.TAILS]
     for i in range(p):
         phi[i] = h * work[i]
-    rotated(A, phi, g)
-    S, noise, error, tails = 1.0 + variance(A, g), s[node[AT.noise]], target - estimate, numbers[Number.TAILS]
+    S = 1.0 + rotated(A, phi, g, G)
     s[node[AT.deviation]] = np.sqrt(noise * S)
     s[node[AT.rest]] = s[node[AT.rest]] + x[DT] if resting(x, work) else 0.0
     if s[node[AT.rest]] <= REST_TIME:
         seen = error * error / S
         weight = (1.0 + tails) / (1.0 + tails * seen / noise)
-        gain = error / measurement(A, g, 1.0 / weight, b)
+        share = error / measure(A, g, G, 1.0 / weight, gain)
         for i in range(p):
-            theta[i] += gain * b[i]
+            theta[i] += share * gain[i]
         if node[Choice.PROJECT] > 0:
             even, share = SQUARE, 0.0
             if node[Choice.EVEN] > 0:
                 even, share = RATES + node[Choice.LAGS] + GROUP * (node[Choice.LAGS] + 1) + EVEN_SQUARE, 1.0
-            slow(theta, A, SPEED, SPEED, 0.0, b)
-            slow(theta, A, SQUARE, even, share, b)
-            slow(theta, A, SQUARE, even, -share, b)
+            project(theta, A, SPEED, SPEED, 0.0, gain)
+            project(theta, A, SQUARE, even, share, gain)
+            project(theta, A, SQUARE, even, -share, gain)
         turn = s[node[AT.turn]]
         k = int(turn) if 0 <= turn < p else 0  # a member that diverged may hold any number
-        add(A, k, walked(A, k, prior[k], h * numbers[Number.WALK]), b)
+        add(A, k, walked(A, k, prior[k], h * numbers[Number.WALK]), gain)
         learned = noise + NOISE_SHARE * (weight * seen - noise)
         s[node[AT.turn]] = k + 1 if k + 1 < p else 0
         s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
@@ -101,11 +99,8 @@ def inflate_covariance(node, s, q, factor):
     first, trace = 0.0, 0.0
     for j in range(p):
         first += prior[j]
-        trace += A[j, j] * (1.0 + (dot(A[j, :j], A[j, :j]) if j > 0 else 0.0))
-    limit = LOOSEST * first / trace
-    limit = 1.0 if limit < 1.0 else limit
-    for j in range(p):
-        A[j, j] *= limit if factor > limit else factor
+        trace += variance(A, j)
+    loosen(A, factor, LOOSEST * first / trace)
 
 
 @jit
@@ -158,86 +153,8 @@ def remember(node, s, q, h, surge, work):
     s[node[AT.started]] = 0.0
 
 
-@jit(reorder=True)
-def rotated(A, phi, g):
-    """g = Uᵀφ."""
-    for j in range(len(phi)):
-        total = phi[j]
-        for i in range(j):
-            total += A[j, i] * phi[i]
-        g[j] = total
-
-
-@jit
-def variance(A, g):
-    """φᵀPφ = gᵀDg."""
-    total = 0.0
-    for j in range(len(g)):
-        total += A[j, j] * (g[j] * g[j])
-    return total
-
-
-@jit
-def measurement(A, g, alpha, b):
-    """P after a measurement, (5), with α_0 = `alpha`; b = Pφ of the P before; returns α_p."""
-    for j in range(len(g)):
-        d = A[j, j]
-        G, share = d * g[j], -g[j] / alpha
-        after = alpha + g[j] * G
-        for i in range(j):
-            u = A[j, i]
-            A[j, i] = u + b[i] * share
-            b[i] += u * G
-        b[j] = G
-        A[j, j] = d * (alpha / after)
-        alpha = after
-    return alpha
-
-
-@jit
-def slow(theta, A, i, j, share, b):
-    """(7) of θ_i + share θ_j, i <= j."""
-    value = theta[i] + share * theta[j]
-    if not value > 0:
-        return
-    p, size = len(theta), 0.0
-    fill(b, 0.0)
-    for m in range(i, p):
-        g = 1.0 if m == i else A[m, i]
-        if m >= j:
-            g += share * (1.0 if m == j else A[m, j])
-        G = A[m, m] * g
-        size += G * g
-        for k in range(m):
-            b[k] += A[m, k] * G
-        b[m] += G
-    for k in range(p):
-        theta[k] -= b[k] * (value / size)
-
-
 @jit
 def walked(A, k, prior, share):
     """By how much P_kk grows, (4)."""
-    p, own = len(A), A[k, k]
-    for j in range(k + 1, p):
-        own += A[j, j] * (A[j, k] * A[j, k])
-    room = prior - own
-    return min(p * share * prior, room) if room > 0 else 0.0
-
-
-@jit
-def add(A, k, q, a):
-    """P_kk grows by q, (6)."""
-    fill(a[:k], 0.0)
-    a[k] = 1.0
-    c = q
-    for j in range(k, -1, -1):
-        d = A[j, j]
-        n = d + c * (a[j] * a[j])
-        kept, share, own = d / n, c * a[j] / n, a[j]
-        for i in range(j):
-            u = A[j, i]
-            A[j, i] = u * kept + share * a[i]
-            a[i] -= own * u
-        c *= kept
-        A[j, j] = n
+    room = prior - variance(A, k)
+    return min(len(A) * share * prior, room) if room > 0 else 0.0

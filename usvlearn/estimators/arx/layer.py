@@ -1,4 +1,4 @@
-"""The ARX filter in torch: equations (1) to (7) of `state`."""
+"""The ARX filter in torch: equations (1) to (4) of `state`."""
 
 from __future__ import annotations
 
@@ -15,11 +15,7 @@ from usvlearn.estimators.arx.state import (
     COMMANDS,
     FAMILY,
     LONGEST,
-    LOOSEST,
     MOST_LAGS,
-    NOISE,
-    NOISE_LEAST,
-    NOISE_SHARE,
     RATES,
     REST_SQUARE,
     REST_TIME,
@@ -27,6 +23,17 @@ from usvlearn.estimators.arx.state import (
     ARXState,
     deviations,
 )
+from usvlearn.estimators.factored.layer import (
+    added,
+    loosened,
+    measured,
+    packed,
+    projected,
+    rotated,
+    unpacked,
+    variances,
+)
+from usvlearn.estimators.least_squares.state import LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE
 from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.signals import Inputs, tree_map, where
 
@@ -54,7 +61,7 @@ class ARX(Estimator):
     """
 
     ratios: Tensor  # (p,) prior deviations over `scale`
-    drags: Tensor  # (3, p) a of (7)
+    drags: Tensor  # (3, p) each d of the drag
 
     def __init__(
         self,
@@ -97,7 +104,7 @@ class ARX(Estimator):
     def predict(self, state: ARXState, inputs: Inputs) -> tuple[ARXState, Tensor]:
         h, features, estimate = self._estimate(state, inputs)
         predicted = self._limit(estimate)
-        _, _, spread = rotated(state.factor, h[..., None] * features)
+        _, _, _, spread = self._spread(state, h[..., None] * features)
         state = state._replace(deviation=(state.noise * spread).sqrt())
         return self._remember(state, features, predicted, h), predicted
 
@@ -107,16 +114,19 @@ class ARX(Estimator):
     def learn(self, state: ARXState, inputs: Inputs, surge: Tensor) -> tuple[ARXState, Tensor]:
         h, features, estimate = self._estimate(state, inputs)
         error, tails = surge - estimate, self._tails()
-        g, G, spread = rotated(state.factor, h[..., None] * features)
+        U, D, g, spread = self._spread(state, h[..., None] * features)
         state = state._replace(deviation=(state.noise * spread).sqrt())
         seen = error * error / spread
         weight = (1 + tails) / (1 + tails * seen / state.noise)  # (2)
-        gain, factor = measured(state.factor, g, G, 1 / weight)
+        U, D, gain, S = measured(U, D, g, 1 / weight)
         noise = (state.noise + NOISE_SHARE * (weight * seen - state.noise)).clamp(min=NOISE_LEAST**2)  # (3)
-        theta = state.theta + gain * error[..., None]
+        theta = state.theta + gain * (error / S)[..., None]
+        if self.project:
+            for d in self.drags.unbind(0):
+                theta = projected(theta, U, D, d)
         learned = state._replace(
-            theta=self._projected(theta, factor) if self.project else theta,
-            factor=self._walked(factor, state.turn, h),
+            theta=theta,
+            factor=packed(*self._walked(U, D, state.turn, h)),
             noise=noise,
             turn=torch.where(state.turn + 1 < len(self.names), state.turn + 1, 0.0),
         )
@@ -131,18 +141,16 @@ class ARX(Estimator):
 
     def inflate_covariance(self, state: ARXState, factor: Tensor) -> ARXState:
         """P times `factor`, up to `LOOSEST` times P₀, in trace."""
-        U, D = parts(state.factor)
-        trace = ((U * U).sum(-1) * D).sum(-1)
-        factor = torch.minimum(factor, (LOOSEST * self.prior.sum(-1) / trace).clamp(min=1))
-        return state._replace(factor=joined(U, D * factor[..., None]))
+        trace = variances(*unpacked(state.factor)).sum(-1)
+        return state._replace(factor=loosened(state.factor, factor, LOOSEST * self.prior.sum(-1) / trace))
 
     def spec(self) -> dict[str, Any]:
         return describe(FAMILY, self, size=len(self.names), tails=self._tails())
 
     def monitor(self, state: ARXState) -> dict[str, Tensor]:
-        U, D = parts(state.factor)
+        trace = variances(*unpacked(state.factor)).sum(-1)
         weights = dict(zip(self.names, state.theta.unbind(-1), strict=True))
-        return {**weights, "covariance_trace": ((U * U).sum(-1) * D).sum(-1), "deviation": state.deviation}
+        return {**weights, "covariance_trace": trace, "deviation": state.deviation}
 
     @property
     def prior(self) -> Tensor:
@@ -161,6 +169,12 @@ class ARX(Estimator):
         h = (inputs.dt / STEP).clamp(max=LONGEST)
         features = self._features(state, inputs)
         return h, features, state.surge + h * (features * state.theta).sum(-1)
+
+    def _spread(self, state: ARXState, phi: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """U, D, g = Uᵀφ and S of (2)."""
+        U, D = unpacked(state.factor)
+        g = rotated(U, phi)
+        return U, D, g, 1 + (D * g * g).sum(-1)
 
     def _features(self, state: ARXState, inputs: Inputs) -> Tensor:
         """f of (1), `(*batch, p)`."""
@@ -182,21 +196,12 @@ class ARX(Estimator):
         groups = [torch.stack(found, -1), past[..., RATES:begin], now, before]
         return torch.cat([*groups, torch.stack(rest, -1)] if rest else groups, -1)
 
-    def _projected(self, theta: Tensor, factor: Tensor) -> Tensor:
-        """θ after (7)."""
-        for a in self.drags.unbind(0):
-            g, G, _ = rotated(factor, a)
-            value = (a * theta).sum(-1).clamp(min=0) / (g * G).sum(-1)
-            theta = theta - (parts(factor)[0] * G[..., None]).sum(-2) * value[..., None]
-        return theta
-
-    def _walked(self, factor: Tensor, turn: Tensor, h: Tensor) -> Tensor:
-        """The factor after the walk (4) of the weight whose turn it is."""
-        here = (torch.arange(len(self.names), device=turn.device) == turn[..., None]).to(factor.dtype)
-        U, D = parts(factor)
-        prior, own = (here * self.prior).sum(-1), ((U * here[..., None, :]).sum(-1).square() * D).sum(-1)
+    def _walked(self, U: Tensor, D: Tensor, turn: Tensor, h: Tensor) -> tuple[Tensor, Tensor]:
+        """U and D after the walk (4) of the weight whose turn it is."""
+        here = (torch.arange(len(self.names), device=turn.device) == turn[..., None]).to(D.dtype)
+        prior, own = (here * self.prior).sum(-1), (here * variances(U, D)).sum(-1)
         share = len(self.names) * (h * self.walk())
-        return added(factor, here, torch.minimum(share * prior, (prior - own).clamp(min=0)))
+        return added(U, D, here, torch.minimum(share * prior, (prior - own).clamp(min=0)))
 
     def _remember(self, state: ARXState, features: Tensor, surge: Tensor, h: Tensor) -> ARXState:
         """The state that keeps f and the increment to the speed from which the next step departs."""
@@ -205,47 +210,3 @@ class ARX(Estimator):
             rate = self._limit((surge - state.surge) / torch.where(h > 0, h, 1.0))[..., None]
             past = torch.cat([past[..., :RATES], rate, past[..., RATES : end - 1], past[..., end:]], -1)
         return state._replace(past=past, surge=surge, started=torch.zeros_like(state.started))
-
-
-def parts(factor: Tensor) -> tuple[Tensor, Tensor]:
-    """Uᵀ, `(*batch, p, p)`, and D, `(*batch, p)`, of P = U D Uᵀ."""
-    eye = torch.eye(factor.shape[-1], dtype=factor.dtype, device=factor.device)
-    return factor.tril(-1) + eye, factor.diagonal(dim1=-2, dim2=-1)
-
-
-def joined(U: Tensor, D: Tensor) -> Tensor:
-    """The inverse of `parts`; entries of U above its diagonal are ignored."""
-    return U.tril(-1) + torch.diag_embed(D)
-
-
-def rotated(factor: Tensor, phi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """g = Uᵀφ and G = Dg, `(*batch, p)`, and S = 1 + φᵀPφ, `(*batch,)`.
-
-    >>> rotated(torch.tensor([[2.0, 0.0], [0.5, 1.0]]), torch.tensor([1.0, 1.0]))
-    (tensor([1.0000, 1.5000]), tensor([2.0000, 1.5000]), tensor(5.2500))
-    """
-    U, D = parts(factor)
-    g = (U * phi[..., None, :]).sum(-1)
-    return g, D * g, 1 + (D * g * g).sum(-1)
-
-
-def measured(factor: Tensor, g: Tensor, G: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
-    """The gain, `(*batch, p)`, and the factor after a measurement whose noise has this variance: equation (5)."""
-    U, D = parts(factor)
-    after = noise[..., None] + (g * G).cumsum(-1)
-    before = torch.cat([noise[..., None], after[..., :-1]], -1)
-    sums = (U * G[..., None]).cumsum(-2)
-    earlier = sums - U * G[..., None]
-    return sums[..., -1, :] / after[..., -1:], joined(U - (g / before)[..., None] * earlier, D * before / after)
-
-
-def added(factor: Tensor, here: Tensor, q: Tensor) -> Tensor:
-    """The factor after q is added to a P_kk, k the place where `here` is 1: equation (6)."""
-    U, D = parts(factor)
-    a = torch.linalg.solve_triangular(U.mT, here[..., None], upper=True, unitriangular=True).squeeze(-1)
-    squares = a * a / D
-    c = q[..., None] / (1 + q[..., None] * (squares.flip(-1).cumsum(-1).flip(-1) - squares))
-    new = D + c * a * a
-    sums = U * a[..., None]
-    rest = here[..., None, :] - (sums.flip(-2).cumsum(-2).flip(-2) - sums)  # a of (6) before its step j
-    return joined(U * (D / new)[..., None] + rest * (c * a / new)[..., None], new)

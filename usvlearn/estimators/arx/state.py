@@ -17,11 +17,8 @@ distribution of ν degrees; its weight w is small for outliers (West 1981):
     σ² ← σ² + 0.02 (w e²/S − σ²),   at least (1 mm/s)²                                                              (3)
 
 w is 1 for all e where ν is infinite. With `project` drag slows the boat: the weights of v, and of v|v| plus and minus
-that of the even v², are not positive. With a for the three sums in turn, where aᵀθ > 0, in the metric of P:
-
-    θ ← θ − Pa aᵀθ/(aᵀPa)                                                                                            (7)
-
-Without it a model may grow without bound beyond the speeds that it has seen.
+that of the even v², are not positive: in turn, each is projected in the metric of P (`usvlearn.estimators.factored`,
+(3)). Without it a model may grow without bound beyond the speeds that it has seen.
 
 Before the first sample P is diagonal, with the deviations `scale` × (1 for the bias and the even terms, 30/j for a_j,
 10 for all others): as multiples of the noise.
@@ -39,16 +36,8 @@ A segment starts with a speed alone. The increments before it count as 0, the co
 to those of this step, and the yaw rate as unchanged. A step without a measured speed departs from the prediction before
 it, and its increment is the predicted one.
 
-The covariance is kept as P = U D Uᵀ (Bierman 1977), U unit upper triangular and D diagonal. With g = Uᵀφ, G = Dg and
-α_0 = 1/w, (2) is, for the columns j = 1 … p in turn,
-
-    α_j = α_{j−1} + g_j G_j,   D_j⁺ = D_j α_{j−1}/α_j,   U_ij⁺ = U_ij − (g_j/α_{j−1}) Σ_{m<j} U_im G_m         (5)
-
-and θ⁺ = θ + U G e/α_p. An increment q of P_kk is, with a = e_k, c = q, for j = k … 1,
-
-    n = D_j + c a_j²,   U_ij⁺ = U_ij D_j/n + a_i c a_j/n,   a_i ← a_i − a_j U_ij,   c ← c D_j/n,   D_j⁺ = n         (6)
-
-Both keep D positive: nothing is subtracted from it.
+The covariance is kept as P = U D Uᵀ (`usvlearn.estimators.factored`), with H = φ and α_0 = 1/w in (2). The first σ, and
+the share and the least of (3), are those of least squares.
 
 The derivation is in `docs/theory.md`, section 20.
 """
@@ -65,10 +54,6 @@ if TYPE_CHECKING:
 
 STEP = 0.4  # s, the step that weights refer to
 LONGEST = 25.0  # steps; a longer step counts as this long
-NOISE = 0.05  # m/s, σ before the first innovation
-NOISE_SHARE = 0.02  # of a new innovation in σ²
-NOISE_LEAST = 1e-3  # m/s; exact predictions at rest for hours must not make σ so small that it cannot recover
-LOOSEST = 100.0  # times the trace of P₀, to which P is inflated
 REST_SQUARE = 0.01  # of u_L² + u_R² + v², v in m/s, below which a boat rests
 REST_TIME = 60.0  # s of rest after which nothing is learned
 MOST_LAGS = 50  # 20 s; p grows with it, and the time of a step as p²
@@ -160,6 +145,6 @@ FAMILY = Family(
     Choice,
     Vector,
     size=parameters,
-    work=lambda p: 4 * p,
+    work=lambda p: 5 * p,
 )
 AT = FAMILY.at

@@ -1,4 +1,4 @@
-"""The joint filter: the step of `layer`, equations (1) to (9) of `state`.
+"""The joint filter: the step of `layer`, equations (1) to (7) of `state`.
 
 `predict` leaves g, w⁺ and e^(−h/τ_c) in `work`. A is the leaf `factor`.
 """
@@ -6,16 +6,8 @@
 import numpy as np
 
 from usvlearn.arrays import clamp, fill
-from usvlearn.estimators.joint.factored_kernel import (
-    add,
-    add_current,
-    add_slow,
-    measure,
-    project,
-    seen,
-    transition,
-    variance,
-)
+from usvlearn.estimators.factored.kernel import add, loosen, measure, project, variance
+from usvlearn.estimators.joint.factored_kernel import add_current, add_slow, seen, transition
 from usvlearn.estimators.joint.state import (
     AGEING,
     AT,
@@ -29,14 +21,12 @@ from usvlearn.estimators.joint.state import (
     LAG_MOST,
     LONGEST,
     LOOSEST,
-    NEAR,
     NOISE_COUNT,
     NOISE_LEAST,
     NOISE_MOST,
     NOISE_SHARE,
     NORTH,
     REST,
-    SERIES,
     SPEED_MAX,
     SPEED_NOISE,
     SPEED_VARIANCE,
@@ -49,6 +39,7 @@ from usvlearn.estimators.joint.state import (
     Vector,
     W,
 )
+from usvlearn.estimators.regressors.kernel import phi1
 from usvlearn.family import Node
 from usvlearn.jit import jit
 from usvlearn.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
@@ -109,10 +100,7 @@ def inflate_covariance(node, s, q, factor):
     total = 0.0
     for i in range(THETA, n):
         total += variance(A, i) / prior[i - THETA]
-    limit = LOOSEST * (n - THETA) / total
-    limit = 1.0 if limit < 1.0 else limit
-    for j in range(n):
-        A[j, j] *= limit if factor > limit else factor
+    loosen(A, factor, LOOSEST * (n - THETA) / total)
 
 
 @jit(inline=True)
@@ -126,19 +114,6 @@ def blocks(node, s):
 def decay(dt, time):
     """e^(−h/τ)."""
     return np.exp(-min(dt / time, DECAYED))
-
-
-@jit
-def phi1(z):
-    """φ₁ and its derivative."""
-    if abs(z) < NEAR:
-        slope = 0.0
-        for c in SERIES:
-            slope = slope * z + c
-        return (1 - z * slope) / (1 - z), slope
-    exponential = np.exp(z)
-    value = (exponential - 1) / z
-    return value, (exponential - value) / z
 
 
 @jit
@@ -209,7 +184,7 @@ def flow(even, mean, w, b, left_before, right_before, x, g):
 
 @jit
 def advance(node, s, q, x, mean, A, work):
-    """The time update from what `forecast` left in `work`; f and G of (9) stay there.
+    """The time update from what `forecast` left in `work`; f and G of the measurement stay there.
 
     Returns HᵀPH, and whether the boat was at rest.
     """
@@ -268,12 +243,10 @@ def begin(mean, A, surge, noise, x, work):
 def project_signs(mean, A, even, t):
     """(7), and the limits of μ."""
     for i in range(THETA, THETA + 3):
-        if mean[i] > 0:
-            project(mean, A, i, i, 0.0, t)
+        project(mean, A, i, i, 0.0, t)
     if even:
         for sign in (1.0, -1.0):
-            if mean[THETA] + sign * mean[E] > 0:
-                project(mean, A, THETA, E, sign, t)
+            project(mean, A, THETA, E, sign, t)
     mu = mean[-1]
     mean[-1] = LAG_LEAST if mu < LAG_LEAST else (LAG_MOST if mu > LAG_MOST else mu)
 

@@ -1,4 +1,4 @@
-"""The joint filter in torch: equations (1) to (9) of `state`."""
+"""The joint filter in torch: equations (1) to (7) of `state`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,22 @@ from torch import Tensor
 
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimator import Estimator, describe
+from usvlearn.estimators.factored.layer import (
+    added,
+    loosened,
+    measured,
+    packed,
+    projected,
+    rotated,
+    unit,
+    unpacked,
+    variances,
+)
 from usvlearn.estimators.joint import state as at
-from usvlearn.estimators.joint.factored import added, measured, moved, packed, unit, unpacked
 from usvlearn.estimators.joint.quantities import sums
 from usvlearn.estimators.joint.state import EAST, FAMILY, KAPPA, NORTH, THETA, B, E, JointState, W, names
 from usvlearn.estimators.mass import known_rows
+from usvlearn.estimators.regressors.layer import phi1
 from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
 from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.signals import Inputs, tree_map, where
@@ -179,7 +190,7 @@ class JointEKF(Estimator):
         square, S = error * error, spread + noise
         limit = self.outlier * self.outlier
         wild = square > limit * S
-        U, D, gain, alpha = measured(U, D, f, torch.where(wild, square / limit - spread, noise))  # (5), (9)
+        U, D, gain, alpha = measured(U, D, f, torch.where(wild, square / limit - spread, noise))  # (5)
         mean = state.mean + gain * (error / alpha)[..., None]
         updates = state.updates + moves
         share = (1 / (updates + at.NOISE_COUNT)).clamp(min=at.NOISE_SHARE)
@@ -201,10 +212,8 @@ class JointEKF(Estimator):
 
     def inflate_covariance(self, state: JointState, factor: Tensor) -> JointState:
         """P times `factor`, up to `LOOSEST` times the prior: a direction without excitation would not shrink again."""
-        U, D = unpacked(state.factor)
-        total = ((U * U * D[..., None, :]).sum(-1)[..., THETA:] / self.variance).sum(-1)
-        growth = torch.minimum(factor, (at.LOOSEST * len(self.names) / total).clamp(min=1))
-        return state._replace(factor=packed(U, D * growth[..., None]))
+        total = (variances(*unpacked(state.factor))[..., THETA:] / self.variance).sum(-1)
+        return state._replace(factor=loosened(state.factor, factor, at.LOOSEST * len(self.names) / total))
 
     def spec(self) -> dict[str, Any]:
         even = self.even is not None
@@ -290,7 +299,7 @@ class JointEKF(Estimator):
         U = torch.where(beyond[..., None, None], unit(U * (1 - eye[W])[:, None]), U)
         D = torch.where(beyond[..., None], torch.where(eye[W] > 0, at.SPEED_MAX**2, D), D)
         limited = speed.clamp(-at.SPEED_MAX, at.SPEED_MAX)
-        f = (U * H[..., None]).sum(-2)
+        f = rotated(U, H)
         states = torch.stack([limited, b * slow, mean[..., NORTH] * current, mean[..., EAST] * current], -1)
         ahead = state._replace(
             mean=torch.cat([states, mean[..., THETA:]], -1),
@@ -305,20 +314,17 @@ class JointEKF(Estimator):
     def _begun(self, U: Tensor, D: Tensor, H: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """The covariance at the start of a segment, after its speed was measured."""
         eye = torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
-        disturbed = (U * U * D[..., None, :])[..., B, :].sum(-1)
+        disturbed = variances(U, D)[..., B]
         U = unit(U * (1 - eye[W] - eye[B])[:, None])
         D = torch.cat([torch.full_like(D[..., :1], at.SPEED_VARIANCE), disturbed[..., None], D[..., 2:]], -1)
         for place in (EAST, NORTH):
             U, D = added(U, D, eye[place], torch.full_like(noise, at.CURRENT_VARIANCE))
-        return measured(U, D, (U * H[..., None]).sum(-2), noise)[:2]
+        return measured(U, D, rotated(U, H), noise)[:2]
 
     def _projected(self, mean: Tensor, U: Tensor, D: Tensor) -> Tensor:
         """x after (7), with the limits of μ."""
         for d in self.signs:
-            value, weights = (mean * d).sum(-1), (U * d[:, None]).sum(-2)
-            total = (D * weights * weights).sum(-1)
-            step = torch.where(value > 0, value / total, 0.0)
-            mean = mean - step[..., None] * (U * (D * weights)[..., None, :]).sum(-1)
+            mean = projected(mean, U, D, d)
         return torch.cat([mean[..., :-1], mean[..., -1:].clamp(at.LAG_LEAST, at.LAG_MOST)], -1)
 
     def _read(self, state: JointState) -> JointState:
@@ -340,20 +346,15 @@ class JointEKF(Estimator):
         )
 
 
-def phi1(z: Tensor) -> tuple[Tensor, Tensor]:
-    """φ₁(z) = (e^z − 1)/z and its derivative.
+def moved(U: Tensor, D: Tensor, g: Tensor, decays: Tensor) -> tuple[Tensor, Tensor]:
+    """F P Fᵀ, where F has the first row g and the decays on the rest of its diagonal.
 
-    >>> phi1(torch.tensor(0.0))
-    (tensor(1.), tensor(0.5000))
+    Args:
+        U, D: of P.
+        g: `(*batch, n)`.
+        decays: `(*batch, n)`, the first 1.
     """
-    near = z.abs() < at.NEAR
-    small, large = torch.where(near, z, 0.0), torch.where(near, -1.0, z)
-    slope = torch.zeros_like(z)
-    for c in at.SERIES:
-        slope = slope * small + c
-    exponential = large.exp()
-    value = (exponential - 1) / large
-    return (
-        torch.where(near, (1 - small * slope) / (1 - small), value),
-        torch.where(near, slope, (exponential - value) / large),
-    )
+    first = (g[..., None] * U).sum(-2, keepdim=True) / decays[..., None, :]
+    others = U[..., 1:, :] * decays[..., 1:, None] / decays[..., None, :]
+    scales = torch.cat([g[..., :1], decays[..., 1:]], -1)
+    return unit(torch.cat([first, others], -2)), D * scales * scales

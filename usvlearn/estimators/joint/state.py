@@ -26,18 +26,12 @@ Measurement with the innovation e, S its variance:
 
     K = P H/S,   x ← x + K e,   P ← P − K HᵀP;   where e² > k² S an outlier: S becomes e²/k²               (5)
     σ² ← σ² (1 + max(0.005, 1/(count + 20)) (min(e²/S, 9) − 1))                                         (6)
-    θ_q, θ_l, θ_c ≤ 0 and θ_q ± e₀ ≤ 0: where dᵀx > 0, x ← x − P d dᵀx/(dᵀP d)                           (7)
+    θ_q, θ_l, θ_c ≤ 0 and θ_q ± e₀ ≤ 0, by projection in turn                                            (7)
 
-P = U D Uᵀ, U unit upper triangular (Bierman 1977). As w is the first state, F U is triangular but for scales, and a
-time update needs no orthogonalisation. Each step adds noise to w, b and c; one parameter walks at every fourth step, in
-turn, with the noise of all the steps between. A rank-one addition c a aᵀ, column by column from the last:
-
-    d = D_j,  D_j = d + c a_j²,  κ = d/D_j,  β = c a_j/D_j,  c ← c κ
-    U_ij ← U_ij κ + β a_i (as it was),  a_i ← a_i − a_j U_ij (as it was)                                 (8)
-
-and (5), with f = UᵀH, G = D f, α_0 = S − fᵀG, α_j = α_{j−1} + f_j G_j:
-
-    D_j ← D_j α_{j−1}/α_j,   U_ij ← U_ij − (f_j/α_{j−1}) Σ_{i≤l<j} U_il G_l,   P H = U G                   (9)
+P = U D Uᵀ is kept in factors, whose measurement, with α_0 = S − HᵀPH in (5), and projection are those of
+`usvlearn.estimators.factored`. As w is the first state, F U is triangular but for scales, and a time update needs no
+orthogonalisation. Each step adds noise to w, b and c; one parameter walks at every fourth step, in turn, with the noise
+of all the steps between.
 
 A segment starts at a measured speed. Its first step knows the heading: there P loses all that joins w and b to others,
 b becomes 0, P_ww 4 m²/s², each variance of c grows by 0.05² m²/s², and the speed is measured. A step of more than 10 s
@@ -51,7 +45,6 @@ The derivation is in `docs/theory.md`, section 19.
 
 from __future__ import annotations
 
-from math import factorial
 from typing import TYPE_CHECKING, NamedTuple
 
 from usvlearn.estimators.regressors.terms import CUBIC, EVEN, LAG, SURGE
@@ -83,8 +76,6 @@ REST = 1e-3  # u_L² + u_R² + w² below which a boat is at rest
 EVERY = 4  # steps from one parameter's walk to the next's
 LONGEST, SPEED_MAX = 10.0, 20.0  # s, m/s
 DECAYED = 20.0  # exponent of the longest decay, so that no factor of P is 0
-NEAR = 0.5  # |z| below which the derivative of φ₁ is its series, because the closed form cancels
-SERIES = tuple((k + 1) / factorial(k + 2) for k in range(13, -1, -1))  # of the derivative of φ₁, from the highest power
 LAG_LEAST, LAG_MOST = -0.5, 1.5
 DROPPED, AGEING = 3.0, 0.9  # readings; their weight from one to the next
 LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from usvlearn.estimators.regressors.terms import LEAST, MOST, TERMS
+from usvlearn.estimators.regressors.terms import LEAST, MOST, NEAR, SERIES, TERMS
 from usvlearn.jit import jit
 from usvlearn.rows import COS, DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SIN, SURGE_DOT, YAW_RATE
 
@@ -16,8 +16,16 @@ CUBIC, MEMORY, AMBIENT, EXPONENTIAL = (
 
 @jit
 def phi1(z):
-    """φ1(z) = (e^z − 1)/z, as `layer.phi1`; 1 at z = 0."""
-    return np.expm1(z) / z if z != 0 else z + 1.0
+    """φ1(z) = (e^z − 1)/z and its derivative, as `layer.phi1`."""
+    less = np.expm1(z)
+    value = less / z if z != 0 else z + 1.0
+    slope = 0.0
+    if abs(z) < NEAR:
+        for c in SERIES:
+            slope = slope * z + c
+    else:
+        slope = (1.0 + less - value) * (1.0 / z)
+    return value, slope
 
 
 @jit
@@ -27,7 +35,7 @@ def mean_decay(step, surge, x, theta):
     slope = 2 * abs(surge) * theta[0] + theta[1] + abs(x[YAW_RATE]) * theta[2]
     slope += sign * (x[LEFT] * theta[5] + x[RIGHT] * theta[8])
     z = step * slope
-    return phi1(LEAST if z < LEAST else (MOST if z > MOST else z))
+    return phi1(LEAST if z < LEAST else (MOST if z > MOST else z))[0]
 
 
 @jit

@@ -28,7 +28,7 @@ import torch
 from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.estimators.regressors.terms import LEAST, MOST, QUASI_STATIC, signs_of
+from usvlearn.estimators.regressors.terms import LEAST, MOST, NEAR, QUASI_STATIC, SERIES, signs_of
 from usvlearn.hyper import Hyper, as_tensor
 from usvlearn.signals import Inputs
 
@@ -104,17 +104,23 @@ def quasi_static_regressor(inputs: Inputs) -> Tensor:
     return torch.cat([thrust.flatten(-2), rest], -1)
 
 
-def phi1(z: Tensor) -> Tensor:
-    """φ1(z) = (e^z − 1)/z, 1 at z = 0, with its derivative.
+def phi1(z: Tensor) -> tuple[Tensor, Tensor]:
+    """φ1(z) = (e^z − 1)/z, 1 at z = 0, and its derivative, (e^z − φ1)/z; autograd may differentiate both.
 
-    >>> phi1(torch.tensor([0.0, -1.0])).round(decimals=4)
-    tensor([1.0000, 0.6321])
+    >>> phi1(torch.tensor(0.0))
+    (tensor(1.), tensor(0.5000))
     """
-    small = z.abs() < 0.5  # there the derivative of the quotient would cancel
-    series, safe = torch.ones_like(z), torch.where(small, 1.0, z)
-    for k in range(15, 1, -1):  # Σ z^k/(k+1)!
-        series = 1 + torch.where(small, z, 0.0) / k * series
-    return torch.where(small, series, torch.expm1(safe) / safe)
+    near = z.abs() < NEAR
+    small, large = torch.where(near, z, 0.0), torch.where(near, -1.0, z)
+    slope = torch.zeros_like(z)
+    for c in SERIES:
+        slope = slope * small + c
+    less = torch.expm1(large)
+    value = less / large
+    return (
+        torch.where(near, (1 - small * slope) / (1 - small), value),  # as e^z = 1 + z φ1 = φ1 + z φ1'
+        torch.where(near, slope, (1 + less - value) / large),
+    )
 
 
 class SurgeDynamics(nn.Module):
@@ -188,7 +194,7 @@ class SurgeDynamics(nn.Module):
         if self.exponential:
             if theta is None:
                 raise ShapeError("SurgeDynamics(exponential=True): found no parameters, expected theta, (*batch, p)")
-            step = step * phi1((step * force_slope(surge, inputs, theta)).clamp(LEAST, MOST))
+            step = step * phi1((step * force_slope(surge, inputs, theta)).clamp(LEAST, MOST))[0]
         return surge, step[..., None] * W
 
 

@@ -1,6 +1,7 @@
 """The parameters of the models: their names, signs and units, by the terms that a model has. Imports no torch."""
 
 from collections.abc import Collection, Mapping
+from math import factorial
 from typing import Any
 
 QUASI_STATIC = {  # parameter: its sign by physics; 0: the map is not a force
@@ -55,6 +56,8 @@ TERMS: tuple[list[str], ...] = (
 )
 
 LEAST, MOST = -20.0, 1.0  # of dt Ĵ in the exponential step: identified parameters may be far off
+NEAR = 0.125  # |z| below which the derivative of φ1 is its series, because the closed form cancels
+SERIES = tuple((k + 1) / factorial(k + 2) for k in range(9, -1, -1))  # of the derivative of φ1, from the highest power
 
 
 def signs_of(terms: Collection[str]) -> dict[str, int]:

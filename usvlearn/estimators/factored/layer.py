@@ -1,4 +1,4 @@
-"""The covariance P = U D Uᵀ of the joint filter in torch: equations (8) and (9) of `state`.
+"""The covariance P = U D Uᵀ in torch: equations (1) to (3) of the package, for all columns at once.
 
 U is unit upper triangular, `(*batch, n, n)`, and D the diagonal, `(*batch, n)`.
 """
@@ -30,8 +30,26 @@ def unit(U: Tensor) -> Tensor:
     return U.triu(1) + torch.eye(U.shape[-1], dtype=U.dtype, device=U.device)
 
 
+def variances(U: Tensor, D: Tensor) -> Tensor:
+    """The diagonal of P, `(*batch, n)`.
+
+    >>> variances(torch.tensor([[1.0, 0.5], [0.0, 1.0]]), torch.tensor([2.0, 4.0]))
+    tensor([3., 4.])
+    """
+    return (U * U * D[..., None, :]).sum(-1)
+
+
+def rotated(U: Tensor, H: Tensor) -> Tensor:
+    """f = UᵀH, `(*batch, n)`.
+
+    >>> rotated(torch.tensor([[1.0, 0.5], [0.0, 1.0]]), torch.tensor([1.0, 1.0]))
+    tensor([1.0000, 1.5000])
+    """
+    return (U * H[..., None]).sum(-2)
+
+
 def added(U: Tensor, D: Tensor, a: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
-    """P + c a aᵀ, (8), with its sums in closed form.
+    """P + c a aᵀ, (1), with its sums in closed form.
 
     Args:
         U, D: of P.
@@ -52,7 +70,7 @@ def added(U: Tensor, D: Tensor, a: Tensor, c: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def measured(U: Tensor, D: Tensor, f: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """The measurement update (9): U and D after it, P H before it, `(*batch, n)`, and S, `(*batch,)`.
+    """The measurement update (2): U and D after it, P H before it, `(*batch, n)`, and S, `(*batch,)`.
 
     Args:
         U, D: of P.
@@ -71,15 +89,19 @@ def measured(U: Tensor, D: Tensor, f: Tensor, alpha: Tensor) -> tuple[Tensor, Te
     return U, D * before / after, sums[..., -1], after[..., -1]
 
 
-def moved(U: Tensor, D: Tensor, g: Tensor, decays: Tensor) -> tuple[Tensor, Tensor]:
-    """F P Fᵀ, where F has the first row g and the decays on the rest of its diagonal.
+def projected(x: Tensor, U: Tensor, D: Tensor, d: Tensor) -> Tensor:
+    """x after (3) where dᵀx > 0, `(*batch, n)`; the d of shape `(n,)`.
 
-    Args:
-        U, D: of P.
-        g: `(*batch, n)`.
-        decays: `(*batch, n)`, the first 1.
+    >>> projected(torch.tensor([1.0, 2.0]), torch.eye(2), torch.ones(2), torch.tensor([1.0, 0.0]))
+    tensor([0., 2.])
     """
-    first = (g[..., None] * U).sum(-2, keepdim=True) / decays[..., None, :]
-    others = U[..., 1:, :] * decays[..., 1:, None] / decays[..., None, :]
-    scales = torch.cat([g[..., :1], decays[..., 1:]], -1)
-    return unit(torch.cat([first, others], -2)), D * scales * scales
+    value, f = (x * d).sum(-1), rotated(U, d)
+    G = D * f
+    step = torch.where(value > 0, value / (f * G).sum(-1), 0.0)
+    return x - step[..., None] * (U * G[..., None, :]).sum(-1)
+
+
+def loosened(factor: Tensor, growth: Tensor, limit: Tensor) -> Tensor:
+    """The leaf `factor` of P times `growth`, `(*batch,)`, up to `limit`, `(*batch,)`; a limit below 1 counts as 1."""
+    U, D = unpacked(factor)
+    return packed(U, D * torch.minimum(growth, limit.clamp(min=1))[..., None])
