@@ -86,8 +86,8 @@ def learn(node, s, q, x, estimate, target, work):
         share = max(NOISE_SHARE, 1 / (s[node[AT.updates]] + NOISE_COUNT))
         learned = noise * (1 + share * (min(square / S, NOISE_MOST) - 1))  # (6)
         s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
+        s[node[AT.learned]] += x[DT]
     project_signs(mean, A, node[Choice.EVEN], gain)
-    s[node[AT.learned]] += x[DT]
     if s[node[AT.learned]] >= numbers[Number.READ_EVERY]:
         read(node, s, mean[THETA:])
 

@@ -54,7 +54,7 @@ class JointEKF(Estimator):
         cubic: that of κ, in units of the force per mass of one side at full.
         even: ρ, that of the even terms, in units of the drag's and that force; None: without these terms.
         outlier: k, standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts, too.
-        read_every: s of learned steps between two readings of the parameters; None: none.
+        read_every: s of learned steps under way between two readings of the parameters; None: none.
         known: forces by name, or by a sum of names, in N, as `{"thrust_full_left": 33.6}`: the mass is identified too
             (`usvlearn.estimators.mass`); the names are those of `quantities.sums`.
 
@@ -200,7 +200,7 @@ class JointEKF(Estimator):
             factor=packed(U, D),
             noise=torch.where(moves, heard.clamp(min=at.NOISE_LEAST**2), noise),
             updates=updates,
-            learned=state.learned + inputs.dt,
+            learned=state.learned + torch.where(moves, inputs.dt, 0.0),
         )
         learned = self._read(learned)
         jumps = inputs.dt > at.LONGEST
