@@ -38,7 +38,8 @@ b becomes 0, P_ww 4 m²/s², each variance of c grows by 0.05² m²/s², and the
 is predicted; its speed starts a segment. A speed beyond ±20 m/s is that limit, with P_ww = 400 m²/s².
 
 *Readings.* After each `read_every` s of learned steps, without those at rest, the parameters are read; the first
-three readings are dropped. With weights 0.9^age, θ̄ is their mean and C their covariance; `reading` makes intervals of them.
+three readings are dropped. With weights 0.9^age, θ̄ is their mean and C their covariance; `reading` makes intervals of
+them.
 
 The derivation is in `docs/theory.md`, section 19.
 """
