@@ -3,7 +3,8 @@
 python benchmarks/identify.py [--seed 77]
 
 Five plants, three boats each, 3 h to learn from and 1 h for free runs (`benchmarks/truths.py`). The filter's settings
-and the widths of its intervals were chosen on seeds 5 and 11. Seed 77 was only reported, each time the filter had changed.
+and the widths of its intervals were chosen on seeds 5 and 11. Seed 77 was only reported, whenever the filter had
+changed.
 """
 
 from __future__ import annotations
