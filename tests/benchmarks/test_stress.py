@@ -27,11 +27,12 @@ def test_every_scenario_is_there(cases):
 def test_ours_stay_finite(cases, name):
     case = cases[name]
     results = stress.run_ours(case, stress.ours())
-    assert set(results) == {*stress.single(stress.MODEL), "joint_ekf", "ensemble", "persistence"}
+    others = ("arx", "joint_ekf", "ensemble", "persistence")
+    assert set(results) == {*stress.single(stress.MODEL), *others}
     for row, result in results.items():
         assert result.finite and math.isfinite(result.error), row
         assert (result.steps is None) == (case.event is None), row
-        assert math.isnan(result.parameters) == (row in ("joint_ekf", "ensemble", "persistence")), row
+        assert math.isnan(result.parameters) == (row in others), row
 
 
 @pytest.mark.parametrize("name", NAMES)

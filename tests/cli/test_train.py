@@ -92,7 +92,7 @@ def test_tensorboard(whole):
     for tag in (
         "online/mae/heron1/aid", "online/skill/heron2/joint", "state/heron1/aid/drag_quadratic",
         "state/heron1/reader/thrust_cubic_left", "state/heron2/sift_map/covariance_trace",
-        "state/heron1/sift_map/excitation_thrust_left", "state/heron1/arx/covariance_trace",
+        "state/heron1/sift_map/excitation_zeta_left_linear", "state/heron1/arx/covariance_trace",
         "state/heron1/monitors/evidence_left", "state/heron2/ensemble/weight_joint_quick",
         "state/heron1/rnn/margin_simple", "state/heron1/rnn/margin_tight", "state/heron1/weighted/weight_aid",
         "rejected/heron1/surge/lost", "total/mae/aid",
