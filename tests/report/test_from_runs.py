@@ -72,6 +72,7 @@ def test_every_file_is_there_and_replaced(saved):
         "fleet",
         "equilibria",
         "certificates",
+        "identified",
         "parameters",
         "cost",
     }
