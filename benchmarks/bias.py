@@ -42,7 +42,7 @@ MODELS: dict[str, dict[str, bool]] = {
 
 
 def steady_rls(model: SurgeDynamics) -> Robust:
-    """The member of this name of the default ensemble, with another model."""
+    """The estimator of `configs/estimator/steady_rls.yaml`, with another model."""
     signs = [-1, -1, -1] + [0] * (len(model.names) - 3)
     inner = Projected(SIFtRLS(model, memory=1000.0, covariance=1000.0), signs)
     return Robust(inner, threshold=8.0, patience=2, inflation=20.0, scale=0.2)

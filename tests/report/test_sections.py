@@ -100,11 +100,15 @@ def test_intervals_of_sums_are_those_of_the_covariance():
     assert physical_members(ensemble) == ["dynamic"]
 
 
-def test_a_bias_of_one_sign_is_explained():
-    rows = [("heron", "drag at 1 m/s", "N", "aid", value, None, 10.0) for value in (6.0, 8.0)]
-    assert TOO_SMALL in _findings(["aid"], np.ones((2, 2, 2)), rows)
-    rows[1] = (*rows[1][:4], 20.0, None, 10.0)
-    assert TOO_SMALL not in _findings(["aid"], np.ones((2, 2, 2)), rows)
+def test_forces_that_least_squares_finds_too_small_are_explained():
+    def findings(name, wide, *values):
+        rows = [("heron", "drag at 1 m/s", "N", name, value, wide, 10.0) for value in values]
+        return _findings([name], np.ones((2, 2, 2)), rows)
+
+    assert TOO_SMALL in findings("steady_rls", 1.0, 6.0, 8.0)
+    assert TOO_SMALL not in findings("steady_rls", 1.0, 9.8, 9.9)  # not by much
+    assert TOO_SMALL not in findings("steady_rls", 1.0, 8.0, 20.0)
+    assert TOO_SMALL not in findings("aid", None, 6.0, 8.0)  # no least squares
 
 
 @pytest.mark.parametrize("plant", ["heron", "otter", "vtec"])

@@ -46,7 +46,7 @@ SETTINGS = {
     "sift_map": {"memory": 20.0, "covariance": 30.0},
     "rnn": {"rate": 1e-3, "contraction_rate": 0.97},
     "joint": {"disturbance": 5.0, "drift_time": 3000.0, "current": 0.1},
-    "arx": {"estimator.walk": 1e-3, "estimator.scale": 0.2},
+    "arx": {"walk": 1e-3, "scale": 0.2},
     "dynamic_rls": {"estimator.memory": 3.0, "estimator.covariance": 10.0},
     "steady_rls": {"estimator.estimator.memory": 300.0},
     "memory_aid": {"estimator.estimator.gain": 2.0},

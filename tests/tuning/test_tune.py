@@ -30,7 +30,7 @@ GAIN = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
 SETTINGS = {
     "aid": [{"gain": 0.1}, {"gain": 3.0}, {"gain": 30.0}],
     "joint": [{"disturbance": 0.1, "current": 0.02}, {"disturbance": 50.0, "current": 0.2}],
-    "arx": [{"estimator.walk": 1e-5, "scale": 0.1}, {"estimator.walk": 1e-3, "scale": 0.4}],
+    "arx": [{"walk": 1e-5, "scale": 0.1}, {"walk": 1e-3, "scale": 0.4}],
     "rnn": [{"rate": 1e-3, "contraction_rate": 0.95}, {"rate": 1e-4, "contraction_rate": 0.999}],
 }
 
@@ -151,7 +151,7 @@ def test_lanes_of_runs_add_up_to_the_pass_in_order(fleet, member):
 
 @pytest.mark.parametrize("member, paths", [
     ("aid", ["gain"]), ("sift_map", ["memory", "covariance"]),
-    ("arx", ["estimator.walk", "estimator.scale"]), ("joint", ["disturbance", "current"]),
+    ("arx", ["walk", "scale"]), ("joint", ["disturbance", "current"]),
     ("rnn", ["rate", "contraction_rate"]),
 ])  # fmt: skip
 def test_the_gradient_is_the_finite_difference(fleet, member, paths):
@@ -206,7 +206,7 @@ def test_initial_weights_are_learned_and_can_be_read_back(fleet, tmp_path):
 
 def test_every_file(tmp_path):
     """A sweep over two members: its table, each job's files, and the experiment that each gives."""
-    ranges = "tuning.ranges.arx={estimator.walk: [1e-5, 1e-3]}"
+    ranges = "tuning.ranges.arx={walk: [1e-5, 1e-3]}"
     arguments = [*TWO_BOATS, "grid=aid,arx", "tuning.evaluations=12", ranges, "hydra.sweep.dir=sweep"]
     done = subprocess.run(
         command("-m", *arguments), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True, timeout=120
@@ -237,8 +237,8 @@ def test_every_file(tmp_path):
     search_path = f"hydra.searchpath=[file://{tmp_path}/configs]"
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         cfg = compose("train", [search_path, "experiment=tuned_arx"])
-    assert cfg.estimators.arx.estimator.walk == found["best"]["setting"]["estimator.walk"]
-    assert cfg.estimators.arx.threshold == 8.0  # all else as it was
+    assert cfg.estimators.arx.walk == found["best"]["setting"]["walk"]
+    assert cfg.estimators.arx.scale == 0.3  # all else as it was
     assert isinstance(instantiate(cfg.estimators.arx), Estimator)
 
 

@@ -124,11 +124,13 @@ class ARX(Estimator):
         if self.project:
             for d in self.drags.unbind(0):
                 theta = projected(theta, U, D, d)
+        # A member that diverged may hold any number.
+        turn = torch.where((state.turn >= 0) & (state.turn < len(self.names)), state.turn, 0.0).floor()
         learned = state._replace(
             theta=theta,
-            factor=packed(*self._walked(U, D, state.turn, h)),
+            factor=packed(*self._walked(U, D, turn, h)),
             noise=noise,
-            turn=torch.where(state.turn + 1 < len(self.names), state.turn + 1, 0.0),
+            turn=torch.where(turn + 1 < len(self.names), turn + 1, 0.0),
         )
         rests = inputs.command_left**2 + inputs.command_right**2 + features[..., 1] ** 2 < REST_SQUARE
         rest = torch.where(rests, state.rest + inputs.dt, 0.0)
