@@ -45,3 +45,16 @@ def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Ident
         identify(of_lane(description, boats, lane), {key: leaf[lane] for key, leaf in own.items()})
         for lane in range(boats)
     ]
+
+
+def sentences(found: Mapping[str, Identified]) -> list[str]:
+    """What is said of each boat: once where it is true of all of them, else with the names of the boats.
+
+    >>> sentences({})
+    []
+    """
+    said: dict[str, list[str]] = {}
+    for boat, each in found.items():
+        for sentence in filter(None, (each.basis, each.scale, *each.lacks)):
+            said.setdefault(sentence, []).append(boat)
+    return [sentence if len(of) == len(found) else f"{', '.join(of)}: {sentence}" for sentence, of in said.items()]

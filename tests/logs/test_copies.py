@@ -150,10 +150,10 @@ def test_reading_says_nothing_of_a_log_without_copies(tmp_path):
 @pytest.mark.parametrize(
     ("period", "expected"),
     [
-        ("fast", "expected a number"),
+        ("fast", "expected a time in s, or auto"),
         (-1.0, "a time of 0 s or more, or auto"),
         (math.nan, "or auto"),
-        (True, "a number"),
+        (True, "a time in s, or auto"),
     ],
 )
 def test_an_illegal_period_is_refused_in_one_sentence(tmp_path, period, expected):

@@ -177,7 +177,8 @@ def _source(channel: str, given: Source | Mapping | None) -> Source | None:
             raise ConfigError(f"{key}: found {name!r}, expected keys among {', '.join(SOURCE_KEYS)}{hint}")
         numeric = name in ("zero", "span", "window", "delay") or (name == "period" and value != AUTO)
         if numeric and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise ConfigError(f"{key}.{name}: found {value!r}, expected a number")
+            expected = f"a time in s, or {AUTO}" if name == "period" else "a number"
+            raise ConfigError(f"{key}.{name}: found {value!r}, expected {expected}")
         if name == "held" and not isinstance(value, bool):
             raise ConfigError(f"{key}.held: found {value!r}, expected true or false")
     if given.get("name") in (None, "", "???"):

@@ -13,6 +13,7 @@ from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.metrics import by_error, mean_mae
 from usvlearn.evaluation.ranking import differing, own_columns, ranked
+from usvlearn.identified import sentences
 from usvlearn.report.terminal import Blocks
 
 MOST_COLUMNS = 5  # of estimators, beside the settings of a sweep
@@ -108,7 +109,7 @@ def report(
 
 
 def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None) -> Group:
-    """Quantities with their 90 % intervals: a column per boat, or of one boat a column for each number.
+    """Quantities with their 90 % intervals, boat by boat.
 
     The nine single parameters are in `results.json` and in the report alone, because they trade against each other.
 
@@ -118,31 +119,18 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
     """
     if not found:
         return Group()
-    first, truth = next(iter(found.values())), truth or {}
-    rows = [name for name in first if name not in SURGE]
-    if len(found) == 1:
-        known = next(iter(truth.values()), {})
-        table = Blocks(
-            "Identified, with 90 % intervals", ["quantity"], ["value", "from", "to", *["truth"][: len(known)], "unit"]
-        )
-        for name in rows:
-            *numbers, unit = first[name]
-            true = [shown(known[name]) if name in known else "–"] if known else []
+    truth = truth or {}
+    heads = ["value", "from", "to", *(["truth"] if truth else []), "unit"]
+    table = Blocks("Identified, with 90 % intervals", ["quantity"], heads)
+    for boat, quantities in found.items():
+        if len(found) > 1:
+            table.group(boat)
+        known = truth.get(boat, {})
+        for name in (name for name in quantities if name not in SURGE):
+            *numbers, unit = quantities[name]
+            true = [shown(known[name]) if name in known else "–"] if truth else []
             table.add(name, *map(shown, numbers), *true, unit)
-    else:
-        table = Blocks("Identified: value, and 90 % interval", ["quantity", "unit"], list(found))
-        for name in rows:
-            cells = (
-                f"{shown(each[name].value)} ({shown(each[name].low)} … {shown(each[name].high)})"
-                for each in found.values()
-            )
-            table.add(name, first[name].unit, *cells)
-    said: dict[str, list[str]] = {}
-    for boat, each in found.items():
-        for sentence in filter(None, (each.basis, each.scale, *each.lacks)):
-            said.setdefault(sentence, []).append(boat)
-    lines = [sentence if len(of) == len(found) else f"{', '.join(of)}: {sentence}" for sentence, of in said.items()]
-    return Group(Text(), table, *map(Text, lines))
+    return Group(Text(), table, *map(Text, sentences(found)))
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:

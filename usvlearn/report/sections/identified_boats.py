@@ -12,6 +12,7 @@ from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.season import Season
 from usvlearn.figures import INK, KNOWN, LINE, themed
+from usvlearn.identified import sentences
 from usvlearn.report.result_table import ResultTable
 from usvlearn.report.section import Drawn, Section
 from usvlearn.signals import tree_map
@@ -29,7 +30,7 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Tru
         ensemble: to which the sets belong.
         truth: quantities of simulated boats, else empty.
     """
-    rows, drawn, here, held = [], [], [], []
+    rows, drawn, held, boats = [], [], [], {}
     for season in seasons:
         last = tree_map(lambda leaf: leaf[-1:], season.state)
         found = identified_boats(ensemble, last, [season.boat]).get(season.boat)
@@ -40,10 +41,11 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Tru
             rows.append((season.boat, name, unit, value, low, high, known.get(name)))
             if name in known:
                 held.append(low <= known[name] <= high)
-        here += [f"{season.boat}: {sentence}" for sentence in filter(None, (found.basis, found.scale, *found.lacks))]
+        boats[season.boat] = found
         if shown := curves(found):
             figure = identified_figure(shown, found, known, season.boat)
             drawn.append(Drawn(f"identified_{season.boat}", figure, CAPTION + (" Crosses: truth." if known else "")))
+    here = sentences(boats)
     if held:
         here.insert(0, f"The intervals hold {100 * np.mean(held):.0f} % of the truths at the end (90 % asked).")
     columns = ("boat", "quantity", "unit", "value", "from (90 %)", "to (90 %)", "truth")
