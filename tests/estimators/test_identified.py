@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from usvlearn import AID, Ensemble, Inputs, JointEKF, Online, Persistence, Sample
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import curves
-from usvlearn.estimators.joint.quantities import COAST, FORCES, QUANTITIES, Ahead, gradients, quantities, sums
+from usvlearn.estimators.joint.quantities import COAST, FORCES, QUANTITIES, SIDES, Ahead, gradients, quantities, sums
 from usvlearn.estimators.joint.reading import DEVIATIONS, Identified, identify
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.evaluation.identification import as_results, identified_boats
@@ -245,6 +245,11 @@ def test_what_a_log_lacks_is_said_and_no_interval_is_false(sentence):
     truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
     for name in ("thrust_full_left", "thrust_full_right", "drag_half_speed", "steady_speed_full", "time_constant"):
         assert found[name].low <= truth[name] <= found[name].high, (name, found[name])
+    drawn = curves(found)
+    ends = {f"thrust_{side}": f"thrust_full_{side}" for side in SIDES} | {"steady_speed": "steady_speed_full"}
+    for curve, name in ends.items():
+        _, low, high, _ = found[name]
+        assert (drawn[curve].low[-1], drawn[curve].high[-1]) == pytest.approx((low, high), rel=1e-6), curve
 
 
 def test_a_thruster_that_was_never_used_has_a_wide_interval(ordinary):

@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.estimators.joint.quantities import SIDES, Ahead, kilograms_of
-from usvlearn.estimators.joint.reading import DEVIATIONS, Identified
+from usvlearn.estimators.joint.reading import Beside, Identified, steps_of
 
 POINTS = 41
-STEP = 1e-4  # of the central differences, relative to each parameter's deviation
 
 
 class Curve(NamedTuple):
@@ -28,7 +27,10 @@ def curves(found: Identified) -> dict[str, Curve]:
     `steady_speed`, m/s, over the command. {} if nothing is identified.
     """
     top = abs(found["steady_speed_full"].value)
-    if not (np.isfinite(found.theta).all() and np.isfinite(found.covariance).all() and np.isfinite(top)):
+    beside = found.beside
+    if beside is None or not (
+        np.isfinite(found.theta).all() and np.isfinite(found.covariance).all() and np.isfinite(top)
+    ):
         return {}
     speeds, commands = np.linspace(0.0, top, POINTS), np.linspace(0.0, 1.0, POINTS)
 
@@ -40,19 +42,28 @@ def curves(found: Identified) -> dict[str, Curve]:
     def pull(side: str) -> Callable[[Ahead], np.ndarray]:
         return lambda boat: boat.thrust(commands, side)
 
-    return {
-        "drag": _banded(found, speeds, force(lambda boat: boat.drag(speeds))),
-        **{f"thrust_{side}": _banded(found, commands, force(pull(side))) for side in SIDES},
-        "steady_speed": _banded(found, commands, lambda theta: Ahead(theta[..., None, :]).steady_speed(commands)),
+    functions = {
+        "drag": (speeds, force(lambda boat: boat.drag(speeds))),
+        **{f"thrust_{side}": (commands, force(pull(side))) for side in SIDES},
+        "steady_speed": (commands, lambda theta: Ahead(theta[..., None, :]).steady_speed(commands)),
     }
+    return {name: _banded(found, beside, name, *function) for name, function in functions.items()}
 
 
-def _banded(found: Identified, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]) -> Curve:
-    """A curve of the parameters, `(..., m)` to `(..., points)`, with its band."""
-    steps = STEP * np.sqrt(np.diag(found.covariance).clip(min=1e-12))
+def _banded(
+    found: Identified, beside: Beside, name: str, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]
+) -> Curve:
+    """A curve of the parameters, `(..., m)` to `(..., points)`, with the intervals of the table at each point."""
+    steps = steps_of(beside.variance)
     shifts = np.diag(steps)
-    value = f(found.theta)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slopes = (f(found.theta + shifts) - f(found.theta - shifts)) / (2 * steps[:, None])  # (m, points)
-        half = DEVIATIONS * np.sqrt(np.einsum("ik,ij,jk->k", slopes, found.covariance, slopes).clip(min=0.0))
-    return Curve(at, value, value - half, value + half)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        values = [f(theta) for theta in (found.theta, beside.now, beside.prior)]
+        slopes, of_prior = (
+            (f(theta + shifts) - f(theta - shifts)) / (2 * steps[:, None]) for theta in (found.theta, beside.prior)
+        )  # (m, points)
+    band = [
+        beside.interval(name, each, slope, first, found.covariance)
+        for *each, slope, first in zip(*values, slopes.T, of_prior.T, strict=True)
+    ]
+    low, high = np.array(band).T
+    return Curve(at, values[0], low, high)

@@ -36,6 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.estimators.joint.quantities import EVEN_BESIDE, QUANTITIES, SIDES, gradients
+from usvlearn.estimators.joint.quantities import quantities as quantities_of
 from usvlearn.estimators.joint.state import DROPPED, NORTH, THETA, names
 
 DEVIATIONS = 1.645  # of a normal distribution: 90 %
@@ -61,6 +62,45 @@ class Quantity(NamedTuple):
     unit: str
 
 
+class Beside(NamedTuple):
+    """What an interval takes in beside the covariance of the parameters."""
+
+    common: float  # standard deviation of every quantity relative to its value, of a current taken for speed
+    now: np.ndarray  # (m,) the filter's present estimate
+    prior: np.ndarray  # (m,)
+    variance: np.ndarray  # (m,) of the prior
+    vague: bool  # whether the interval contains the prior's
+
+    def interval(
+        self,
+        name: str,
+        values: tuple[float, float, float],
+        slope: np.ndarray,
+        slope_of_prior: np.ndarray,
+        covariance: np.ndarray,
+    ) -> tuple[float, float]:
+        """The 90 % interval of a quantity, or of a point of a curve; NaN where it is undefined.
+
+        Args:
+            name: of the quantity.
+            values: at θ̄, at the present estimate and at the prior.
+            slope: gradient at θ̄, `(m,)`.
+            slope_of_prior: gradient at the prior, `(m,)`.
+            covariance: λ²P + ν²C of (1), with what the log lacks, `(m, m)`.
+        """
+        value, present, first = map(float, values)
+        if not (math.isfinite(value) and np.isfinite(slope).all()):
+            return math.nan, math.nan
+        own = math.hypot(OWN_ERROR.get(name, 0.0), self.common) * abs(value)
+        ends = [*_around(name, value, math.hypot(_deviation(slope, covariance), own))]
+        ends.append(present if math.isfinite(present) else value)
+        if self.vague:
+            ends += [
+                x for x in _around(name, first, _deviation(slope_of_prior, np.diag(self.variance))) if not math.isnan(x)
+            ]
+        return (min(ends), max(ends)) if np.isfinite(ends).all() else (math.nan, math.nan)
+
+
 @dataclass(frozen=True, repr=False)
 class Identified(Mapping[str, Quantity]):
     """All quantities of a boat, by name (`quantities.QUANTITIES`).
@@ -74,6 +114,7 @@ class Identified(Mapping[str, Quantity]):
         inverse_mass: g of 1/m = gᵀθ where a known force fixes the mass, `(m,)`; else zeros.
         theta: θ̄, per unit mass, `(m,)`.
         covariance: λ²P + ν²C of (1), with what the log lacks, `(m, m)`.
+        beside: what the intervals take in beside it; None if nothing is identified.
     """
 
     quantities: dict[str, Quantity]
@@ -84,6 +125,7 @@ class Identified(Mapping[str, Quantity]):
     inverse_mass: np.ndarray
     theta: np.ndarray
     covariance: np.ndarray
+    beside: Beside | None = None
 
     def __getitem__(self, name: str) -> Quantity:
         return self.quantities[name]
@@ -154,7 +196,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     state = {name: np.asarray(leaf, dtype=np.float64) for name, leaf in leaves.items()}
     mass, inverse = float(numbers["mass"]), np.asarray(vectors["inverse_mass"], dtype=np.float64)
     prior, variance = (np.asarray(vectors[name], dtype=np.float64) for name in ("prior", "variance"))
-    steps, now, P = 1e-4 * np.sqrt(variance), state["mean"][THETA:], _covariance(state["factor"])
+    now, P = state["mean"][THETA:], _covariance(state["factor"])
     used = max(float(state["readings"]) - DROPPED, 0.0)
     every = float(numbers["read_every"])
     learned = float(state["learned"]) + (float(state["readings"]) * every if math.isfinite(every) else 0.0)
@@ -171,28 +213,21 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         )
     found = _found(P, variance, float(numbers["current"]), float(state["updates"]))
     total = inflation * P[THETA:, THETA:] + spread + np.diag(found.astern)
-    values, slopes = gradients(theta, mass, inverse, steps)
-    total *= _astray(values["steady_speed_full"], variance)
-    present, first = gradients(now, mass, inverse, steps)[0], gradients(prior, mass, inverse, steps)
-    speed = max(abs(values["steady_speed_full"]), 1e-9)
-    common = 2 * found.blind / speed
+    values, slopes = gradients(theta, mass, inverse, steps_of(variance))
+    top = values["steady_speed_full"]
+    total *= _astray(top, variance)
+    speed = max(abs(top), 1e-9) if math.isfinite(top) else _stated(variance)
+    beside = Beside(2 * found.blind / speed, now, prior, variance, found.vague)
+    present, (first, first_slopes) = (
+        quantities_of(now, mass, inverse),
+        gradients(prior, mass, inverse, steps_of(variance)),
+    )
     quantities = {}
     for name, unit in QUANTITIES.items():
-        if name not in values:
-            continue
-        value, slope = values[name], slopes[name]
-        if not (math.isfinite(value) and np.isfinite(slope).all()):
-            quantities[name] = Quantity(math.nan, math.nan, math.nan, unit)
-            continue
-        own = math.hypot(OWN_ERROR.get(name, 0.0), common) * abs(value)
-        low, high = _interval(name, value, math.hypot(_deviation(slope, total), own))
-        ends = [low, high, present[name] if math.isfinite(present[name]) else value]
-        if found.vague:
-            ends += [
-                x for x in _interval(name, first[0][name], _deviation(first[1][name], np.diag(variance))) if x == x
-            ]
-        least, most = (min(ends), max(ends)) if np.isfinite(ends).all() else (math.nan, math.nan)
-        quantities[name] = Quantity(value if least == least else math.nan, least, most, unit)
+        if name in values:
+            each = values[name], present[name], first[name]
+            low, high = beside.interval(name, each, slopes[name], first_slopes[name], total)
+            quantities[name] = Quantity(values[name] if low == low else math.nan, low, high, unit)
     return Identified(
         quantities,
         basis,
@@ -202,6 +237,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         inverse,
         theta,
         total,
+        beside,
     )
 
 
@@ -286,7 +322,12 @@ def _deviation(slope: np.ndarray, covariance: np.ndarray) -> float:
     return math.sqrt(max(float(slope @ covariance @ slope), 0.0))
 
 
-def _interval(name: str, value: float, deviation: float) -> tuple[float, float]:
+def steps_of(variance: np.ndarray) -> np.ndarray:
+    """Steps of the central differences of gradients, `(m,)`."""
+    return 1e-4 * np.sqrt(variance)
+
+
+def _around(name: str, value: float, deviation: float) -> tuple[float, float]:
     half = DEVIATIONS * deviation
     if name in POSITIVE and value > 0:
         ratio = math.exp(min(half / value, WIDEST))
@@ -301,18 +342,23 @@ def _scale(inverse: np.ndarray, mass: float) -> str:
     return f"Forces are those of a boat of {mass:g} kg, as configured: speeds alone do not tell the mass."
 
 
+def _stated(variance: np.ndarray) -> float:
+    """The top speed that the prior was made with, m/s: the deviation of its first parameter is .5 over it."""
+    return 0.5 / math.sqrt(variance[0])
+
+
 def _astray(speed: float, variance: np.ndarray) -> float:
-    """How far the steady speed at full command is from the top speed of the prior, .5/√variance, as a ratio above 1;
-    1 below `FAR`. The deviations of the prior are wrong by powers of it.
+    """How far the steady speed at full command is from the top speed of the prior, as a ratio above 1; 1 below
+    `FAR`. The deviations of the prior are wrong by powers of it.
     """
-    stated = 0.5 / math.sqrt(variance[0])
+    stated = _stated(variance)
     ratio = max(stated / max(abs(speed), 1e-3 * stated), abs(speed) / stated) if math.isfinite(speed) else 1.0
     return ratio if ratio > FAR else 1.0
 
 
 def _top(quantities: Mapping[str, Quantity], variance: np.ndarray) -> list[str]:
-    """A sentence if the steady speed at full command is far from the top speed of the prior, .5/√variance."""
-    stated, speed = 0.5 / math.sqrt(variance[0]), quantities["steady_speed_full"]
+    """A sentence if the steady speed at full command is far from the top speed of the prior."""
+    stated, speed = _stated(variance), quantities["steady_speed_full"]
     if not (speed.low > FAR * stated or speed.high < stated / FAR):
         return []
     return [
