@@ -231,7 +231,8 @@ LACKING = {
     "Both thrusters always had the same command": (varied, varied, {}, {}),
     "The boat kept one heading": (varied, lambda n: varied(n, seed=2), {"heading": 0.7, "current": 0.2}, {}),
     "The boat went astern only": (lambda n: -varied(n), lambda n: -varied(n, seed=2), {}, {}),
-    "Commands and speed hardly changed": (lambda n: np.full(n, 0.5), lambda n: np.full(n, 0.5), {}, {}),
+    "The speed hardly changed: neither": (lambda n: varied(n) - 0.5, lambda n: 0.5 - varied(n), {}, {}),
+    "The speed hardly changed": (lambda n: np.full(n, 0.5), lambda n: np.full(n, 0.5), {}, {}),
     "Only 0 steps were learned under way": (lambda n: np.zeros(n), lambda n: np.zeros(n), {}, {}),
     "vehicle.surge_max: found 27 m/s": (varied, lambda n: varied(n, seed=2), {}, {"surge_max": 27.0}),
 }
@@ -250,6 +251,12 @@ def test_what_a_log_lacks_is_said_and_no_interval_is_false(sentence):
     for curve, name in ends.items():
         _, low, high, _ = found[name]
         assert (drawn[curve].low[-1], drawn[curve].high[-1]) == pytest.approx((low, high), rel=1e-6), curve
+
+
+def test_a_speed_channel_that_is_stuck_is_not_blamed_on_commands_that_vary():
+    sample = log(3000, varied(3000), varied(3000, seed=2))
+    found = learned(sample._replace(surge=0 * sample.surge))
+    assert found.lacks[0].startswith("The speed hardly changed")
 
 
 def test_a_thruster_that_was_never_used_has_a_wide_interval(ordinary):

@@ -267,10 +267,15 @@ def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) 
     if updates < FEW:
         lacks.append(f"Only {updates:.0f} steps were learned under way: the intervals are little more than the prior.")
         turned = True
+    elif drag > VAGUE_DRAG and not only_astern:
+        lacks.append(
+            "The speed hardly changed: neither drag nor thrust can be told; let the sum of the commands vary, or check "
+            "the speed channel."
+        )
     elif len(never) == 1:
         lacks.append(f"The {never[0]} thruster was never used: its thrust is the prior's.")
     elif vague and not only_astern:
-        lacks.append("Commands and speed hardly changed: neither drag nor thrust can be told; let both vary.")
+        lacks.append("The sum of the commands hardly changed: thrust cannot be told; let it vary.")
     elif apart > UNUSED:
         lacks.append("Both thrusters always had the same command: the left and the right one cannot be told apart.")
     if only_astern:
