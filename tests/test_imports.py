@@ -48,8 +48,8 @@ OURS = {
                                  "usvlearn.tensorboard", "usvlearn.report"},
     "usvlearn.sweeps": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.lock", "usvlearn.report",
                                 "usvlearn.runs", "usvlearn.sweeps", "usvlearn.tensorboard"},
-    "usvlearn.report": LEARNS | {"usvlearn.evaluation", "usvlearn.identified", "usvlearn.lock", "usvlearn.online", "usvlearn.report",
-                                 "usvlearn.runs", "usvlearn.tensorboard", "certify"},
+    "usvlearn.report": LEARNS | {"usvlearn.evaluation", "usvlearn.identified", "usvlearn.lock", "usvlearn.online",
+                                 "usvlearn.report", "usvlearn.runs", "usvlearn.tensorboard", "certify"},
     "usvlearn.cli": {"usvlearn"},  # everything
     "usvlearn.learned": LEARNS | {"usvlearn.engine", "usvlearn.evaluation", "usvlearn.report", "usvlearn.runs"},
     "usvlearn.api": {"usvlearn"},  # everything, and nothing imports it
