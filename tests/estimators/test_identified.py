@@ -259,6 +259,17 @@ def test_a_speed_channel_that_is_stuck_is_not_blamed_on_commands_that_vary():
     assert found.lacks[0].startswith("The speed hardly changed")
 
 
+@pytest.mark.parametrize("low", [0.0, -1.0])
+def test_a_reversed_sign_is_named_and_no_interval_is_false(low):
+    sample = log(3000, varied(3000, low), varied(3000, low, seed=2))
+    found = learned(sample._replace(surge=-sample.surge))
+    (said,) = found.lacks
+    assert "data.channels.surge.span" in said and "surge_max" not in said
+    truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
+    for name in ("thrust_full_left", "thrust_full_right", "drag_half_speed", "steady_speed_full", "time_constant"):
+        assert found[name].low <= truth[name] <= found[name].high, (name, found[name])
+
+
 def test_a_thruster_that_was_never_used_has_a_wide_interval(ordinary):
     found = learned(log(3000, np.zeros(3000), varied(3000)))
     width = {name: each.high - each.low for name, each in found.items()}

@@ -222,17 +222,24 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         quantities_of(now, mass, inverse),
         gradients(prior, mass, inverse, steps_of(variance)),
     )
+
+    def interval(name: str) -> tuple[float, float]:
+        each = values[name], present[name], first[name]
+        return beside.interval(name, each, slopes[name], first_slopes[name], total)
+
+    said = _top(top, *interval("steady_speed_full"), variance)
+    if top < 0:  # a sign is reversed
+        beside = beside._replace(vague=True)
     quantities = {}
     for name, unit in QUANTITIES.items():
         if name in values:
-            each = values[name], present[name], first[name]
-            low, high = beside.interval(name, each, slopes[name], first_slopes[name], total)
+            low, high = interval(name)
             quantities[name] = Quantity(values[name] if low == low else math.nan, low, high, unit)
     return Identified(
         quantities,
         basis,
         _scale(inverse, mass),
-        (*found.lacks, *_top(quantities, variance)),
+        (*found.lacks, *said),
         mass,
         inverse,
         theta,
@@ -361,14 +368,20 @@ def _astray(speed: float, variance: np.ndarray) -> float:
     return ratio if ratio > FAR else 1.0
 
 
-def _top(quantities: Mapping[str, Quantity], variance: np.ndarray) -> list[str]:
-    """A sentence if the steady speed at full command is far from the top speed of the prior."""
-    stated, speed = _stated(variance), quantities["steady_speed_full"]
-    if not (speed.low > FAR * stated or speed.high < stated / FAR):
+def _top(speed: float, low: float, high: float, variance: np.ndarray) -> list[str]:
+    """A sentence if the interval of the steady speed at full command, m/s, is far from the top speed of the prior."""
+    stated = _stated(variance)
+    if not (low > FAR * stated or high < stated / FAR):
         return []
+    if speed < 0:
+        return [
+            f"The boat's steady speed at full command is {speed:.2f} m/s: the sign of the speed or of the commands is "
+            "reversed; change the sign of data.channels.surge.span, or of data.channels.command_left.span and "
+            "data.channels.command_right.span, and learn anew."
+        ]
     return [
         f"vehicle.surge_max: found {stated:.3g} m/s, and the boat's steady speed at full command is "
-        f"{speed.value:.2f} m/s: correct it, and learn anew."
+        f"{speed:.2f} m/s: correct it, and learn anew."
     ]
 
 
