@@ -125,6 +125,25 @@ def test_thrust_of_two_terms_is_the_best_fit_of_three():
     assert FOUND["thrust_quadratic_left"] == pytest.approx(MASS * beta, rel=1e-6)
 
 
+def test_drag_that_falls_with_speed_has_the_slower_steady_speed_or_none():
+    theta = np.array([0.1, -1.0, 0.0, 0.8, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert Ahead(theta).steady_speed(1.0) == pytest.approx(2.0)  # 0.1 v² − v + 1.6 = 0 has the roots 2 and 8
+    assert np.isnan(Ahead(theta * [4, 1, *[1] * 10]).steady_speed(1.0))  # no real root
+    assert np.isnan(Ahead(theta * [1, -1, *[1] * 10]).steady_speed(1.0))  # both roots astern
+    found = quantities(theta, 1.0, np.zeros(12))
+    v = np.linspace(2.0 * COAST, 2.0, 100_001)
+    assert found["stopping_distance"] == pytest.approx(np.trapezoid(1 / (1.0 - 0.1 * v), v), rel=1e-6)
+
+
+def test_an_undefined_steady_speed_leaves_the_other_quantities():
+    theta = THETA_ODD.copy()
+    theta[:2] = 0.1, 0.5
+    mean = np.concatenate([np.zeros(THETA), theta])
+    found = read(reader(even=None), mean=mean, updates=1e9)
+    assert math.isnan(found["steady_speed_full"].value) and curves(found) == {}
+    assert found["thrust_full_left"].low < MASS < found["thrust_full_left"].high
+
+
 def test_even_terms_add_ahead():
     theta = dict.fromkeys(names(even=True), 0.0) | {"drag_quadratic": -0.3, "drag_even": 0.1, "thrust_linear_left": 1.0}
     theta |= {"thrust_even_linear_left": 0.2, "thrust_even_quadratic_left": 0.3}
@@ -213,6 +232,13 @@ def test_a_known_force_fixes_the_mass_and_scales_all_forces():
         reader(known={"pull": 3.0})
 
 
+def test_a_known_force_of_the_wrong_sign_is_said():
+    found = read(reader(known={"thrust_full_left": -50.0}))
+    assert math.isnan(found["mass"].value) and found.lacks[-1].startswith("known: the forces have the opposite sign")
+    right = read(reader(known={"drag_linear": -10.0}))
+    assert right["mass"].value > 0 and not any(said.startswith("known") for said in right.lacks)
+
+
 @pytest.fixture(scope="module")
 def ordinary() -> Identified:
     return learned(log(4500, varied(4500), varied(4500, seed=2)))
@@ -276,6 +302,10 @@ def test_a_thruster_that_was_never_used_has_a_wide_interval(ordinary):
     assert width["thrust_full_left"] > 5 * (ordinary["thrust_full_left"].high - ordinary["thrust_full_left"].low)
 
 
+def test_one_step_is_said_in_the_singular():
+    assert read(reader(), updates=1.0).lacks[0].startswith("Only 1 step was learned")
+
+
 def test_twenty_samples_say_so_and_are_wider_than_the_prior():
     found = learned(log(20, varied(20), varied(20, seed=2)))
     assert found.lacks[0].startswith("Only 19 steps were learned")
@@ -329,7 +359,7 @@ def test_online_identifies_with_and_without_torch_and_says_where_it_cannot(tmp_p
     assert len(batch) == 2 and batch[0].quantities == batch[1].quantities
     with pytest.raises(ConfigError, match="no joint filter with read_every"):
         Online(Ensemble({"aid": AID(MASS), "joint": JointEKF(TOP)})).identified()
-    with pytest.raises(ConfigError, match="no joint filter with read_every"):
+    with pytest.raises(ConfigError, match=r"not inside a Bank or Robust: add JointEKF\(..., read_every=600.0\)"):
         Online(AID(MASS)).identified()
 
 

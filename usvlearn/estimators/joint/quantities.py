@@ -100,12 +100,14 @@ class Ahead:
         return -(self.quadratic * speed + self.linear) * speed
 
     def steady_speed(self, command):
-        """(2), m/s; where the thrust points astern, minus the speed of as much thrust ahead; infinite without drag."""
+        """(2), m/s; where the thrust points astern, minus the speed of as much thrust ahead; infinite without drag, NaN
+        where drag that falls with speed, q > 0, never balances the thrust.
+        """
         push = sum(self.thrust(command, side) for side in SIDES)
         slope = -(self.linear + self.lift * command)
-        root = np.sqrt(slope * slope + 4 * np.abs(self.quadratic * push))
         with np.errstate(divide="ignore", invalid="ignore"):
-            return 2 * push / (slope + root)
+            whole = slope + np.sqrt(slope * slope - 4 * self.quadratic * np.abs(push))
+            return np.where(whole >= 0, 2 * push / whole, np.nan)
 
 
 def kilograms_of(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> np.ndarray:
@@ -133,7 +135,7 @@ def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict
         speeds = {f"steady_speed_{name}": boat.steady_speed(command) for name, command in COMMANDS.items()}
         top = np.abs(speeds["steady_speed_full"])
         slope = -(boat.quadratic * top + boat.linear + boat.lift / 2)
-        quadratic = np.maximum(-boat.quadratic, 1e-9)  # (5) goes to its limit, ln(10)/-l
+        quadratic = np.where(np.abs(boat.quadratic) > 1e-9, -boat.quadratic, 1e-9)  # (5) goes to its limit, ln(10)/-l
         fast, slow = (quadratic * part - boat.linear for part in (top, COAST * top))
         forces = boat.sums | {"drag_half_speed": boat.drag(top / 2)}
         found = {name: kilograms * forces[name] for name in FORCES} | speeds

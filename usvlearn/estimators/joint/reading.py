@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -74,7 +74,7 @@ class Beside(NamedTuple):
     def interval(
         self,
         name: str,
-        values: tuple[float, float, float],
+        values: Sequence[float],
         slope: np.ndarray,
         slope_of_prior: np.ndarray,
         covariance: np.ndarray,
@@ -88,7 +88,7 @@ class Beside(NamedTuple):
             slope_of_prior: gradient at the prior, `(m,)`.
             covariance: λ²P + ν²C of (1), with what the log lacks, `(m, m)`.
         """
-        value, present, first = map(float, values)
+        value, present, first = values
         if not (math.isfinite(value) and np.isfinite(slope).all()):
             return math.nan, math.nan
         own = math.hypot(OWN_ERROR.get(name, 0.0), self.common) * abs(value)
@@ -154,15 +154,15 @@ class Identified(Mapping[str, Quantity]):
 def shown(value: float) -> str:
     """A number with three significant digits; a dash for NaN.
 
-    >>> shown(33.6123), shown(-0.01234), shown(1234.5), shown(math.nan)
-    ('33.6', '-0.0123', '1234', '–')
+    >>> shown(33.6123), shown(-0.01234), shown(1234.5), shown(-0.00001), shown(math.nan)
+    ('33.6', '-0.0123', '1234', '0.0000', '–')
     """
     if not math.isfinite(value):
         return "–" if math.isnan(value) else f"{value:g}"
     if abs(value) >= 1e5:
         return f"{value:.2g}"
     digits = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
-    return f"{value:.{min(digits, 4)}f}"
+    return f"{value:z.{min(digits, 4)}f}"  # z: no minus before zero
 
 
 def reader_of(members: Mapping[str, Mapping[str, Any] | None]) -> str | None:
@@ -224,10 +224,11 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     )
 
     def interval(name: str) -> tuple[float, float]:
-        each = values[name], present[name], first[name]
+        each = values[name], float(present[name]), first[name]
         return beside.interval(name, each, slopes[name], first_slopes[name], total)
 
-    said = _top(top, *interval("steady_speed_full"), variance)
+    said = _wrong_sign(theta, inverse)
+    said += _top(top, *interval("steady_speed_full"), variance)
     if top < 0:  # a sign is reversed
         beside = beside._replace(vague=True)
     quantities = {}
@@ -272,7 +273,8 @@ def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) 
     turned = bool(shares[-1] < ONE_HEADING)
     never = [side for side in SIDES if share[side] > UNUSED]
     if updates < FEW:
-        lacks.append(f"Only {updates:.0f} steps were learned under way: the intervals are little more than the prior.")
+        learned = "1 step was" if updates == 1 else f"{updates:.0f} steps were"
+        lacks.append(f"Only {learned} learned under way: the intervals are little more than the prior.")
         turned = True
     elif drag > VAGUE_DRAG and not only_astern:
         lacks.append(
@@ -354,6 +356,16 @@ def _scale(inverse: np.ndarray, mass: float) -> str:
     return f"Forces are those of a boat of {mass:g} kg, as configured: speeds alone do not tell the mass."
 
 
+def _wrong_sign(theta: np.ndarray, inverse: np.ndarray) -> list[str]:
+    """A sentence if the known forces would make the mass negative."""
+    if not inverse.any() or theta @ inverse >= 0:
+        return []
+    return [
+        "known: the forces have the opposite sign of those in the log, so that neither mass nor forces can be told; "
+        "thrust ahead is positive, drag negative: correct the signs, and learn anew."
+    ]
+
+
 def _stated(variance: np.ndarray) -> float:
     """The top speed that the prior was made with, m/s: the deviation of its first parameter is .5 over it."""
     return 0.5 / math.sqrt(variance[0])
@@ -385,9 +397,11 @@ def _top(speed: float, low: float, high: float, variance: np.ndarray) -> list[st
     ]
 
 
-def _nothing(mass: float, inverse: np.ndarray, *filtered: np.ndarray) -> Identified:
+def _nothing(mass: float, inverse: np.ndarray, theta: np.ndarray, covariance: np.ndarray) -> Identified:
     """The quantities of a filter whose state is not finite."""
     every = {name: Quantity(math.nan, math.nan, math.nan, unit) for name, unit in QUANTITIES.items()}
     if not inverse.any():
         del every["mass"]
-    return Identified(every, "Nothing is identified.", "", ("The filter has diverged.",), mass, inverse, *filtered)
+    return Identified(
+        every, "Nothing is identified.", "", ("The filter has diverged.",), mass, inverse, theta, covariance
+    )
