@@ -35,8 +35,9 @@ def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Ident
     name = reader_of(members)
     if name is None:
         raise ConfigError(
-            "identified: found no joint filter with read_every among the estimators, expected one: add "
-            "+estimator@estimators.reader=joint_reader and learn anew"
+            "identified: found no joint filter with read_every among the estimators, expected one that is itself a "
+            "member, not inside a Bank or Robust: add JointEKF(..., read_every=600.0), or "
+            "+estimator@estimators.reader=joint_reader on the command line, and learn anew"
         )
     prefix, description = f"members.{name}." if name else "", members[name]
     own = {key.removeprefix(prefix): np.asarray(leaf) for key, leaf in leaves.items() if key.startswith(prefix)}
