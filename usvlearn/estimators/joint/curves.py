@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.estimators.joint.quantities import SIDES, Ahead, kilograms_of
-from usvlearn.estimators.joint.reading import Beside, Identified, steps_of
+from usvlearn.estimators.joint.quantities import SIDES, Ahead, kilograms_of, steps_of
+from usvlearn.estimators.joint.reading import Beside, Identified
 
 POINTS = 41
 

@@ -145,6 +145,11 @@ def quantities(theta: np.ndarray, mass: float, inverse_mass: np.ndarray) -> dict
     return found | ({"mass": kilograms} if inverse_mass.any() else {})
 
 
+def steps_of(variance: np.ndarray) -> np.ndarray:
+    """Steps of the central differences of gradients, `(m,)`."""
+    return 1e-4 * np.sqrt(variance)
+
+
 def gradients(
     theta: np.ndarray, mass: float, inverse_mass: np.ndarray, steps: np.ndarray
 ) -> tuple[dict[str, float], dict[str, np.ndarray]]:

@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.estimators.joint.quantities import EVEN_BESIDE, QUANTITIES, SIDES, gradients
+from usvlearn.estimators.joint.quantities import EVEN_BESIDE, QUANTITIES, SIDES, gradients, steps_of
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
 from usvlearn.estimators.joint.state import DROPPED, NORTH, THETA, names
 
@@ -51,6 +51,10 @@ VAGUE_DRAG, VAGUE_THRUST = 0.1, 0.3  # of (3), beyond which an interval contains
 ONE_HEADING = 0.9  # share of the current's variance across the heading, after some 10 min without a turn
 FAR = 1.5  # ratio of the steady speed to vehicle.surge_max, or its inverse
 ASTERN_ONLY = 4.0, 0.1  # ratio of (3) ahead to (3) astern, and least (3) ahead, where the boat went astern only
+WRONG_SIGN = (
+    "known: the forces have the opposite sign of those found, so that neither mass nor forces can be told; thrust "
+    "ahead is positive, drag negative: correct the signs, and learn anew."
+)
 
 
 class Quantity(NamedTuple):
@@ -227,10 +231,10 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         each = values[name], float(present[name]), first[name]
         return beside.interval(name, each, slopes[name], first_slopes[name], total)
 
-    said = _wrong_sign(theta, inverse)
-    said += _top(top, *interval("steady_speed_full"), variance)
+    said = _top(top, *interval("steady_speed_full"), variance)
     if top < 0:  # a sign is reversed
         beside = beside._replace(vague=True)
+    wrong = [WRONG_SIGN] if theta @ inverse < 0 else []
     quantities = {}
     for name, unit in QUANTITIES.items():
         if name in values:
@@ -239,8 +243,8 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     return Identified(
         quantities,
         basis,
-        _scale(inverse, mass),
-        (*found.lacks, *said),
+        "" if wrong else _scale(inverse, mass),
+        (*found.lacks, *said, *wrong),
         mass,
         inverse,
         theta,
@@ -336,11 +340,6 @@ def _deviation(slope: np.ndarray, covariance: np.ndarray) -> float:
     return math.sqrt(max(float(slope @ covariance @ slope), 0.0))
 
 
-def steps_of(variance: np.ndarray) -> np.ndarray:
-    """Steps of the central differences of gradients, `(m,)`."""
-    return 1e-4 * np.sqrt(variance)
-
-
 def _around(name: str, value: float, deviation: float) -> tuple[float, float]:
     half = DEVIATIONS * deviation
     if name in POSITIVE and value > 0:
@@ -354,16 +353,6 @@ def _scale(inverse: np.ndarray, mass: float) -> str:
     if inverse.any():
         return "The mass and all forces follow from the known forces."
     return f"Forces are those of a boat of {mass:g} kg, as configured: speeds alone do not tell the mass."
-
-
-def _wrong_sign(theta: np.ndarray, inverse: np.ndarray) -> list[str]:
-    """A sentence if the known forces would make the mass negative."""
-    if not inverse.any() or theta @ inverse >= 0:
-        return []
-    return [
-        "known: the forces have the opposite sign of those in the log, so that neither mass nor forces can be told; "
-        "thrust ahead is positive, drag negative: correct the signs, and learn anew."
-    ]
 
 
 def _stated(variance: np.ndarray) -> float:
