@@ -59,7 +59,7 @@ def test_results_have_what_was_identified(whole):
             assert name != "mass"
         assert 1 < quantities["steady_speed_full"]["truth"] < 4 and quantities["thrust_full_left"]["unit"] == "N"
     text = (whole.parent / "output.txt").read_text()
-    assert "Identified: value, and 90 % interval" in text and "28 kg, as configured" in text
+    assert "Identified, with 90 % intervals" in text and "truth" in text and "28 kg, as configured" in text
 
 
 def test_terminal(whole):
