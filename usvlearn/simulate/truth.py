@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from usvlearn.simulate.fleet import fleet_names, fleet_vessels
-from usvlearn.simulate.vessel import drag, static_thrust, steady_surge, thrust
+from usvlearn.simulate.vessel import Vessel, drag, static_thrust, steady_surge, thrust
 
 GRID = 101  # points of a fit
 COAST = 0.1  # share of the speed that is left at the end of the stopping distance
@@ -73,8 +73,7 @@ def true_quantities(
     >>> round(found["steady_speed_full"], 3), round(found["thrust_full_left"], 1)
     (2.741, 33.6)
     """
-    missions = math.ceil(round(hours * 60 / mission_minutes, 6))
-    vessel = fleet_vessels(n, spread, plant, seed if fleet_seed is None else fleet_seed, missions, drift)
+    missions, vessel = _season(n, plant, hours, mission_minutes, seed, spread, drift, fleet_seed)
     both = torch.ones(2, dtype=torch.float64)
     found = {f"steady_speed_{name}": steady_surge(vessel, share * both) for name, share in COMMANDS.items()}
     top, scale = found["steady_speed_full"], mass / vessel.mass
@@ -100,6 +99,21 @@ def true_quantities(
     }
 
 
+def _season(
+    n: int,
+    plant: str,
+    hours: float,
+    mission_minutes: float,
+    seed: int,
+    spread: float,
+    drift: float,
+    fleet_seed: int | None,
+) -> tuple[int, Vessel]:
+    """The number of missions, and the true boats on each of them, as `usvlearn.simulate.fleet.fleet` draws them."""
+    missions = math.ceil(round(hours * 60 / mission_minutes, 6))
+    return missions, fleet_vessels(n, spread, plant, seed if fleet_seed is None else fleet_seed, missions, drift)
+
+
 def true_parameters(
     mass: float,
     n: int,
@@ -122,8 +136,7 @@ def true_parameters(
     >>> found["heron"]["drag_linear"].round(3).tolist(), len(found["heron"])
     ([-16.45, -16.45], 9)
     """
-    missions = math.ceil(round(hours * 60 / mission_minutes, 6))
-    vessel = fleet_vessels(n, spread, plant, seed if fleet_seed is None else fleet_seed, missions, drift)
+    missions, vessel = _season(n, plant, hours, mission_minutes, seed, spread, drift, fleet_seed)
     one = torch.ones(2, dtype=torch.float64)
     top = float(steady_surge(vessel, one).max())
     v = torch.linspace(0.0, top, GRID, dtype=torch.float64)[1:]

@@ -8,6 +8,7 @@ import numpy as np
 
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import Curve, curves
+from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.season import Season
@@ -17,7 +18,6 @@ from usvlearn.report.result_table import ResultTable
 from usvlearn.report.section import Drawn, Section
 from usvlearn.signals import tree_map
 
-COMMANDS = {"steady_speed_full": 1.0, "steady_speed_half": 0.5, "steady_speed_quarter": 0.25}
 LEFT, RIGHT = KNOWN["aid"], KNOWN["sift_map"]  # colours
 CAPTION = "Lines: identified. Bands: 90 %."
 
@@ -68,8 +68,12 @@ def identified_figure(shown: Mapping[str, Curve], found: Identified, truth: Mapp
         ("command of both sides, share of full scale", "steady speed, m/s"),
     )
     half = found["steady_speed_full"].value / 2
-    points = [(0, half, "drag_half_speed", INK), (1, 1.0, "thrust_full_left", LEFT),
-              (1, 1.0, "thrust_full_right", RIGHT), *((2, at, name, INK) for name, at in COMMANDS.items())]  # fmt: skip
+    points = [
+        (0, half, "drag_half_speed", INK),
+        (1, 1.0, "thrust_full_left", LEFT),
+        (1, 1.0, "thrust_full_right", RIGHT),
+        *((2, at, f"steady_speed_{name}", INK) for name, at in COMMANDS.items()),
+    ]
     with themed() as Figure:
         figure = Figure(figsize=(9.5, 2.9), layout="constrained")
         panels = figure.subplots(1, 3)
