@@ -431,8 +431,12 @@ void joint(long steps, const Samples *s, const Joint *joint, JointState *state, 
         widen(U, D, FORCE, joint->disturbance * noise * span);
         D[0] += 0.05 * noise * span;
         int place = (int)state->turn;
-        if (place % 4 == 0 && rest > 1e-3)
-            widen(U, D, THETA + place / 4, 4 * m * h / joint->drift_time * joint->variance[place / 4]);
+        if (place % 4 == 0 && rest > 1e-3) {
+            int i = THETA + place / 4;
+            double prior = joint->variance[place / 4], room = prior - D[i], growth = 4 * m * h / joint->drift_time * prior;
+            for (int j = i + 1; j < n; j++) room -= D[j] * U[j][i] * U[j][i];
+            if (room > 0) widen(U, D, i, growth < room ? growth : room);
+        }
         state->turn = place + 1 < 4 * m ? place + 1 : 0;
         for (int j = 1; j < 4; j++) x[j] *= scale[j];
         x[SPEED] = ahead;

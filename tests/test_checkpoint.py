@@ -81,6 +81,16 @@ def test_another_estimator_or_size_is_refused(tmp_path):
         store.restore(path, AID().init())
 
 
+def test_a_run_with_one_boat_is_opened_and_several_boats_are_named(tmp_path):
+    online = Online(AID(mass=28.0))
+    online.save(tmp_path / "checkpoints" / "heron" / "000.safetensors")
+    expected = dict(named_leaves(online.state))
+    assert all((leaf == expected[name].numpy()).all() for name, leaf in Online.open(tmp_path).state.items())
+    online.save(tmp_path / "checkpoints" / "otter" / "000.safetensors")
+    with pytest.raises(CheckpointError, match=r"several boats: give .*heron or .*otter$"):
+        Online.open(tmp_path)
+
+
 def test_unreadable_newest_falls_back_with_a_warning(tmp_path):
     online = Online(AID())
     for k in range(3):

@@ -15,7 +15,7 @@ import platform
 import re
 import reprlib
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ SCHEMA = 2  # schema 1 had another square root of the covariance of least square
 SUFFIX = ".safetensors"
 RENAMED = {"members.rls.": "members.sift_map."}  # since version 0.1
 KEY = "usvlearn"  # of the metadata in the safetensors header
+LISTED = 8  # folders in an error
 QUOTED = 400  # characters of an error that quotes the file
 HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
 LEFT = re.compile(rf"\..+\.{HOST}-(\d{{1,19}})-\d+\.tmp")
@@ -176,14 +177,26 @@ def restore_newest(folder: str | Path, template: Any, estimator: str | None = No
 
 
 def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
-    """The result of `read` for the newest parameter set of a folder for which it raises no CheckpointError."""
+    """The result of `read` for the newest parameter set of a folder for which it raises no CheckpointError.
+
+    Without sets of its own, the folder may be a run's: that of its only boat is read.
+    """
     paths = checkpoints(folder)
+    if not paths and (boats := sorted({path.parent for path in Path(folder).glob(f"*/*/*{SUFFIX}")})):
+        if len(boats) > 1:
+            raise CheckpointError(f"{folder}: holds the parameter sets of several boats: give {_either(boats)}")
+        paths = checkpoints(boats[0])
     for path in reversed(paths):
         try:
             return read(path)
         except CheckpointError as error:
             warnings.warn(f"{error}; trying the one before", stacklevel=3)
     raise CheckpointError(f"{folder}: none of its {len(paths)} checkpoints can be read: give another folder")
+
+
+def _either(paths: Sequence[Path]) -> str:
+    shown = [str(path) for path in paths[:LISTED]]
+    return " or ".join(shown) + (f", or one of {len(paths) - LISTED} more" if len(paths) > LISTED else "")
 
 
 def write_atomically(path: Path, content: bytes) -> None:

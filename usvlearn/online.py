@@ -55,7 +55,10 @@ class Online:
 
     @classmethod
     def open(cls, path: str | Path) -> Online:
-        """Continue from a checkpoint (the newest readable one if `path` is a folder) with compiled code, without torch.
+        """Continue from a checkpoint with compiled code, without torch.
+
+        Args:
+            path: a parameter set; or a folder of them, or the run's folder if it has one boat: the newest readable one.
 
         Raises:
             CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.

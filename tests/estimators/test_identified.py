@@ -233,9 +233,13 @@ def test_a_known_force_fixes_the_mass_and_scales_all_forces():
 
 
 def test_a_known_force_of_the_wrong_sign_is_said():
-    found = read(reader(known={"thrust_full_left": -50.0}))
+    found = read(reader(known={"thrust_linear_left": -50.0}))
     assert math.isnan(found["mass"].value) and found.lacks[-1].startswith("known: the forces have the opposite sign")
     right = read(reader(known={"drag_linear": -10.0}))
+    with pytest.raises(ConfigError, match=r"known.thrust_full_left: found -50.0, expected a number that is positive"):
+        reader(known={"thrust_full_right": 30.0, "thrust_full_left": -50.0})
+    with pytest.raises(ConfigError, match=r"known.drag_linear: found 10.0, expected a number that is negative"):
+        reader(known={"drag_linear": 10.0})
     assert right["mass"].value > 0 and right.scale.startswith("The mass and all forces follow")
 
 
@@ -296,10 +300,25 @@ def test_a_reversed_sign_is_named_and_no_interval_is_false(low):
         assert found[name].low <= truth[name] <= found[name].high, (name, found[name])
 
 
-def test_a_thruster_that_was_never_used_has_a_wide_interval(ordinary):
-    found = learned(log(3000, np.zeros(3000), varied(3000)))
-    width = {name: each.high - each.low for name, each in found.items()}
-    assert width["thrust_full_left"] > 5 * (ordinary["thrust_full_left"].high - ordinary["thrust_full_left"].low)
+@pytest.mark.parametrize("never", SIDES)
+def test_a_thruster_that_was_never_used_widens_its_own_interval_alone(ordinary, never):
+    commands = (np.zeros(4500), varied(4500)) if never == "left" else (varied(4500), np.zeros(4500))
+    found = learned(log(4500, *commands))
+    ratio = {name: (found[name].high - found[name].low) / (each.high - each.low) for name, each in ordinary.items()}
+    (other,) = set(SIDES) - {never}
+    assert ratio[f"thrust_full_{never}"] > 5
+    assert ratio[f"thrust_full_{other}"] < 3 and ratio["drag_linear"] < 3
+
+
+def test_intervals_that_a_log_does_not_settle_are_named():
+    """Full thrust is an extrapolation by a factor of three."""
+    found = learned(log(3000, varied(3000, 0.0, 0.3), varied(3000, 0.0, 0.3, seed=2)))
+    (said,) = found.lacks
+    named = said.partition("settle ")[2].partition(":")[0].split(", ")
+    for name in ("drag_half_speed", "thrust_full_left", "thrust_full_right", "steady_speed_full", "time_constant"):
+        value, low, high, _ = found[name]
+        assert (high - low > value) == (name in named)
+    assert "thrust_full_left" in named
 
 
 def test_one_step_is_said_in_the_singular():

@@ -56,8 +56,12 @@ def find_halves(recordings: Sequence[Recording], model: Estimator, align: Mappin
     """Learn a model from recordings at each of `DELAYS`; the first and the second half.
 
     Raises:
-        LogFormatError: a half is too short, or the speed does not change in it.
+        LogFormatError: the commands never change, a half is too short, or the speed does not change in it.
     """
+    if not any(np.ptp(one.channels[side].value) > 0 for one in recordings for side in SIDES):
+        raise LogFormatError(
+            "data.path: no command ever changes: give logs in which the thrusters are used, or check data.channels"
+        )
     found: list[tuple[Errors, Errors]] = []
     for delay in DELAYS:
         with warnings.catch_warnings(action="ignore" if found else "default"):  # a short run is told once

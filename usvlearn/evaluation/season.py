@@ -24,6 +24,12 @@ class SeasonRun(NamedTuple):
         """Which steps count, `(time,)` bool."""
         return masks(self.samples, self.surge_limit).learns
 
+    @property
+    def spacing(self) -> float:
+        """The median length of a step, s; 0 of a run without steps."""
+        made = self.samples.inputs.dt[self.samples.inputs.dt > 0]
+        return float(np.median(made)) if len(made) else 0.0
+
 
 class Season(NamedTuple):
     """One boat over all its runs."""

@@ -16,6 +16,7 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice
 
 LISTED, QUOTED = 60, 60  # names in an error, and characters of one
 CHANNELS = ("command_left", "command_right", "heading", "yaw_rate", "surge")
+SLOWEST = 10.0  # s, the longest period
 AUTO = "auto"  # a period that is found from the logs
 REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be computed from the heading
 
@@ -78,8 +79,8 @@ class Source:
             raise ConfigError(f"window: found {self.window!r}, expected a positive time in s")
         if not 0 <= self.delay < math.inf:
             raise ConfigError(f"delay: found {self.delay!r}, expected a time of 0 s or more")
-        if self.period != AUTO and not (isinstance(self.period, int | float) and 0 <= self.period < math.inf):
-            raise ConfigError(f"period: found {self.period!r}, expected a time of 0 s or more, or {AUTO}")
+        if self.period != AUTO and not (isinstance(self.period, int | float) and 0 <= self.period <= SLOWEST):
+            raise ConfigError(f"period: found {self.period!r}, expected a time of 0 to {SLOWEST:g} s, or {AUTO}")
 
     def convert(self, raw: np.ndarray) -> np.ndarray:
         """Raw values to SI units; shape unchanged."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from rich.console import Group
 from rich.text import Text
 
+from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.metrics import by_error, mean_mae
@@ -111,7 +112,8 @@ def report(
 def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None) -> Group:
     """Quantities with their 90 % intervals, boat by boat.
 
-    The nine single parameters are in `results.json` and in the report alone, because they trade against each other.
+    The nine single parameters, which trade against each other, are shown of a single boat; of several boats they are in
+    `results.json` and in the report.
 
     Args:
         found: of each boat; nothing is printed for none.
@@ -122,15 +124,17 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
     truth = truth or {}
     heads = ["value", "from", "to", *(["truth"] if truth else []), "unit"]
     table = Blocks("Identified, with 90 % intervals", ["quantity"], heads)
+    several = len(found) > 1
     for boat, quantities in found.items():
-        if len(found) > 1:
+        if several:
             table.group(boat)
         known = truth.get(boat, {})
-        for name in (name for name in quantities if name not in SURGE):
+        for name in (name for name in quantities if not (several and name in SURGE)):
             *numbers, unit = quantities[name]
             true = [shown(known[name]) if name in known else "–"] if truth else []
             table.add(name, *map(shown, numbers), *true, unit)
-    return Group(Text(), table, *map(Text, sentences(found)))
+    more = ["The nine parameters of each boat are in results.json and in the report."] if several else []
+    return Group(Text(), table, *map(Text, [MEANING, *sentences(found), *more]))
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:

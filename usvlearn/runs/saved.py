@@ -178,10 +178,12 @@ def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
 def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemble: Ensemble) -> Season:
     template = tree_map(lambda x: x[0], ensemble.init((1,)))
     keys = [run.key for run in runs]
+    spacing = {run.key: run.spacing for run in runs if run.spacing}  # a step's may differ from align.dt
     sets, paths, own, hours, before = [], [], [], [], 0.0
     for folder in folders:
         learned = folder.learned.get(boat, [])
-        ends = np.cumsum([0, *(length for _, length, _ in learned)]) * folder.dt / 3600
+        steps = np.array([spacing.get(key, folder.dt) for _, _, key in learned]) / 3600
+        ends = np.cumsum([0.0, *(length * step for (_, length, _), step in zip(learned, steps, strict=True))])
         for path in checkpoints(folder.path / CHECKPOINTS / boat):
             at = position(path)
             if at is None or at.step == 0:  # the set it started from
@@ -199,7 +201,7 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
             key = learned[at.run][2]
             paths.append(path)
             own.append(keys.index(key) if key in keys else -1)
-            hours.append(before + ends[at.run] + at.step * folder.dt / 3600)
+            hours.append(before + ends[at.run] + at.step * steps[at.run])
         before += ends[-1]
         runs = _with_predictions(folder, boat, runs)
     if not sets:

@@ -18,7 +18,7 @@ from usvlearn.estimators.arx.state import (
     Number,
     Vector,
 )
-from usvlearn.estimators.factored.kernel import add, loosen, measure, project, rotated, variance
+from usvlearn.estimators.factored.kernel import add, loosen, measure, project, rotated, variance, walked
 from usvlearn.estimators.least_squares.state import LOOSEST, NOISE_LEAST, NOISE_SHARE
 from usvlearn.family import Node
 from usvlearn.jit import jit
@@ -84,7 +84,7 @@ def learn(node, s, q, x, estimate, target, work):
             project(theta, A, SQUARE, even, -share, gain)
         turn = s[node[AT.turn]]
         k = int(turn) if 0 <= turn < p else 0  # a member that diverged may hold any number
-        add(A, k, walked(A, k, prior[k], h * numbers[Number.WALK]), gain)
+        add(A, k, walked(A, k, prior[k], len(A) * (h * numbers[Number.WALK]) * prior[k]), gain)
         learned = noise + NOISE_SHARE * (weight * seen - noise)
         s[node[AT.turn]] = k + 1 if k + 1 < p else 0
         s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
@@ -151,10 +151,3 @@ def remember(node, s, q, h, surge, work):
         past[RATES] = clamp((surge - s[node[AT.surge]]) / h, limit)
     s[node[AT.surge]] = surge
     s[node[AT.started]] = 0.0
-
-
-@jit
-def walked(A, k, prior, share):
-    """By how much P_kk grows, (4)."""
-    room = prior - variance(A, k)
-    return min(len(A) * share * prior, room) if room > 0 else 0.0

@@ -16,6 +16,13 @@ def variance(A, i):
     return total
 
 
+@jit
+def walked(A, i, prior, growth):
+    """By how much P_ii grows when it walks: no further than its prior."""
+    room = prior - variance(A, i)
+    return min(growth, room) if room > 0 else 0.0
+
+
 @jit(reorder=True)
 def rotated(A, H, f, G):
     """f and G of (2); returns HᵀPH."""

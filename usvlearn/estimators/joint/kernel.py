@@ -6,7 +6,7 @@
 import numpy as np
 
 from usvlearn.arrays import clamp, fill
-from usvlearn.estimators.factored.kernel import add, loosen, measure, project, variance
+from usvlearn.estimators.factored.kernel import add, loosen, measure, project, variance, walked
 from usvlearn.estimators.joint.factored_kernel import add_current, add_slow, seen, transition
 from usvlearn.estimators.joint.state import (
     AGEING,
@@ -208,7 +208,8 @@ def advance(node, s, q, x, mean, A, work):
         k = int(turn)
         if k == turn and k % EVERY == 0 and not rest:
             share = EVERY * parameters * (STEP * span) / numbers[Number.DRIFT_TIME]
-            add(A, THETA + k // EVERY, share * q[node[Vector.VARIANCE] + k // EVERY], a)
+            i, prior = THETA + k // EVERY, q[node[Vector.VARIANCE] + k // EVERY]
+            add(A, i, walked(A, i, prior, share * prior), a)
     s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
     mean[B], mean[NORTH], mean[EAST] = mean[B] * slow, mean[NORTH] * current, mean[EAST] * current
     mean[W] = clamp(speed, SPEED_MAX)

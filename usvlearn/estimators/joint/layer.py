@@ -23,7 +23,7 @@ from usvlearn.estimators.factored.layer import (
     variances,
 )
 from usvlearn.estimators.joint import state as at
-from usvlearn.estimators.joint.quantities import sums
+from usvlearn.estimators.joint.quantities import KNOWN_SIGNS, sums
 from usvlearn.estimators.joint.state import EAST, FAMILY, KAPPA, NORTH, THETA, B, E, JointState, W, names
 from usvlearn.estimators.mass import known_rows
 from usvlearn.estimators.regressors.layer import phi1
@@ -136,6 +136,12 @@ class JointEKF(Estimator):
         rows = sums(even is not None)
         inverse = torch.zeros(len(self.names), dtype=v.dtype)
         if self.known is not None:
+            for name, value in self.known.items():
+                if name in KNOWN_SIGNS and not value * KNOWN_SIGNS[name] > 0:
+                    sense = (
+                        "positive: thrust ahead is" if KNOWN_SIGNS[name] > 0 else "negative: a drag's parameters are"
+                    )
+                    raise ConfigError(f"known.{name}: found {value!r}, expected a number that is {sense}")
             chosen, values = known_rows(self.known, tuple(rows))
             coefficients = torch.tensor(chosen, dtype=v.dtype) @ torch.tensor(
                 np.stack(list(rows.values())), dtype=v.dtype
@@ -290,10 +296,11 @@ class JointEKF(Estimator):
         D = D + (at.SPEED_NOISE * state.noise * span)[..., None] * eye[W]
         m = len(self.names)
         walks = at.EVERY * torch.arange(m, dtype=D.dtype, device=D.device) == state.turn[..., None]
-        shares = torch.where(walks & moves[..., None], self.variance, 0.0)
-        share = at.EVERY * m * (at.STEP * span) / self.drift_time() * shares.sum(-1)
+        prior, share = self.variance, at.EVERY * m * (at.STEP * span) / self.drift_time()
+        grown = torch.minimum(share[..., None] * prior, (prior - variances(U, D)[..., THETA:]).clamp(min=0))
+        growth = torch.where(walks & moves[..., None], grown, 0.0).sum(-1)
         unit_vector = torch.cat([torch.zeros_like(walks[..., :1]).expand(*walks.shape[:-1], THETA), walks], -1)
-        U, D = added(U, D, unit_vector.to(D.dtype), share)
+        U, D = added(U, D, unit_vector.to(D.dtype), growth)
         turn = torch.where(state.turn + 1 < at.EVERY * m, state.turn + 1, 0.0)
         beyond = speed.abs() >= at.SPEED_MAX
         U = torch.where(beyond[..., None, None], unit(U * (1 - eye[W])[:, None]), U)

@@ -38,6 +38,13 @@ QUANTITIES = FORCES | {
     **{f"steady_speed_{name}": "m/s" for name in COMMANDS},
     "time_constant": "s", "stopping_distance": "m", "thrust_ratio": "left/right", "mass": "kg",
 }  # fmt: skip
+MEANING = (
+    "thrust_full: of a side at standstill. drag_half_speed and time_constant: at half of steady_speed_full, the latter "
+    "at half command. stopping_distance: with thrusters off, from steady_speed_full until a tenth of it is left."
+)
+KNOWN_SIGNS = {f"drag_{kind}": -1 for kind in ("quadratic", "linear", "cross")} | {
+    f"thrust_full_{side}": 1 for side in SIDES
+}  # which a force that a user knows must have
 EVEN_BESIDE = {"drag_quadratic": "drag_even"} | {
     f"thrust_{kind}_{side}": f"thrust_even_{kind}_{side}" for side in SIDES for kind in ("linear", "quadratic", "speed")
 }

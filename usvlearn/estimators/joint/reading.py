@@ -19,8 +19,9 @@ and about 1 where it informs about none:
 
     s(A) = least eigenvalue of (A P Aᵀ)(A P₀ Aᵀ)⁻¹                                                     (3)
 
-Where it is large for the drag or for the thrust of both sides together, the interval contains the prior's, too. Where
-the steady speed is far from the prior's top speed, the variance is multiplied by their ratio.
+Where it is large for the drag or for the thrust of both sides together (of the other side, where one was never used),
+the interval contains the prior's, too. Where the steady speed is far from the prior's top speed, the variance is
+multiplied by their ratio.
 
 The derivation is in `docs/theory.md`, section 21.
 """
@@ -49,6 +50,8 @@ FEW = 100  # learned steps below which nothing else is said
 UNUSED = 0.8  # of (3): no step told anything
 VAGUE_DRAG, VAGUE_THRUST = 0.1, 0.3  # of (3), beyond which an interval contains the prior's
 ONE_HEADING = 0.9  # share of the current's variance across the heading, after some 10 min without a turn
+MAIN = ("drag_half_speed", "thrust_full_left", "thrust_full_right", "steady_speed_full", "time_constant")
+WIDE = 0.5  # half-width over value, beyond which a main quantity is not settled
 FAR = 1.5  # ratio of the steady speed to vehicle.surge_max, or its inverse
 ASTERN_ONLY = 4.0, 0.1  # ratio of (3) ahead to (3) astern, and least (3) ahead, where the boat went astern only
 WRONG_SIGN = (
@@ -240,11 +243,12 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         if name in values:
             low, high = interval(name)
             quantities[name] = Quantity(values[name] if low == low else math.nan, low, high, unit)
+    lacks = [*found.lacks, *said, *wrong]
     return Identified(
         quantities,
         basis,
         "" if wrong else _scale(inverse, mass),
-        (*found.lacks, *said, *wrong),
+        tuple(lacks or _wide(quantities)),
         mass,
         inverse,
         theta,
@@ -272,10 +276,11 @@ def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) 
     }  # (3)
     drag, ahead, astern, apart = (share[name] for name in ("drag", "ahead", "astern", "apart"))
     shares = np.linalg.eigvalsh(P[NORTH:THETA, NORTH:THETA]) / current**2
-    vague, lacks = drag > VAGUE_DRAG or ahead > VAGUE_THRUST, []
+    never = [side for side in SIDES if share[side] > UNUSED]
+    pushed = share[f"ahead_{next(side for side in SIDES if side not in never)}"] if len(never) == 1 else ahead
+    vague, lacks = drag > VAGUE_DRAG or pushed > VAGUE_THRUST, []
     only_astern = even and ahead > ASTERN_ONLY[0] * astern and ahead > ASTERN_ONLY[1]
     turned = bool(shares[-1] < ONE_HEADING)
-    never = [side for side in SIDES if share[side] > UNUSED]
     if updates < FEW:
         learned = "1 step was" if updates == 1 else f"{updates:.0f} steps were"
         lacks.append(f"Only {learned} learned under way: the intervals are little more than the prior.")
@@ -316,9 +321,10 @@ def _combinations(even: bool) -> dict[str, np.ndarray]:
     found = dict(each)
     found["drag"] = [of["drag_quadratic"], of["drag_linear"], *([of["drag_even"]] if even else [])]
     found["apart"] = [left - right for left, right in zip(each["left"], each["right"], strict=True)]
-    for name, sign in (("ahead", 1.0), ("astern", -1.0)):  # linear and quadratic thrust of both sides together
+    both = {"ahead": (1.0, SIDES), "astern": (-1.0, SIDES)} | {f"ahead_{side}": (1.0, (side,)) for side in SIDES}
+    for name, (sign, sides) in both.items():  # linear and quadratic thrust, of the sides together
         found[name] = [
-            sum((of[odd[side][k]] + sign * beside.get(odd[side][k], 0.0) for side in SIDES), np.zeros(len(of)))
+            sum((of[odd[side][k]] + sign * beside.get(odd[side][k], 0.0) for side in sides), np.zeros(len(of)))
             for k in range(2)
         ]
     return {name: np.stack(rows) for name, rows in found.items()}
@@ -383,6 +389,19 @@ def _top(speed: float, low: float, high: float, variance: np.ndarray) -> list[st
     return [
         f"vehicle.surge_max: found {stated:.3g} m/s, and the boat's steady speed at full command is "
         f"{speed:.2f} m/s: correct it, and learn anew."
+    ]
+
+
+def _wide(quantities: Mapping[str, Quantity]) -> list[str]:
+    """A sentence that names the main quantities whose half-widths are more than `WIDE` times their values."""
+    wide = [
+        name for name in MAIN if not quantities[name].high - quantities[name].low < 2 * WIDE * quantities[name].value
+    ]
+    if not wide:
+        return []
+    return [
+        f"The log does not settle {', '.join(wide)}: the interval of each is wider than ± half of its value. A longer "
+        "log narrows them, with both commands changed often and up to full."
     ]
 
 

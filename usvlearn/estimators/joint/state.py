@@ -17,7 +17,7 @@ command acts late. With the commands u, the sum over both sides, and h the lengt
 (3) is the exponential Rosenbrock–Euler step (Hochbruck & Ostermann 2010): exact where f is linear in w, of second
 order elsewhere, and stable however stiff the drag. With g = ∂w⁺/∂x the covariance P goes to F P Fᵀ + Q, where F has the
 row g, the decays of b and c, and ones; Q is (h/0.4 s) times: 0.05 σ² for w, q_b σ² for b, and for each parameter its
-prior variance over T_θ/0.4 s; and σ_c² (1 − e^(−2h/τ_c)) for c.
+prior variance over T_θ/0.4 s, up to that variance; and σ_c² (1 − e^(−2h/τ_c)) for c.
 
 At rest nothing is learned of the parameters and σ²: they do not walk, g is 0 for them, and σ² stays as it is. There the
 speed is all noise, to which a drag fits that grows without end; and a sensor that reports 0 would make σ² vanish.

@@ -8,7 +8,7 @@ import numpy as np
 
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import Curve, curves
-from usvlearn.estimators.joint.quantities import COMMANDS
+from usvlearn.estimators.joint.quantities import COMMANDS, MEANING
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.season import Season
@@ -45,7 +45,7 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Tru
         if shown := curves(found):
             figure = identified_figure(shown, found, known, season.boat)
             drawn.append(Drawn(f"identified_{season.boat}", figure, CAPTION + (" Crosses: truth." if known else "")))
-    here = sentences(boats)
+    here = [MEANING, *sentences(boats)]
     if held:
         here.insert(0, f"The intervals hold {100 * np.mean(held):.0f} % of the truths at the end (90 % asked).")
     columns = ("boat", "quantity", "unit", "value", "from (90 %)", "to (90 %)", "truth")
