@@ -332,7 +332,7 @@ def report(steps: int) -> str:
     lines = ["| | µs a step | × plain | regression | " + " | ".join(cases) + " |", "|---|" + "---:|" * (3 + len(cases))]
     off = ["| | " + " | ".join(cases) + " |", "|---|" + "---:|" * len(cases)]
     for name, row in found.items():
-        spent = f"{cost[name] * 1e6:.0f} | {cost[name] / cost['plain_rls']:.1f}" if name in cost else " | "
+        spent = f"{cost[name] * 1e6:.2g} | {cost[name] / cost['plain_rls']:.2g}" if name in cost else " | "
         wild = f"{linear[name]:.4f}" if name in linear else ""
         lines.append(f"| {name} | {spent} | {wild} | " + " | ".join(cell(x) for x in row.values()) + " |")
         if not math.isnan(row["jump"].parameters):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shlex
 import time
 import warnings
 from collections.abc import Mapping, Sequence
@@ -97,7 +98,7 @@ class RunFolder:
                 if not continued and source.resolve() == self.path.resolve():
                     raise ConfigError(
                         f"{source}: holds a run over other samples or with another ensemble: to start from its "
-                        f"parameters, give resume={source} and another hydra.run.dir"
+                        f"parameters, give resume={source} and another hydra.run.dir{_own_settings(source)}"
                     )
                 start = start if continued else self._from_newest(source, start)
             else:
@@ -251,7 +252,10 @@ class RunFolder:
                 raise CheckpointError(
                     f"{source}: has no parameter set of {boat} (it has: {boats}): give the checkpoint to start from"
                 )
-            lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
+            try:
+                lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
+            except CheckpointError as error:
+                raise CheckpointError(f"{error}{_own_settings(source)}") from error
         note = f"starting from the newest parameter sets of {source}, from the first run on"
         return start._replace(state=stack(lanes), note=note)
 
@@ -345,6 +349,14 @@ def begun(folder: Path) -> tuple[int, int, Position, str]:
     sets, number = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), _number(folder)
     stamp = 0 if number else max(path.stat().st_mtime_ns for path in [*sets, folder / RUNS])
     return number, stamp, max(filter(None, map(position, sets)), default=BEGIN), folder.name
+
+
+def _own_settings(source: Path) -> str:
+    """How to continue a run with the settings that it was made with, if Hydra has saved them."""
+    settings = source / ".hydra"
+    if not (settings / "config.yaml").is_file():
+        return ""
+    return f"; its own settings are those of --config-dir {shlex.quote(str(settings))} --config-name config"
 
 
 def _number(folder: Path) -> int:
