@@ -58,4 +58,6 @@ def sentences(found: Mapping[str, Identified]) -> list[str]:
     for boat, each in found.items():
         for sentence in filter(None, (each.basis, each.scale, *each.lacks)):
             said.setdefault(sentence, []).append(boat)
-    return [sentence if len(of) == len(found) else f"{', '.join(of)}: {sentence}" for sentence, of in said.items()]
+    every = "all boats" if len(found) > 1 and len(said) > 2 else ""
+    named = {sentence: every if len(of) == len(found) else ", ".join(of) for sentence, of in said.items()}
+    return [f"{boats}: {sentence}" if boats else sentence for sentence, boats in named.items()]

@@ -57,6 +57,8 @@ def known_rows(known: Mapping[str, float], names: Sequence[str]) -> tuple[list[l
     >>> known_rows({"a": 2.0, "a + b": 5.0}, ("a", "b"))
     ([[1.0, 0.0], [1.0, 1.0]], [2.0, 5.0])
     """
+    if not isinstance(known, Mapping):
+        raise ConfigError(f"known: found {known!r}, expected {{name: value}}")
     if not known:
         raise ConfigError("known: found nothing, expected at least one {name: value}")
     rows, values = [], []

@@ -132,17 +132,16 @@ class JointEKF(Estimator):
             pair = torch.eye(THETA + len(self.names), dtype=v.dtype)[E]
             held = torch.cat([held, held[:1] + pair, held[:1] - pair])
         self.register_buffer("signs", held)
-        self.known = None if known is None else dict(known)
         rows = sums(even is not None)
         inverse = torch.zeros(len(self.names), dtype=v.dtype)
-        if self.known is not None:
-            for name, value in self.known.items():
+        if known is not None:
+            chosen, values = known_rows(known, tuple(rows))
+            for name, value in known.items():
                 if name in KNOWN_SIGNS and not value * KNOWN_SIGNS[name] > 0:
                     sense = (
                         "positive: thrust ahead is" if KNOWN_SIGNS[name] > 0 else "negative: a drag's parameters are"
                     )
                     raise ConfigError(f"known.{name}: found {value!r}, expected a number that is {sense}")
-            chosen, values = known_rows(self.known, tuple(rows))
             coefficients = torch.tensor(chosen, dtype=v.dtype) @ torch.tensor(
                 np.stack(list(rows.values())), dtype=v.dtype
             )

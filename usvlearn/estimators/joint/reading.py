@@ -38,7 +38,8 @@ import numpy as np
 
 from usvlearn.estimators.joint.quantities import EVEN_BESIDE, QUANTITIES, SIDES, gradients, steps_of
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
-from usvlearn.estimators.joint.state import DROPPED, NORTH, THETA, names
+from usvlearn.estimators.joint.state import DROPPED, NOISE_LEAST, NORTH, THETA, names
+from usvlearn.estimators.regressors.terms import SURGE
 
 DEVIATIONS = 1.645  # of a normal distribution: 90 %
 FEW_P, FEW_C = 8.0, 2.0  # of (1)
@@ -46,12 +47,12 @@ FIRST, FADES = 600.0, 300.0  # s, of (2)
 POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
 WIDEST = math.log(1000)  # exponent of an interval on the log scale
 OWN_ERROR = {"drag_cross": 1.5}  # standard deviation relative to the value: noise in the yaw rate makes it too small
+SILENT = 2 * NOISE_LEAST  # m/s, of the noise: no sensor is as good
 FEW = 100  # learned steps below which nothing else is said
 UNUSED = 0.8  # of (3): no step told anything
 VAGUE_DRAG, VAGUE_THRUST = 0.1, 0.3  # of (3), beyond which an interval contains the prior's
 ONE_HEADING = 0.9  # share of the current's variance across the heading, after some 10 min without a turn
-MAIN = ("drag_half_speed", "thrust_full_left", "thrust_full_right", "steady_speed_full", "time_constant")
-WIDE = 0.5  # half-width over value, beyond which a main quantity is not settled
+WIDE = 0.5  # half-width over value, beyond which a quantity is not well determined
 FAR = 1.5  # ratio of the steady speed to vehicle.surge_max, or its inverse
 ASTERN_ONLY = 4.0, 0.1  # ratio of (3) ahead to (3) astern, and least (3) ahead, where the boat went astern only
 WRONG_SIGN = (
@@ -211,14 +212,16 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         return _nothing(mass, inverse, now, P[THETA:, THETA:])
     if used:
         theta, spread, inflation = state["reading"], (1 + FEW_C / used) * state["spread"], 1 + FEW_P / used
-        basis = f"Means of {used:.0f} readings, one each {every / 60:.0f} min of learned steps, with 90 % intervals."
+        many = "Values of 1 reading" if used == 1 else f"Means of {used:.0f} readings"
+        basis = f"{many}, one in {every / 60:g} min of learned steps, with 90 % intervals."
     else:
         theta, spread, inflation = now, np.zeros_like(state["spread"]), 5 * (1 + FIRST / (learned + FADES)) ** 2
         basis = (
-            "Values of the moment, with wider 90 % intervals: a mean of readings needs "
-            f"{(DROPPED + 1) * every / 60:.0f} min of learned steps."
+            "Present values, with wider 90 % intervals: a mean of readings needs "
+            f"{(DROPPED + 1) * every / 60:g} min of learned steps."
         )
-    found = _found(P, variance, float(numbers["current"]), float(state["updates"]))
+    silent = float(state["noise"]) <= SILENT**2
+    found = _found(P, variance, float(numbers["current"]), float(state["updates"]), silent)
     total = inflation * P[THETA:, THETA:] + spread + np.diag(found.astern)
     values, slopes = gradients(theta, mass, inverse, steps_of(variance))
     top = values["steady_speed_full"]
@@ -263,11 +266,14 @@ class _Found(NamedTuple):
     lacks: tuple[str, ...]
     vague: bool  # whether the drag or the thrust is not informed
     astern: np.ndarray  # (m,) variance of even terms, to be added where the boat never went ahead
-    blind: float  # m/s, standard deviation of a current that cannot be told from the speed
+    blind: float  # m/s, standard deviation of a current that cannot be separated from the speed
 
 
-def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) -> _Found:
-    """What a log lacks, from the covariance P, `(n, n)`, and the prior variance of the parameters, `(m,)`."""
+def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float, silent: bool) -> _Found:
+    """What a log lacks, from the covariance P, `(n, n)`, and the prior variance of the parameters, `(m,)`.
+
+    `silent`: the speed has no noise, as that of a channel that is stuck.
+    """
     m = len(variance)
     even = m == len(names(even=True))
     share = {
@@ -283,25 +289,31 @@ def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float) 
     turned = bool(shares[-1] < ONE_HEADING)
     if updates < FEW:
         learned = "1 step was" if updates == 1 else f"{updates:.0f} steps were"
-        lacks.append(f"Only {learned} learned under way: the intervals are little more than the prior.")
+        lacks.append(f"Only {learned} learned under way: the intervals are almost those before any data.")
         turned = True
+    elif silent:
+        lacks.append("The measured speed does not change, or has no noise: check the speed channel.")
+        vague = True
     elif drag > VAGUE_DRAG and not only_astern:
         lacks.append(
-            "The speed hardly changed: neither drag nor thrust can be told; let the sum of the commands vary, or check "
-            "the speed channel."
+            "The speed hardly changed: neither drag nor thrust can be determined. Let the sum of the commands vary, or "
+            "check the speed channel."
         )
     elif len(never) == 1:
-        lacks.append(f"The {never[0]} thruster was never used: its thrust is the prior's.")
+        lacks.append(f"The {never[0]} thruster was never used: its thrust is only an assumption.")
     elif vague and not only_astern:
-        lacks.append("The sum of the commands hardly changed: thrust cannot be told; let it vary.")
+        lacks.append("The sum of the commands hardly changed: the thrust cannot be determined. Let the sum vary.")
     elif apart > UNUSED:
-        lacks.append("Both thrusters always had the same command: the left and the right one cannot be told apart.")
+        lacks.append(
+            "Both thrusters always had the same command: the thrust of the left side cannot be separated from that of "
+            "the right side."
+        )
     if only_astern:
-        lacks.append("The boat went astern only: what it does ahead is a guess; let it go ahead, too.")
+        lacks.append("The boat went astern only: its motion ahead is an assumption. Let it go ahead, too.")
     if not turned:
         lacks.append(
-            "The boat kept one heading, or its opposite, for the last ten minutes or more: current and surge cannot be "
-            "told apart; let it turn."
+            "The boat kept one heading, or its opposite, for the last ten minutes or more: the current cannot be "
+            "separated from the boat's own speed. Let the boat turn."
         )
     added = np.zeros(m)
     if only_astern:
@@ -393,15 +405,20 @@ def _top(speed: float, low: float, high: float, variance: np.ndarray) -> list[st
 
 
 def _wide(quantities: Mapping[str, Quantity]) -> list[str]:
-    """A sentence that names the main quantities whose half-widths are more than `WIDE` times their values."""
+    """A sentence that names the quantities whose half-widths are more than `WIDE` times their values.
+
+    Single parameters, which trade against each other, are left out.
+    """
     wide = [
-        name for name in MAIN if not quantities[name].high - quantities[name].low < 2 * WIDE * quantities[name].value
+        name
+        for name, (value, low, high, _) in quantities.items()
+        if name not in SURGE and not high - low < 2 * WIDE * abs(value)
     ]
     if not wide:
         return []
     return [
-        f"The log does not settle {', '.join(wide)}: the interval of each is wider than ± half of its value. A longer "
-        "log narrows them, with both commands changed often and up to full."
+        f"Not well determined: {', '.join(wide)}, whose intervals are wider than ± half of the value. Learn from a "
+        "longer log in which both commands change often, up to full."
     ]
 
 
