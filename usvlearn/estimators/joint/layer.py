@@ -136,12 +136,12 @@ class JointEKF(Estimator):
         inverse = torch.zeros(len(self.names), dtype=v.dtype)
         if known is not None:
             chosen, values = known_rows(known, tuple(rows))
-            for name, value in known.items():
-                if name in KNOWN_SIGNS and not value * KNOWN_SIGNS[name] > 0:
+            for name, known_force in known.items():
+                if name in KNOWN_SIGNS and not known_force * KNOWN_SIGNS[name] > 0:
                     sense = (
                         "positive: thrust ahead is" if KNOWN_SIGNS[name] > 0 else "negative: a drag's parameters are"
                     )
-                    raise ConfigError(f"known.{name}: found {value!r}, expected a number that is {sense}")
+                    raise ConfigError(f"known.{name}: found {known_force!r}, expected a number that is {sense}")
             coefficients = torch.tensor(chosen, dtype=v.dtype) @ torch.tensor(
                 np.stack(list(rows.values())), dtype=v.dtype
             )
