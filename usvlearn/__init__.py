@@ -20,6 +20,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.ensemble.combiners.layer import ExponentialWeights as ExponentialWeights
     from usvlearn.estimators.ensemble.combiners.layer import FixedWeights as FixedWeights
     from usvlearn.estimators.ensemble.combiners.layer import RecursiveWeights as RecursiveWeights
+    from usvlearn.estimators.ensemble.forecasts.layer import Forecasts as Forecasts
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
     from usvlearn.estimators.joint.layer import JointEKF as JointEKF
     from usvlearn.estimators.least_squares.projected import Projected as Projected
@@ -35,6 +36,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.hyper import UnitInterval as UnitInterval
     from usvlearn.logs.align import Aligner as Aligner
     from usvlearn.online import Online as Online
+    from usvlearn.plans import Forecast as Forecast
+    from usvlearn.rollouts import forecast as forecast
     from usvlearn.rollouts import rollout as rollout
     from usvlearn.signals import Fleet as Fleet
     from usvlearn.signals import Inputs as Inputs
@@ -48,6 +51,8 @@ _HOME = {
     "Fleet": "signals",
     "Estimator": "estimator",
     "rollout": "rollouts",
+    "forecast": "rollouts",
+    "Forecast": "plans",
     "Positive": "hyper",
     "UnitInterval": "hyper",
     "AID": "estimators.aid.layer",
@@ -62,6 +67,7 @@ _HOME = {
     "Acceleration": "estimators.baselines.acceleration.layer",
     "JointEKF": "estimators.joint.layer",
     "Ensemble": "estimators.ensemble.layer",
+    "Forecasts": "estimators.ensemble.forecasts.layer",
     "Bank": "estimators.wrappers.bank",
     "Average": "estimators.ensemble.combiners.layer",
     "FixedWeights": "estimators.ensemble.combiners.layer",

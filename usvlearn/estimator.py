@@ -30,9 +30,11 @@ class Estimator(nn.Module, abc.ABC):
 
     Attributes:
         surge_limit: a measured speed at or beyond it, m/s, counts as missing.
+        frozen: the leaves of the state, by dotted name, that a free run needs; None: all of them.
     """
 
     surge_limit: float = PLAUSIBLE
+    frozen: tuple[str, ...] | None = None
 
     @abc.abstractmethod
     def init(self, batch: Sequence[int] = ()) -> State:
@@ -49,6 +51,10 @@ class Estimator(nn.Module, abc.ABC):
     def start(self, state: State, surge: Tensor) -> State:
         """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
         return state
+
+    def free_step(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
+        """One step of a free run: as `predict`, but only the leaves `frozen` of the state need to be right."""
+        return self.predict(state, inputs)
 
     def inflate_covariance(self, state: State, factor: Tensor) -> State:
         """The state with its covariance times `factor`; unchanged by default, for estimators without a covariance."""

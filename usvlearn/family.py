@@ -166,9 +166,9 @@ class Vectors(Named):
     """
 
     legal: Range
-    length: Callable[[int], int]
+    length: Callable[[Any], int]
 
-    def __new__(cls, legal: Range, length: Callable[[int], int] = lambda size: size) -> Any:
+    def __new__(cls, legal: Range, length: Callable[[Any], int] = lambda size: size) -> Any:
         member = cls._member(VECTORS, LEAVES)
         member.legal, member.length = legal, length
         return member
@@ -212,13 +212,14 @@ class Family(Generic[S]):
 
     Attributes:
         kinds: its names in specifications.
-        state: from the size, a state of `Field`s.
+        state: from the size, a state of `Field`s. Forecasts have three sizes, a tuple.
         numbers, choices, vectors: its other declarations.
         size: the legal sizes, or a function from its entries in a specification to its size.
         optional: choices that a specification has all or none of.
         work: from the size, the length of the work array that its kernel needs.
         heading: from its entries, whether it needs the heading.
         remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
+        frozen: the leaves, by dotted name, that a free run needs: those that `free_step` reads or changes.
 
     >>> from usvlearn.estimators.aid.state import FAMILY
     >>> FAMILY.at.surge - FAMILY.at.theta, list(FAMILY.leaves(9))
@@ -226,7 +227,7 @@ class Family(Generic[S]):
     """
 
     kinds: tuple[str, ...]
-    state: Callable[[int], S]
+    state: Callable[[Any], S]
     numbers: type[Numbers] = Numbers
     choices: type[Choices] = Choices
     vectors: type[Vectors] = Vectors
@@ -235,13 +236,14 @@ class Family(Generic[S]):
     work: Callable[[int], int] = lambda size: 0
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
     remembers: Callable[[Mapping[str, Any]], bool] = lambda own: False
+    frozen: tuple[str, ...] = ()
 
     @property
     def at(self) -> S:
         """A state that holds, for each leaf, the place in a row that holds the leaf's place."""
         return _counted(self.state(1), count(LEAVES))
 
-    def leaves(self, size: int, prefix: str = "") -> dict[str, Field]:
+    def leaves(self, size: Any, prefix: str = "") -> dict[str, Field]:
         """The leaves of its state by dotted name, in the order of the state."""
         return {prefix + name: each for name, each in named_leaves(self.state(size))}
 

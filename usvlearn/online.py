@@ -14,6 +14,7 @@ import numpy as np
 
 from usvlearn import checkpoint
 from usvlearn.errors import CheckpointError
+from usvlearn.plans import Forecast, plan_inputs
 from usvlearn.signals import Inputs, Sample, named_leaves
 
 if TYPE_CHECKING:
@@ -102,6 +103,30 @@ class Online:
             ShapeError: a field is neither one number nor of the batch's shape; the state is unchanged.
         """
         return self._live.step(sample)
+
+    def forecast(self, commands: Any, headings: Any, yaw_rates: Any = None, dt: float = 0.4) -> Forecast:
+        """The speeds of the next steps under a plan, with intervals; nothing is learned, and the state stays.
+
+        Args:
+            commands: shares of full scale, −1 … 1, of left and right, `(time, 2)`, or `(time, *batch, 2)`.
+            headings: rad, at the beginning of each step: one number, `(time,)`, or `(time, *batch)`.
+            yaw_rates: rad/s, likewise; those of the headings by default.
+            dt: length of a step, s.
+
+        Raises:
+            ConfigError: a number is outside its legal range, or the estimator makes no forecasts.
+            ShapeError: the arrays do not fit each other.
+
+        >>> from usvlearn import AID, Ensemble, Forecasts, Online
+        >>> online = Online(Ensemble({"aid": AID(mass=28.0)}, forecasts=Forecasts()))
+        >>> found = online.forecast([[0.5, 0.5]] * 75, headings=0.0)
+        >>> found.time[-1].round(1), found.surge.shape, found.high[-1]  # no interval before the first measurements
+        (30.0, (75,), inf)
+        """
+        inputs = plan_inputs(commands, headings, yaw_rates, dt, self._live.batch)
+        surge, width = self._live.forecast(inputs)
+        time = float(dt) * np.arange(1, len(surge) + 1)
+        return Forecast(time, surge, surge - width, surge + width)
 
     def identified(self) -> Identified | list[Identified]:
         """Physical quantities with 90 % intervals; of a batch a list, one entry for each boat.

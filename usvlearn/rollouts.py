@@ -14,6 +14,7 @@ from torch.autograd.forward_ad import unpack_dual
 from usvlearn.engine.kinds import compilable
 from usvlearn.errors import ConfigError, ShapeError, check_choice
 from usvlearn.estimator import Estimator, Kinds, State, Step, advance, clean, spec_of
+from usvlearn.plans import NONE, Forecast, check_plan
 from usvlearn.signals import Inputs, Sample, check_inputs, check_sample, named_leaves, one_number, rebuild, tree_map
 
 BACKENDS = ("auto", "torch", "kernel")
@@ -90,6 +91,35 @@ def simulate(
         return run(description, state, samples, record, free=True)
     steps = clean(samples, estimator.surge_limit)
     return _run(estimator, state, steps._replace(learns=torch.zeros_like(steps.learns)), pick)
+
+
+def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
+    """Forecast lanes under plans, with intervals; the states are unchanged.
+
+    Args:
+        estimator: an `Ensemble` with forecasts.
+        state: leaves `(*batch, …)`.
+        inputs: of the plan's steps, tensors `(time, *batch)` in the state's dtype: commands −1 … 1, headings, rad, yaw
+            rates, rad/s, and lengths of the steps, s.
+
+    Returns:
+        Tensors; `time` is `(time, *batch)` here, because lanes may have different steps.
+
+    Raises:
+        ConfigError: the estimator makes no forecasts, or a number is outside its legal range.
+        ShapeError: the inputs do not fit each other.
+
+    >>> from usvlearn import AID, Ensemble, Forecasts, Inputs
+    >>> ensemble = Ensemble({"aid": AID(mass=28.0)}, forecasts=Forecasts())
+    >>> t = torch.full((75, 8), 0.5, dtype=torch.float64)
+    >>> forecast(ensemble, ensemble.init((8,)), Inputs(t, t, 0 * t, 0 * t, 0 * t + 0.4)).surge.shape
+    torch.Size([75, 8])
+    """
+    if not hasattr(estimator, "forecast"):
+        raise ConfigError(NONE)
+    check_plan(Inputs(*map(_array, inputs)))
+    surge, width = estimator.forecast(state, inputs)
+    return Forecast(inputs.dt.cumsum(0), surge, surge - width, surge + width)
 
 
 def stretches(
@@ -333,6 +363,15 @@ class Stepper:
         sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
         self.state, predicted = self.estimator(self.state, sample)
         return _plain(predicted)
+
+    @torch.no_grad()
+    def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+        estimator: Any = self.estimator
+        if not hasattr(estimator, "forecast"):
+            raise ConfigError(NONE)
+        plan = Inputs(*(torch.as_tensor(x, dtype=self._like.dtype, device=self._like.device) for x in inputs))
+        surge, width = estimator.forecast(self.state, plan)
+        return _array(surge), _array(width)
 
     def _float(self, value: Any) -> Tensor:
         return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device)

@@ -55,10 +55,14 @@ def instantiate(node: Any, **options: Any) -> Any:
 
 
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
-    """The ensemble that a configuration describes: its members, its rules, and the rule that predicts."""
+    """The ensemble that a configuration describes: its members, its rules, the rule that predicts, its forecasts."""
     from usvlearn.estimators.ensemble.layer import Ensemble
+    from usvlearn.evaluation.measure import measure_of
 
-    return Ensemble(instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all"), cfg["output"])
+    members, rules = instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all")
+    made = cfg.get("forecasts")
+    output = measure_of(cfg["output"]).rule
+    return Ensemble(members, rules, output, forecasts=made and instantiate(made, _convert_="all"))
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:

@@ -37,6 +37,7 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
     """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
     from usvlearn.evaluation.identification import identified_boats
+    from usvlearn.evaluation.measure import check_measure, measure_of
     from usvlearn.evaluation.members import explained, remarks
     from usvlearn.report.stability import stability
     from usvlearn.runs.logger import TensorBoardLogger
@@ -51,7 +52,10 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
     ensemble = ensemble_of(cfg)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
-    run = RunFolder(folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names)
+    check_measure(measure_of(cfg.output), ensemble, len(fleet.runs))
+    run = RunFolder(
+        folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts
+    )
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
     logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble)
     with run, logger, Progress(console=console) as progress:
@@ -64,7 +68,8 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
         truth = quantities_of([settings["data"]], cfg.vehicle.mass)
         found = run.finish(ensemble, time.perf_counter() - began, truth)
         logger.finish(settings, found["boats"], run.published, found["alarms"])
-    console.print(report(found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)))
+    judged = found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)
+    console.print(report(*judged, found.get("forecast")))
     console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
     console.print(
         *stability(ensemble, run.state, fleet.boats),

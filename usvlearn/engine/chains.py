@@ -33,6 +33,7 @@ VERBS = {
     "predict": "node, s, q, x, work",
     "coast": "node, s, q, x, predicted, work",
     "learn": "node, s, q, x, estimate, target, work",
+    "free_step": "node, s, q, x, work",
     # Optional: only a family with a covariance has the first; the second is a faster loop over all steps of one lane.
     "inflate_covariance": "node, s, q, factor",
     "run_alone": "node, s, q, rows, free, predictions, picked, picks, work",
@@ -67,5 +68,5 @@ def chain(verb: str) -> Any:
     return jit(names[verb], inline=True)
 
 
-start, predict, coast, learn, inflate_covariance, run_alone = map(chain, VERBS)
+start, predict, coast, learn, free_step, inflate_covariance, run_alone = map(chain, VERBS)
 INFLATES, ALONE = bits("inflate_covariance"), bits("run_alone")

@@ -20,6 +20,7 @@ from usvlearn.errors import CheckpointError, ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
+from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.family import WIDTH, Choices, Field, Range
 from usvlearn.family import Numbers as Declared
@@ -128,7 +129,8 @@ class _Reading:
             self._wrapped("kernel", description, ())
             return
         keys = ("kind", "members", "output", "columns", "rules", "numbers", "conformal", "monitors")
-        _keys("kernel", description, keys)
+        made = ("forecasts",) if "forecasts" in description else ()
+        _keys("kernel", description, (*keys, *made))
         count, rules = 0, _some("kernel.rules", description["rules"])
         for name, member in _some("kernel.members", description["members"]).items():
             if not name.isidentifier():  # it becomes a part of the names of leaves
@@ -145,6 +147,31 @@ class _Reading:
         self._parameters("kernel.conformal", description["conformal"], conformal.Number)
         if description["monitors"] is not None:
             self._parameters("kernel.monitors", description["monitors"], monitors.Number)
+        if made:
+            self._forecasts("kernel.forecasts", description["forecasts"], description, columns)
+
+    def _forecasts(self, entry: str, made: Any, description: Any, columns: list[Any]) -> None:
+        """Check forecasts of an ensemble."""
+        _keys(entry, made, ("members", "slots", "numbers", "vectors"))
+        members = _list(f"{entry}.members", made["members"], Range(1, len(columns)))
+        for k, column in enumerate(members):
+            _number(f"{entry}.members[{k}]", column, Range(0, len(columns) - 1))
+            if columns[column] not in description["members"]:
+                raise wrong(f"{entry}.members[{k}]", columns[column], "a member that is no bank")
+        singles = [name for name, each in description["members"].items() for _ in range(each.get("count", 1))]
+        if [columns[column] for column in members] != [singles[column] for column in members]:
+            raise wrong("kernel.columns", columns, "the names of the members, in their order")
+        if len(set(members)) < len(members):
+            raise wrong(f"{entry}.members", members, "each once")
+        slots = _number(f"{entry}.slots", made["slots"], Range(1, forecasts.MOST_SLOTS))
+        _keys(f"{entry}.vectors", made["vectors"], [vector.key for vector in forecasts.Vector])
+        horizons = _list(f"{entry}.vectors.horizons", made["vectors"]["horizons"], Range(1, forecasts.MOST_HORIZONS))
+        size = slots, len(horizons), len(members)
+        for vector in forecasts.Vector:
+            own, value = (vector.length(size),), made["vectors"][vector.key]
+            self.numbers.append(Numbers(f"{entry}.vectors.{vector.key}", value, vector.legal, own, True))
+        self._parameters(f"{entry}.numbers", made["numbers"], forecasts.Number)
+        self.cells += (2 * len(members) + 1) * 2 * CELLS + 3 * 16 * len(members)
 
     def _member(self, entry: str, member: Any) -> int:
         """Check a member of an ensemble; returns how many columns it has."""

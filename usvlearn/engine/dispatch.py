@@ -12,9 +12,11 @@ import numpy as np
 from usvlearn.arrays import copy
 from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.chains import start as start_estimator
+from usvlearn.engine.forecasting import PLACE, coasted, forecast_step, forget_forecasts
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_sleeping, learn_rule
 from usvlearn.estimators.ensemble.conformal.kernel import conformal
 from usvlearn.estimators.ensemble.conformal.state import AT as INTERVAL
+from usvlearn.estimators.ensemble.forecasts.state import AT as FORECAST
 from usvlearn.estimators.ensemble.monitors.kernel import observe_innovations, observe_thrusters
 from usvlearn.estimators.ensemble.state import AT, Number
 from usvlearn.estimators.wrappers.memory.kernel import recall, remember
@@ -26,7 +28,7 @@ from usvlearn.jit import jit
 from usvlearn.rows import DT, HOLD, INPUTS, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
 from usvlearn.signals import PLAUSIBLE
 
-NAN = np.nan
+NAN, COASTED = np.nan, FORECAST.coasted
 
 
 class Whole(IntEnum):
@@ -40,6 +42,7 @@ class Whole(IntEnum):
     MONITORS = CHOICES + 5  # −1 without
     KEPT = CHOICES + 6  # place in `work` of the copy of a state that `Robust` may restore
     HEADS = CHOICES + 7  # whether an estimator needs the heading
+    FORECASTS = PLACE  # the row of this part, −1 without
 
 
 @jit
@@ -94,6 +97,8 @@ def step(program, s, q, row, mode, work):
     if mode == START:
         for i in range(1, estimators + 1):
             start(program, program[i], s, q, row[SURGE])
+        if whole[Whole.RULES] > 0 and whole[Whole.FORECASTS] >= 0:
+            forget_forecasts(program[whole[Whole.FORECASTS]], s, q)
         return NAN
     kept = work[whole[Whole.KEPT] :]
     if whole[Whole.RULES] == 0:
@@ -102,6 +107,9 @@ def step(program, s, q, row, mode, work):
     for i in range(estimators):
         predictions[i] = advance(program, program[i + 1], s, q, row, mode == LEARN, work, kept)
     aggregate(program, s, q, predictions, row, mode == LEARN, work)
+    if whole[Whole.FORECASTS] >= 0:
+        limit = surge_max(program, q)
+        forecast_step(program, program[whole[Whole.FORECASTS]], s, q, row, mode == LEARN, limit, work)
     return predictions[whole[Whole.OUTPUT]]
 
 
@@ -118,6 +126,9 @@ def aggregate(program, s, q, predictions, row, learns, work):
         predictions[n + r] = combine(rule, s, q, x)
         if learns:
             learn_rule(rule, s, q, x, asleep, row[SURGE], row[DT], rest)
+    if whole[Whole.FORECASTS] >= 0 and s[program[whole[Whole.FORECASTS], COASTED]] > 0:
+        made = program[whole[Whole.FORECASTS]]
+        predictions[whole[Whole.OUTPUT]] = coasted(made, s, q, predictions, row[DT], surge_max(program, q), work)
     intervals = program[whole[Whole.CONFORMAL]]
     published, current = whole[AT.halfwidths], intervals[INTERVAL.halfwidth]
     copy(s[published : published + names], s[current : current + names])

@@ -7,8 +7,9 @@ from functools import cache
 
 import numpy as np
 
-from usvlearn.engine import dispatch
+from usvlearn.engine import dispatch, forecasting
 from usvlearn.engine.program import plan_for
+from usvlearn.family import WIDTH
 from usvlearn.jit import NUMBA, announced
 from usvlearn.rows import ROW, prepare_all
 
@@ -31,3 +32,14 @@ def compile_steps(dtype: np.dtype) -> None:
         dispatch.step_once.disable_compile(False)
         dispatch.step_once(plan.program, lanes[0], numbers[0], work, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False)
         dispatch.step_once.disable_compile()  # from now on other types, such as int, are converted
+
+
+@cache
+def compile_plans(dtype: np.dtype) -> None:
+    """Compile what forecasts of plans need, unless that is done or cached on the disk."""
+    compile_steps(dtype)
+    if NUMBA.DISABLE_JIT:
+        return
+    numbers, rows, program = np.zeros(1, dtype), np.zeros((0, ROW), dtype), np.zeros((1, 2 * WIDTH), np.int64)
+    with COMPILING, announced(forecasting.__file__, f"kernels of forecasts, {dtype}"):
+        forecasting.forecast_plan(program, numbers, numbers, rows, 1.0, numbers, np.zeros((0, 2), dtype), numbers)

@@ -13,6 +13,7 @@ from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
+from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.family import Field
 
@@ -56,7 +57,38 @@ def leaves_of(description: Description) -> dict[str, Field]:
         found |= RULES[rule["kind"]].leaves(len(rule["columns"]), f"combiners.{name}.")
     names = len(description["columns"]) + len(description["rules"])
     found |= conformal.FAMILY.leaves(names, "conformal.") | ensemble.FAMILY.leaves(names)
-    return found | ({} if description["monitors"] is None else monitors.FAMILY.leaves(names, "monitors."))
+    found |= {} if description["monitors"] is None else monitors.FAMILY.leaves(names, "monitors.")
+    return found | (_forecasts(description) if description.get("forecasts") else {})
+
+
+def frozen(description: Description) -> dict[str, Field]:
+    """The leaves of an estimator that its free run needs, by name.
+
+    >>> list(frozen({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
+    ['inner.surge']
+    """
+    part = unwrapped(description)
+    family, every = KINDS[part.own["kind"]], _member(description, "")
+    names = [part.prefix + name for name in family.frozen]
+    if "memory" in part.wrappers:
+        names += [part.wrappers["memory"][1] + name for name in WRAPPERS["memory"].frozen]
+    return {name: every[name] for name in names}
+
+
+def forecast_size(made: Description) -> tuple[int, int, int]:
+    """Slots, horizons and members of forecasts."""
+    return made["slots"], len(made["vectors"]["horizons"]), len(made["members"])
+
+
+def _forecasts(description: Description) -> dict[str, Field]:
+    """The leaves of an ensemble's forecasts."""
+    made, found = description["forecasts"], {}
+    for column in made["members"]:
+        name = description["columns"][column]
+        for leaf, field in frozen(description["members"][name]).items():
+            legal = field.legal.asleep()
+            found[f"forecasts.frozen.{name}.{leaf}"] = replace(field, shape=(made["slots"], *field.shape), legal=legal)
+    return found | forecasts.FAMILY.leaves(forecast_size(made), "forecasts.")
 
 
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:

@@ -12,9 +12,13 @@ import numpy as np
 from numba.core.errors import NumbaError
 
 from usvlearn.engine import dispatch as step
-from usvlearn.engine.first_use import COMPILING, compile_steps
+from usvlearn.engine.first_use import COMPILING, compile_plans, compile_steps
+from usvlearn.engine.forecasting import forecast_plan
 from usvlearn.engine.leaves import Description, batch_of, leaves_of
 from usvlearn.engine.program import plan_for
+from usvlearn.errors import ConfigError
+from usvlearn.plans import NONE
+from usvlearn.rows import ROW, prepare_all
 from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
 LIVE = step.step_once
@@ -81,6 +85,29 @@ class Live:
         with self._lock:
             np.copyto(self._spare, self.states)
             return self._advance(self._predictions, inputs, np.nan, True, False)
+
+    def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+        """Predictions and half-widths of a plan, m/s, `(time, *batch)`; `inputs` are arrays of this shape.
+
+        Raises:
+            ConfigError: the estimator makes no forecasts.
+        """
+        plan, dtype = self.plan, self.plan.dtype
+        if not self._description.get("forecasts"):
+            raise ConfigError(NONE)
+        compile_plans(dtype)
+        steps, lanes = len(inputs.dt), plan.lanes
+        rows, found = np.empty((lanes, steps, ROW), dtype), np.empty((lanes, steps, 2), dtype)
+        columns = Inputs(*(np.ascontiguousarray(x.reshape(steps, lanes), dtype) for x in inputs))
+        yes = np.ones((steps, lanes), bool)
+        with self._lock:
+            heads, limit = plan.program[0, step.Whole.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0])
+            prepare_all(*columns, np.zeros((steps, lanes), dtype), yes, yes, heads, limit, rows)
+            slot = np.empty(plan.slot, dtype)
+            for lane, (program, s, q, work) in enumerate(self._steps):
+                forecast_plan(program, s, q, rows[lane], limit, slot, found[lane], work)
+        wide = np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, 2)
+        return wide[..., 0], wide[..., 1]
 
     def _arguments(self, states: np.ndarray) -> list[Lane]:
         """The first arguments of each lane's step; those of the sample follow."""

@@ -15,11 +15,12 @@ import numpy as np
 
 from usvlearn.engine.dispatch import Whole
 from usvlearn.engine.kinds import ESTIMATORS, KINDS, WRAPPERS
-from usvlearn.engine.leaves import Description, unwrapped
+from usvlearn.engine.leaves import Description, forecast_size, frozen, unwrapped
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
+from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 from usvlearn.family import LEAVES, WIDTH, Family, Field, Node
 from usvlearn.rows import INPUTS, ROW
@@ -62,6 +63,7 @@ class Plan:
         numbers: `(1, …)`, or `(lanes, …)` where some differ by lane.
         leaves: where each leaf lies, by dotted name.
         size: of a lane's row.
+        slot: length of a slot of forecasts.
         work: length of the array that the kernels work in.
 
     Raises:
@@ -76,7 +78,7 @@ class Plan:
         self.batch, self.dtype = tuple(batch), np.dtype(dtype)
         self.lanes = int(np.prod(self.batch, dtype=int))
         self.leaves: dict[str, Leaf] = {}
-        self.size = 0
+        self.size = self.slot = 0
         self._columns: list[np.ndarray] = []  # (1,) or (lanes,) each
         self._largest, self._kept = 0, 1
         self._estimators: list[list[int]] = []
@@ -138,10 +140,16 @@ class Plan:
         """The table of all rows; indices of wrappers and other parts become row numbers."""
         rows = [whole, *self._estimators, *self._rules, *self._others]
         first = len(rows) - len(self._others)
-        for row in self._estimators:
+        estimators = list(self._estimators)
+        if whole[Whole.FORECASTS] >= 0:
+            made = self._others[whole[Whole.FORECASTS]]
+            for k in range(WIDTH + 1, WIDTH + 1 + made[forecasts.Choice.MEMBERS]):
+                estimators.append(self._others[made[k]])
+                made[k] += first
+        for row in estimators:
             for wrapper in (Node.MEMORY, Node.ROBUST):
                 row[wrapper] += first if row[wrapper] >= 0 else 0
-        for part in (Whole.CONFORMAL, Whole.MONITORS):
+        for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS):
             whole[part] += first if whole[part] >= 0 else 0
         table = np.full((len(rows), max(map(len, rows))), -1, np.int64)
         for place, row in zip(table, rows, strict=True):
@@ -149,7 +157,7 @@ class Plan:
         return table
 
     def _part(
-        self, family: Family[Any], own: Description, size: int, prefix: str, name: str, setting: Setting = None
+        self, family: Family[Any], own: Description, size: Any, prefix: str, name: str, setting: Setting = None
     ) -> list[int]:
         """Add the leaves, numbers and choices of one part with the entries `own`; returns its row."""
         row = [-1] * WIDTH
@@ -247,7 +255,55 @@ class Plan:
                 row[place] = len(self._others)
                 self._others.append(self._part(part, {"numbers": numbers}, names, f"{name}.", name))
                 self._largest = max(self._largest, names + part.work(names))
+        if made := description.get("forecasts"):
+            own = self._forecasts(description, made)
+            row[Whole.FORECASTS] = len(self._others)
+            self._others.append(own)
         return row
+
+    def _forecasts(self, description: Description, made: Description) -> list[int]:
+        """Add the forecasts; returns their row, and what follows it (`engine.forecasting`)."""
+        slots, horizons, members = size = forecast_size(made)
+        own = {**made, "horizons": horizons, "members": members}
+        row = self._part(forecasts.FAMILY, own, size, "forecasts.", "forecasts")
+        begin, columns, block = self.size, made["members"], 0
+        rows: list[int] = []
+        copies: list[int] = []
+        for column in columns:
+            name = description["columns"][column]
+            node, block = self._frozen(self._estimators[column], description["members"][name], name, block, copies)
+            rows.append(node)
+        for name, (place, shape, strides, flag) in list(self.leaves.items()):
+            if name.startswith("forecasts.frozen."):
+                self.leaves[name] = Leaf(begin + place, (slots, *shape), (block, *strides), flag)
+        self.size += slots * block
+        row[Node.SIZE] = self.slot = block
+        self._largest += 2 * members
+        return [*row, begin, *rows, *columns, len(copies) // 3, *copies]
+
+    def _frozen(
+        self, member: list[int], description: Description, name: str, block: int, copies: list[int]
+    ) -> tuple[int, int]:
+        """Add the row of a member in a slot, whose leaves are at places in the slot; returns its index, and the end."""
+        part, places = unwrapped(description), {}
+        for leaf, field in frozen(description).items():
+            source, length = self.leaves[f"members.{name}.{leaf}"], int(np.prod(field.shape, dtype=int))
+            places[leaf] = block
+            self.leaves[f"forecasts.frozen.{name}.{leaf}"] = source._replace(place=block)
+            copies += [source.place, block, length]
+            block += length
+
+        def at(row: list[int], family: Family[Any], size: int, prefix: str) -> int:
+            """Add a copy of a row, with the places of the leaves in the slot."""
+            leaves = [places.get(leaf, -1) for leaf in family.leaves(size, prefix)]
+            self._others.append([*row[:LEAVES], *leaves, *row[LEAVES + len(leaves) :]])
+            return len(self._others) - 1
+
+        own, memory = list(member), member[Node.MEMORY]
+        own[Node.ROBUST] = -1
+        if memory >= 0:
+            own[Node.MEMORY] = at(self._others[memory], WRAPPERS["memory"], 0, part.wrappers["memory"][1])
+        return at(own, KINDS[part.own["kind"]], part.own["size"], part.prefix), block
 
     def _rule(self, rule: Description, name: str, count: int) -> list[int]:
         """Add a rule of an ensemble of `count` columns; returns its row, followed by the columns of its members."""

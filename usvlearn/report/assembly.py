@@ -15,6 +15,7 @@ from usvlearn.report.section import Section
 from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
+from usvlearn.report.sections.forecasts import forecast_section
 from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.online_error import online_section
@@ -67,6 +68,7 @@ def assemble(
     beside = remarks(ensemble)
     sections: list[Section | None] = [
         online_section(seasons, ensemble.names, beside, explained(ensemble)),
+        forecast_section(seasons, ensemble),
         cross_section(seasons, errors, beside),
     ]
     if len(seasons) > 1:

@@ -14,6 +14,7 @@ from rich.progress import Progress
 
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.season import Season
 from usvlearn.lock import Lock
 from usvlearn.report.assembly import assemble, best_start, facts, simulations
@@ -58,7 +59,9 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
             sources.append(each)
     try:
         combiners = tools.instantiate(last["combiners"], _convert_="all")
-        ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, last.get("output"))
+        forecasts = last.get("forecasts") and tools.instantiate(last["forecasts"])
+        output = measure_of(last["output"]).rule if last.get("output") else None
+        ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, output, forecasts=forecasts)
         with tools.console.status("reading and aligning"):
             fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
     except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:

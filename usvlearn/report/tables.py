@@ -5,6 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.console import Group
 from rich.text import Text
@@ -12,7 +13,7 @@ from rich.text import Text
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.evaluation.metrics import by_error, mean_mae
+from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean_mae
 from usvlearn.evaluation.ranking import differing, own_columns, ranked
 from usvlearn.identified import sentences
 from usvlearn.report.terminal import Blocks
@@ -91,16 +92,39 @@ def rejection_table(rejected: Mapping[str, Mapping[str, Mapping[str, int]]]) -> 
     return table if table.rows else None
 
 
+def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) -> Blocks | None:
+    """Skill by horizon: one row per boat and estimator, and the coverage of the ensemble's intervals; None without.
+
+    Args:
+        forecast: of `usvlearn.evaluation.horizons.horizon_scores`.
+    """
+    if not forecast:
+        return None
+    horizons = list(next(iter(next(iter(forecast.values())).values())))
+    table = Blocks("Forecasts: skill by horizon, s", ["estimator"], horizons)
+    for boat, rows in forecast.items():
+        if len(forecast) > 1:
+            table.group(boat)
+        *others, own = [name for name in rows if name != PERSISTENCE]
+        for name in (own, *others):
+            cells = [_number(rows[name][h]["skill"], 3) for h in horizons]
+            table.add(name, *cells, style="bold" if name == own else "")
+        held = [rows[own][h]["covers"] for h in horizons]
+        table.add("intervals cover", *("–" if x is None else f"{x:.0%}" for x in held))
+    return table
+
+
 def report(
     boats: Mapping[str, Mapping[str, Mapping]],
     rejected: Mapping,
     alarms: Mapping[str, Sequence],
     remarks: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
+    forecast: Mapping[str, Any] | None = None,
 ) -> Group:
     """All tables of a run for the console, with notes, and a line for each alarm."""
     fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
-    tables = [rejection_table(rejected), score_table(boats, remarks), fleet]
+    tables = [rejection_table(rejected), score_table(boats, remarks), fleet, forecast_table(forecast or {})]
     lines = [
         Text(f"alarm: {boat}, run {each['run']}, {each['time']:.0f} s: the {each['side']} thruster has lost thrust")
         for boat, raised in alarms.items()

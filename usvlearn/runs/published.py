@@ -6,6 +6,9 @@ steps, b boats and m estimators:
     predictions      (n, b, m)  m/s; NaN where no step was made
     halfwidths       (n, b, m)  m/s, of the intervals about them
     thrusters        (n, b, 5)  effectiveness left and right, evidence of a loss left and right, 1 in an alarm
+    forecasts        (n, b, h·c) m/s: for each of h horizons what c columns forecast then for this step; NaN where no
+                                forecast was due. The columns are the members weighed, persistence, and the ensemble
+    forecast_halfwidths (n, b, h) m/s, of the ensemble's intervals; infinite where none is known
     time             (n, b)     s since the run's first step; NaN after the end of a boat's shorter run
     measured_surge   (n, b)     m/s; NaN where it was not measured
     command_left, command_right, heading, yaw_rate, dt    (n, b)    known before each prediction
@@ -14,7 +17,7 @@ steps, b boats and m estimators:
     estimators       (m,)       names of the last axis of predictions and halfwidths
     units            (k, 2)     name and unit of each array that has one
 
-Older files contain only the first three.
+Older files contain only the first three. An ensemble without forecasts has none here.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,11 +38,12 @@ from usvlearn.signals import Run
 
 # what a damaged .npz raises
 DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
-PUBLISHED = ("predictions", "halfwidths", "thrusters")
+PUBLISHED = ("predictions", "halfwidths", "thrusters", "forecasts", "forecast_halfwidths")
 UNITS = signals.UNITS | {
     "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1",
-    "measured_surge": signals.UNITS["surge"],
+    "measured_surge": signals.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s",
 }  # fmt: skip
+Widths = Mapping[str, int]  # the length of the last axis of each array that may be published
 
 
 class Position(NamedTuple):
@@ -66,11 +70,12 @@ class Published:
     Args:
         folder: of the run.
         lengths: steps of each run.
-        boats, columns: how many there are.
+        boats: how many there are.
+        widths: see `widths_of`.
     """
 
-    def __init__(self, folder: Path, lengths: Sequence[int], boats: int, columns: int):
-        self._folder, self._lengths, self._boats, self._columns = folder / PREDICTIONS, lengths, boats, columns
+    def __init__(self, folder: Path, lengths: Sequence[int], boats: int, widths: Widths):
+        self._folder, self._lengths, self._boats, self._widths = folder / PREDICTIONS, lengths, boats, widths
 
     def places(self) -> list[tuple[int, int, int]]:
         """Index of the run, first step and end of each stretch, from the names of the files."""
@@ -88,7 +93,7 @@ class Published:
         """
         path = self._folder / f"{stem(Position(run, end))}.npz"
         try:
-            arrays = read_published(path, min(end, self._lengths[run]) - step, self._boats, self._columns, names)
+            arrays = read_published(path, min(end, self._lengths[run]) - step, self._boats, self._widths, names)
             if other := [len(array) for array in arrays.values() if len(array) != end - step]:
                 raise ValueError(f"it contains {other[0]} steps, expected {end - step}")
         except DAMAGE as error:
@@ -109,6 +114,15 @@ class Published:
                 skip = max(0, first - place[1])
                 parts.append({name: array[skip:, lane] for name, array in self.read(*place).arrays.items()})
         return joined(parts)
+
+
+def widths_of(names: Sequence[str], forecasts: Any) -> dict[str, int]:
+    """The widths of what an ensemble with these names and forecasts (`Ensemble.forecasts`) publishes."""
+    found = {"predictions": len(names), "halfwidths": len(names), "thrusters": 5}
+    if forecasts is not None:
+        horizons = len(forecasts.horizons)
+        found |= {"forecasts": horizons * len(forecasts.columns), "forecast_halfwidths": horizons}
+    return found
 
 
 def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -143,25 +157,26 @@ def packed(
 
 
 def read_published(
-    path: Path, steps: int, boats: int, columns: int, names: Sequence[str] = PUBLISHED
+    path: Path, steps: int, boats: int, widths: Widths, names: Sequence[str] = PUBLISHED
 ) -> dict[str, np.ndarray]:
     """The arrays of a file of predictions, by name; raises one of DAMAGE if the file cannot be read.
 
     Args:
         path: of the file.
-        steps, boats, columns: the greatest size of the predictions. A much larger file is not unpacked, and one with
-            other boats or columns counts as damaged.
+        steps, boats: the greatest size of the predictions. A much larger file is not unpacked, and one with other
+            boats counts as damaged.
+        widths: of the arrays. A file with other widths counts as damaged; arrays without one are not read.
         names: of the arrays. A file without predictions counts as damaged; older versions lack the others.
     """
-    most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (2 * columns + 12)) * boats  # 2048: names
+    most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (sum(widths.values()) + 7)) * boats  # 2048: names
     if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
         raise ValueError("it is no archive of arrays")
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
             raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
-        found = {name: archive[name] for name in names if name in archive or name == "predictions"}
+        found = {name: archive[name] for name in names if name in widths and (name in archive or name == "predictions")}
     for name, array in found.items():
-        width = 5 if name == "thrusters" else columns
+        width = widths[name]
         if array.dtype.kind != "f" or array.ndim != 3 or array.shape[1:] != (boats, width):
             raise ValueError(f"{name} are {array.dtype} {array.shape}, expected numbers of (time, {boats}, {width})")
     if len({len(array) for array in found.values()}) > 1:

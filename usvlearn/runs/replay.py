@@ -16,6 +16,7 @@ from usvlearn.runs.published import BEGIN, Position
 from usvlearn.signals import Fleet, masks, tree_map
 
 THRUSTERS, HEALTH = "monitors.thrusters.", ("evidence", "sums", "raised")  # of a state's leaves
+FORECASTS = {"forecasts": "predictions", "forecast_halfwidths": "halfwidths"}  # published, and its leaf
 
 
 class Chunk(NamedTuple):
@@ -76,15 +77,23 @@ def _places(fleet: Fleet, begin: Position, every: int, save_every: int) -> Itera
                 done = stop
 
 
+def flat(x: np.ndarray) -> np.ndarray:
+    """Numbers `(time, boats, …)` as `(time, boats, columns)`."""
+    return x.reshape(*x.shape[:2], -1)
+
+
 def _recorded(state: EnsembleState) -> list[str]:
     """The names of the leaves that are recorded at every step."""
     thrusters = [f"{THRUSTERS}{leaf}" for leaf in HEALTH] if state.monitors else []
-    return ["predictions", "halfwidths", *thrusters]
+    forecasts = [f"forecasts.{leaf}" for leaf in FORECASTS.values()] if state.forecasts else []
+    return ["predictions", "halfwidths", *thrusters, *forecasts]
 
 
 def _published(state: EnsembleState, kept: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """What is published of every step, computed from the recorded leaves."""
     published = {name: kept[name] for name in ("predictions", "halfwidths")}
+    if state.forecasts:
+        published |= {name: flat(kept[f"forecasts.{leaf}"]) for name, leaf in FORECASTS.items()}
     if not state.monitors:
         return published
     evidence, sums, raised = (kept[f"{THRUSTERS}{name}"] for name in HEALTH)

@@ -22,12 +22,14 @@ from usvlearn.engine import of_lane
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.evaluation.horizons import horizon_scores, mean_forecast_mae
 from usvlearn.evaluation.identification import Truth, as_results, identified_boats
+from usvlearn.evaluation.measure import FORECAST, FREE, free_mae, mean_of, measure_of, middle
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
 from usvlearn.rollouts import stack
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
-from usvlearn.runs.published import BEGIN, Position, Published, joined, packed, position, stem
+from usvlearn.runs.published import BEGIN, Position, Published, joined, packed, position, stem, widths_of
 from usvlearn.runs.replay import Chunk
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
@@ -57,10 +59,14 @@ class RunFolder:
         metadata: JSON values that every checkpoint contains (configuration; `kernel`, how the ensemble is
             built, of all boats).
         names: of the estimators, as `Ensemble.names`.
+        forecasts: as `Ensemble.forecasts`.
     """
 
-    def __init__(self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str]):
+    def __init__(
+        self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None
+    ):
         self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
+        self._widths = widths_of(names, forecasts)
         self.metadata = {"version": usvlearn.__version__, **metadata}
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
@@ -76,7 +82,7 @@ class RunFolder:
 
     def _published(self, folder: Path) -> Published:
         lengths = [len(run.time) for run in self.fleet.runs]
-        return Published(folder, lengths, len(self.fleet.boats), len(self.names))
+        return Published(folder, lengths, len(self.fleet.boats), self._widths)
 
     def begin(self, state: EnsembleState, resume: str | None) -> Start:
         """Where to start: from `state`, or from what `resume` ("latest", a run's folder or a checkpoint) names.
@@ -194,7 +200,36 @@ class RunFolder:
             "rejected": self.fleet.rejected,
             **as_results(identified_boats(ensemble, self.state, self.fleet.boats), truth),
         }
-        return found | {"seconds": seconds, "output": ensemble.output, "objective": mean_mae(boats)[ensemble.output]}
+        if ensemble.forecasts is not None:
+            horizons = ensemble.forecasts.horizons.tolist()
+            columns = (*ensemble.forecasts.columns[:-1], ensemble.output)
+            found["forecast"] = horizon_scores(self.fleet, published, horizons, columns, ensemble.surge_limit)
+        output = self.metadata.get("configuration", {}).get("output", ensemble.output)
+        measure = measure_of(output)
+        objective = mean_mae(boats)[ensemble.output]
+        if measure.kind == FORECAST:
+            objective = mean_forecast_mae(found["forecast"], ensemble.output, f"{measure.horizon:g}")
+        elif measure.kind == FREE:
+            first = middle(self.fleet.runs)
+            found["free"] = free_mae(ensemble, self._after(first), self.fleet, first) if self._done(first) else {}
+            objective = mean_of(found["free"], ensemble.output)
+        return found | {"seconds": seconds, "output": output, "objective": objective}
+
+    def _done(self, runs: int) -> bool:
+        """Whether so many runs have been replayed."""
+        return self._reached.run >= runs or self._reached == Position(runs - 1, len(self.fleet.runs[runs - 1].time))
+
+    def _after(self, runs: int) -> EnsembleState:
+        """The state of every boat after the first `runs` runs, from its parameter sets."""
+        lanes = []
+        for lane, boat in enumerate(self.fleet.boats):
+            paths = [
+                path
+                for path in checkpoints(self.path / CHECKPOINTS / boat)
+                if (place := position(path)) is not None and (place.run < runs or place.step == 0)
+            ]
+            lanes.append(restore(paths[-1], _lane(self.state, lane), ESTIMATOR)[0])
+        return stack(lanes)
 
     def _lane_set(self, state: EnsembleState, lane: int, boat: str, place: Position) -> Set:
         run = self.fleet.runs[place.run]
@@ -208,7 +243,9 @@ class RunFolder:
     def _runs(self) -> dict[str, Any]:
         """The identity of this run: per boat, name, length and digest of each run; and the digest of the ensemble."""
         configuration = self.metadata.get("configuration", {})
-        ensemble = json.dumps(first_named([configuration.get("estimators"), configuration.get("combiners")]))
+        parts = [configuration.get(name) for name in ("estimators", "combiners")]
+        parts += [made] if (made := configuration.get("forecasts")) else []  # runs without forecasts keep their digest
+        ensemble = json.dumps(first_named(parts))
         boats = {
             boat: [[run.names[lane], run.lengths[lane], digest(run, lane)] for run in self.fleet.runs]
             for lane, boat in enumerate(self.fleet.boats)

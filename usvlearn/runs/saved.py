@@ -17,7 +17,7 @@ from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.rollouts import stack
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
 from usvlearn.runs.legacy import current
-from usvlearn.runs.published import DAMAGE, position, read_published
+from usvlearn.runs.published import DAMAGE, position, read_published, widths_of
 from usvlearn.runs.run_folder import begun, digest
 from usvlearn.runs.trust import check_settings
 from usvlearn.signals import Fleet, tree_map
@@ -143,7 +143,7 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
     lengths = {key: len(run.samples.surge) for found in runs.values() for key, run in found.items()}
-    read = [_read(folder, lengths, len(ensemble.names)) for folder in folders]
+    read = [_read(folder, lengths, widths_of(ensemble.names, ensemble.forecasts)) for folder in folders]
     return [_season(boat, list(found.values()), read, ensemble) for boat, found in runs.items()]
 
 
@@ -156,7 +156,7 @@ class _Folder(NamedTuple):
     published: dict[int, list[dict[str, np.ndarray]]]  # index of the run -> stretches, (time, boats, …)
 
 
-def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
+def _read(folder: Path, lengths: Mapping[str, int], widths: Mapping[str, int]) -> _Folder:
     """Read a folder; predictions only of the runs whose lengths are given by key."""
     learned, dt = _runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
     published: dict[int, list[dict[str, np.ndarray]]] = {}
@@ -167,7 +167,7 @@ def _read(folder: Path, lengths: Mapping[str, int], columns: int) -> _Folder:
         if not (steps := max((lengths.get(key, 0) for key in keys), default=0)):
             continue
         try:
-            part = read_published(path, steps, len(learned), columns)
+            part = read_published(path, steps, len(learned), widths)
         except DAMAGE as error:
             warnings.warn(f"{path}: is damaged ({error}); its run has no predictions here", stacklevel=3)
             continue

@@ -1,7 +1,8 @@
 """Settings of one estimator as lanes of one batch, and the error of each over a fleet's runs.
 
 A setting has one lane per boat: state and samples are `(settings, boats)`, the samples as views of the fleet's own. The
-objective is the MAE one step ahead over all measured steps, predicted before learning, averaged over boats.
+objective is the MAE over all measured steps, averaged over boats: one step ahead, predicted before learning, or as
+`usvlearn.evaluation.measure` says, of forecasts over a horizon or of free runs.
 """
 
 from __future__ import annotations
@@ -16,14 +17,19 @@ from torch import Tensor, nn
 
 from usvlearn.errors import ConfigError
 from usvlearn.estimator import Estimator, check_estimator, clean
+from usvlearn.estimators.ensemble.combiners.layer import Average
+from usvlearn.estimators.ensemble.forecasts.layer import Forecasts
+from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.estimators.wrappers.bank import Bank
+from usvlearn.evaluation.measure import FORECAST, FREE, Measure, middle
 from usvlearn.hyper import Positive, UnitInterval, as_tensor
-from usvlearn.rollouts import rollout, tensors
+from usvlearn.rollouts import rollout, simulate, tensors
 from usvlearn.signals import Fleet, tree_map
 
 Setting = dict[str, float]  # dotted path -> value
 Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
+NEXT, DUE = Measure(""), "forecasts.predictions"  # the error one step ahead; the leaf with forecasts that are due
 LANES = 4096  # settings × boats in one batch, at most
 CHUNK_STEPS, CHUNK_CELLS = 500, 2**20  # steps, and steps × lanes, after which errors are added up, to bound the memory
 
@@ -159,6 +165,7 @@ def fleet_mae(
     settings: Sequence[int] = (),
     advance: Callable[[float], None] = lambda share: None,
     at_run: Callable[[Any], None] = lambda state: None,
+    measure: Measure = NEXT,
 ) -> Tensor:
     """MAE of each setting and boat, m/s, `(*settings, boats)`; the state is carried from run to run.
 
@@ -168,27 +175,41 @@ def fleet_mae(
         settings: the batch before the boats.
         advance: receives the fraction completed since the last call.
         at_run: receives the state at the start of each run.
+        measure: which error counts.
 
     Returns:
         Infinite if a prediction was not finite, so that a lane cannot win by its remaining steps.
     """
-    batch = (*settings, len(fleet.boats))
+    batch, first = (*settings, len(fleet.boats)), middle(fleet.runs) if measure.kind == FREE else 0
+    if measure.kind == FORECAST:
+        made = Forecasts((measure.horizon,))
+        estimator = Ensemble({"member": estimator}, {"own": Average()}, watched=False, forecasts=made)
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
     with torch.no_grad():
         state = estimator.init(batch)
         dtype = next(estimator.parameters(), torch.zeros((), dtype=torch.float64)).dtype
-        total, count = torch.zeros(batch, dtype=dtype), torch.zeros(len(fleet.boats), dtype=dtype)
-        for run in fleet.runs:
+        total, count = torch.zeros(batch, dtype=dtype), torch.zeros(batch, dtype=dtype)
+        for index, run in enumerate(fleet.runs):
+            free = measure.kind == FREE and index >= first
+            own = state
             at_run(state)
             samples = tensors(run.samples, dtype)
             for begin in range(0, len(run.time), length):
                 part = tree_map(lambda x, a=begin: x[a : a + length], samples)
                 step = clean(part, estimator.surge_limit)
                 wide = tree_map(lambda x: x.reshape(len(x), *(1 for _ in settings), -1).expand(len(x), *batch), part)
-                state, predicted, _ = rollout(estimator, state, wide)
                 learns, surge = (x.reshape(len(x), *(1 for _ in settings), -1) for x in (step.learns, step.surge))
-                total += torch.where(learns, (predicted - surge).abs(), 0.0).sum(0)
-                count += step.learns.sum(0)
+                if free:  # from the parameters at the end of the first half
+                    own, predicted, _ = simulate(estimator, own, wide)
+                elif measure.kind == FORECAST:
+                    state, _, kept = rollout(estimator, state, wide, record=[DUE])
+                    predicted, persistence = kept[DUE][..., 0, 0], kept[DUE][..., 0, 1]
+                    learns = learns & persistence.isfinite()  # a forecast became due
+                else:
+                    state, predicted, _ = rollout(estimator, state, wide)
+                if index >= first:
+                    total += torch.where(learns, (predicted - surge).abs(), 0.0).sum(0)
+                    count += learns.expand(len(surge), *batch).sum(0)
                 advance(len(step.surge) / fleet.steps)
     mae = total / count
     return torch.where(mae.isfinite(), mae, math.inf)
@@ -202,6 +223,7 @@ class Objective:
         fleet: aligned runs.
         advance: receives the number of evaluations completed since the last call, as a float.
         lanes: settings × boats in one batch, at most.
+        measure: which error counts.
     """
 
     def __init__(
@@ -210,8 +232,9 @@ class Objective:
         fleet: Fleet,
         advance: Callable[[float], None] = lambda evaluations: None,
         lanes: int = LANES,
+        measure: Measure = NEXT,
     ):
-        self.build, self.fleet, self.advance = build, fleet, advance
+        self.build, self.fleet, self.advance, self.measure = build, fleet, advance, measure
         self.batch = max(1, lanes // len(fleet.boats))  # settings
 
     def __call__(self, settings: Sequence[Setting]) -> list[Evaluation]:
@@ -220,7 +243,8 @@ class Objective:
         for begin in range(0, len(settings), self.batch):
             part = settings[begin : begin + self.batch]
             estimator = self.build({path: [[setting[path]] for setting in part] for path in part[0]})
-            maes = fleet_mae(estimator, self.fleet, (len(part),), partial(self._advance, len(part)))
+            advance = partial(self._advance, len(part))
+            maes = fleet_mae(estimator, self.fleet, (len(part),), advance, measure=self.measure)
             found += [Evaluation(setting, tuple(row)) for setting, row in zip(part, maes.tolist(), strict=True)]
         return found
 

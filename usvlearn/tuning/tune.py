@@ -17,6 +17,7 @@ from rich.progress import Progress
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.evaluation.measure import FREE, ONE_STEP, Measure, measure_of
 from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest
 from usvlearn.signals import Fleet
@@ -24,6 +25,7 @@ from usvlearn.sweeps.launchers import set_threads
 from usvlearn.tuning.backprop import Fitted, fit
 from usvlearn.tuning.grid import grid, product
 from usvlearn.tuning.lanes import (
+    NEXT,
     Build,
     Hyperparameter,
     Objective,
@@ -49,6 +51,7 @@ class Request(NamedTuple):
     options: Mapping[str, Any]  # `tuning` of the configuration
     node: Mapping[str, Any]  # the member's configuration
     build: Build
+    measure: Measure = NEXT  # which error is minimised
 
     @property
     def ranges(self) -> dict[str, list[float]]:
@@ -126,7 +129,13 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
             parameters.append(hyperparameter(estimator, path, low, high, key))
     if way != "learn" and any(each.kind is RNN for each in parameters):
         raise ConfigError(f"{way}={member}: initial weights are learned by gradient alone: use learn={member}")
-    return Request(way, member, parameters, values, options["evaluations"], options, members[member], build)
+    measure = measure_of(configuration.get("output", "ensemble"))
+    if way == "learn" and measure.kind != ONE_STEP:
+        raise ConfigError(
+            f"output: found {configuration['output']} with learn={member}, which minimises the error one step ahead: "
+            "use grid or search"
+        )
+    return Request(way, member, parameters, values, options["evaluations"], options, members[member], build, measure)
 
 
 def _changed(node: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -197,12 +206,14 @@ def tune(
     check_folder(folder, asked_for.way, asked_for.member)
     with console.status("reading and aligning"), under("data", configuration["data"]):
         fleet = align(instantiate(configuration["data"]), **configuration["align"])
+    if asked_for.measure.kind == FREE and len(fleet.runs) < 2:
+        raise ConfigError("output: found free runs with a single log, expected two or more: learn from the first half")
     began = time.perf_counter()
     with Progress(console=console) as progress:
         bar = progress.add_task(f"{asked_for.way}={asked_for.member}", total=asked_for.evaluations)
         found, used, curve = run(asked_for, fleet, folder, lambda done: progress.advance(bar, done))
         progress.update(bar, completed=asked_for.evaluations)
-    (persistence,) = Objective(lambda _: Persistence(), fleet)([{}])
+    (persistence,) = Objective(lambda _: Persistence(), fleet, measure=asked_for.measure)([{}])
     facts = {
         "member": asked_for.member,
         "way": asked_for.way,
@@ -232,7 +243,8 @@ def run(
     Returns:
         The evaluations, the default first; their number without it; for `learn` the curve.
     """
-    objective, options, parameters = Objective(request.build, fleet, advance), request.options, request.parameters
+    objective = Objective(request.build, fleet, advance, measure=request.measure)
+    options, parameters = request.options, request.parameters
     if request.values is not None:
         default = {each.path: each.default for each in parameters}
         settings = [setting for setting in product(request.values) if setting != default]

@@ -63,6 +63,8 @@ class AID(Estimator):
     lower: Tensor  # (p,)
     upper: Tensor  # (p,)
 
+    frozen = FAMILY.frozen
+
     def __init__(
         self,
         mass: Hyper = 36.0,

@@ -111,5 +111,6 @@ FAMILY = Family(
     work=lambda p: 2 * p,
     heading=terms.heading,
     remembers=terms.remembers,
+    frozen=("theta", "surge"),
 )
 AT = FAMILY.at

@@ -63,6 +63,8 @@ class ARX(Estimator):
     ratios: Tensor  # (p,) prior deviations over `scale`
     drags: Tensor  # (3, p) each d of the drag
 
+    frozen = FAMILY.frozen
+
     def __init__(
         self,
         lags: int = 3,
@@ -106,6 +108,12 @@ class ARX(Estimator):
         predicted = self._limit(estimate)
         _, _, _, spread = self._spread(state, h[..., None] * features)
         state = state._replace(deviation=(state.noise * spread).sqrt())
+        return self._remember(state, features, predicted, h), predicted
+
+    def free_step(self, state: ARXState, inputs: Inputs) -> tuple[ARXState, Tensor]:
+        """As `predict`, without the deviation."""
+        h, features, estimate = self._estimate(state, inputs)
+        predicted = self._limit(estimate)
         return self._remember(state, features, predicted, h), predicted
 
     def update(self, state: ARXState, inputs: Inputs, surge: Tensor) -> ARXState:

@@ -146,5 +146,6 @@ FAMILY = Family(
     Vector,
     size=parameters,
     work=lambda p: 5 * p,
+    frozen=("theta", "past", "surge", "started"),
 )
 AT = FAMILY.at

@@ -13,9 +13,11 @@ from usvlearn.errors import ConfigError, check_positive, under
 from usvlearn.estimator import Estimator, numbers_of, spec_of
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
 from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step
+from usvlearn.estimators.ensemble.forecasts.layer import Forecasts
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
 from usvlearn.estimators.wrappers.bank import Bank
+from usvlearn.plans import NONE
 from usvlearn.signals import Inputs, named_leaves
 
 
@@ -31,6 +33,7 @@ class Ensemble(Estimator):
         coverage: share of the measurements that the intervals are to cover, 0 … 1.
         surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
         watched: whether whiteness and the thrusters are watched (`monitors`).
+        forecasts: seconds ahead (`forecasts`); None: none are made.
 
     Attributes:
         columns: names of the members' predictions; a bank has several.
@@ -57,6 +60,7 @@ class Ensemble(Estimator):
         coverage: float = 0.9,
         surge_max: float = 10.0,
         watched: bool = True,
+        forecasts: Forecasts | None = None,
     ):
         super().__init__()
         rules: Mapping[str, Combiner] = {"average": Average()} if combiners is None else dict(combiners)
@@ -94,6 +98,11 @@ class Ensemble(Estimator):
             self._places[name] = [self.columns.index(column) for column in chosen]
             with under(f"combiners.{name}"):
                 combiner.bind(chosen)
+        self.forecasts = forecasts
+        if forecasts is not None:
+            shown = [self.columns[k] for k in self._places[self.output]]
+            chosen = shown if forecasts.members is None else forecasts.members
+            forecasts.bind(chosen, members, coverage, self.surge_max)
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
         """The columns that a combiner means; the name of a bank stands for all of its own."""
@@ -128,30 +137,50 @@ class Ensemble(Estimator):
         conformal = conformal_start(batch, len(self.names), like)
         watched = monitors.init(batch, len(self.names), like) if self.watched else {}
         width = conformal.halfwidth
-        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched)
+        made = {} if self.forecasts is None else self.forecasts.init(batch, self.members, members)
+        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, made)
 
     def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
         coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
-        published, _, output = self._publish(state, {name: surge for name, (_, surge) in coasted.items()})
-        members = {name: new for name, (new, _) in coasted.items()}
-        return state._replace(members=members, predictions=published, halfwidths=state.conformal.halfwidth), output
+        published, _, output = self._publish(state, {name: surge for name, (_, surge) in coasted.items()}, inputs.dt)
+        members, made = {name: new for name, (new, _) in coasted.items()}, state.forecasts
+        if self.forecasts is not None:
+            made = self.forecasts.step(made, self.members, members, inputs, None)
+        width = state.conformal.halfwidth
+        return state._replace(members=members, predictions=published, halfwidths=width, forecasts=made), output
 
     def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> tuple[EnsembleState, Tensor]:
         learned = {name: member.learn(state.members[name], inputs, surge) for name, member in self.members.items()}
-        published, seen, output = self._publish(state, {name: predicted for name, (_, predicted) in learned.items()})
+        surges = {name: predicted for name, (_, predicted) in learned.items()}
+        published, seen, output = self._publish(state, surges, inputs.dt)
         combiners = self.reweigh(state.combiners, seen, surge, inputs.dt)
         innovations = surge[..., None] - published
         conformal = conformal_step(state.conformal, innovations, self.coverage)
         watched = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
         members = {name: new for name, (new, _) in learned.items()}
-        return EnsembleState(members, combiners, conformal, published, state.conformal.halfwidth, watched), output
+        made = state.forecasts
+        if self.forecasts is not None:
+            made = self.forecasts.step(made, self.members, members, inputs, surge)
+        width = state.conformal.halfwidth
+        return EnsembleState(members, combiners, conformal, published, width, watched, made), output
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
-        return state._replace(members=members)
+        made = state.forecasts if self.forecasts is None else self.forecasts.start(state.forecasts)
+        return state._replace(members=members, forecasts=made)
+
+    def forecast(self, state: EnsembleState, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """Predictions and half-widths of a plan, m/s, `(time, *batch)`; `inputs` likewise.
+
+        Raises:
+            ConfigError: the ensemble makes no forecasts.
+        """
+        if self.forecasts is None:
+            raise ConfigError(NONE)
+        return self.forecasts.plan(state.forecasts, self.members, state.members, inputs)
 
     def inflate_covariance(self, state: EnsembleState, factor: Tensor) -> EnsembleState:
         members = {
@@ -171,6 +200,7 @@ class Ensemble(Estimator):
             "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
             "rules": rules, "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
             "monitors": monitors.spec() if self.watched else None,
+            **({} if self.forecasts is None else {"forecasts": self.forecasts.spec(self.columns)}),
         }  # fmt: skip
 
     def monitor(self, state: EnsembleState) -> dict[str, Tensor]:
@@ -185,6 +215,9 @@ class Ensemble(Estimator):
         if self.watched:
             report = monitors.monitor_report(state.monitors, self.names)
             shown |= {f"monitors/{key}": value for key, value in report.items()}
+        if self.forecasts is not None:
+            report = self.forecasts.monitor(state.forecasts)
+            shown |= {f"forecasts/{key}": value for key, value in report.items()}
         return shown
 
     def seen(self, predictions: Tensor) -> dict[str, Tensor]:
@@ -203,10 +236,17 @@ class Ensemble(Estimator):
         """The rules' states after `surge`, m/s, was measured, `dt` s after the measurement before."""
         return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}
 
-    def _publish(self, state: EnsembleState, surges: Mapping[str, Tensor]) -> tuple[Tensor, dict[str, Tensor], Tensor]:
+    def _publish(
+        self, state: EnsembleState, surges: Mapping[str, Tensor], dt: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor], Tensor]:
         """All predictions, `(*batch, names)`; the predictions that each rule sees; the ensemble's own."""
         parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
         single = torch.cat(parts, -1)
         seen = self.seen(single)
         combined = self.combine(state.combiners, seen)
+        if self.forecasts is not None:  # after steps without measured speed it is a forecast
+            coasted = state.forecasts.coasted
+            own = torch.stack([surges[name] for name in self.forecasts.names], -1)
+            forecast = self.forecasts.combine(state.forecasts, own, coasted + dt)
+            combined[self.output] = torch.where(coasted > 0, forecast, combined[self.output])
         return torch.cat([single, torch.stack(list(combined.values()), -1)], -1), seen, combined[self.output]

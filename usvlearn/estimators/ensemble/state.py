@@ -20,6 +20,7 @@ class EnsembleState(NamedTuple):
     predictions: Tensor  # (*batch, columns + combiners) m/s, in the order of `Ensemble.names`
     halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s
     monitors: Any  # of the innovations of `Ensemble.names` and of the thrusters, or {}
+    forecasts: Any  # a `ForecastState`, or {}
 
 
 class Number(Numbers):
@@ -38,6 +39,7 @@ FAMILY = Family(
         predictions=leaf(names, legal=ANY),  # NaN where a member sleeps
         halfwidths=leaf(names, legal=POSITIVE),
         monitors=NONE,
+        forecasts=NONE,
     ),
     Number,
 )

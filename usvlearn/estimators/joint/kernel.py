@@ -67,6 +67,18 @@ def coast(node, s, q, x, predicted, work):
 
 
 @jit
+def free_step(node, s, q, x, work):
+    """One step of a free run: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
+    n, commands = node[Node.SIZE], node[AT.commands]
+    mean, predicted = s[node[AT.mean] : node[AT.mean] + n], forecast(node, s, q, x, work)
+    if s[node[AT.started]] > 0:
+        mean[B], s[node[AT.started]] = 0.0, 0.0
+    move(mean, work[n], decay(x[DT], q[node[Node.NUMBERS] :][Number.DISTURBANCE_TIME]), work[n + 1])
+    s[commands], s[commands + 1] = x[LEFT], x[RIGHT]
+    return predicted
+
+
+@jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `JointEKF.learn`."""
     n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
@@ -211,8 +223,7 @@ def advance(node, s, q, x, mean, A, work):
             i, prior = THETA + k // EVERY, q[node[Vector.VARIANCE] + k // EVERY]
             add(A, i, walked(A, i, prior, share * prior), a)
     s[node[AT.turn]] = turn + 1 if turn + 1 < EVERY * parameters else 0.0
-    mean[B], mean[NORTH], mean[EAST] = mean[B] * slow, mean[NORTH] * current, mean[EAST] * current
-    mean[W] = clamp(speed, SPEED_MAX)
+    move(mean, speed, slow, current)
     if abs(speed) >= SPEED_MAX:
         for j in range(1, n):
             A[j, W] = 0.0
@@ -221,6 +232,13 @@ def advance(node, s, q, x, mean, A, work):
     spread = seen(A, x, work[:n], work[n : 2 * n])
     s[node[AT.deviation]] = np.sqrt(spread + noise)
     return spread, rest
+
+
+@jit
+def move(mean, speed, slow, current):
+    """The states of (3), of which w⁺ is `speed`."""
+    mean[B], mean[NORTH], mean[EAST] = mean[B] * slow, mean[NORTH] * current, mean[EAST] * current
+    mean[W] = clamp(speed, SPEED_MAX)
 
 
 @jit

@@ -73,6 +73,8 @@ class JointEKF(Estimator):
     signs: Tensor  # (3 or 5, n): each d of (7)
     inverse_mass: Tensor  # (m,) g of 1/m = gᵀθ, with equal weight for every known force; zeros where none is known
 
+    frozen = FAMILY.frozen
+
     def __init__(
         self,
         surge_max: Hyper,
@@ -186,6 +188,11 @@ class JointEKF(Estimator):
     def predict(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
         return self._advanced(state, inputs)[:2]
 
+    def free_step(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
+        """As `predict`, of the mean alone."""
+        mean, predicted, *_ = self._ahead(state, inputs)
+        return self._moved(state, mean, inputs), predicted
+
     def update(self, state: JointState, inputs: Inputs, surge: Tensor) -> JointState:
         return self.learn(state, inputs, surge)[0]
 
@@ -271,21 +278,14 @@ class JointEKF(Estimator):
 
     def _advanced(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The state after the time update, the prediction, U, D and f = UᵀH, and whether the boat was not at rest."""
-        h, started, mean = inputs.dt, state.started, state.mean
-        cosine, sine, zero = inputs.heading.cos(), inputs.heading.sin(), torch.zeros_like(inputs.dt)
-        H = torch.stack([zero + 1, zero, cosine, sine, *[zero] * len(self.names)], -1)
+        h, zero = inputs.dt, torch.zeros_like(inputs.dt)
+        H = torch.stack([zero + 1, zero, inputs.heading.cos(), inputs.heading.sin(), *[zero] * len(self.names)], -1)
         U, D = unpacked(state.factor)
         opened = self._begun(U, D, H, state.noise)
-        U, D = (where(started, new, old) for new, old in zip(opened, (U, D), strict=True))
-        along = cosine * mean[..., NORTH] + sine * mean[..., EAST]
-        w = torch.where(started, state.surge - along, mean[..., W])
-        b = torch.where(started, 0.0, mean[..., B])
-        commands = torch.stack([inputs.command_left, inputs.command_right], -1)
-        speed, g = self._flow(mean, w, b, where(started, commands, state.commands), inputs)
-        current = (-(h / self.current_time()).clamp(max=at.DECAYED)).exp()
-        slow = (-(h / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
+        U, D = (where(state.started, new, old) for new, old in zip(opened, (U, D), strict=True))
+        mean, predicted, speed, g, w, slow, current = self._ahead(state, inputs)
         decays = torch.stack([torch.ones_like(h), slow, current, current, *[zero + 1] * len(self.names)], -1)
-        moves = (commands * commands).sum(-1) + w * w > at.REST
+        moves = inputs.command_left**2 + inputs.command_right**2 + w * w > at.REST
         g = torch.cat([g[..., :THETA], torch.where(moves[..., None], g[..., THETA:], 0.0)], -1)
         U, D = moved(U, D, g, decays)
         span, eye = h.clamp(max=at.LONGEST) / at.STEP, torch.eye(D.shape[-1], dtype=D.dtype, device=D.device)
@@ -304,18 +304,28 @@ class JointEKF(Estimator):
         beyond = speed.abs() >= at.SPEED_MAX
         U = torch.where(beyond[..., None, None], unit(U * (1 - eye[W])[:, None]), U)
         D = torch.where(beyond[..., None], torch.where(eye[W] > 0, at.SPEED_MAX**2, D), D)
-        limited = speed.clamp(-at.SPEED_MAX, at.SPEED_MAX)
         f = rotated(U, H)
+        deviation = ((D * f * f).sum(-1) + state.noise).sqrt()
+        ahead = self._moved(state, mean, inputs)._replace(factor=packed(U, D), turn=turn, deviation=deviation)
+        return ahead, predicted, U, D, f, moves
+
+    def _ahead(self, state: JointState, inputs: Inputs) -> tuple[Tensor, ...]:
+        """x after (3), the prediction (4), w⁺, its gradient, the w from which it departs, and the decays of b and c."""
+        h, started, mean = inputs.dt, state.started, state.mean
+        along = inputs.heading.cos() * mean[..., NORTH] + inputs.heading.sin() * mean[..., EAST]
+        w = torch.where(started, state.surge - along, mean[..., W])
+        b = torch.where(started, 0.0, mean[..., B])
+        commands = torch.stack([inputs.command_left, inputs.command_right], -1)
+        speed, g = self._flow(mean, w, b, where(started, commands, state.commands), inputs)
+        current = (-(h / self.current_time()).clamp(max=at.DECAYED)).exp()
+        slow = (-(h / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
+        limited = speed.clamp(-at.SPEED_MAX, at.SPEED_MAX)
         states = torch.stack([limited, b * slow, mean[..., NORTH] * current, mean[..., EAST] * current], -1)
-        ahead = state._replace(
-            mean=torch.cat([states, mean[..., THETA:]], -1),
-            factor=packed(U, D),
-            started=torch.zeros_like(started),
-            commands=commands,
-            turn=turn,
-            deviation=((D * f * f).sum(-1) + state.noise).sqrt(),
-        )
-        return ahead, limited + current * along, U, D, f, moves
+        return torch.cat([states, mean[..., THETA:]], -1), limited + current * along, speed, g, w, slow, current
+
+    def _moved(self, state: JointState, mean: Tensor, inputs: Inputs) -> JointState:
+        commands = torch.stack([inputs.command_left, inputs.command_right], -1)
+        return state._replace(mean=mean, started=torch.zeros_like(state.started), commands=commands)
 
     def _begun(self, U: Tensor, D: Tensor, H: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
         """The covariance at the start of a segment, after its speed was measured."""

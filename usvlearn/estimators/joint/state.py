@@ -168,5 +168,6 @@ FAMILY = Family(
     size=lambda own: SIZES[own["even"]],
     work=lambda n: 4 * n + 2,
     heading=lambda own: True,
+    frozen=("mean", "surge", "started", "commands"),
 )
 AT = FAMILY.at

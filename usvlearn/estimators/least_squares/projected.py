@@ -76,6 +76,8 @@ class Projected(Estimator):
     (-1, -1, -1, 1, 1, -1, 1, 1, -1)
     """
 
+    frozen = LeastSquares.frozen
+
     def __init__(self, estimator: LeastSquares, signs: Sequence[int] | None = None, iterations: int = 4):
         super().__init__()
         if not isinstance(estimator, LeastSquares):

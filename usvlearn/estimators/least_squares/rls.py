@@ -84,6 +84,8 @@ class LeastSquares(Estimator):
 
     model: LinearModel
 
+    frozen = FAMILY.frozen
+
     def __init__(self, model: LinearModel | None, covariance: Hyper, feedback: str, surge_max: float):
         super().__init__()
         self.feedback = check_choice("feedback", feedback, FEEDBACK)

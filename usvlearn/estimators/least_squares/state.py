@@ -108,5 +108,6 @@ FAMILY = Family(
     work=lambda p: 12 * p + 2 * p * p,
     heading=terms.heading,
     remembers=terms.remembers,
+    frozen=("theta", "surge"),
 )
 AT, RLS = FAMILY.at, FAMILY.kinds.index("rls")

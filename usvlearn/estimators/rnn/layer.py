@@ -132,6 +132,8 @@ class RNN(Estimator):
     bounds: Tensor  # (2, 5) least and greatest x and u of the condition "interval"
     rate_ratio: Tensor  # (7n,) in the order of the gradient
 
+    frozen = FAMILY.frozen
+
     def __init__(
         self,
         neurons: int = 20,

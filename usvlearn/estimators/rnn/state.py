@@ -153,5 +153,6 @@ FAMILY = Family(
     size=Range(1, 100_000),
     work=lambda n: INPUTS + 16 * n,
     heading=lambda own: True,
+    frozen=("weights.a", "weights.w1", "weights.W2", "weights.b", "surge"),
 )
 AT = FAMILY.at

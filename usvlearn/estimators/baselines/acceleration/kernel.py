@@ -29,6 +29,14 @@ def coast(node, s, q, x, predicted, work):
 
 
 @jit
+def free_step(node, s, q, x, work):
+    """One step of a free run: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
+    predicted, _ = predict(node, s, q, x, work)
+    s[node[AT.surge]] = predicted
+    return predicted
+
+
+@jit
 def learn(node, s, q, x, estimate, target, work):
     """`Acceleration.update`."""
     since = s[node[AT.since]] + x[DT]

@@ -30,6 +30,8 @@ class Acceleration(Estimator):
 
     rest: Tensor  # () 0, of the dtype and device of its states
 
+    frozen = FAMILY.frozen
+
     def __init__(self, surge_dot_max: float = 2.0, surge_max: float = 10.0):
         super().__init__()
         self.surge_dot_max = check_positive("surge_dot_max", surge_dot_max, "of m/s²")

@@ -33,5 +33,6 @@ FAMILY = Family(
     ("acceleration",),
     lambda _: AccelerationState(surge=leaf(), surge_dot=leaf(), measured=leaf(), since=leaf(legal=NOT_NEGATIVE)),
     Number,
+    frozen=("surge", "surge_dot"),
 )
 AT = FAMILY.at

@@ -24,6 +24,8 @@ class Persistence(Estimator):
 
     rest: Tensor  # () 0, of the dtype and device of its states
 
+    frozen = FAMILY.frozen
+
     def __init__(self) -> None:
         super().__init__()
         self.register_buffer("rest", torch.zeros((), dtype=torch.float64))

@@ -16,5 +16,5 @@ class PersistenceState(NamedTuple):
     surge: Tensor  # (*batch,) last measured speed, m/s
 
 
-FAMILY = Family(("persistence",), lambda _: PersistenceState(surge=leaf()))
+FAMILY = Family(("persistence",), lambda _: PersistenceState(surge=leaf()), frozen=("surge",))
 AT = FAMILY.at

@@ -134,20 +134,35 @@ def learn_exponential(node, s, q, x, surge, dt, work):
 
 @jit
 def learn_boa(node, s, q, x, surge, dt, work):
-    """`BOA.learn`, equations (1) to (4)."""
-    m, numbers, square = node[Node.SIZE], q[node[Node.NUMBERS] :], node[Loss.LOSS] == SQUARE
-    weights = s[node[AT_BOA.weights] : node[AT_BOA.weights] + m]
-    losses = s[node[AT_BOA.losses] : node[AT_BOA.losses] + m]
-    squares = s[node[AT_BOA.squares] : node[AT_BOA.squares] + m]
-    ranges = s[node[AT_BOA.ranges] : node[AT_BOA.ranges] + m]
-    prior, costs = q[node[Priors.PRIOR] : node[Priors.PRIOR] + m], q[node[Priors.COSTS] : node[Priors.COSTS] + m]
-    factors, exponents, kept = work[:m], work[m : 2 * m], np.exp(-dt / numbers[Bernstein.MEMORY])
-    combined = dot(weights, x[:m])
+    """`BOA.learn`."""
+    m, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    bernstein(
+        s[node[AT_BOA.weights] : node[AT_BOA.weights] + m],
+        s[node[AT_BOA.losses] : node[AT_BOA.losses] + m],
+        s[node[AT_BOA.squares] : node[AT_BOA.squares] + m],
+        s[node[AT_BOA.ranges] : node[AT_BOA.ranges] + m],
+        q[node[Priors.PRIOR] : node[Priors.PRIOR] + m],
+        q[node[Priors.COSTS] : node[Priors.COSTS] + m],
+        np.exp(-dt / numbers[Bernstein.MEMORY]),
+        numbers[Bernstein.SCALE],
+        numbers[Bernstein.SHARE],
+        node[Loss.LOSS] == SQUARE,
+        x,
+        surge,
+        work,
+    )
+
+
+@jit
+def bernstein(weights, losses, squares, ranges, prior, costs, kept, scale, share, square, x, surge, work):
+    """Equations (1) to (4) of members' predictions x, with κ = `kept`."""
+    m = len(weights)
+    factors, exponents, combined = work[:m], work[m : 2 * m], dot(weights, x[:m])
     error = combined - surge
     slope = 2 * error if square else np.sign(error)
     for k in range(m):
         loss = slope * (x[k] - combined)
-        ranges[k] = max(kept * ranges[k], numbers[Bernstein.SCALE], abs(loss))  # (1)
+        ranges[k] = max(kept * ranges[k], scale, abs(loss))  # (1)
         c = costs[k]
         least = c * ranges[k] * ranges[k]
         surprising = np.sqrt(c / max(squares[k], least)) * loss
@@ -159,4 +174,4 @@ def learn_boa(node, s, q, x, surge, dt, work):
         exponents[k] = -rate * losses[k]
     shares(weights, factors, exponents)  # (4)
     for k in range(m):
-        weights[k] += numbers[Bernstein.SHARE] * (prior[k] - weights[k])
+        weights[k] += share * (prior[k] - weights[k])

@@ -44,8 +44,16 @@ class WithMemory(Estimator):
 
     def predict(self, state: MemoryState, inputs: Inputs) -> tuple[MemoryState, Tensor]:
         inner, surge = self.estimator.predict(state.inner, self._with_memory(state, inputs))
-        surge_dot = self._limited(surge - state.estimate, inputs.dt)
-        return self._stepped(state, inputs)._replace(inner=inner, surge_dot=surge_dot, estimate=surge), surge
+        return self._coasted(state, inputs, surge)._replace(inner=inner), surge
+
+    @property
+    def frozen(self) -> tuple[str, ...] | None:  # type: ignore[override]  # of the estimator within
+        inner = self.estimator.frozen
+        return None if inner is None else (*(f"inner.{name}" for name in inner), *FAMILY.frozen)
+
+    def free_step(self, state: MemoryState, inputs: Inputs) -> tuple[MemoryState, Tensor]:
+        inner, surge = self.estimator.free_step(state.inner, self._with_memory(state, inputs))
+        return self._coasted(state, inputs, surge)._replace(inner=inner), surge
 
     def update(self, state: MemoryState, inputs: Inputs, surge: Tensor) -> MemoryState:
         return self.learn(state, inputs, surge)[0]
@@ -81,6 +89,10 @@ class WithMemory(Estimator):
 
     def _limited(self, change: Tensor, dt: Tensor) -> Tensor:
         return (change / torch.where(dt > 0, dt, 1.0)).clamp(-self.surge_dot_max, self.surge_dot_max)
+
+    def _coasted(self, state: MemoryState, inputs: Inputs, surge: Tensor) -> MemoryState:
+        surge_dot = self._limited(surge - state.estimate, inputs.dt)
+        return self._stepped(state, inputs)._replace(surge_dot=surge_dot, estimate=surge)
 
     def _stepped(self, state: MemoryState, inputs: Inputs) -> MemoryState:
         return state._replace(

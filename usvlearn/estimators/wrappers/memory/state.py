@@ -48,5 +48,6 @@ FAMILY = Family(
         known=leaf(legal=UNIT, flag=True),
     ),
     Number,
+    frozen=("surge_dot", "surge", "since", "estimate", "command_left", "command_right", "known"),
 )
 AT = FAMILY.at

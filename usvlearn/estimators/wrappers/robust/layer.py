@@ -83,6 +83,15 @@ class Robust(Estimator):
         inner, surge = self.estimator.predict(state.inner, inputs)
         return state._replace(inner=inner), surge
 
+    @property
+    def frozen(self) -> tuple[str, ...] | None:  # type: ignore[override]  # of the estimator within
+        inner = self.estimator.frozen
+        return None if inner is None else tuple(f"inner.{name}" for name in inner)
+
+    def free_step(self, state: RobustState, inputs: Inputs) -> tuple[RobustState, Tensor]:
+        inner, surge = self.estimator.free_step(state.inner, inputs)
+        return state._replace(inner=inner), surge
+
     def update(self, state: RobustState, inputs: Inputs, surge: Tensor) -> RobustState:
         return self.learn(state, inputs, surge)[0]
 

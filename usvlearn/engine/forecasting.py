@@ -1,0 +1,115 @@
+"""Forecasts of an ensemble in compiled code: steps of the frozen members, and plans.
+
+The row of the forecasts is followed by the place of the first slot, the rows of the M frozen members, the columns of
+their predictions, and, for each leaf that is copied at an origin, its place in the state, its place in a slot, and its
+length.
+"""
+
+import numpy as np
+
+from usvlearn.arrays import copy, fill
+from usvlearn.engine.chains import free_step
+from usvlearn.estimators.ensemble.forecasts.kernel import combine, fill_slot, learn_due, publish, weights_after
+from usvlearn.estimators.ensemble.forecasts.state import AT, EMPTY, Choice, Vector
+from usvlearn.estimators.wrappers.memory.kernel import recall, remember
+from usvlearn.family import CHOICES, WIDTH, Node
+from usvlearn.jit import jit
+from usvlearn.rows import DT, INPUTS, SURGE
+
+PLACE = CHOICES + 8  # in the first row of the table: there stands the index of the forecasts' row, −1 without
+
+
+@jit
+def freeze(node, s, slot):
+    """Copy what the members' free runs need into the numbers of a slot."""
+    tail = node[WIDTH + 1 + 2 * node[Choice.MEMBERS] :]
+    for i in range(tail[0]):
+        source, place, length = tail[1 + 3 * i], tail[2 + 3 * i], tail[3 + 3 * i]
+        for k in range(length):
+            slot[place + k] = s[source + k]
+
+
+@jit
+def step_frozen(program, node, slot, q, row, limit, x, work):
+    """One step of all members of a slot; writes their predictions, NaN where one sleeps."""
+    for m in range(node[Choice.MEMBERS]):
+        member = program[node[WIDTH + 1 + m]]
+        if member[Node.MEMORY] >= 0:
+            memory, inputs = program[member[Node.MEMORY]], work[:INPUTS]
+            recall(memory, slot, row, inputs)
+            predicted = free_step(member, slot, q, inputs, work[INPUTS:])
+            remember(memory, slot, q, inputs, predicted, False)
+        else:
+            predicted = free_step(member, slot, q, row, work)
+        x[m] = predicted if abs(predicted) < limit else np.nan
+
+
+@jit
+def forget_forecasts(node, s, q):
+    """`Forecasts.start`."""
+    H = node[Choice.HORIZONS]
+    fill(s[node[AT.elapsed] : node[AT.elapsed] + node[Choice.SLOTS]], EMPTY)
+    copy(s[node[AT.since] : node[AT.since] + H], q[node[Vector.HORIZONS] : node[Vector.HORIZONS] + H])
+    s[node[AT.coasted]] = 0.0
+
+
+@jit
+def forecast_step(program, node, s, q, row, learns, limit, work):
+    """`Forecasts.step`, in place."""
+    slots, H, M = node[Choice.SLOTS], node[Choice.HORIZONS], node[Choice.MEMBERS]
+    begin, block = node[WIDTH], node[Node.SIZE]
+    horizons, half, x, rest = q[node[Vector.HORIZONS] :], row[DT] / 2, work[:M], work[M:]
+    fill(s[node[AT.predictions] : node[AT.predictions] + H * (M + 2)], np.nan)
+    fill(s[node[AT.halfwidths] : node[AT.halfwidths] + H], np.nan)
+    for slot in range(slots):
+        before = s[node[AT.elapsed] + slot]
+        if not before >= 0:
+            continue
+        step_frozen(program, node, s[begin + slot * block : begin + (slot + 1) * block], q, row, limit, x, rest)
+        after = before + row[DT]
+        for k in range(H):
+            if before + half < horizons[k] <= after + half:
+                publish(node, s, q, slot, k, x)
+        end = horizons[int(s[node[AT.reach] + slot])]
+        s[node[AT.elapsed] + slot] = EMPTY if after + half >= end else after
+    for k in range(H):
+        s[node[AT.since] + k] += row[DT]
+    if not learns:
+        s[node[AT.coasted]] += row[DT]
+        return
+    learn_due(node, s, q, row[SURGE], row[DT], work)
+    s[node[AT.coasted]] = 0.0
+    for slot in range(slots):
+        if s[node[AT.elapsed] + slot] < 0:
+            freeze(node, s, s[begin + slot * block : begin + (slot + 1) * block])
+            fill_slot(node, s, q, slot, row[SURGE], half)
+            break
+
+
+@jit(entry=True)
+def forecast_plan(program, s, q, rows, limit, slot, found, work):
+    """Forecast the steps `rows`, `(time, ROW)`: writes predictions and half-widths, m/s, `(time, 2)`.
+
+    `slot` is an array of the length of a slot.
+    """
+    node, elapsed = program[program[0, PLACE]], 0.0
+    M = node[Choice.MEMBERS]
+    x, weights, rest = work[:M], work[M : 2 * M], work[2 * M :]
+    freeze(node, s, slot)
+    for k in range(len(rows)):
+        step_frozen(program, node, slot, q, rows[k], limit, x, rest)
+        elapsed += rows[k, DT]
+        found[k, 1] = weights_after(node, s, q, elapsed, weights)
+        found[k, 0] = combine(node, q, weights, x)
+
+
+@jit
+def coasted(node, s, q, predictions, dt, limit, work):
+    """The ensemble's prediction without measured speed: with the weights of the time since the last one."""
+    M = node[Choice.MEMBERS]
+    x, weights = work[:M], work[M : 2 * M]
+    for m in range(M):
+        own = predictions[node[WIDTH + 1 + M + m]]
+        x[m] = own if abs(own) < limit else np.nan
+    weights_after(node, s, q, s[node[AT.coasted]] + dt, weights)
+    return combine(node, q, weights, x)

@@ -1,0 +1,1 @@
+"""Forecasts of an ensemble seconds ahead: weights and intervals for each horizon."""

@@ -1,0 +1,124 @@
+"""Forecasts over several horizons: the parts of `layer` that step no member, equations (1) to (3) of `state`."""
+
+import numpy as np
+
+from usvlearn.estimators.ensemble.combiners.kernel import bernstein
+from usvlearn.estimators.ensemble.forecasts.state import (
+    AT,
+    DELAY,
+    FEW,
+    LEAST,
+    MOST,
+    SHARE,
+    STEP,
+    Choice,
+    Number,
+    Vector,
+)
+from usvlearn.family import Node
+from usvlearn.jit import jit
+
+
+@jit
+def weights_after(node, s, q, time, weights):
+    """Write the weights of a forecast over `time`, s; returns its half-width, m/s."""
+    H, M, horizons = node[Choice.HORIZONS], node[Choice.MEMBERS], q[node[Vector.HORIZONS] :]
+    k = 0
+    while k + 1 < H and horizons[k + 1] <= time:
+        k += 1
+    rise, width = 0.0, halfwidth(node, s, k)
+    if k + 1 < H and time > horizons[k]:
+        rise = (time - horizons[k]) / (horizons[k + 1] - horizons[k])
+        width = (1 - rise) * width + rise * halfwidth(node, s, k + 1) if rise > 0 else width
+    own = s[node[AT.rule.weights] + k * M :]
+    for m in range(M):
+        weights[m] = (1 - rise) * own[m] + rise * own[M + m] if rise > 0 else own[m]
+    return np.inf if time > horizons[H - 1] * (1 + 1e-6) else width
+
+
+@jit
+def combine(node, q, weights, x):
+    """(1) of the members' predictions x, m/s, NaN where one sleeps."""
+    tiny, total, together, combined = q[node[Node.NUMBERS] :][Number.TINY], 0.0, 0.0, 0.0
+    asleep = 0.0
+    for m in range(node[Choice.MEMBERS]):
+        if np.isnan(x[m]):
+            asleep += weights[m]
+        else:
+            total += weights[m] + tiny
+            together += (weights[m] + tiny) * x[m]
+            combined += weights[m] * x[m]
+    return combined + asleep * (together / total) if total > 0 else np.nan
+
+
+@jit
+def publish(node, s, q, slot, k, x):
+    """What one slot says over the horizon k."""
+    H, M = node[Choice.HORIZONS], node[Choice.MEMBERS]
+    found = s[node[AT.predictions] + k * (M + 2) :]
+    for m in range(M):
+        found[m] = x[m]
+    weights = s[node[AT.weights] + (slot * H + k) * M :]
+    found[M], found[M + 1] = s[node[AT.origin] + slot], combine(node, q, weights, x)
+    s[node[AT.halfwidths] + k] = s[node[AT.widths] + slot * H + k]
+
+
+@jit
+def learn_due(node, s, q, surge, dt, work):
+    """Compare what became due with the measured speed, m/s."""
+    H, M, numbers = node[Choice.HORIZONS], node[Choice.MEMBERS], q[node[Node.NUMBERS] :]
+    horizons, memory = q[node[Vector.HORIZONS] :], q[node[Vector.MEMORY] :]
+    prior, costs = q[node[Vector.PRIOR] : node[Vector.PRIOR] + M], q[node[Vector.COSTS] : node[Vector.COSTS] + M]
+    x, rest, overlap, tiny = work[:M], work[M:], numbers[Number.OVERLAP], numbers[Number.TINY]
+    for k in range(H):
+        found = s[node[AT.predictions] + k * (M + 2) :]
+        if not np.isfinite(found[M + 1]):
+            continue
+        begin = k * M
+        weights = s[node[AT.rule.weights] + begin : node[AT.rule.weights] + begin + M]
+        unit, total, together = np.sqrt(horizons[k] / STEP), 0.0, 0.0
+        kept = np.exp(-max(horizons[k] / overlap, dt) / memory[k])
+        for m in range(M):
+            x[m] = found[m] / unit
+            if not np.isnan(x[m]):
+                total += weights[m] + tiny
+                together += (weights[m] + tiny) * x[m]
+        for m in range(M):
+            x[m] = together / total if np.isnan(x[m]) else x[m]
+        bernstein(
+            weights,
+            s[node[AT.rule.losses] + begin : node[AT.rule.losses] + begin + M],
+            s[node[AT.rule.squares] + begin : node[AT.rule.squares] + begin + M],
+            s[node[AT.rule.ranges] + begin : node[AT.rule.ranges] + begin + M],
+            prior, costs, kept, numbers[Number.SCALE], numbers[Number.SHARE], False, x, surge / unit, rest,
+        )  # fmt: skip
+        e, q_before, s_before = abs(found[M + 1] - surge), s[node[AT.quantile] + k], s[node[AT.error] + k]
+        s[node[AT.errors] + k] += 1
+        s[node[AT.error] + k] += max(1 / s[node[AT.errors] + k], SHARE) * (e - s_before)  # (2)
+        miss = 1.0 if e > q_before * s_before else 0.0
+        moved = q_before * np.exp((miss - (1 - numbers[Number.COVERAGE])) / (DELAY + overlap))  # (3)
+        s[node[AT.quantile] + k] = min(max(moved, LEAST), MOST)
+
+
+@jit
+def halfwidth(node, s, k):
+    """q s over the horizon k, infinite where too few errors are known."""
+    return s[node[AT.quantile] + k] * s[node[AT.error] + k] if s[node[AT.errors] + k] >= FEW else np.inf
+
+
+@jit
+def fill_slot(node, s, q, slot, surge, half):
+    """An origin at the measured speed, m/s, in a step of 2 `half` s; the members' leaves are copied elsewhere."""
+    H, M, horizons = node[Choice.HORIZONS], node[Choice.MEMBERS], q[node[Vector.HORIZONS] :]
+    reach, overlap = 0, q[node[Node.NUMBERS] :][Number.OVERLAP]
+    for k in range(H):
+        if s[node[AT.since] + k] + half >= horizons[k] / overlap:
+            reach = k
+    for k in range(reach + 1):
+        s[node[AT.since] + k] = 0.0
+    s[node[AT.elapsed] + slot], s[node[AT.origin] + slot], s[node[AT.reach] + slot] = 0.0, surge, reach
+    weights = s[node[AT.weights] + slot * H * M :]
+    for i in range(H * M):
+        weights[i] = s[node[AT.rule.weights] + i]
+    for k in range(H):
+        s[node[AT.widths] + slot * H + k] = halfwidth(node, s, k)

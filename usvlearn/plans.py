@@ -1,0 +1,131 @@
+"""Forecasts of a plan: what a boat will do if it is commanded so. Imports no torch.
+
+A plan is commands, headings and yaw rates for each of the next steps. `Online.forecast` and `usvlearn.forecast` predict
+the speed at the end of each step, with an interval.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.signals import PLAUSIBLE_INPUTS, Inputs
+
+LEAST_DT, MOST_DT, MOST_STEPS = 0.01, 2.0, 100_000  # s, s; steps of a plan
+HEADING, YAW_RATE = float(PLAUSIBLE_INPUTS.heading), float(PLAUSIBLE_INPUTS.yaw_rate)  # rad, rad/s, at most
+NONE = (
+    "forecast: found an estimator without forecasts, expected an ensemble that makes them: "
+    "Ensemble(…, forecasts=Forecasts()), or one of the default configuration"
+)
+
+
+class Forecast(NamedTuple):
+    """Predicted speeds of a plan, with 90 % intervals (the ensemble's `coverage`).
+
+    An end is infinite where no interval is known: beyond the longest horizon, and before ten forecasts over the horizon
+    have been compared with measurements.
+    """
+
+    time: Any  # (time,) s from now, at the end of each step
+    surge: Any  # (time, *batch) m/s
+    low: Any  # (time, *batch) m/s
+    high: Any
+
+
+def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tuple[int, ...] = ()) -> Inputs:
+    """The inputs of a plan's steps, arrays `(time, *batch)`.
+
+    Args:
+        commands: shares of full scale, −1 … 1, of left and right, `(time, 2)`, or `(time, *batch, 2)`.
+        headings: rad, at the beginning of each step: a number, `(time,)`, or `(time, *batch)`.
+        yaw_rates: rad/s, likewise; None: those of the headings.
+        dt: s, of all steps.
+        batch: of the boats.
+
+    Raises:
+        ShapeError: the arrays do not fit each other.
+        ConfigError: a number is outside its legal range.
+
+    >>> plan_inputs([[0.5, 0.4]] * 3, 0.0, None, 0.4).command_left
+    array([0.5, 0.5, 0.5])
+    >>> plan_inputs([[0.5, 1.4]] * 3, 0.0, None, 0.4)
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: commands: found 1.4 for the right side in step 1, expected -1 … 1, shares of full scale
+    """
+    dt = _numbers("dt", dt)
+    if dt.ndim or not LEAST_DT <= dt <= MOST_DT:
+        raise ConfigError(f"dt: found {_shown(dt)}, expected one time of {LEAST_DT:g} … {MOST_DT:g} s for all steps")
+    u = _numbers("commands", commands)
+    steps = len(u) if u.ndim else 0
+    if u.ndim not in (2, 2 + len(batch)) or u.shape[-1] != 2 or not 1 <= steps <= MOST_STEPS:
+        wide = "(time, 2)" if not batch else f"(time, 2) or (time, {', '.join(map(str, batch))}, 2)"
+        raise ShapeError(f"commands: found the shape {u.shape}, expected {wide} with 1 … {MOST_STEPS} steps")
+    if u.ndim < 2 + len(batch):
+        u = u.reshape(steps, *[1] * len(batch), 2)
+    shape = (steps, *batch)
+    if u.shape[:-1] != shape and any(own not in (1, all_) for own, all_ in zip(u.shape, shape, strict=False)):
+        raise ShapeError(f"commands: found the shape {u.shape}, expected {(*shape, 2)}")
+    for side, values in zip(("left", "right"), np.moveaxis(u, -1, 0), strict=True):
+        _check_range("commands", values, 1.0, "shares of full scale", f" for the {side} side")
+    psi = _wide("headings", headings, shape)
+    _check_range("headings", psi, HEADING, "rad")
+    if yaw_rates is None:
+        change = np.diff(psi, axis=0, append=psi[-1:])
+        turn = np.remainder(change + math.pi, 2 * math.pi) - math.pi
+        if steps > 1:
+            turn[-1] = turn[-2]
+        r = turn / dt
+    else:
+        r = _wide("yaw_rates", yaw_rates, shape)
+        _check_range("yaw_rates", r, YAW_RATE, "rad/s")
+    left, right = (np.broadcast_to(x, shape).astype(float) for x in np.moveaxis(u, -1, 0))
+    return Inputs(left, right, psi, r, np.full(shape, float(dt)))
+
+
+def check_plan(inputs: Inputs) -> None:
+    """Raise a ConfigError unless all numbers of a plan, arrays `(time, *batch)`, are legal; a ShapeError for shapes."""
+    shapes = {np.shape(x) for x in inputs}
+    if len(shapes) > 1 or not all(shape and 1 <= shape[0] <= MOST_STEPS for shape in shapes):
+        raise ShapeError(f"inputs: found the shapes {sorted(shapes)}, expected (time, *batch), the same for all")
+    limits = (1.0, "shares of full scale"), (1.0, "shares of full scale"), (HEADING, "rad"), (YAW_RATE, "rad/s")
+    for name, values, (limit, unit) in zip(Inputs._fields[:4], inputs[:4], limits, strict=True):
+        _check_range(name, np.asarray(values), limit, unit)
+    dt = np.asarray(inputs.dt)
+    if not ((dt >= LEAST_DT) & (dt <= MOST_DT)).all():
+        raise ConfigError(f"dt: found {dt.min():g} … {dt.max():g}, expected {LEAST_DT:g} … {MOST_DT:g} s")
+
+
+def _numbers(name: str, value: Any) -> np.ndarray:
+    try:
+        found = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ShapeError(f"{name}: found {value!r:.80}, expected numbers") from error
+    return found
+
+
+def _wide(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """One number, `(time,)` or `(time, *batch)` as an array `(time, *batch)`."""
+    found = _numbers(name, value)
+    if found.ndim not in (0, 1, len(shape)) or (found.ndim and found.shape != shape[: found.ndim]):
+        raise ShapeError(
+            f"{name}: found the shape {found.shape}, expected one number, or {shape} as the commands have it"
+        )
+    if found.ndim == 1:
+        found = found.reshape(shape[0], *[1] * (len(shape) - 1))
+    return np.broadcast_to(found, shape).copy()
+
+
+def _check_range(name: str, values: np.ndarray, limit: float, unit: str, of: str = "") -> None:
+    wrong = ~(np.abs(values) <= limit)
+    if wrong.any():
+        place = tuple(np.argwhere(wrong)[0])
+        raise ConfigError(
+            f"{name}: found {values[place]:g}{of} in step {place[0] + 1}, expected {-limit:g} … {limit:g}, {unit}"
+        )
+
+
+def _shown(value: np.ndarray) -> str:
+    return f"{float(value):g}" if value.ndim == 0 else f"the shape {value.shape}"

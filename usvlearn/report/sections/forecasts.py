@@ -1,0 +1,125 @@
+"""Forecasts: skill against horizon, per estimator, and the coverage of the intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.evaluation.horizons import Scores, horizon_scores
+from usvlearn.evaluation.season import Season
+from usvlearn.figures import INK, LINE, colours, themed
+from usvlearn.report.result_table import ResultTable
+from usvlearn.report.section import Drawn, Section
+from usvlearn.signals import Fleet, Run, tree_map
+
+ACROSS = 4  # panels in a row
+
+
+def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
+    """Errors of the forecasts that became due in all runs that were replayed; None of an ensemble without forecasts.
+
+    Args:
+        seasons: of all boats.
+        ensemble: that was replayed.
+    """
+    if ensemble.forecasts is None:
+        return None
+    horizons = ensemble.forecasts.horizons.tolist()
+    names = (*ensemble.forecasts.columns[:-1], ensemble.output)
+    found: Scores = {}
+    for season in seasons:
+        found |= _scores(season, horizons, names, ensemble.surge_limit)
+    if not found:
+        return None
+    rows = [
+        (boat, name, float(horizon), row["mae"], row["skill"], row.get("covers"), row.get("halfwidth"), row["steps"])
+        for boat, table in found.items()
+        for name, each in table.items()
+        for horizon, row in each.items()
+    ]
+    columns = ("boat", "method", "horizon, s", "MAE, m/s", "skill", "coverage of the 90 % interval",
+               "mean half-width, m/s", "forecasts")  # fmt: skip
+    caption = (
+        "Skill of forecasts, 1 − MAE/MAE(persistence), against the horizon. A forecast is made at its origin, from the "
+        "measurements until then, and is told the commands, headings and yaw rates between. Dotted: persistence."
+    )
+    drawn = [Drawn("forecast", forecast_figure(found), caption)]
+    return Section(
+        "forecast", "Forecasts", "", _findings(found, ensemble.output), drawn, [ResultTable("forecast", columns, rows)]
+    )
+
+
+def forecast_figure(found: Scores):
+    """Skill against horizon, a panel per boat, a line per estimator.
+
+    Args:
+        found: of `usvlearn.evaluation.horizons.horizon_scores`.
+    """
+    names = list(next(iter(found.values())))
+    palette, across = colours(names), min(ACROSS, len(found))
+    down = -(-len(found) // across)
+    with themed() as Figure:
+        figure = Figure(figsize=(max(4.6, 2.4 * across), 2.3 * down + 0.8), layout="constrained")
+        panels = np.atleast_1d(figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)).reshape(-1)
+        for panel in panels[len(found) :]:
+            panel.set_visible(False)
+        for panel, (boat, table) in zip(panels, found.items(), strict=False):
+            panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
+            for name in (each for each in names if each != PERSISTENCE):
+                at = [float(h) for h, row in table[name].items() if row["skill"] is not None]
+                skill = [row["skill"] for row in table[name].values() if row["skill"] is not None]
+                wide = 2.0 if name == names[-1] else 1.1
+                panel.plot(at, skill, color=palette[name], linewidth=wide, marker="o", markersize=3, label=name)
+            panel.set(title=boat, xscale="log")
+            panel.grid(color=LINE)
+            ticks = [float(h) for h in table[names[0]]]
+            panel.set_xticks(ticks, [f"{h:g}" for h in ticks])
+            panel.minorticks_off()
+            panel.set_xlabel("horizon, s", fontsize=8)
+        least = min((row["skill"] for t in found.values() for r in t.values() for row in r.values()
+                     if row["skill"] is not None), default=0.0)  # fmt: skip
+        panels[0].set_ylim(max(-0.5, min(least, 0.0)) - 0.05, 1.0)
+        figure.supylabel("skill", fontsize=9, color=INK)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, ncols=min(6, len(labels)), loc="outside lower center", fontsize=8)
+        return figure
+
+
+def _scores(season: Season, horizons: Sequence[float], names: Sequence[str], surge_limit: float) -> Scores:
+    """The scores of one boat; {} if its forecasts were not kept."""
+    runs = [run for run in season.runs if "forecasts" in run.published]
+    if not runs:
+        return {}
+    wide = [tree_map(lambda x: x[:, None], run.samples) for run in runs]
+    lengths = [len(run.samples.surge) for run in runs]
+    fleet = Fleet(
+        (season.boat,),
+        tuple(
+            Run(np.zeros((n, 1)), samples, (run.name,), (n,))
+            for run, samples, n in zip(runs, wide, lengths, strict=True)
+        ),
+        {},
+    )
+    kept = ("forecasts", "forecast_halfwidths")
+    stretches = [(k, 0, {name: run.published[name][:, None] for name in kept}) for k, run in enumerate(runs)]
+    return horizon_scores(fleet, stretches, horizons, names, surge_limit)
+
+
+def _findings(found: Scores, output: str) -> list[str]:
+    """What the figure shows, in words."""
+    horizons = list(next(iter(found.values()))[output])
+    skills = {h: [x for table in found.values() if (x := table[output][h]["skill"]) is not None] for h in horizons}
+    shown = ", ".join(f"{sum(each) / len(each):.2f} at {h} s" for h, each in skills.items() if each)
+    here = [f"Skill of {output}, mean over boats: {shown}."]
+    below = [
+        f"{boat} at {h} s" for boat, table in found.items() for h in horizons if (table[output][h]["skill"] or 0.0) < 0
+    ]
+    here.append("Below persistence: " + (", ".join(below) or "on no boat, at no horizon") + ".")
+    rows = [row for table in found.values() for row in table[output].values()]
+    held = [share for row in rows if (share := row.get("covers")) is not None]
+    if held:
+        here.append(f"The intervals hold {100 * min(held):.0f} … {100 * max(held):.0f} % of the speeds (90 % asked).")
+    return here
