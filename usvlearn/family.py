@@ -212,10 +212,11 @@ class Family(Generic[S]):
 
     Attributes:
         kinds: its names in specifications.
-        state: from the size, a state of `Field`s. Forecasts have three sizes, a tuple.
+        state: from the size, and then the values of `lengths`, a state of `Field`s. Forecasts have three sizes, a tuple.
         numbers, choices, vectors: its other declarations.
         size: the legal sizes, or a function from its entries in a specification to its size.
         optional: choices that a specification has all or none of.
+        lengths: choices, whole numbers, that also size the state; one that a specification lacks counts as 0.
         work: from the size, the length of the work array that its kernel needs.
         heading: from its entries, whether it needs the heading.
         remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
@@ -227,12 +228,13 @@ class Family(Generic[S]):
     """
 
     kinds: tuple[str, ...]
-    state: Callable[[Any], S]
+    state: Callable[..., S]
     numbers: type[Numbers] = Numbers
     choices: type[Choices] = Choices
     vectors: type[Vectors] = Vectors
     size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)
     optional: tuple[Choices, ...] = ()
+    lengths: tuple[Choices, ...] = ()
     work: Callable[[int], int] = lambda size: 0
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
     remembers: Callable[[Mapping[str, Any]], bool] = lambda own: False
@@ -241,11 +243,12 @@ class Family(Generic[S]):
     @property
     def at(self) -> S:
         """A state that holds, for each leaf, the place in a row that holds the leaf's place."""
-        return _counted(self.state(1), count(LEAVES))
+        return _counted(self.state(1, *(1 for _ in self.lengths)), count(LEAVES))
 
-    def leaves(self, size: Any, prefix: str = "") -> dict[str, Field]:
-        """The leaves of its state by dotted name, in the order of the state."""
-        return {prefix + name: each for name, each in named_leaves(self.state(size))}
+    def leaves(self, size: Any, prefix: str = "", own: Mapping[str, Any] | None = None) -> dict[str, Field]:
+        """The leaves of its state by dotted name, in its order; `own` is its entries in a specification."""
+        lengths = ((own or {}).get(choice.key, 0) for choice in self.lengths)
+        return {prefix + name: each for name, each in named_leaves(self.state(size, *lengths))}
 
     def chosen(self, own: Mapping[str, Any]) -> list[Choices]:
         """The choices that a specification must state."""

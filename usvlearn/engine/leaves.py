@@ -110,7 +110,7 @@ def _member(description: Description, prefix: str) -> dict[str, Field]:
         inner, count = _member(description["inner"], prefix), description["count"]
         return {name: replace(each, shape=(count, *each.shape)) for name, each in inner.items()}
     part = unwrapped(description, prefix)
-    found = KINDS[part.own["kind"]].leaves(part.own["size"], part.prefix)
+    found = KINDS[part.own["kind"]].leaves(part.own["size"], part.prefix, part.own)
     for kind in ("memory", "robust"):
         if kind in part.wrappers:
             found |= WRAPPERS[kind].leaves(0, part.wrappers[kind][1])

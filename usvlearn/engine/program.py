@@ -162,7 +162,7 @@ class Plan:
         """Add the leaves, numbers and choices of one part with the entries `own`; returns its row."""
         row = [-1] * WIDTH
         row[Node.SIZE], row[Node.BEGIN], row[Node.NUMBERS] = size, self.size, len(self._columns)
-        for place, (leaf, field) in enumerate(family.leaves(size, prefix).items(), LEAVES):
+        for place, (leaf, field) in enumerate(family.leaves(size, prefix, own).items(), LEAVES):
             row[place] = self._place(leaf, field)
         row[Node.END] = self.size
         for number in family.numbers:

@@ -7,7 +7,22 @@ import numpy as np
 
 from usvlearn.arrays import clamp, copy
 from usvlearn.estimators.rnn.projection_kernel import project
-from usvlearn.estimators.rnn.state import AT, BEGIN, INPUTS, WEIGHTS, Choice, Condition, Number, Vector
+from usvlearn.estimators.rnn.state import (
+    AT,
+    BEGIN,
+    INPUTS,
+    KEPT,
+    STRIDE,
+    TARGET,
+    TURN,
+    UNBROKEN,
+    WEIGHTS,
+    Choice,
+    Condition,
+    Number,
+    Vector,
+    X,
+)
 from usvlearn.family import ESTIMATE, Node
 from usvlearn.jit import jit
 from usvlearn.rows import COS, DT, LEFT, RIGHT, SIN
@@ -57,14 +72,30 @@ def learn(node, s, q, x, estimate, target, work):
     z_before, grad = rest[:n], rest[n : n + count]
     before = s[node[AT.inputs_before] : node[AT.inputs_before] + INPUTS]
     if node[Choice.UNROLL] == TWO and s[node[AT.unbroken]] > 0:
-        x_before = h * s[node[AT.surge_before]]
-        between = network(weights, x_before, before, z_before)
-        e = network(weights, between, u, z) - h * target
-        slope = gradient(weights, z, between, u, e, grad)
-        add_gradient(weights, z_before, x_before, before, e * slope, grad)
+        unrolled(weights, h * s[node[AT.surge_before]], before, u, h * target, z_before, z, grad)
     else:
         e = estimate * h - h * target
         gradient(weights, z, h * surge, u, e, grad)
+    descend(node, s, q, weights, rest)
+    if node[Choice.REPLAY_SIZE] > 0:
+        keep(node, s, u, h * surge, h * target)
+        for _ in range(node[Choice.REPLAY_STEPS]):
+            learn_again(node, s, weights, z, z_before, grad)
+            descend(node, s, q, weights, rest)
+    s[node[AT.surge_before]] = surge
+    feedback = node[Choice.FEEDBACK] == ESTIMATE
+    s[node[AT.surge]] = clamp(estimate, 2 * numbers[Number.SURGE_MAX]) if feedback else target
+    copy(before, u)
+    s[node[AT.dt]] = x[DT]
+    s[node[AT.unbroken]] = 1.0
+
+
+@jit
+def descend(node, s, q, weights, rest):
+    """`RNN._descend`; the gradient lies in `rest`, behind z of the step before."""
+    n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
+    count = WEIGHTS * n
+    grad = rest[n : n + count]
     if numbers[Number.PENALTY] > 0:
         penalise(weights, numbers[Number.PENALTY], n, grad)
     shrink = clip(grad, numbers[Number.CLIP]) if numbers[Number.CLIP] < np.inf else 1.0
@@ -75,12 +106,39 @@ def learn(node, s, q, x, estimate, target, work):
         bounds = q[node[Vector.BOUNDS] : node[Vector.BOUNDS] + 2 * (1 + INPUTS)]
         project(weights, n, node[Choice.CONDITION], node[Choice.BEST], numbers[Number.CONTRACTION_RATE], bounds, rest)
     s[node[AT.updates]] += 1
-    s[node[AT.surge_before]] = surge
-    feedback = node[Choice.FEEDBACK] == ESTIMATE
-    s[node[AT.surge]] = clamp(estimate, 2 * numbers[Number.SURGE_MAX]) if feedback else target
-    copy(before, u)
-    s[node[AT.dt]] = x[DT]
-    s[node[AT.unbroken]] = 1.0
+
+
+@jit
+def whole(value, end):
+    """A number as an index from 0 … end − 1; 0 where it is none, as in a member that has diverged."""
+    return int(value) if 0 <= value < end else 0
+
+
+@jit
+def keep(node, s, u, x, target):
+    """`replay.kept`."""
+    size = node[Choice.REPLAY_SIZE]
+    learned = whole(s[node[AT.replay.learned]], 2 * size)
+    sample = s[node[AT.replay.samples] + KEPT * (learned % size) :]
+    copy(sample[:INPUTS], u)
+    sample[X], sample[TARGET], sample[UNBROKEN] = x, target, s[node[AT.unbroken]]
+    s[node[AT.replay.learned]] = learned + 1 if learned + 1 < 2 * size else size
+
+
+@jit
+def learn_again(node, s, weights, z, z_before, grad):
+    """The gradient of the sample of `replay.due`."""
+    size, samples = node[Choice.REPLAY_SIZE], s[node[AT.replay.samples] :]
+    learned, turn = whole(s[node[AT.replay.learned]], 2 * size), whole(s[node[AT.replay.turn]], TURN)
+    place = turn * min(learned, size) // TURN
+    s[node[AT.replay.turn]] = (turn + STRIDE) % TURN
+    sample = samples[KEPT * place : KEPT * (place + 1)]
+    u, x, target = sample[:INPUTS], sample[X], sample[TARGET]
+    if node[Choice.UNROLL] == TWO and sample[UNBROKEN] > 0 and place != learned % size:
+        earlier = samples[KEPT * (place - 1 if place > 0 else size - 1) :]
+        unrolled(weights, earlier[X], earlier[:INPUTS], u, target, z_before, z, grad)
+    else:
+        gradient(weights, z, x, u, network(weights, x, u, z) - target, grad)
 
 
 @jit
@@ -101,6 +159,15 @@ def network(weights, x, u, z):
     for i in range(n):
         predicted += weights[n * BEGIN.a + i] * (0.0 if z[i] < 0 else z[i])
     return predicted
+
+
+@jit
+def unrolled(weights, x_before, before, u, target, z_before, z, grad):
+    """The gradient (3) of the loss two steps on."""
+    between = network(weights, x_before, before, z_before)
+    e = network(weights, between, u, z) - target
+    slope = gradient(weights, z, between, u, e, grad)
+    add_gradient(weights, z_before, x_before, before, e * slope, grad)
 
 
 @jit

@@ -18,7 +18,23 @@ from certify.weights import ShallowWeights
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.rnn.initial import initial_weights, pretrained_weights
-from usvlearn.estimators.rnn.state import BETA2, EPSILON, FAMILY, INPUTS, MOST_NEURONS, SIZES, WEIGHTS, RNNState
+from usvlearn.estimators.rnn.replay import due, kept
+from usvlearn.estimators.rnn.state import (
+    BETA2,
+    EPSILON,
+    FAMILY,
+    INPUTS,
+    KEPT,
+    MOST_KEPT,
+    MOST_NEURONS,
+    MOST_STEPS,
+    SIZES,
+    TARGET,
+    WEIGHTS,
+    Replay,
+    RNNState,
+    X,
+)
 from usvlearn.family import FEEDBACK
 from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs
@@ -123,6 +139,8 @@ class RNN(Estimator):
         unroll: steps through which the loss is taken, 1 or 2.
         feedback: "measured" predicts from the last measured speed, "estimate" from the network's own.
         seed: of the initial weights.
+        replay_size: learned samples that are kept; 0 for none.
+        replay_steps: kept samples that are learned again after each new one.
 
     >>> rnn = RNN(surge_max=2.74)
     >>> sum(w.numel() for w in rnn.init().weights)
@@ -153,6 +171,8 @@ class RNN(Estimator):
         unroll: int = 1,
         feedback: str = "measured",
         seed: int = 0,
+        replay_size: int = 0,
+        replay_steps: int = 8,
     ):
         super().__init__()
         if unroll not in (1, 2):
@@ -184,6 +204,13 @@ class RNN(Estimator):
         a, w1, heading, command, b = (each.expand(neurons) for each in ratio)
         W2 = torch.stack([heading, heading, command, command], -1).flatten()
         self.register_buffer("rate_ratio", torch.cat([a, w1, W2, b]))
+        for name, value, least, most in (
+            ("replay_size", replay_size, 0, MOST_KEPT),
+            ("replay_steps", replay_steps, 1, MOST_STEPS),
+        ):
+            if isinstance(value, bool) or not (isinstance(value, int) and least <= value <= most):
+                raise ConfigError(f"{name}: found {value!r}, expected a whole number, {least} … {most}")
+        self.replay_size, self.replay_steps = replay_size, replay_steps
         if not isinstance(seed, int):
             raise ConfigError(f"seed: found {seed!r}, expected a whole number")
         if pretrained is None:
@@ -209,7 +236,10 @@ class RNN(Estimator):
         unbroken = torch.zeros(batch, dtype=torch.bool, device=self.a.device)
         moments = zero((*batch, WEIGHTS * n)), zero((*batch, WEIGHTS * n))
         before = zero((*batch, INPUTS))
-        return RNNState(weights, *moments, zero(batch), zero(batch), zero(batch), before, zero(batch), unbroken)
+        replay: Replay | dict[str, Any] = {}
+        if self.replay_size:
+            replay = Replay(zero((*batch, self.replay_size, KEPT)), zero(batch), zero(batch))
+        return RNNState(weights, *moments, zero(batch), zero(batch), zero(batch), before, zero(batch), unbroken, replay)
 
     def predict(self, state: RNNState, inputs: Inputs) -> tuple[RNNState, Tensor]:
         x, _ = network(state.weights, self.scale * state.surge, network_inputs(inputs))
@@ -218,26 +248,29 @@ class RNN(Estimator):
         return state._replace(surge=coasted, unbroken=torch.zeros_like(state.unbroken)), surge
 
     def update(self, state: RNNState, inputs: Inputs, surge: Tensor) -> RNNState:
-        u, x = network_inputs(inputs), self.scale * state.surge
-        before = None
-        if self.unroll == 2:
-            before = self.scale * state.surge_before, state.inputs_before, state.unbroken
-        penalty = None if self.penalty is None else self.penalty()
-        grad = gradient(state.weights, x, u, self.scale * surge, penalty, before)
-        weights, moment1, moment2 = self._adam(state, grad)
+        u, x, target = network_inputs(inputs), self.scale * state.surge, self.scale * surge
+        before = self.scale * state.surge_before, state.inputs_before, state.unbroken
+        learned = self._descend(state, x, u, target, before)
+        if isinstance(replay := state.replay, Replay):
+            others = torch.stack([x, target, state.unbroken.to(x.dtype)], -1)
+            replay = kept(replay, torch.cat([u, others], -1))
+            for _ in range(self.replay_steps):
+                replay, sample, earlier, unbroken = due(replay)
+                before = earlier[..., X], earlier[..., :INPUTS], unbroken
+                learned = self._descend(learned, sample[..., X], sample[..., :INPUTS], sample[..., TARGET], before)
         if self.feedback == "estimate":
             estimate = network(state.weights, x, u)[0] / self.scale
             surge = estimate.clamp(-2 * self.surge_max, 2 * self.surge_max)
-        unbroken = torch.ones_like(state.unbroken)
-        return RNNState(
-            self._stable(weights), moment1, moment2, state.updates + 1, surge, state.surge, u, inputs.dt, unbroken
-        )
+        return learned._replace(
+            surge=surge, surge_before=state.surge, inputs_before=u, dt=inputs.dt,
+            unbroken=torch.ones_like(state.unbroken), replay=replay,
+        )  # fmt: skip
 
     def start(self, state: RNNState, surge: Tensor) -> RNNState:
         return state._replace(surge=surge, unbroken=torch.zeros_like(state.unbroken))
 
     def spec(self) -> dict[str, Any]:
-        return describe(
+        found = describe(
             FAMILY, self, size=len(self.a), unroll=int(self.unroll), best=self.gauge == "best",
             condition="none" if self.contraction_rate is None else self.condition,
             decay=math.inf if self.decay is None else self.decay, clip=math.inf if self.clip is None else self.clip,
@@ -245,6 +278,8 @@ class RNN(Estimator):
             penalty=0.0 if self.penalty is None else self.penalty, share2=1 - BETA2, log_beta2=math.log(BETA2),
             epsilon=EPSILON, tiny=torch.finfo(self.a.dtype).tiny, bounds=self.bounds.flatten(),
         )  # fmt: skip
+        again = {"replay_size": self.replay_size, "replay_steps": self.replay_steps}
+        return found | (again if self.replay_size else {})
 
     def monitor(self, state: RNNState) -> dict[str, Tensor]:
         a, w1 = state.weights.a, state.weights.w1
@@ -273,6 +308,17 @@ class RNN(Estimator):
         if self.contraction_rate is None:
             return weights
         return project(weights, self.condition, self.contraction_rate(), self.gauge, (self.bounds[0], self.bounds[1]))
+
+    def _descend(
+        self, state: RNNState, x: Tensor, u: Tensor, target: Tensor, before: tuple[Tensor, Tensor, Tensor]
+    ) -> RNNState:
+        """One step of Adam and one projection on a sample; arguments as of `gradient`."""
+        penalty = None if self.penalty is None else self.penalty()
+        grad = gradient(state.weights, x, u, target, penalty, before if self.unroll == 2 else None)
+        weights, moment1, moment2 = self._adam(state, grad)
+        return state._replace(
+            weights=self._stable(weights), moment1=moment1, moment2=moment2, updates=state.updates + 1
+        )
 
     def _adam(self, state: RNNState, grad: Tensor) -> tuple[ShallowWeights, Tensor, Tensor]:
         """One step of Adam (Kingma & Ba 2015, algorithm 1)."""

@@ -29,6 +29,16 @@ with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes with
 (β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
 clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
 
+With `replay_size` M > 0 the last M learned samples are kept, and after each new one `replay_steps` of them are learned
+again, one step of Adam and one projection each (experience replay, Lin 1992). A sample is all that its gradient needs:
+u, x and x_meas, so that none joins two segments. Which is learned follows from a counter alone: of f kept samples
+
+    place = ⌊c f/2²⁰⌋,   c ← (c + 648055) mod 2²⁰,                                             (5)
+
+where 648055/2²⁰ is the golden section, and odd, so that all places come up alike, and successive ones lie far apart
+(Knuth 1998, section 6.4). With `unroll` 2 the sample before is the one a place earlier, if that step led to this one
+and is still kept.
+
 The derivation is in `docs/theory.md`, section 9; its contraction, section 10.
 """
 
@@ -37,7 +47,7 @@ from __future__ import annotations
 from enum import IntEnum
 from itertools import accumulate
 from math import prod
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from certify.weights import ShallowWeights
 from usvlearn.family import (
@@ -64,10 +74,22 @@ if TYPE_CHECKING:
 INPUTS = 4  # in u
 BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
 MOST_NEURONS = 10_000  # no boat needs more, and more would fill the memory
+MOST_KEPT, MOST_STEPS = 100_000, 1000  # samples, and how many are learned again per step; likewise
+KEPT = INPUTS + 3  # numbers of a kept sample
+X, TARGET, UNBROKEN = range(INPUTS, KEPT)  # their places, after u
+TURN, STRIDE = 2**20, 648055  # of (5); c is exact in float32
+
+
+class Replay(NamedTuple):
+    """The M samples that were learned last."""
+
+    samples: Tensor  # (*batch, M, 7) u, x, x_meas, and whether the step before led to x; a new one replaces the oldest
+    learned: Tensor  # (*batch,) count of samples so far, which goes from 2M back to M; the next one's place is mod M
+    turn: Tensor  # (*batch,) c of (5)
 
 
 class RNNState(NamedTuple):
-    """The weights, Adam's moments, and the step before for the unrolled loss."""
+    """The weights, Adam's moments, the step before for the unrolled loss, and the samples for replay."""
 
     weights: ShallowWeights  # a, w1, b (*batch, n), W2 (*batch, n, 4)
     moment1: Tensor  # (*batch, 7n) Adam's mean gradient, in the order a, w1, W2 (row by row), b
@@ -78,6 +100,7 @@ class RNNState(NamedTuple):
     inputs_before: Tensor  # (*batch, 4) u of that step
     dt: Tensor  # (*batch,) s, of that step
     unbroken: Tensor  # (*batch,) bool: that step led to `surge`
+    replay: Replay | dict[str, Any]  # {} without replay
 
 
 def weights(n: int) -> ShallowWeights:
@@ -132,11 +155,21 @@ class Choice(Choices):
     UNROLL = 1, 2
     CONDITION = tuple(each.name.lower() for each in Condition)
     BEST = False, True
+    REPLAY_SIZE = Range(1, MOST_KEPT)
+    REPLAY_STEPS = Range(1, MOST_STEPS)
+
+
+def replay(kept: int) -> Replay | dict[str, Any]:
+    """The leaves of so many samples."""
+    if kept == 0:
+        return {}
+    last = Range(0.0, 2.0 * kept - 1)
+    return Replay(samples=leaf(kept, KEPT), learned=leaf(legal=last), turn=leaf(legal=Range(0.0, TURN - 1.0)))
 
 
 FAMILY = Family(
     ("rnn",),
-    lambda n: RNNState(
+    lambda n, kept: RNNState(
         weights=weights(n),
         moment1=leaf(WEIGHTS * n),
         moment2=leaf(WEIGHTS * n, legal=NOT_NEGATIVE),
@@ -146,11 +179,14 @@ FAMILY = Family(
         inputs_before=leaf(INPUTS),
         dt=leaf(),
         unbroken=leaf(legal=UNIT, flag=True),
+        replay=replay(kept),
     ),
     Number,
     Choice,
     Vector,
     size=Range(1, 100_000),
+    optional=(Choice.REPLAY_SIZE, Choice.REPLAY_STEPS),
+    lengths=(Choice.REPLAY_SIZE,),
     work=lambda n: INPUTS + 16 * n,
     heading=lambda own: True,
     frozen=("weights.a", "weights.w1", "weights.W2", "weights.b", "surge"),
