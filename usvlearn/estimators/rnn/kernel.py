@@ -5,7 +5,7 @@ The weights lie in the order of the gradient: a, w1, W2 row by row, b.
 
 import numpy as np
 
-from usvlearn.arrays import clamp, copy
+from usvlearn.arrays import clamp, copy, fill
 from usvlearn.estimators.rnn.projection_kernel import project
 from usvlearn.estimators.rnn.state import (
     AT,
@@ -13,6 +13,7 @@ from usvlearn.estimators.rnn.state import (
     INPUTS,
     KEPT,
     STRIDE,
+    SURGE,
     TARGET,
     TURN,
     UNBROKEN,
@@ -21,7 +22,6 @@ from usvlearn.estimators.rnn.state import (
     Condition,
     Number,
     Vector,
-    X,
 )
 from usvlearn.family import ESTIMATE, Node
 from usvlearn.jit import jit
@@ -72,16 +72,21 @@ def learn(node, s, q, x, estimate, target, work):
     z_before, grad = rest[:n], rest[n : n + count]
     before = s[node[AT.inputs_before] : node[AT.inputs_before] + INPUTS]
     if node[Choice.UNROLL] == TWO and s[node[AT.unbroken]] > 0:
-        unrolled(weights, h * s[node[AT.surge_before]], before, u, h * target, z_before, z, grad)
+        unrolled(weights, h, s[node[AT.surge_before]], before, u, target, z_before, z, grad)
     else:
         e = estimate * h - h * target
         gradient(weights, z, h * surge, u, e, grad)
-    descend(node, s, q, weights, rest)
+    descend(node, s, q, weights, grad, limited(weights, numbers, n, grad), rest)
     if node[Choice.REPLAY_SIZE] > 0:
-        keep(node, s, u, h * surge, h * target)
+        keep(node, s, u, surge, target)
+        total = rest[n + count : n + 2 * count]
+        fill(total, 0.0)
         for _ in range(node[Choice.REPLAY_STEPS]):
-            learn_again(node, s, weights, z, z_before, grad)
-            descend(node, s, q, weights, rest)
+            gradient_again(node, s, weights, h, z, z_before, grad)
+            shrink = limited(weights, numbers, n, grad)
+            for i in range(count):
+                total[i] += grad[i] * shrink
+        descend(node, s, q, weights, total, 1.0 / node[Choice.REPLAY_STEPS], rest)
     s[node[AT.surge_before]] = surge
     feedback = node[Choice.FEEDBACK] == ESTIMATE
     s[node[AT.surge]] = clamp(estimate, 2 * numbers[Number.SURGE_MAX]) if feedback else target
@@ -91,17 +96,20 @@ def learn(node, s, q, x, estimate, target, work):
 
 
 @jit
-def descend(node, s, q, weights, rest):
-    """`RNN._descend`; the gradient lies in `rest`, behind z of the step before."""
-    n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
-    count = WEIGHTS * n
-    grad = rest[n : n + count]
+def limited(weights, numbers, n, grad):
+    """Add the penalty's gradient; returns the factor that limits the norm."""
     if numbers[Number.PENALTY] > 0:
         penalise(weights, numbers[Number.PENALTY], n, grad)
-    shrink = clip(grad, numbers[Number.CLIP]) if numbers[Number.CLIP] < np.inf else 1.0
+    return clip(grad, numbers[Number.CLIP]) if numbers[Number.CLIP] < np.inf else 1.0
+
+
+@jit
+def descend(node, s, q, weights, grad, factor, rest):
+    """`RNN._descend` by a gradient times a factor."""
+    n, numbers, count = node[Node.SIZE], q[node[Node.NUMBERS] :], len(grad)
     moment1, moment2 = s[node[AT.moment1] : node[AT.moment1] + count], s[node[AT.moment2] : node[AT.moment2] + count]
     ratios = q[node[Vector.RATE_RATIO] : node[Vector.RATE_RATIO] + count]
-    adam(weights, moment1, moment2, grad, shrink, ratios, numbers, s[node[AT.updates]])
+    adam(weights, moment1, moment2, grad, factor, ratios, numbers, s[node[AT.updates]])
     if node[Choice.CONDITION] != Condition.NONE:
         bounds = q[node[Vector.BOUNDS] : node[Vector.BOUNDS] + 2 * (1 + INPUTS)]
         project(weights, n, node[Choice.CONDITION], node[Choice.BEST], numbers[Number.CONTRACTION_RATE], bounds, rest)
@@ -115,30 +123,31 @@ def whole(value, end):
 
 
 @jit
-def keep(node, s, u, x, target):
+def keep(node, s, u, surge, target):
     """`replay.kept`."""
     size = node[Choice.REPLAY_SIZE]
     learned = whole(s[node[AT.replay.learned]], 2 * size)
     sample = s[node[AT.replay.samples] + KEPT * (learned % size) :]
     copy(sample[:INPUTS], u)
-    sample[X], sample[TARGET], sample[UNBROKEN] = x, target, s[node[AT.unbroken]]
+    sample[SURGE], sample[TARGET], sample[UNBROKEN] = surge, target, s[node[AT.unbroken]]
     s[node[AT.replay.learned]] = learned + 1 if learned + 1 < 2 * size else size
 
 
 @jit
-def learn_again(node, s, weights, z, z_before, grad):
-    """The gradient of the sample of `replay.due`."""
+def gradient_again(node, s, weights, h, z, z_before, grad):
+    """The gradient of the next sample of `replay.due`."""
     size, samples = node[Choice.REPLAY_SIZE], s[node[AT.replay.samples] :]
     learned, turn = whole(s[node[AT.replay.learned]], 2 * size), whole(s[node[AT.replay.turn]], TURN)
     place = turn * min(learned, size) // TURN
     s[node[AT.replay.turn]] = (turn + STRIDE) % TURN
     sample = samples[KEPT * place : KEPT * (place + 1)]
-    u, x, target = sample[:INPUTS], sample[X], sample[TARGET]
+    u, surge, target = sample[:INPUTS], sample[SURGE], sample[TARGET]
     if node[Choice.UNROLL] == TWO and sample[UNBROKEN] > 0 and place != learned % size:
         earlier = samples[KEPT * (place - 1 if place > 0 else size - 1) :]
-        unrolled(weights, earlier[X], earlier[:INPUTS], u, target, z_before, z, grad)
+        unrolled(weights, h, earlier[SURGE], earlier[:INPUTS], u, target, z_before, z, grad)
     else:
-        gradient(weights, z, x, u, network(weights, x, u, z) - target, grad)
+        e = network(weights, h * surge, u, z) - h * target
+        gradient(weights, z, h * surge, u, e, grad)
 
 
 @jit
@@ -162,10 +171,11 @@ def network(weights, x, u, z):
 
 
 @jit
-def unrolled(weights, x_before, before, u, target, z_before, z, grad):
+def unrolled(weights, h, surge_before, before, u, target, z_before, z, grad):
     """The gradient (3) of the loss two steps on."""
+    x_before = h * surge_before
     between = network(weights, x_before, before, z_before)
-    e = network(weights, between, u, z) - target
+    e = network(weights, between, u, z) - h * target
     slope = gradient(weights, z, between, u, e, grad)
     add_gradient(weights, z_before, x_before, before, e * slope, grad)
 

@@ -29,11 +29,11 @@ from usvlearn.estimators.rnn.state import (
     MOST_NEURONS,
     MOST_STEPS,
     SIZES,
+    SURGE,
     TARGET,
     WEIGHTS,
     Replay,
     RNNState,
-    X,
 )
 from usvlearn.family import FEEDBACK
 from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
@@ -140,7 +140,7 @@ class RNN(Estimator):
         feedback: "measured" predicts from the last measured speed, "estimate" from the network's own.
         seed: of the initial weights.
         replay_size: learned samples that are kept; 0 for none.
-        replay_steps: kept samples that are learned again after each new one.
+        replay_steps: kept samples that are learned again, by one update, after each new one.
 
     >>> rnn = RNN(surge_max=2.74)
     >>> sum(w.numel() for w in rnn.init().weights)
@@ -248,18 +248,20 @@ class RNN(Estimator):
         return state._replace(surge=coasted, unbroken=torch.zeros_like(state.unbroken)), surge
 
     def update(self, state: RNNState, inputs: Inputs, surge: Tensor) -> RNNState:
-        u, x, target = network_inputs(inputs), self.scale * state.surge, self.scale * surge
-        before = self.scale * state.surge_before, state.inputs_before, state.unbroken
-        learned = self._descend(state, x, u, target, before)
+        u = network_inputs(inputs)
+        penalty = None if self.penalty is None else self.penalty()
+        before = state.surge_before, state.inputs_before, state.unbroken
+        learned = self._descend(state, self._gradient(state.weights, state.surge, u, surge, before, penalty))
         if isinstance(replay := state.replay, Replay):
-            others = torch.stack([x, target, state.unbroken.to(x.dtype)], -1)
-            replay = kept(replay, torch.cat([u, others], -1))
-            for _ in range(self.replay_steps):
-                replay, sample, earlier, unbroken = due(replay)
-                before = earlier[..., X], earlier[..., :INPUTS], unbroken
-                learned = self._descend(learned, sample[..., X], sample[..., :INPUTS], sample[..., TARGET], before)
+            others = torch.stack([state.surge, surge, state.unbroken.to(surge.dtype)], -1)
+            replay, again, earlier, unbroken = due(kept(replay, torch.cat([u, others], -1)), self.replay_steps)
+            before = earlier[..., SURGE], earlier[..., :INPUTS], unbroken
+            each = ShallowWeights(*(w.unsqueeze(surge.ndim) for w in learned.weights))  # for (*batch, samples)
+            penalty = None if penalty is None else penalty[..., None]
+            grad = self._gradient(each, again[..., SURGE], again[..., :INPUTS], again[..., TARGET], before, penalty)
+            learned = self._descend(learned, grad.mean(-2))
         if self.feedback == "estimate":
-            estimate = network(state.weights, x, u)[0] / self.scale
+            estimate = network(state.weights, self.scale * state.surge, u)[0] / self.scale
             surge = estimate.clamp(-2 * self.surge_max, 2 * self.surge_max)
         return learned._replace(
             surge=surge, surge_before=state.surge, inputs_before=u, dt=inputs.dt,
@@ -309,12 +311,23 @@ class RNN(Estimator):
             return weights
         return project(weights, self.condition, self.contraction_rate(), self.gauge, (self.bounds[0], self.bounds[1]))
 
-    def _descend(
-        self, state: RNNState, x: Tensor, u: Tensor, target: Tensor, before: tuple[Tensor, Tensor, Tensor]
-    ) -> RNNState:
-        """One step of Adam and one projection on a sample; arguments as of `gradient`."""
-        penalty = None if self.penalty is None else self.penalty()
-        grad = gradient(state.weights, x, u, target, penalty, before if self.unroll == 2 else None)
+    def _gradient(
+        self,
+        weights: ShallowWeights,
+        surge: Tensor,  # m/s, from which the step departs
+        u: Tensor,
+        target: Tensor,  # m/s
+        before: tuple[Tensor, Tensor, Tensor],  # surge and u of the step before, and whether it led to this one
+        penalty: Tensor | None,
+    ) -> Tensor:
+        """`gradient` of speeds in m/s, limited."""
+        h = self.scale
+        earlier = (h * before[0], *before[1:]) if self.unroll == 2 else None
+        grad = gradient(weights, h * surge, u, h * target, penalty, earlier)
+        return grad if self.clip is None else clipped(grad, self.clip)
+
+    def _descend(self, state: RNNState, grad: Tensor) -> RNNState:
+        """One step of Adam and one projection."""
         weights, moment1, moment2 = self._adam(state, grad)
         return state._replace(
             weights=self._stable(weights), moment1=moment1, moment2=moment2, updates=state.updates + 1
@@ -325,8 +338,6 @@ class RNN(Estimator):
         rate, count = self.rate(), state.updates + 1
         if self.decay is not None:
             rate = rate * (1 + (state.updates / self.decay).floor()).rsqrt()
-        if self.clip is not None:
-            grad = clipped(grad, self.clip)
         m = state.moment1.lerp(grad, 1 - self.momentum) if self.momentum else grad
         v = state.moment2.lerp(grad * grad, 1 - BETA2)
         step_size = (rate / (1 - self.momentum**count) if self.momentum else rate)[..., None] * self.rate_ratio

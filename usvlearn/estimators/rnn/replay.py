@@ -17,21 +17,24 @@ def kept(replay: Replay, sample: Tensor) -> Replay:
     return replay._replace(samples=samples, learned=learned.to(sample.dtype))
 
 
-def due(replay: Replay) -> tuple[Replay, Tensor, Tensor, Tensor]:
-    """The kept sample whose turn it is, (5): the next turn, it, the one before it, and whether that led to it.
+def due(replay: Replay, count: int) -> tuple[Replay, Tensor, Tensor, Tensor]:
+    """The next turn, and the kept samples whose turn it is, (5), `(*batch, count, 7)`.
+
+    After them the samples one place earlier, and whether their steps led to these, `(*batch, count)`.
 
     >>> samples = torch.arange(14.0).reshape(2, 7)
-    >>> replay, sample, before, unbroken = due(Replay(samples, torch.tensor(2.0), torch.tensor(600000.0)))
-    >>> sample[0], before[0], unbroken, replay.turn
-    (tensor(7.), tensor(0.), tensor(True), tensor(199479.))
+    >>> replay, again, before, unbroken = due(Replay(samples, torch.tensor(2.0), torch.tensor(600000.0)), 2)
+    >>> again[:, 0], before[:, 0], unbroken, replay.turn
+    (tensor([7., 0.]), tensor([0., 7.]), tensor([ True, False]), tensor(847534.))
     """
-    size, learned, turn = replay.samples.shape[-2], replay.learned.long(), replay.turn.long()
-    place = turn * learned.clamp(max=size) // TURN
+    size, learned = replay.samples.shape[-2], replay.learned.long()[..., None]
+    turns = replay.turn.long()[..., None] + STRIDE * torch.arange(count + 1, device=replay.turn.device)
+    place = turns[..., :-1] % TURN * learned.clamp(max=size) // TURN
 
     def at(place: Tensor) -> Tensor:
-        return replay.samples.take_along_dim(place[..., None, None], -2)[..., 0, :]
+        return replay.samples.take_along_dim(place[..., None], -2)
 
-    sample = at(place)
-    unbroken = (sample[..., UNBROKEN] > 0) & (place != learned % size)  # where the oldest lies once all are full
-    turned = replay._replace(turn=((turn + STRIDE) % TURN).to(sample.dtype))
-    return turned, sample, at((place - 1) % size), unbroken
+    again = at(place)
+    unbroken = (again[..., UNBROKEN] > 0) & (place != learned % size)  # where the oldest lies once all are full
+    turned = replay._replace(turn=(turns[..., -1] % TURN).to(again.dtype))
+    return turned, again, at((place - 1) % size), unbroken

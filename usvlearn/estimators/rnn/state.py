@@ -29,15 +29,16 @@ with a = 0 in all other neurons, whose kinks lie where boats run. Adam goes with
 (β₁ = 0): along a run the errors of successive steps are alike, and a mean over ten of them overshoots. A gradient is
 clipped (Pascanu, Mikolov & Bengio 2013), smoothly, so that no outlier fills the mean of g² for a thousand steps.
 
-With `replay_size` M > 0 the last M learned samples are kept, and after each new one `replay_steps` of them are learned
-again, one step of Adam and one projection each (experience replay, Lin 1992). A sample is all that its gradient needs:
-u, x and x_meas, so that none joins two segments. Which is learned follows from a counter alone: of f kept samples
+With `replay_size` M > 0 the last M learned samples are kept (experience replay, Lin 1992). After each new one,
+`replay_steps` B of them are learned again: one more step of Adam by the mean of their clipped gradients, and one more
+projection. A kept sample is all that its gradient needs: u, and the speeds of x and x_meas, so that none joins two
+segments. A counter c alone says which are learned. Of f kept samples, B times,
 
-    place = ⌊c f/2²⁰⌋,   c ← (c + 648055) mod 2²⁰,                                             (5)
+    place = ⌊c f/2²⁰⌋,   c ← (c + 648055) mod 2²⁰                                              (5)
 
-where 648055/2²⁰ is the golden section, and odd, so that all places come up alike, and successive ones lie far apart
-(Knuth 1998, section 6.4). With `unroll` 2 the sample before is the one a place earlier, if that step led to this one
-and is still kept.
+648055/2²⁰ is the golden section, and odd. So all places come up equally often, and successive ones lie far apart (Knuth
+1998, section 6.4). With `unroll` 2 the step before is the sample one place earlier, if it led to this one and is still
+kept.
 
 The derivation is in `docs/theory.md`, section 9; its contraction, section 10.
 """
@@ -76,14 +77,14 @@ BETA2, EPSILON = 0.999, 1e-8  # Adam's, as the paper has them
 MOST_NEURONS = 10_000  # no boat needs more, and more would fill the memory
 MOST_KEPT, MOST_STEPS = 100_000, 1000  # samples, and how many are learned again per step; likewise
 KEPT = INPUTS + 3  # numbers of a kept sample
-X, TARGET, UNBROKEN = range(INPUTS, KEPT)  # their places, after u
+SURGE, TARGET, UNBROKEN = range(INPUTS, KEPT)  # their places, after u
 TURN, STRIDE = 2**20, 648055  # of (5); c is exact in float32
 
 
 class Replay(NamedTuple):
-    """The M samples that were learned last."""
+    """The M samples that were learned last. A new one takes the place of the oldest."""
 
-    samples: Tensor  # (*batch, M, 7) u, x, x_meas, and whether the step before led to x; a new one replaces the oldest
+    samples: Tensor  # (*batch, M, 7) u; m/s: from which it departs, learned; whether the step before led there
     learned: Tensor  # (*batch,) count of samples so far, which goes from 2M back to M; the next one's place is mod M
     turn: Tensor  # (*batch,) c of (5)
 
