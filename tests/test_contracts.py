@@ -21,7 +21,8 @@ BAD_INPUTS = [
     ("dt", math.nan), ("dt", math.inf), ("dt", -0.4),
 ]  # fmt: skip
 COMPILED = [  # of each family one
-    "aid_estimate", "arx", "projected", "robust_memory", "rnn_penalty", "joint", "weighted", "boa",
+    "aid_estimate", "arx", "projected", "robust_memory", "rnn_penalty", "rnn_replay", "joint", "weighted",
+    "boa",
 ]  # fmt: skip
 
 

@@ -60,14 +60,19 @@ def test_it_is_judged(tmp_path):
     assert (folder / "report" / "index.html").exists()
 
 
-NEWER = '"ambient": true, "cubic": false, "exponential": false'  # arguments that version 0.1 did not have
+NEWER = {  # arguments that version 0.1 did not have
+    '"ambient": true': '"ambient": true, "cubic": false, "exponential": false',
+    '"usvlearn.RNN"': '"usvlearn.RNN", "replay_size": 0, "replay_steps": 8',
+}
 
 
 @pytest.mark.parametrize("member", ["rls", "sift_map"])
 def test_it_continues_where_it_was_killed(member, tmp_path):
     """By its own settings under the names of today, also of its members; it ends as it ended then."""
-    folder, text = tmp_path / "run", json.dumps(configuration(RUN)).replace('"ambient": true', NEWER)
-    assert NEWER in text
+    folder, text = tmp_path / "run", json.dumps(configuration(RUN))
+    for old, new in NEWER.items():
+        assert old in text
+        text = text.replace(old, new)
     shutil.copytree(RUN, folder)
     for lost in ("results.json", "predictions/00001_0000120.npz", "checkpoints/heron/00001_0000120.safetensors"):
         (folder / lost).unlink()

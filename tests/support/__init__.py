@@ -63,6 +63,7 @@ ESTIMATORS = {
     "rnn": lambda: RNN(6),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3, unroll=2, decay=None),
     "rnn_estimate": lambda: RNN(6, condition="interval", unroll=2, feedback="estimate"),
+    "rnn_replay": lambda: RNN(6, unroll=2, replay_size=7, replay_steps=3),
     "persistence": Persistence,
     "acceleration": Acceleration,
     "joint": lambda: JointEKF(2.5, 28.0),

@@ -206,6 +206,14 @@ VARIANTS = {
     "rnn_box": _boxed,
     "rnn_box_2": lambda: _boxed(unroll=2, clip=None, seed=2),
     "rnn_interval_fast": lambda: RNN(20, condition="interval", rate=0.05, clip=None, contraction_rate=0.5),
+    "rnn_replay_one": lambda: RNN(6, replay_size=1, replay_steps=1, rate=0.02),
+    "rnn_replay_estimate": lambda: RNN(
+        6, condition="interval", feedback="estimate", unroll=2, clip=None, replay_size=40, replay_steps=5
+    ),
+    "rnn_replay_penalty": lambda: RNN(
+        6, stability="penalty", penalty=0.01, momentum=0.9, replay_size=20, replay_steps=30
+    ),
+    "robust_rnn_replay": lambda: Robust(RNN(6, unroll=2, replay_size=30), threshold=1.0, patience=1),
     "rnn_estimate_lmi": lambda: RNN(9, condition="lmi", feedback="estimate", rate=0.02, decay=None, surge_max=0.5),
     "all_average": lambda: Ensemble(_crew(), watched=False, coverage=0.5),
     "all_fixed": lambda: Ensemble(_crew(), {"fixed": FixedWeights({"aid": -0.5, "bank_long": 1.2, "rnn": 0.3})}),
@@ -265,6 +273,8 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     "rnn": lambda: RNN(6, rate=1e-3 * _lanes, contraction_rate=1 - 0.1 * _lanes),
     "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _lanes, unroll=2),
     "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
+    "rnn_replay": lambda: RNN(6, rate=1e-3 * _lanes, unroll=2, replay_size=300, replay_steps=4),
+    "rnn_replay_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, replay_size=50),
     "joint": lambda: JointEKF(
         1 + _lanes, 28.0 * _lanes, disturbance=_lanes, even=0.1 * _lanes, outlier=3 + _lanes, read_every=60.0
     ),

@@ -8,9 +8,15 @@ from torch import Tensor
 from usvlearn.estimators.rnn.state import STRIDE, TURN, UNBROKEN, Replay
 
 
+def whole(value: Tensor, end: int) -> Tensor:
+    """Numbers as indices from 0 … end − 1; 0 where they are none, as in a member that has diverged."""
+    return torch.where((value >= 0) & (value < end), value, 0.0).long()
+
+
 def kept(replay: Replay, sample: Tensor) -> Replay:
     """The samples with one more, `(*batch, 7)`, in the place of the oldest."""
-    size, learned = replay.samples.shape[-2], replay.learned.long()
+    size = replay.samples.shape[-2]
+    learned = whole(replay.learned, 2 * size)
     here = torch.arange(size, device=sample.device) == (learned % size)[..., None]  # (*batch, M)
     samples = torch.where(here[..., None], sample[..., None, :], replay.samples)
     learned = torch.where(learned + 1 < 2 * size, learned + 1, size)
@@ -27,8 +33,9 @@ def due(replay: Replay, count: int) -> tuple[Replay, Tensor, Tensor, Tensor]:
     >>> again[:, 0], before[:, 0], unbroken, replay.turn
     (tensor([7., 0.]), tensor([0., 7.]), tensor([ True, False]), tensor(847534.))
     """
-    size, learned = replay.samples.shape[-2], replay.learned.long()[..., None]
-    turns = replay.turn.long()[..., None] + STRIDE * torch.arange(count + 1, device=replay.turn.device)
+    size = replay.samples.shape[-2]
+    learned = whole(replay.learned, 2 * size)[..., None]
+    turns = whole(replay.turn, TURN)[..., None] + STRIDE * torch.arange(count + 1, device=replay.turn.device)
     place = turns[..., :-1] % TURN * learned.clamp(max=size) // TURN
 
     def at(place: Tensor) -> Tensor:

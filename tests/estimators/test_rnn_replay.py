@@ -1,0 +1,254 @@
+"""Experience replay of the RNN: what is kept, what is learned again, and that its weights stay contracting."""
+
+import copy
+import math
+from collections import deque
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+from torch.func import grad
+
+from certify import exact
+from certify.box_planes import Box, interval_rate
+from certify.weights import ShallowWeights
+from tests.estimators.test_rnn import boat, loss
+from tests.support import random_samples
+from tests.support.kernel_cases import difference, mission
+from usvlearn import RNN, Ensemble, Online, Persistence, checkpoint, rollout
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimators.rnn.layer import clipped, network_inputs
+from usvlearn.estimators.rnn.state import STRIDE, TURN
+from usvlearn.rollouts import simulate
+from usvlearn.signals import masks, named_leaves, tree_map
+
+
+def at(samples, k):
+    return tree_map(lambda x: x[k], samples)
+
+
+def plain_samples(samples, predictions, surge_max: float) -> list[list[float]]:
+    """What is learned from, in order: u, the speed departed from, the speed learned, whether the step before led there.
+
+    `predictions` are those of a network that learned from these samples, which a step without a speed departs from.
+    """
+    use, found, surge, unbroken = masks(samples), [], 0.0, False
+    for k in range(len(samples.surge)):
+        x = at(samples.inputs, k)
+        if use.starts[k]:
+            surge, unbroken = float(samples.surge[k]), False
+        elif use.learns[k]:
+            angle, target = float(x.heading), float(samples.surge[k])
+            u = [
+                0.5 + 0.5 * math.sin(angle),
+                0.5 + 0.5 * math.cos(angle),
+                float(x.command_left),
+                float(x.command_right),
+            ]
+            found.append([*u, surge, target, float(unbroken)])
+            surge, unbroken = target, True
+        elif use.steps[k]:
+            surge, unbroken = min(max(float(predictions[k]), -2 * surge_max), 2 * surge_max), False
+    return found
+
+
+@pytest.mark.parametrize("backend", ["kernel", "torch"])
+@pytest.mark.parametrize("steps", [20, 50, 300])
+def test_the_last_samples_are_kept_in_a_ring(steps, backend):
+    """Against a deque of plain Python, before and after the ring is full; nothing that is missing enters it."""
+    rnn, samples, size = RNN(6, 2.0, replay_size=37, replay_steps=3), mission(steps, seed=3), 37
+    with torch.no_grad():
+        end, predictions, _ = rollout(rnn, rnn.init(), samples, backend=backend)
+    every = plain_samples(samples, predictions, 2.0)
+    last, count = deque(every, maxlen=size), len(every)
+    assert count < steps or steps == 20
+    assert (count > 2 * size) == (steps == 300)
+    assert end.replay.learned == (count if count < 2 * size else size + count % size)
+    assert end.replay.turn == 3 * count * STRIDE % TURN
+    first = count % size if count > size else 0  # the place of the oldest
+    found = end.replay.samples.roll(-first, 0)[: len(last)]
+    torch.testing.assert_close(found, torch.tensor(list(last), dtype=torch.float64), rtol=1e-12, atol=1e-12)
+    assert (end.replay.samples[count:] == 0).all()
+
+
+def test_no_kept_sample_joins_two_segments():
+    """A segment starts at 9 m/s, a speed that no sample had: it is departed from, and no step leads to it."""
+    samples, rnn = random_samples(40), RNN(6, 20.0, replay_size=100)
+    dt, surge = samples.inputs.dt.clone(), samples.surge.clone()
+    dt[20], surge[20] = 0.0, 9.0
+    samples = samples._replace(inputs=samples.inputs._replace(dt=dt), surge=surge)
+    with torch.no_grad():
+        kept = rollout(rnn, rnn.init(), samples)[0].replay.samples[:39]
+    assert (kept[:, 5] < 9).all() and kept[:, 4].tolist().count(9.0) == 1
+    assert kept[20, 4] == 9 and kept[20, 6] == 0 and kept[21, 6] == 1
+
+
+@pytest.mark.parametrize("unroll", [1, 2])
+@pytest.mark.parametrize("steps", [9, 30])
+def test_a_step_learns_the_new_sample_and_then_the_mean_of_some_kept_ones(unroll, steps):
+    """Adam is written down once more, gradients are autograd's, and places are computed in fractions."""
+    size, again, c, rate = 12, 5, 0.1, 0.01
+    rnn = RNN(5, 2.0, "random", rate=rate, rate_ratio=(1,) * 5, decay=None, clip=c, stability="none", unroll=unroll,
+              replay_size=size, replay_steps=again)  # fmt: skip
+    samples, zero = random_samples(steps + 1), torch.zeros((), dtype=torch.float64)
+    with torch.no_grad():
+        state = rollout(rnn, rnn.init(), tree_map(lambda x: x[:steps], samples))[0]
+    inputs, target = at(samples.inputs, steps), samples.surge[steps]
+    new = [*network_inputs(inputs).tolist(), float(state.surge), float(target), 1.0]
+    speeds = [0.0, *samples.surge.tolist()]
+    u = network_inputs(samples.inputs)
+    kept = [[*u[k].tolist(), speeds[k], speeds[k + 1], float(k > 0)] for k in range(steps)] + [new]
+    places = {k % size: k for k in range(max(0, steps + 1 - size), steps + 1)}  # place -> the sample that lies there
+    theta = torch.cat([state.weights.a, state.weights.w1, state.weights.W2.flatten(), state.weights.b]).detach()
+    v, updates = state.moment2.detach(), int(state.updates)
+
+    def gradient(k: int) -> torch.Tensor:
+        row = torch.tensor(kept[k], dtype=torch.float64)
+        known = unroll == 2 and kept[k][6] > 0 and (k - 1 in places.values() or k == steps)
+        before = torch.tensor(kept[max(k - 1, 0)], dtype=torch.float64)
+        a, w1, W2, b = theta.split((5, 5, 20, 5))
+        weights = ShallowWeights(a, w1, W2.reshape(5, 4), b)
+        h = rnn.scale
+        found = grad(loss)(weights, h * row[4], row[:4], h * row[5], zero, h * before[4], before[:4], known)
+        return clipped(torch.cat([found.a, found.w1, found.W2.flatten(), found.b]), c)
+
+    turn = Fraction(again * steps * STRIDE % TURN, TURN)
+    chosen = []
+    for _ in range(again):
+        chosen.append(places[math.floor(turn * len(places))])
+        turn = (turn + Fraction(STRIDE, TURN)) % 1
+    assert len(set(chosen)) == again
+    for group in ([steps], chosen):
+        g = sum(gradient(k) for k in group) / len(group)
+        v, updates = 0.999 * v + 0.001 * g * g, updates + 1
+        theta = theta - rate * g / ((v / (1 - 0.999**updates)).sqrt() + 1e-8)
+    with torch.no_grad():
+        end = rnn.update(state, inputs, target)
+    found = torch.cat([end.weights.a, end.weights.w1, end.weights.W2.flatten(), end.weights.b])
+    torch.testing.assert_close(found, theta, rtol=1e-10, atol=1e-12)
+    assert end.updates == updates and end.surge == target
+
+
+def test_all_kept_samples_are_learned_again_equally_often():
+    """Over 2²⁰ turns of a full ring each place has its share, and successive places are far apart."""
+    size = 1000
+    places = np.arange(TURN, dtype=np.int64) * STRIDE % TURN * size // TURN
+    counts = np.bincount(places, minlength=size)
+    assert counts.min() >= TURN // size and counts.max() <= TURN // size + 1
+    few = np.sort(places[:16])
+    assert np.diff(few).min() > size / 16 / 2 and np.diff(few).max() < 2 * size / 16
+
+
+def test_without_replay_nothing_is_new():
+    """The leaves and the specification of before."""
+    rnn, state = RNN(6, replay_steps=3), RNN(6).init()
+    names = ["weights.a", "weights.w1", "weights.W2", "weights.b", "moment1", "moment2", "updates", "surge",
+             "surge_before", "inputs_before", "dt", "unbroken"]  # fmt: skip
+    assert [name for name, _ in named_leaves(state)] == names and rnn.spec() == RNN(6).spec()
+    assert not any("replay" in key for key in rnn.spec())
+    with torch.no_grad():
+        found, expected = (rollout(each, each.init(), mission(100))[0] for each in (rnn, RNN(6)))
+    assert difference(found, expected) == 0
+
+
+@pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight", "interval"])
+def test_projection_holds_exactly_after_every_step(condition):
+    """20 lanes with rates up to 1, outliers and missing samples: no set beyond the rate, exactly."""
+    rates = torch.logspace(-4, 0, 20, dtype=torch.float64)
+    rnn = RNN(condition=condition, rate=rates, decay=None, unroll=2, replay_size=30, replay_steps=4)
+    samples, generator = random_samples(60, 20), torch.Generator().manual_seed(0)
+    wild = torch.rand(samples.surge.shape, generator=generator, dtype=torch.float64)
+    surge = torch.where(wild < 0.05, 90 * (wild - 0.025).sign(), samples.surge)
+    surge = torch.where(wild > 0.95, torch.nan, surge)
+    with torch.no_grad():
+        _, _, weights = rollout(rnn, rnn.init((20,)), samples._replace(surge=surge), record=lambda s: s.weights)
+    a, w1, W2, b = (w.flatten(0, 1).numpy() for w in weights)
+    if condition == "interval":
+        box = Box(*rnn.bounds.numpy())
+        found = [interval_rate(ShallowWeights(*each), box) for each in zip(a, w1, W2, b, strict=True)]
+    else:
+        found = [exact.conditions(*pair)[condition].rate for pair in zip(a, w1, strict=True)]
+    assert len(found) == 1200 and all(rate is not None and rate <= Fraction(0.999) for rate in found)
+    assert max(found) > 0.9
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("cut", [50, 333])
+def test_a_saved_and_resumed_run_is_the_uninterrupted_one(cut, dtype, tmp_path):
+    """Through faults, starts and the wrap-around, bit for bit, in all lanes."""
+    rnn, samples = RNN(6, unroll=2, replay_size=100).to(dtype), mission(500, 3, dtype=dtype)
+    with torch.no_grad():
+        whole, expected, _ = rollout(rnn, rnn.init((3,)), samples)
+        half, _, _ = rollout(rnn, rnn.init((3,)), tree_map(lambda x: x[:cut], samples))
+        path = checkpoint.save(tmp_path / "a.safetensors", half)
+        restored, _ = checkpoint.restore(path, rnn.init((3,)))
+        end, found, _ = rollout(rnn, restored, tree_map(lambda x: x[cut:], samples))
+    assert torch.equal(found.nan_to_num(-1), expected[cut:].nan_to_num(-1)) and difference(end, whole) == 0
+
+
+def test_free_runs_improve_from_one_pass():
+    samples = boat(3000)
+    errors = []
+    for options in ({}, {"unroll": 2, "replay_size": 1000}):
+        rnn = RNN(surge_max=2.0, **options)
+        with torch.no_grad():
+            state, _, _ = rollout(rnn, rnn.init(), tree_map(lambda x: x[:2000], samples))
+            _, surge, _ = simulate(rnn, state, tree_map(lambda x: x[2000:], samples))
+        errors.append(float((surge - samples.surge[2000:]).abs().mean()))
+    assert errors[1] < 0.6 * errors[0]
+
+
+@pytest.mark.parametrize("wrong", [{"replay_size": -1}, {"replay_size": 1.0}, {"replay_size": True},
+                                   {"replay_size": 10**6}, {"replay_steps": 0}, {"replay_steps": 10**6}])  # fmt: skip
+def test_illegal_sizes_are_refused(wrong):
+    with pytest.raises(ConfigError, match=r"replay_.*: found .*, expected a whole number"):
+        RNN(**wrong)
+
+
+FORGED = {
+    "turn_beyond": ({"replay.turn": lambda x: x + TURN}, {}, "state.replay.turn"),
+    "turn_negative": ({"replay.turn": lambda x: x - TURN}, {}, "state.replay.turn"),
+    "turn_nan": ({"replay.turn": lambda x: x * math.nan}, {}, "state.replay.turn"),
+    "learned_beyond": ({"replay.learned": lambda x: x * 0 + 14}, {}, "state.replay.learned"),
+    "sample_nan": ({"replay.samples": lambda x: x * math.nan}, {}, "state.replay.samples"),
+    "fewer_samples": ({"replay.samples": lambda x: x[:3]}, {}, "state.replay.samples"),
+    "longer": ({}, {"replay_size": 70_000}, "state.replay.samples"),
+    "none": ({}, {"replay_size": 0}, "kernel.replay_size"),
+    "endless": ({}, {"replay_steps": 10**9}, "kernel.replay_steps"),
+}
+
+
+@pytest.mark.parametrize("case", FORGED)
+def test_forged_sets_are_refused(case, tmp_path):
+    changes, kernel, message = FORGED[case]
+    online = Online(RNN(6, replay_size=7, replay_steps=3))
+    for k in range(10):
+        online.step(at(random_samples(10), k))
+    leaves, facts = checkpoint.load(online.save(tmp_path / "a.safetensors"))
+    Online.open(tmp_path / "a.safetensors")
+    leaves = {name: np.asarray(changes[name](x)) if name in changes else x for name, x in leaves.items()}
+    facts = copy.deepcopy(facts)
+    facts["kernel"] |= kernel
+    path = checkpoint.save(tmp_path / "b.safetensors", leaves, **facts)
+    with pytest.raises(CheckpointError, match=message):
+        Online.open(path)
+
+
+def test_a_member_that_diverged_reads_no_other_memory(tmp_path):
+    """In an ensemble NaN is legal, also in a counter: it counts as 0."""
+    members = {"rnn": RNN(6, replay_size=7, replay_steps=3), "persistence": Persistence()}
+    online = Online(Ensemble(members))
+    for k in range(10):
+        online.step(at(random_samples(20), k))
+    leaves, facts = checkpoint.load(online.save(tmp_path / "a.safetensors"))
+    for name in ("learned", "turn"):
+        leaves[f"members.rnn.replay.{name}"] = np.asarray(math.nan)
+    path = checkpoint.save(tmp_path / "b.safetensors", leaves, **facts)
+    opened, plain = Online.open(path), Online(Ensemble(members), backend="torch")
+    plain.load(path)
+    for k in range(10, 20):
+        sample = at(random_samples(20), k)
+        assert opened.step(sample) == pytest.approx(plain.step(sample), rel=1e-12)
+    assert opened.state["members.rnn.replay.learned"] == 10
+    assert opened.state["members.rnn.replay.turn"] == 3 * 10 * STRIDE % TURN
