@@ -12,7 +12,8 @@ from certify import exact
 from certify.box_planes import Box, interval_rate
 from certify.weights import ShallowWeights
 from tests.support import random_samples
-from usvlearn import AID, RNN, Ensemble, Inputs, Sample, rollout
+from tests.support.recurrent import boat, loss
+from usvlearn import AID, RNN, Ensemble, rollout
 from usvlearn.checkpoint import save
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.rnn.layer import RNNState, clipped, gradient, lane_weights, network, network_inputs
@@ -32,15 +33,6 @@ def case(n: int, batch=(), seed: int = 0):
 
 def flatten(w: ShallowWeights) -> torch.Tensor:
     return torch.cat([w.a, w.w1, w.W2.flatten(-2), w.b], -1)
-
-
-def loss(weights, x, u, target, penalty, x_before, u_before, unbroken):
-    """Equation (2) of the module, written down plainly."""
-    if unbroken:
-        x = network(weights, x_before, u_before)[0]
-    predicted, n = network(weights, x, u)[0], len(weights.a)
-    psi = (weights.a.abs() + weights.w1.abs() / (n + 1) > 1 / (n + 1)).to(x.dtype)
-    return 0.5 * (predicted - target) ** 2 + penalty / 2 * (psi * (weights.a**2 + weights.w1**2)).sum()
 
 
 @pytest.mark.parametrize("unbroken", [False, True])
@@ -95,19 +87,6 @@ def test_adam_equals_torch(momentum, ratio, decay):
     weights = ShallowWeights(parts[0], parts[1], torch.cat(parts[2:4], -1), parts[4])
     for found, expected in zip(end.weights, weights, strict=True):
         torch.testing.assert_close(found, expected.detach(), rtol=1e-10, atol=1e-12)
-
-
-def boat(steps: int) -> Sample:
-    """A hull of first order, v⁺ = 0.9 v + 0.1 (L + R), whose commands change every 20 steps; 0.005 m/s noise."""
-    generator = torch.Generator().manual_seed(0)
-    commands = torch.rand((steps // 20, 2), generator=generator).double().repeat_interleave(20, 0)
-    surge = [torch.zeros((), dtype=torch.float64)]
-    for left, right in commands:
-        surge.append(0.9 * surge[-1] + 0.1 * (left + right))
-    noise = 0.005 * torch.randn(steps, generator=generator).double()
-    zero, true = torch.zeros(steps, dtype=torch.float64), torch.ones(steps, dtype=torch.bool)
-    inputs = Inputs(commands[:, 0], commands[:, 1], zero, zero, zero + 0.4)
-    return Sample(inputs, torch.stack(surge[1:]) + noise, true, true)
 
 
 def test_it_is_persistence_at_first_and_better_later():

@@ -13,9 +13,9 @@ from torch.func import grad
 from certify import exact
 from certify.box_planes import Box, interval_rate
 from certify.weights import ShallowWeights
-from tests.estimators.test_rnn import boat, loss
 from tests.support import random_samples
 from tests.support.kernel_cases import difference, mission
+from tests.support.recurrent import boat, loss
 from usvlearn import RNN, Ensemble, Online, Persistence, checkpoint, rollout
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.rnn.layer import clipped, network_inputs

@@ -16,7 +16,7 @@ TARGETS = {
     "usvlearn.logs.fleet.align_fleet": "usvlearn.logs.recordings.align_fleet",
 }
 MEMBERS = {"sift_map": "rls"}  # of the default ensemble, the name of today and the first one
-ADDED = {  # arguments, and what they were before
+ADDED: dict[str, dict[str, Any]] = {  # arguments, and what they were before
     "usvlearn.SurgeDynamics": {"cubic": False, "exponential": False},
     "usvlearn.RNN": {"replay_size": 0, "replay_steps": 8},
 }

@@ -9,6 +9,7 @@ from usvlearn.arrays import clamp, copy, fill
 from usvlearn.estimators.rnn.projection_kernel import project
 from usvlearn.estimators.rnn.state import (
     AT,
+    AT_REPLAY,
     BEGIN,
     INPUTS,
     KEPT,
@@ -124,22 +125,22 @@ def whole(value, end):
 
 @jit
 def keep(node, s, u, surge, target):
-    """`replay.kept`."""
+    """`kept.added`."""
     size = node[Choice.REPLAY_SIZE]
-    learned = whole(s[node[AT.replay.learned]], 2 * size)
-    sample = s[node[AT.replay.samples] + KEPT * (learned % size) :]
+    learned = whole(s[node[AT_REPLAY.learned]], 2 * size)
+    sample = s[node[AT_REPLAY.samples] + KEPT * (learned % size) :]
     copy(sample[:INPUTS], u)
     sample[SURGE], sample[TARGET], sample[UNBROKEN] = surge, target, s[node[AT.unbroken]]
-    s[node[AT.replay.learned]] = learned + 1 if learned + 1 < 2 * size else size
+    s[node[AT_REPLAY.learned]] = learned + 1 if learned + 1 < 2 * size else size
 
 
 @jit
 def gradient_again(node, s, weights, h, z, z_before, grad):
-    """The gradient of the next sample of `replay.due`."""
-    size, samples = node[Choice.REPLAY_SIZE], s[node[AT.replay.samples] :]
-    learned, turn = whole(s[node[AT.replay.learned]], 2 * size), whole(s[node[AT.replay.turn]], TURN)
+    """The gradient of the next sample of `kept.due`."""
+    size, samples = node[Choice.REPLAY_SIZE], s[node[AT_REPLAY.samples] :]
+    learned, turn = whole(s[node[AT_REPLAY.learned]], 2 * size), whole(s[node[AT_REPLAY.turn]], TURN)
     place = turn * min(learned, size) // TURN
-    s[node[AT.replay.turn]] = (turn + STRIDE) % TURN
+    s[node[AT_REPLAY.turn]] = (turn + STRIDE) % TURN
     sample = samples[KEPT * place : KEPT * (place + 1)]
     u, surge, target = sample[:INPUTS], sample[SURGE], sample[TARGET]
     if node[Choice.UNROLL] == TWO and sample[UNBROKEN] > 0 and place != learned % size:

@@ -18,7 +18,7 @@ from certify.weights import ShallowWeights
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.rnn.initial import initial_weights, pretrained_weights
-from usvlearn.estimators.rnn.replay import due, kept
+from usvlearn.estimators.rnn.kept import added, due
 from usvlearn.estimators.rnn.state import (
     BETA2,
     EPSILON,
@@ -254,7 +254,7 @@ class RNN(Estimator):
         learned = self._descend(state, self._gradient(state.weights, state.surge, u, surge, before, penalty))
         if isinstance(replay := state.replay, Replay):
             others = torch.stack([state.surge, surge, state.unbroken.to(surge.dtype)], -1)
-            replay, again, earlier, unbroken = due(kept(replay, torch.cat([u, others], -1)), self.replay_steps)
+            replay, again, earlier, unbroken = due(added(replay, torch.cat([u, others], -1)), self.replay_steps)
             before = earlier[..., SURGE], earlier[..., :INPUTS], unbroken
             each = ShallowWeights(*(w.unsqueeze(surge.ndim) for w in learned.weights))  # for (*batch, samples)
             penalty = None if penalty is None else penalty[..., None]

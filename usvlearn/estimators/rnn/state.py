@@ -48,7 +48,7 @@ from __future__ import annotations
 from enum import IntEnum
 from itertools import accumulate
 from math import prod
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from certify.weights import ShallowWeights
 from usvlearn.family import (
@@ -193,3 +193,4 @@ FAMILY = Family(
     frozen=("weights.a", "weights.w1", "weights.W2", "weights.b", "surge"),
 )
 AT = FAMILY.at
+AT_REPLAY = cast("Replay", AT.replay)

@@ -1,4 +1,4 @@
-"""The samples that the network learns again, in torch: `Replay` and equation (5) of `state`."""
+"""The samples that the network keeps to learn them again, in torch: `Replay` and equation (5) of `state`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def whole(value: Tensor, end: int) -> Tensor:
     return torch.where((value >= 0) & (value < end), value, 0.0).long()
 
 
-def kept(replay: Replay, sample: Tensor) -> Replay:
+def added(replay: Replay, sample: Tensor) -> Replay:
     """The samples with one more, `(*batch, 7)`, in the place of the oldest."""
     size = replay.samples.shape[-2]
     learned = whole(replay.learned, 2 * size)
