@@ -80,14 +80,7 @@ def learn(node, s, q, x, estimate, target, work):
     descend(node, s, q, weights, grad, limited(weights, numbers, n, grad), rest)
     if node[Choice.REPLAY_SIZE] > 0:
         keep(node, s, u, surge, target)
-        total = rest[n + count : n + 2 * count]
-        fill(total, 0.0)
-        for _ in range(node[Choice.REPLAY_STEPS]):
-            gradient_again(node, s, weights, h, z, z_before, grad)
-            shrink = limited(weights, numbers, n, grad)
-            for i in range(count):
-                total[i] += grad[i] * shrink
-        descend(node, s, q, weights, total, 1.0 / node[Choice.REPLAY_STEPS], rest)
+        learn_again(node, s, q, weights, z, rest)
     s[node[AT.surge_before]] = surge
     feedback = node[Choice.FEEDBACK] == ESTIMATE
     s[node[AT.surge]] = clamp(estimate, 2 * numbers[Number.SURGE_MAX]) if feedback else target
@@ -96,7 +89,7 @@ def learn(node, s, q, x, estimate, target, work):
     s[node[AT.unbroken]] = 1.0
 
 
-@jit
+@jit(inline=True)
 def limited(weights, numbers, n, grad):
     """Add the penalty's gradient; returns the factor that limits the norm."""
     if numbers[Number.PENALTY] > 0:
@@ -104,7 +97,7 @@ def limited(weights, numbers, n, grad):
     return clip(grad, numbers[Number.CLIP]) if numbers[Number.CLIP] < np.inf else 1.0
 
 
-@jit
+@jit(inline=True)
 def descend(node, s, q, weights, grad, factor, rest):
     """`RNN._descend` by a gradient times a factor."""
     n, numbers, count = node[Node.SIZE], q[node[Node.NUMBERS] :], len(grad)
@@ -132,6 +125,21 @@ def keep(node, s, u, surge, target):
     copy(sample[:INPUTS], u)
     sample[SURGE], sample[TARGET], sample[UNBROKEN] = surge, target, s[node[AT.unbroken]]
     s[node[AT_REPLAY.learned]] = learned + 1 if learned + 1 < 2 * size else size
+
+
+@jit
+def learn_again(node, s, q, weights, z, rest):
+    """One step of `descend` by the mean gradient of the kept samples that are due."""
+    n, numbers, steps = node[Node.SIZE], q[node[Node.NUMBERS] :], node[Choice.REPLAY_STEPS]
+    count = WEIGHTS * n
+    z_before, grad, total = rest[:n], rest[n : n + count], rest[n + count : n + 2 * count]
+    fill(total, 0.0)
+    for _ in range(steps):
+        gradient_again(node, s, weights, numbers[Number.SCALE], z, z_before, grad)
+        shrink = limited(weights, numbers, n, grad)
+        for i in range(count):
+            total[i] += grad[i] * shrink
+    descend(node, s, q, weights, total, 1.0 / steps, rest)
 
 
 @jit
