@@ -295,7 +295,7 @@ class Plan:
 
         def at(row: list[int], family: Family[Any], size: int, prefix: str) -> int:
             """Add a copy of a row, with the places of the leaves in the slot."""
-            leaves = [places.get(leaf, -1) for leaf in family.leaves(size, prefix)]
+            leaves = [places.get(leaf, -1) for leaf in family.leaves(size, prefix, part.own)]
             self._others.append([*row[:LEAVES], *leaves, *row[LEAVES + len(leaves) :]])
             return len(self._others) - 1
 
