@@ -1,4 +1,4 @@
-"""What the field does to estimators: ours beside padasip, river and filterpy; writes `benchmarks/stress.md`.
+"""What the field does to estimators: ours beside padasip, river, filterpy and kalman-py; writes `benchmarks/stress.md`.
 
 python benchmarks/stress.py [--steps 1000000]
 

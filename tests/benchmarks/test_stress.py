@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import stress
 import torch
-from peers import plain_rls
+from peers.online import MODULES, filterpy_kalman, kalman_py, plain_rls
 
 from usvlearn import SurgeDynamics
 
@@ -77,14 +77,27 @@ def test_one_nan_stays_in_plain_rls_for_ever(cases):
     assert not stress.run_peer(cases["nan"], plain_rls).finite
 
 
-@pytest.mark.parametrize("name", ["padasip_rls", "padasip_nlms", "river_bayesian", "river_linear", "filterpy_kalman"])
+@pytest.mark.parametrize("name", MODULES)
 def test_peers_learn_what_they_are_shown(name):
-    pytest.importorskip(name.split("_")[0], reason=f"{name} needs the extra bench")
+    pytest.importorskip(MODULES[name], reason=f"{name} needs the extra bench")
     case = stress.drive([("excited", 400)], 1, 0)
     make = stress.peers(stress.excitation(case))[name]
     persistence = float((case.target[1:] - case.target[:-1]).abs()[200:].mean())
     result = stress.run_peer(case._replace(after=slice(200, None)), make)
     assert result.finite and result.error < 0.8 * persistence
+
+
+def test_two_libraries_of_kalman_filters_agree():
+    pytest.importorskip("filterpy", reason="needs the extra bench")
+    pytest.importorskip("kalman_py", reason="needs the extra bench")
+    rng = np.random.default_rng(0)
+    phi, y = rng.standard_normal((60, stress.P)), rng.standard_normal(60)
+    ours, theirs = filterpy_kalman(np.eye(stress.P)), kalman_py(np.eye(stress.P))
+    for x, value in zip(phi, y, strict=True):
+        assert ours.predict(x) == pytest.approx(theirs.predict(x), rel=1e-9)
+        ours.learn(x, value)
+        theirs.learn(x, value)
+    np.testing.assert_allclose(ours.theta(), theirs.theta(), rtol=1e-9)
 
 
 def test_recovery_is_counted_to_the_last_step_out_of_bounds(cases):

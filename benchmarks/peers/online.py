@@ -1,10 +1,11 @@
-"""Other libraries' models of y = xᵀθ, behind one pair of calls: padasip, river, filterpy, and the textbook's RLS.
+"""Other libraries' models of y = xᵀθ, behind one pair of calls: padasip, river, filterpy, kalman-py and plain RLS.
 
 They start from P = 10 in units of the noise's variance and forget over 200 steps, as `benchmarks/stress.py` explains.
 """
 
 import importlib.util
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,10 @@ from torch import Tensor
 
 LAM, P, NOISE = 0.995, 9, 0.02  # forgetting per step; parameters; m/s, of a measured speed
 NLMS_RATE, SGD_RATE = 0.3, 0.03
+MODULES = {
+    "padasip_rls": "padasip", "padasip_nlms": "padasip", "river_bayesian": "river", "river_linear": "river",
+    "filterpy_kalman": "filterpy", "kalman_py": "kalman_py",
+}  # fmt: skip
 
 
 class Peer(NamedTuple):
@@ -72,13 +77,19 @@ def river_linear(rate: float = SGD_RATE) -> Peer:
     )
 
 
+def random_walk(C: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """P0, Q and R of parameters that walk at random, with the common memory."""
+    noise = 2 * NOISE**2  # of an increment
+    walk = noise * (P * (1 - LAM) / np.sqrt(np.linalg.eigvalsh(C).clip(0)).sum()) ** 2
+    return 10 * noise * np.eye(P), walk * np.eye(P), np.array([[noise]])
+
+
 def filterpy_kalman(C: np.ndarray) -> Peer:
     from filterpy.kalman import KalmanFilter
 
-    noise = 2 * NOISE**2  # of an increment
     kf = KalmanFilter(dim_x=P, dim_z=1)
-    kf.x, kf.P, kf.R = np.zeros((P, 1)), 10 * noise * np.eye(P), np.array([[noise]])
-    kf.Q = np.eye(P) * noise * (P * (1 - LAM) / np.sqrt(np.linalg.eigvalsh(C).clip(0)).sum()) ** 2
+    kf.x = np.zeros((P, 1))
+    kf.P, kf.Q, kf.R = random_walk(C)
 
     def predict(x: np.ndarray) -> float:
         kf.predict()
@@ -87,9 +98,22 @@ def filterpy_kalman(C: np.ndarray) -> Peer:
     return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: kf.x[:, 0], lambda: [kf.P])
 
 
+def kalman_py(C: np.ndarray) -> Peer:
+    from kalman_py import KalmanFilter
+
+    P0, Q, R = random_walk(C)
+    kf = KalmanFilter(F=np.eye(P), H=np.zeros((1, P)), Q=Q, R=R, x0=np.zeros(P), P0=P0)
+
+    def predict(x: np.ndarray) -> float:
+        kf.predict()
+        return x @ kf.x
+
+    return Peer(predict, lambda x, y: kf.update(y, H=x[None]), lambda: kf.x, lambda: [kf.P])
+
+
 def peers(C: Tensor) -> dict[str, Callable[[], Peer]]:
     """Those whose library is installed; C is the mean of φφᵀ."""
-    kalman = {"filterpy_kalman": lambda: filterpy_kalman(C.numpy())}
+    kalman = {make.__name__: partial(make, C.numpy()) for make in (filterpy_kalman, kalman_py)}
     others = {make.__name__: make for make in (padasip_rls, padasip_nlms, river_bayesian, river_linear)} | kalman
-    installed = {name: make for name, make in others.items() if importlib.util.find_spec(name.split("_")[0])}
+    installed = {name: make for name, make in others.items() if importlib.util.find_spec(MODULES[name])}
     return {"plain_rls": plain_rls, **installed}
