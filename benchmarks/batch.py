@@ -1,0 +1,206 @@
+"""Batch identification beside online learning: free runs and forecasts; writes `benchmarks/batch.md`.
+
+python benchmarks/batch.py LOGS        a folder with blueboat, vtec, dalian; needs the extra bench; 15 min on one core
+
+The peers of `benchmarks/peers` are told all of the first half of a boat's runs at once. Ours learn it once, online.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import accuracy
+import numpy as np
+import torch
+from peers import gru, narmax, physics, state_space
+from peers.batch import HORIZONS, Fitted, Held, Targets, errors, free_run_errors, targets
+from truths import NOMINAL, boats
+
+from usvlearn import Ensemble, rollout
+from usvlearn.rollouts import simulate, tensors
+from usvlearn.signals import Sample, masks, tree_map
+
+REAL, PLANTS, SEED, DT = ("blueboat", "vtec", "dalian"), ("heron", "otter"), 77, 0.4
+PEERS = {
+    "SysIdentPy, polynomial NARMAX": narmax,
+    "jax-sysid, recurrent state space": state_space,
+    "GRU, torch": gru,
+    "batch output error": physics,
+}
+OURS = ("joint", "joint_quick", "arx", "reader", "ensemble")
+Skills = dict[int, float]  # by horizon, steps
+
+
+class Log(NamedTuple):
+    """A boat's runs, leaves `(time,)`, and how its ensemble is made."""
+
+    name: str
+    learned: list[Sample]
+    later: list[Sample]
+    top: float  # m/s, top speed as a user states it
+    overrides: tuple[str, ...]  # of configs/train.yaml
+
+
+class Row(NamedTuple):
+    """What one method reached on one boat."""
+
+    free: float  # m/s, MAE of the free run
+    skills: Skills
+    setting: str = ""
+    seconds: float = 0.0  # of training
+
+
+def recorded(folder: Path, name: str) -> Log:
+    """A recorded boat: the halves of its runs, or of its only run."""
+    log = accuracy.recorded(folder, name)
+    parts = [[tree_map(lambda x: x[:, 0].numpy(), run) for run in half] for half in accuracy.halves(log)]
+    return Log(name, *parts, accuracy.configuration(log.overrides).vehicle.surge_max, log.overrides)
+
+
+def simulated(plant: str, seed: int = SEED) -> Log:
+    """A simulated boat: 3 h to learn from, and the hour after them."""
+    (boat,), (mass, top) = boats(plant, seed, n=1), NOMINAL[plant]
+    given = (f"data.plant={plant}", f"vehicle.mass={mass}", f"vehicle.surge_max={top}")
+    return Log(plant, boat.learned, boat.later, top, given)
+
+
+def skills(pairs: Mapping[int, tuple[float, float]]) -> Skills:
+    """1 − MAE/MAE(persistence) by horizon."""
+    return {h: 1 - mae / held for h, (mae, held) in pairs.items()}
+
+
+def peer_row(module, log: Log) -> Row | None:
+    """A batch peer; None if its library is not installed."""
+    try:
+        fitted: Fitted = module.fit(log.learned, log.top)
+    except ModuleNotFoundError as error:
+        print(error, file=sys.stderr)
+        return None
+    found = skills(errors(fitted.model, log.later))
+    return Row(free_run_errors(fitted.model, log.later)[0], found, fitted.setting, fitted.seconds)
+
+
+@torch.no_grad()
+def ours_by_free_run(log: Log) -> dict[str, float]:
+    """MAE, m/s, of the free runs of the later runs; what was learned on the others stays as it is."""
+    model = accuracy.ensemble(log.overrides)
+    before, after = ([tensors(run, torch.float64) for run in runs] for runs in (log.learned, log.later))
+    found = accuracy.free_run(model, accuracy.learned(model, before), after)
+    return {name: float(found[model.names.index(name)]) for name in OURS}
+
+
+@torch.no_grad()
+def ours_by_horizon(log: Log) -> dict[str, Skills]:
+    """Skill of our own forecasts of the later runs, which are learned online meanwhile, by name and horizon."""
+    model = accuracy.ensemble(log.overrides)
+    state = accuracy.learned(model, [tensors(run, torch.float64) for run in log.learned])
+    wrong = {(name, h): [] for name in OURS for h in HORIZONS}
+    for run in log.later:
+        aim = targets(run)
+        state, _, states = rollout(model, state, tensors(run, torch.float64), record=lambda state: state)
+        at_origins = tree_map(lambda leaf, o=aim.origins: leaf[o].contiguous(), states)
+        predicted = free_from(model, at_origins, run, aim)
+        for k, h in enumerate(HORIZONS):
+            use = aim.scored[:, k]
+            truth, held = run.surge[aim.rows[use, k]], run.surge[aim.origins[use]]
+            for name in OURS:
+                mine = predicted[h - 1, use, model.names.index(name)]
+                wrong[name, h].append(np.stack([abs(mine - truth), abs(held - truth)], -1))
+    found: dict[str, Skills] = {name: {} for name in OURS}
+    for (name, h), parts in wrong.items():
+        mine, held = np.concatenate(parts).mean(0).tolist() if sum(map(len, parts)) else (np.nan, np.nan)
+        found[name][h] = 1 - mine / held
+    return found
+
+
+def free_from(model: Ensemble, states, run: Sample, aim: Targets) -> np.ndarray:
+    """Predictions `(time, origins, columns)`, m/s, of free runs from all origins; a row without a step is held."""
+    rows = aim.origins + np.arange(1, max(HORIZONS) + 1)[:, None]
+    inside, rows = rows < len(run.surge), rows.clip(max=len(run.surge) - 1)
+    ahead = tree_map(lambda x: x[rows], run)
+    blind = ahead._replace(
+        surge=np.full(rows.shape, np.nan), fresh=masks(run).steps[rows] & inside, measured=np.zeros(rows.shape, bool)
+    )
+    return simulate(model, states, tensors(blind, torch.float64), ["predictions"])[2]["predictions"].numpy()
+
+
+def rows(log: Log) -> dict[str, Row | None]:
+    """Every method on a boat."""
+    found: dict[str, Row | None] = {"persistence": Row(free_run_errors(Held(), log.later)[1], {})}
+    for label, module in PEERS.items():
+        found[label] = peer_row(module, log)
+        print(log.name, label, found[label], flush=True)
+    ahead, free = ours_by_horizon(log), ours_by_free_run(log)
+    for name in OURS:
+        found[f"ours: {name}"] = Row(free[name], ahead[name])
+        print(log.name, name, found[f"ours: {name}"], flush=True)
+    return found
+
+
+def table(head: Sequence[str], lines: Mapping[str, Sequence[float] | None], best=min, digits: int = 3) -> list[str]:
+    """A table whose best number of each column is bold; a line that is None was not measured."""
+    columns = list(zip(*(line for line in lines.values() if line), strict=True))
+    bests = [best((round(x, digits) for x in column if np.isfinite(x)), default=None) for column in columns]
+    text = ["| " + " | ".join(head) + " |", "|---|" + "--:|" * (len(head) - 1)]
+    for name, line in lines.items():
+        shown = ["not installed"] + [""] * (len(head) - 2)
+        if line:
+            shown = [f"{x:.{digits}f}" if np.isfinite(x) else "–" for x in line]
+            at_best = [round(x, digits) == top for x, top in zip(line, bests, strict=True)]
+            shown = [f"**{x}**" if bold else x for x, bold in zip(shown, at_best, strict=True)]
+        text.append(f"| {name} | " + " | ".join(shown) + " |")
+    return text
+
+
+def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[str]:
+    """The page, from the rows of every boat."""
+    names = list(next(iter(found.values())))
+    free = {name: [each[name].free for each in found.values()] if all(each[name] for each in found.values()) else None
+            for name in names}  # fmt: skip
+    text = [
+        "# Batch identification beside online learning",
+        "",
+        f"Measured by `python benchmarks/batch.py LOGS` in {minutes:.0f} min on one core. Each peer is told all of the",
+        "first half of a boat's runs at once (of a simulated boat, seed 77: 3 h), and chooses its settings on the last",
+        "20 % of them, by the mean over the horizons and the free run of MAE/MAE(persistence). Ours have seen these",
+        "runs once, online. All is measured on the second half (of a simulated boat: the next hour), over the steps",
+        "whose speed was measured. The best number of a column is bold.",
+        "",
+        "## Free run, parameters frozen: MAE, m/s",
+        "",
+        "From the inputs, and the measured speed with which each segment starts.",
+        "",
+        *table(["", *found], free),
+        "",
+        "## Forecasts: skill",
+        "",
+        "1 − MAE/MAE(persistence over that horizon), from every fifth step on, told the inputs that came; – where no",
+        "segment is that long. Peers are frozen; their state follows the measured speeds up to the origin. Ours go on",
+        "learning up to the origin.",
+    ]
+    for boat, each in found.items():
+        lines = {name: row and [row.skills[h] for h in HORIZONS] for name, row in each.items() if name != "persistence"}
+        head = [boat, *(f"{h * DT:.1f} s" for h in HORIZONS)]
+        text += ["", *table(head, lines, best=max, digits=2)]
+    text += ["", "## Settings that were chosen, and seconds of all training", "", "| boat | peer | setting | s |"]
+    text += ["|---|---|---|--:|"]
+    for boat, each in found.items():
+        made = [(name, row) for name, row in each.items() if row and row.setting]
+        text += [f"| {boat} | {name} | {row.setting} | {row.seconds:.0f} |" for name, row in made]
+    return [*text, ""]
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    began, folder = time.perf_counter(), Path(sys.argv[1])
+    logs = [*(recorded(folder, name) for name in REAL), *map(simulated, PLANTS)]
+    found = {log.name: rows(log) for log in logs}
+    accuracy.publish(__file__, page(found, (time.perf_counter() - began) / 60))
+
+
+if __name__ == "__main__":
+    main()
