@@ -51,7 +51,7 @@ class Row(NamedTuple):
     free: float  # m/s, MAE of the free run
     skills: Skills
     setting: str = ""
-    seconds: float = 0.0  # of training
+    seconds: float = 0.0  # of the processor, for training
 
 
 def recorded(folder: Path, name: str) -> Log:
@@ -164,7 +164,7 @@ def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[
     text = [
         "# Batch identification beside online learning",
         "",
-        f"Measured by `python benchmarks/batch.py LOGS` in {minutes:.0f} min on one core. Each peer is told all of the",
+        f"Measured by `python benchmarks/batch.py LOGS` in {minutes:.0f} min of one core. Each peer is told all of the",
         "first half of a boat's runs at once (of a simulated boat, seed 77: 3 h), and chooses its settings on the last",
         "20 % of them, by the mean over the horizons and the free run of MAE/MAE(persistence). Ours have seen these",
         "runs once, online. All is measured on the second half (of a simulated boat: the next hour), over the steps",
@@ -186,8 +186,8 @@ def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[
         lines = {name: row and [row.skills[h] for h in HORIZONS] for name, row in each.items() if name != "persistence"}
         head = [boat, *(f"{h * DT:.1f} s" for h in HORIZONS)]
         text += ["", *table(head, lines, best=max, digits=2)]
-    text += ["", "## Settings that were chosen, and seconds of all training", "", "| boat | peer | setting | s |"]
-    text += ["|---|---|---|--:|"]
+    text += ["", "## Settings that were chosen, and seconds of the processor for all training", ""]
+    text += ["| boat | peer | setting | s |", "|---|---|---|--:|"]
     for boat, each in found.items():
         made = [(name, row) for name, row in each.items() if row and row.setting]
         text += [f"| {boat} | {name} | {row.setting} | {row.seconds:.0f} |" for name, row in made]
@@ -196,10 +196,10 @@ def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[
 
 def main() -> None:
     torch.set_num_threads(1)
-    began, folder = time.perf_counter(), Path(sys.argv[1])
+    began, folder = time.process_time(), Path(sys.argv[1])
     logs = [*(recorded(folder, name) for name in REAL), *map(simulated, PLANTS)]
     found = {log.name: rows(log) for log in logs}
-    accuracy.publish(__file__, page(found, (time.perf_counter() - began) / 60))
+    accuracy.publish(__file__, page(found, (time.process_time() - began) / 60))
 
 
 if __name__ == "__main__":

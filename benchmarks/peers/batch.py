@@ -44,7 +44,7 @@ class Fitted(NamedTuple):
 
     model: Model
     setting: str  # that was chosen
-    seconds: float  # of all training
+    seconds: float  # of the processor, for all training
 
 
 class Targets(NamedTuple):
@@ -224,11 +224,11 @@ def judged(model: Model, runs: Sequence[Sample]) -> float:
 
 def choose(settings: Mapping[str, Callable[[Sequence[Sample]], Model]], runs: Sequence[Sample]) -> Fitted:
     """Fit each setting to the first 80 % of the runs, judge it on the rest, and fit the best one to all runs."""
-    began = time.perf_counter()
+    began = time.process_time()
     early, late = cut(runs, 1 - LATE)
     scores = {name: judged(make(early), late) for name, make in settings.items()} if len(settings) > 1 else {}
     best = min(scores or settings, key=lambda name: scores.get(name, 0.0))
-    return Fitted(settings[best](runs), best, time.perf_counter() - began)
+    return Fitted(settings[best](runs), best, time.process_time() - began)
 
 
 def installed(module: str) -> bool:

@@ -3,7 +3,8 @@
     v_k = Σ_j θ_j Π (v_(k−1), …, v_(k−L), x_k, …, x_(k−L+1)) + c e_(k−1) + e_k
 
 Π are products of at most `degree` factors; x_k are the inputs in force over the step to k; e_k is the error one step
-ahead. Terms are chosen by their error reduction ratio; c is 0 or found by extended least squares.
+ahead. Terms are chosen by their error reduction ratio. c is 0, or found with θ by extended least squares; as in the
+library, predictions leave e out.
 """
 
 from __future__ import annotations
@@ -64,16 +65,17 @@ def one(runs: Sequence[Sample], lags: int, degree: int, terms: int, heading: boo
                 psi.append(basis.fit(lagged, lags, every, [every] * count, "NARMAX"))
                 y.append(run.surge[begin + lags : end])
     psi, y = np.concatenate(psi), np.concatenate(y)[:, None]
-    frols = FROLS(ylag=every, xlag=[every] * count, basis_function=basis, order_selection=False, n_terms=terms)
-    before = np.zeros((lags, 1))  # the library leaves the first lags of y out
     terms = min(terms, psi.shape[1])
-    _, places, chosen = frols.error_reduction_ratio(psi, np.concatenate([before, y]), terms)
-    count, theta = len(places), LeastSquares().optimize(chosen, y)
-    for _ in range(REPEATS if noise else 0):  # the library's own version adds a second constant, which takes half of it
+    frols = FROLS(ylag=every, xlag=[every] * count, basis_function=basis, order_selection=False, n_terms=terms)
+    unused = np.zeros((lags, 1))  # the library leaves out the first speeds
+    _, places, chosen = frols.error_reduction_ratio(psi, np.append(unused, y, 0), terms)
+    theta = LeastSquares().optimize(chosen, y)
+    # The library's extended least squares adds a second constant, and returns half of the sum for the first.
+    for _ in range(REPEATS if noise else 0):
         e = y - chosen @ theta
-        chosen = np.append(chosen[:, :count], np.append(np.zeros((1, 1)), e[:-1], 0), 1)
+        chosen = np.append(chosen[:, :terms], np.append(np.zeros((1, 1)), e[:-1], 0), 1)
         theta = LeastSquares().optimize(chosen, y)
-    return Narmax(basis, places, theta[:count, 0], lags, heading)
+    return Narmax(basis, places, theta[:terms, 0], lags, heading)
 
 
 def fit(runs: Sequence[Sample], top: float) -> Fitted:
