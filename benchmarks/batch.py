@@ -80,7 +80,7 @@ def peer_row(module, log: Log) -> Row | None:
     except ModuleNotFoundError as error:
         print(error, file=sys.stderr)
         return None
-    found = skills(errors(fitted.model, log.later))
+    found = skills(errors(log.later, [fitted.model.forecast(run) for run in log.later]))
     return Row(free_run_errors(fitted.model, log.later)[0], found, fitted.setting, fitted.seconds)
 
 
@@ -98,23 +98,15 @@ def ours_by_horizon(log: Log) -> dict[str, Skills]:
     """Skill of our own forecasts of the later runs, which are learned online meanwhile, by name and horizon."""
     model = accuracy.ensemble(log.overrides)
     state = accuracy.learned(model, [tensors(run, torch.float64) for run in log.learned])
-    wrong = {(name, h): [] for name in OURS for h in HORIZONS}
+    made: dict[str, list[np.ndarray]] = {name: [] for name in OURS}
     for run in log.later:
         aim = targets(run)
         state, _, states = rollout(model, state, tensors(run, torch.float64), record=lambda state: state)
         at_origins = tree_map(lambda leaf, o=aim.origins: leaf[o].contiguous(), states)
-        predicted = free_from(model, at_origins, run, aim)
-        for k, h in enumerate(HORIZONS):
-            use = aim.scored[:, k]
-            truth, held = run.surge[aim.rows[use, k]], run.surge[aim.origins[use]]
-            for name in OURS:
-                mine = predicted[h - 1, use, model.names.index(name)]
-                wrong[name, h].append(np.stack([abs(mine - truth), abs(held - truth)], -1))
-    found: dict[str, Skills] = {name: {} for name in OURS}
-    for (name, h), parts in wrong.items():
-        mine, held = np.concatenate(parts).mean(0).tolist() if sum(map(len, parts)) else (np.nan, np.nan)
-        found[name][h] = 1 - mine / held
-    return found
+        predicted = free_from(model, at_origins, run, aim)[np.array(HORIZONS) - 1]
+        for name, each in made.items():
+            each.append(predicted[..., model.names.index(name)].T)
+    return {name: skills(errors(log.later, each)) for name, each in made.items()}
 
 
 def free_from(model: Ensemble, states, run: Sample, aim: Targets) -> np.ndarray:
@@ -149,7 +141,7 @@ def table(head: Sequence[str], lines: Mapping[str, Sequence[float] | None], best
     for name, line in lines.items():
         shown = ["not installed"] + [""] * (len(head) - 2)
         if line:
-            shown = [f"{x:.{digits}f}" if np.isfinite(x) else "–" for x in line]
+            shown = [f"{round(x, digits) + 0.0:.{digits}f}" if np.isfinite(x) else "–" for x in line]
             at_best = [round(x, digits) == top for x, top in zip(line, bests, strict=True)]
             shown = [f"**{x}**" if bold else x for x, bold in zip(shown, at_best, strict=True)]
         text.append(f"| {name} | " + " | ".join(shown) + " |")
@@ -168,7 +160,8 @@ def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[
         "first half of a boat's runs at once (of a simulated boat, seed 77: 3 h), and chooses its settings on the last",
         "20 % of them, by the mean over the horizons and the free run of MAE/MAE(persistence). Ours have seen these",
         "runs once, online. All is measured on the second half (of a simulated boat: the next hour), over the steps",
-        "whose speed was measured. The best number of a column is bold.",
+        "whose speed was measured. The best number of a column is bold. The sweeps are small, so that the whole stays",
+        "below 15 min; each file of `benchmarks/peers` states its own.",
         "",
         "## Free run, parameters frozen: MAE, m/s",
         "",

@@ -177,11 +177,16 @@ def cut(runs: Sequence[Sample], share: float) -> tuple[list[Sample], list[Sample
     return before, after
 
 
-def errors(model: Model, runs: Sequence[Sample], horizons: Sequence[int] = HORIZONS) -> dict[int, tuple[float, float]]:
-    """MAE of the forecasts and of persistence from the same origins, m/s, by horizon; NaN where there is no target."""
+def errors(
+    runs: Sequence[Sample], forecasts: Sequence[np.ndarray], horizons: Sequence[int] = HORIZONS
+) -> dict[int, tuple[float, float]]:
+    """MAE of the forecasts of each run, and of persistence from the same origins, m/s, by horizon.
+
+    Both are NaN where no forecast of that horizon has a target.
+    """
     wrong: dict[int, list[np.ndarray]] = {h: [] for h in horizons}
-    for run in runs:
-        aim, predicted = targets(run, horizons), model.forecast(run, horizons)
+    for run, predicted in zip(runs, forecasts, strict=True):
+        aim = targets(run, horizons)
         truth, held = run.surge[aim.rows], run.surge[aim.origins][:, None]
         pairs = np.stack(np.broadcast_arrays(bounded(predicted - truth), abs(held - truth)), -1)
         for k, h in enumerate(horizons):
@@ -218,7 +223,8 @@ def bounded(wrong: np.ndarray) -> np.ndarray:
 
 def judged(model: Model, runs: Sequence[Sample]) -> float:
     """MAE over that of persistence, mean over the horizons and the free run."""
-    pairs = [*errors(model, runs).values(), free_run_errors(model, runs)]
+    made = errors(runs, [model.forecast(run) for run in runs])
+    pairs = [*made.values(), free_run_errors(model, runs)]
     return float(np.nanmean([mae / held if held > 0 else math.nan for mae, held in pairs]))
 
 
@@ -231,15 +237,11 @@ def choose(settings: Mapping[str, Callable[[Sequence[Sample]], Model]], runs: Se
     return Fitted(settings[best](runs), best, time.process_time() - began)
 
 
-def installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
-
-
 def need(module: str, package: str) -> None:
     """Raise unless a peer's library can be imported.
 
     Raises:
         ModuleNotFoundError: it cannot; the message names the extra.
     """
-    if not installed(module):
+    if importlib.util.find_spec(module) is None:
         raise ModuleNotFoundError(f"{package} is not installed: pip install 'usvlearn[bench]'")
