@@ -212,7 +212,7 @@ class Family(Generic[S]):
 
     Attributes:
         kinds: its names in specifications.
-        state: from the size, and then the values of `lengths`, a state of `Field`s. Forecasts have three sizes, a tuple.
+        state: from the size (of forecasts a tuple), and then the values of `lengths`, a state of `Field`s.
         numbers, choices, vectors: its other declarations.
         size: the legal sizes, or a function from its entries in a specification to its size.
         optional: choices that a specification has all or none of.
