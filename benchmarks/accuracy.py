@@ -19,6 +19,7 @@ from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
 
 from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
+from usvlearn.cli.settings import ensemble_of
 from usvlearn.estimators.baselines.persistence.layer import PersistenceState
 from usvlearn.evaluation.metrics import scores
 from usvlearn.logs.recordings import align_fleet
@@ -70,8 +71,7 @@ def simulated() -> list[Log]:
 
 
 def ensemble(overrides: Sequence[str]) -> Ensemble:
-    cfg = configuration(tuple(overrides))
-    return Ensemble(instantiate(cfg.estimators), instantiate(cfg.combiners, _convert_="all"), cfg.output)
+    return ensemble_of(configuration(tuple(overrides)))
 
 
 @cache

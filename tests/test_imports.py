@@ -33,14 +33,15 @@ OURS = {
     "usvlearn.simulate": LIGHT | {"usvlearn.jit", "usvlearn.simulate", "usvlearn.logs.channel"},
     "usvlearn.hyper": LIGHT,
     "usvlearn.figures": LIGHT,
+    "usvlearn.plans": LIGHT,
     "usvlearn.estimator": LIGHT | {"usvlearn.family", "usvlearn.hyper"},
-    "usvlearn.estimators": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "certify",
-                                    *KERNELS},
-    "usvlearn.engine": LIGHT | {"usvlearn.engine", "usvlearn.estimators", *KERNELS},
-    "usvlearn.rollouts": LIGHT | {"usvlearn.engine", "usvlearn.estimator"},
+    "usvlearn.estimators": LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "usvlearn.plans",
+                                    "certify", *KERNELS},
+    "usvlearn.engine": LIGHT | {"usvlearn.engine", "usvlearn.estimators", "usvlearn.plans", *KERNELS},
+    "usvlearn.rollouts": LIGHT | {"usvlearn.engine", "usvlearn.estimator", "usvlearn.plans"},
     "usvlearn.identified": LIGHT | {"usvlearn.engine", "usvlearn.estimators"},
     "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.checkpoint",
-                                "usvlearn.engine", "usvlearn.identified"},
+                                "usvlearn.engine", "usvlearn.identified", "usvlearn.plans"},
     "usvlearn.evaluation": LEARNS | {"usvlearn.evaluation", "usvlearn.identified"},
     "usvlearn.runs": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.lock", "usvlearn.tensorboard",
                                "usvlearn.engine"},
@@ -66,7 +67,8 @@ CERTIFY = {
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",
             "usvlearn.engine", "usvlearn.online", "usvlearn.identified", "usvlearn.logs", "usvlearn.evaluation",
-            "usvlearn.lock", "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
+            "usvlearn.lock", "usvlearn.plans",
+            "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))

@@ -61,12 +61,13 @@ def rows(path: Path) -> list[dict[str, str]]:
 def test_every_file_is_there_and_replaced(saved):
     report = saved / "report"
     figures = {path.name for path in (report / "figures").iterdir()}
-    names = {"online", "crossval", "fleet", "certificates", "equilibria", "parameters_heron1", "parameters_heron2",
+    names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria", "parameters_heron1", "parameters_heron2",
              "identified_heron1", "identified_heron2"}  # fmt: skip
     assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")}
     tables = {
         "online",
         "online_fleet",
+        "forecast",
         "crossval",
         "crossval_fleet",
         "fleet",
@@ -146,7 +147,7 @@ def test_the_page_is_one_file_without_scripts_or_links(saved):
     Page().feed(text)
     assert len(ids) == len(set(ids)) and set(links) <= set(ids)
     assert "currentColor" in text and "prefers-color-scheme: dark" in text
-    assert text.count("<svg") == 9
+    assert text.count("<svg") == 10
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed")

@@ -11,7 +11,7 @@ from usvlearn.logs.recordings import align_fleet
 SMALL = [
     "~estimators.rnn", "~estimators.joint", "~estimators.joint_quick", "~estimators.arx", "~estimators.reader",
     "~combiners.ensemble", "~combiners.weighted", "output=average", "combiners.average.members=[aid,sift_map]",
-    "data.hours=0.05", "data.mission_minutes=1.5", "data.n=1",
+    "forecasts=null", "data.hours=0.05", "data.mission_minutes=1.5", "data.n=1",
 ]  # fmt: skip
 
 

@@ -9,15 +9,15 @@ output=ensemble.free            that of its free runs: the second half of each b
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import torch
 
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.rollouts import simulate, tensors
 from usvlearn.signals import Fleet, masks
+
+if TYPE_CHECKING:
+    from usvlearn.estimators.ensemble.layer import Ensemble
 
 ONE_STEP, FORECAST, FREE = "mae", "forecast", "free"
 
@@ -81,6 +81,10 @@ def free_mae(
     Returns:
         None where a boat has no measured step. A simulation that leaves ± `surge_max` errs by that limit there.
     """
+    import torch
+
+    from usvlearn.rollouts import simulate, tensors
+
     limit, names = ensemble.surge_max, ensemble.names
     total, count = np.zeros((len(fleet.boats), len(names))), np.zeros(len(fleet.boats))
     dtype = state.predictions.dtype

@@ -15,7 +15,7 @@ from usvlearn.report.section import Section
 from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
-from usvlearn.report.sections.forecasts import forecast_section
+from usvlearn.report.sections.horizon_skill import forecast_section
 from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.online_error import online_section

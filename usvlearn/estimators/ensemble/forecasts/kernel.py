@@ -30,9 +30,10 @@ def weights_after(node, s, q, time, weights):
     if k + 1 < H and time > horizons[k]:
         rise = (time - horizons[k]) / (horizons[k + 1] - horizons[k])
         width = (1 - rise) * width + rise * halfwidth(node, s, k + 1) if rise > 0 else width
-    own = s[node[AT.rule.weights] + k * M :]
+    below = s[node[AT.rule.weights] + judged(node, s, k) * M :]
+    above = s[node[AT.rule.weights] + judged(node, s, min(k + 1, H - 1)) * M :]
     for m in range(M):
-        weights[m] = (1 - rise) * own[m] + rise * own[M + m] if rise > 0 else own[m]
+        weights[m] = (1 - rise) * below[m] + rise * above[m] if rise > 0 else below[m]
     return np.inf if time > horizons[H - 1] * (1 + 1e-6) else width
 
 
@@ -101,6 +102,14 @@ def learn_due(node, s, q, surge, dt, work):
 
 
 @jit
+def judged(node, s, k):
+    """The longest horizon up to k of which enough errors are known, else the shortest."""
+    while k > 0 and s[node[AT.errors] + k] < FEW:
+        k -= 1
+    return k
+
+
+@jit
 def halfwidth(node, s, k):
     """q s over the horizon k, infinite where too few errors are known."""
     return s[node[AT.quantile] + k] * s[node[AT.error] + k] if s[node[AT.errors] + k] >= FEW else np.inf
@@ -118,7 +127,8 @@ def fill_slot(node, s, q, slot, surge, half):
         s[node[AT.since] + k] = 0.0
     s[node[AT.elapsed] + slot], s[node[AT.origin] + slot], s[node[AT.reach] + slot] = 0.0, surge, reach
     weights = s[node[AT.weights] + slot * H * M :]
-    for i in range(H * M):
-        weights[i] = s[node[AT.rule.weights] + i]
     for k in range(H):
+        own = s[node[AT.rule.weights] + judged(node, s, k) * M :]
+        for m in range(M):
+            weights[k * M + m] = own[m]
         s[node[AT.widths] + slot * H + k] = halfwidth(node, s, k)

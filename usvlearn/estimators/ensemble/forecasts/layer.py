@@ -79,7 +79,7 @@ class Forecasts(nn.Module):
         for name in names:
             if name not in members or not isinstance(members[name], Estimator):
                 known = ", ".join(key for key, each in members.items() if isinstance(each, Estimator))
-                raise ConfigError(f"forecasts.members: found {name}, expected some of {known}")
+                raise ConfigError(f"forecasts.members: found {name}, expected some of {known}, or forecasts: null")
         if not names or len(set(names)) < len(names):
             raise ConfigError(f"forecasts.members: found {', '.join(names) or 'none'}, expected each member once")
         self.names, self.coverage, self.surge_max = tuple(names), coverage, surge_max
@@ -172,7 +172,7 @@ class Forecasts(nn.Module):
     def weights_after(self, state: ForecastState, time: Tensor) -> Tensor:
         """The weights of a forecast over `time`, s, `(*batch,)`, between those of the horizons: `(*batch, M)`."""
         place = self._place(time)[..., None]
-        return (place * state.rule.weights).sum(-2)
+        return (place * self._weights(state)).sum(-2)
 
     def halfwidth_after(self, state: ForecastState, time: Tensor) -> Tensor:
         """Its half-width, m/s; infinite beyond the longest horizon, and where too few errors are known."""
@@ -227,8 +227,9 @@ class Forecasts(nn.Module):
     def monitor(self, state: ForecastState) -> dict[str, Tensor]:
         """Weights and half-widths by horizon, as `weight_MEMBER_at_10` and `halfwidth_at_10`."""
         found: dict[str, Tensor] = {}
+        weights = self._weights(state)
         for k, h in enumerate(self.horizons.tolist()):
-            own = state.rule.weights[..., k, :].unbind(-1)
+            own = weights[..., k, :].unbind(-1)
             found |= {f"weight_{name}_at_{h:g}": weight for name, weight in zip(self.names, own, strict=True)}
             found[f"halfwidth_at_{h:g}"] = self._halfwidths(state)[..., k]
         return found
@@ -295,7 +296,7 @@ class Forecasts(nn.Module):
             name: {key: where(opens, _slot(now[name][key], opens), leaf) for key, leaf in leaves.items()}
             for name, leaves in state.frozen.items()
         }
-        weights, widths = state.rule.weights[..., None, :, :], self._halfwidths(state)[..., None, :]
+        weights, widths = self._weights(state)[..., None, :, :], self._halfwidths(state)[..., None, :]
         return state._replace(
             frozen=frozen,
             elapsed=torch.where(opens, 0.0, state.elapsed),
@@ -306,6 +307,14 @@ class Forecasts(nn.Module):
             since=torch.where(begun, 0.0, state.since),
             coasted=torch.zeros_like(state.coasted),
         )
+
+    def _weights(self, state: ForecastState) -> Tensor:
+        """The weights of each horizon, `(*batch, H, M)`: those of a shorter one where too few errors are known."""
+        own, known = state.rule.weights, state.errors >= at.FEW
+        found = [own[..., 0, :]]
+        for k in range(1, own.shape[-2]):
+            found.append(torch.where(known[..., k, None], own[..., k, :], found[-1]))
+        return torch.stack(found, -2)
 
     def _halfwidths(self, state: ForecastState) -> Tensor:
         """q s, `(*batch, H)`; infinite where too few errors are known."""

@@ -20,6 +20,8 @@ and (3) learns the more slowly. The interval is infinite until k = 10. BOA forge
 Losses of a long horizon are larger. The predictions and y are divided by √(h/0.4 s) before BOA, so that its least range
 of the losses grows like those of a random walk.
 
+*A horizon with fewer than ten errors* has the weights of the next shorter one that has as many, or of the shortest.
+
 *Between horizons* weights and half-widths are interpolated linearly in time; before the first horizon they are the
 first's; beyond the last one the weights are the last's, and the interval is infinite.
 
@@ -56,7 +58,7 @@ if TYPE_CHECKING:
 HORIZONS = (0.4, 1.2, 2.0, 5.2, 10.0, 30.0)  # s
 STEP = 0.4  # s, over which the losses have their unit
 DELAY, LEAST, MOST, FIRST = 9.0, 0.3, 12.0, 2.06  # of (3): 1.645 deviations of a normal error are 2.06 mean errors
-SHARE, FEW = 1 / 200, 10.0  # of (2); errors below which an interval is infinite
+SHARE, FEW = 1 / 200, 10.0  # of (2); errors below which an interval is infinite, and the weights are another horizon's
 MOST_SLOTS, MOST_HORIZONS = 512, 32
 WIDE = Range(0.0, inf)
 EMPTY = -1.0  # s, elapsed of a slot without a forecast

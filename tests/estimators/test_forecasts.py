@@ -1,0 +1,357 @@
+"""Forecasts: free runs from origins, judged when they are due; nothing later than the origin but commands is used."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.kernel_cases import mission
+from usvlearn import (
+    AID,
+    ARX,
+    BOA,
+    Average,
+    Bank,
+    Ensemble,
+    Forecasts,
+    Inputs,
+    JointEKF,
+    Online,
+    Persistence,
+    Sample,
+    forecast,
+    rollout,
+)
+from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FEW, FIRST, MOST
+from usvlearn.evaluation.horizons import horizon_scores
+from usvlearn.rollouts import simulate
+from usvlearn.signals import Fleet, Run, named_leaves, tree_map
+
+HORIZONS, STEPS = (0.4, 2.0, 4.0), (1, 5, 10)
+
+
+@pytest.fixture(autouse=True)
+def no_gradients():
+    with torch.no_grad():
+        yield
+
+
+def ensemble(**options) -> Ensemble:
+    members = {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "aid": AID(28.0), "persistence": Persistence()}
+    rules = {"average": Average(), "boa": BOA(["joint", "arx"])}
+    return Ensemble(members, rules, forecasts=Forecasts(**({"horizons": HORIZONS, "members": list(members)} | options)))
+
+
+def plain(steps: int, *batch: int, seed: int = 0) -> Sample:
+    """Samples without faults, 0.4 s each."""
+    samples = mission(steps, *batch, seed=seed, faults=False)
+    return samples._replace(inputs=samples.inputs._replace(dt=torch.full_like(samples.inputs.dt, 0.4)))
+
+
+def made(model: Ensemble, samples: Sample, backend: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
+    leaves = ["forecasts.predictions", "forecasts.halfwidths"]
+    kept = rollout(model, model.init(samples.surge.shape[1:]), samples, leaves, backend)[2]
+    return kept[leaves[0]], kept[leaves[1]]
+
+
+def test_a_forecast_is_the_free_run_from_its_origin():
+    """With overlap 5 each step is an origin of the horizons up to 2 s, and every other one of 4 s."""
+    model, samples = ensemble(), plain(40)
+    found, _ = made(model, samples)
+    states = rollout(model, model.init(), samples, lambda state: state)[2]
+    for origin in (3, 8, 21):
+        state = tree_map(lambda leaf, k=origin: leaf[k], states)
+        ahead = tree_map(lambda x, k=origin: x[k + 1 : k + 1 + STEPS[-1]], samples)
+        blind = ahead._replace(measured=torch.zeros_like(ahead.measured))
+        free = simulate(model, state, blind, ["predictions"])[2]["predictions"]
+        for j, steps in enumerate(STEPS):
+            own = found[origin + steps, j]
+            if not own.isnan().all():
+                torch.testing.assert_close(own[:4], free[steps - 1, :4], rtol=1e-12, atol=1e-12)
+                assert own[4] == samples.surge[origin]  # persistence: what was measured at the origin
+                plan = model.forecast(state, Inputs(*(x[:steps] for x in ahead.inputs)))
+                torch.testing.assert_close(own[5], plan[0][-1], rtol=1e-12, atol=1e-12)
+        assert not found[origin + 1, 0].isnan().any() and not found[origin + 5, 1].isnan().any()
+
+
+@pytest.mark.parametrize("backend", ["kernel", "torch"])
+def test_no_forecast_uses_a_command_or_a_speed_after_its_time(backend):
+    """What is due at a step is unchanged by all samples after it, and by speeds after its origin."""
+    model, samples, k = ensemble(), plain(60), 40
+    found, widths = made(model, samples, backend)
+    later = tree_map(torch.clone, samples)
+    later.surge[k + 1 :] += 3.0
+    for x in later.inputs[:4]:
+        x[k + 1 :] = 0.9 - x[k + 1 :]
+    other, other_widths = made(model, later, backend)
+    torch.testing.assert_close(other[: k + 1], found[: k + 1], rtol=0, atol=0, equal_nan=True)
+    torch.testing.assert_close(other_widths[: k + 1], widths[: k + 1], rtol=0, atol=0, equal_nan=True)
+    speeds = tree_map(torch.clone, samples)
+    speeds.surge[k + 1 :] += 3.0
+    other, other_widths = made(model, speeds, backend)
+    for j, steps in enumerate(STEPS):
+        due = slice(k + 1, k + steps + 1)  # their origins are k and before
+        torch.testing.assert_close(other[due, j], found[due, j], rtol=0, atol=0, equal_nan=True)
+        torch.testing.assert_close(other_widths[due, j], widths[due, j], rtol=0, atol=0, equal_nan=True)
+        assert (other[k + steps + 1 :, j] - found[k + steps + 1 :, j]).abs().nan_to_num(0).max() > 0.1
+
+
+def test_how_many_forecasts_are_under_way():
+    """Over a horizon of h s some `overlap` at a time, or one a step."""
+    model, samples = ensemble(horizons=(0.4, 2.0, 20.0), overlap=4.0), plain(400)
+    _, _, kept = rollout(model, model.init(), samples, ["forecasts.predictions", "forecasts.elapsed"])
+    due = kept["forecasts.predictions"][..., -1].isfinite().double()[100:].mean(0) * 300
+    assert due[0] == 300  # every step
+    assert due[1] == 300  # 0.5 s is rounded to one step
+    assert due[2] == pytest.approx(300 / 12, abs=1)  # and 5 s to 12
+    busy = (kept["forecasts.elapsed"] >= 0).sum(-1)
+    assert busy.max() <= model.forecasts.slots and busy[100:].min() >= 5
+
+
+def test_a_segment_ends_what_is_under_way():
+    model, samples = ensemble(), plain(60)
+    samples.inputs.dt[30] = 0.0
+    found, _ = made(model, samples)
+    state = rollout(model, model.init(), tree_map(lambda x: x[:31], samples))[0]
+    assert (state.forecasts.elapsed == EMPTY).all()
+    for j, steps in enumerate(STEPS):
+        assert found[31 : 31 + steps, j].isnan().all() and found[31 + steps, j].isfinite().all()
+
+
+def test_missing_speeds_are_neither_origins_nor_targets():
+    model, samples = ensemble(), plain(60)
+    samples.measured[30:40] = False
+    leaves = ["forecasts.predictions", "forecasts.errors", "forecasts.coasted"]
+    _, _, kept = rollout(model, model.init(), samples, leaves)
+    errors = kept["forecasts.errors"][:, 0]
+    assert errors[39] == errors[29] and errors[-1] > errors[39]
+    torch.testing.assert_close(kept["forecasts.coasted"][30:40, ...], 0.4 * torch.arange(1, 11).double())
+    assert kept["forecasts.predictions"][30, 0, -1].isfinite()  # it is due, but not judged
+    assert kept["forecasts.predictions"][31:41, 0].isnan().all()  # no origin without a speed
+
+
+def test_after_an_outage_the_ensemble_predicts_with_the_weights_of_that_time():
+    model, samples = ensemble(), plain(80)
+    before = rollout(model, model.init(), tree_map(lambda x: x[:70], samples))[0]
+    rest = tree_map(lambda x: x[70:], samples)
+    _, own, kept = simulate(model, before, rest, ["predictions"])
+    members = kept["predictions"][:, [model.names.index(name) for name in model.forecasts.names]]
+    weights = model.combiners["boa"].combine(before.combiners["boa"], kept["predictions"][0, [0, 1]])
+    assert own[0] == pytest.approx(float(weights), abs=1e-12)  # the first step is the ordinary prediction
+    for k in range(1, 10):
+        expected = model.forecasts.combine(
+            before.forecasts, members[k], torch.tensor(0.4 * (k + 1), dtype=torch.float64)
+        )
+        assert own[k] == pytest.approx(float(expected), abs=1e-12)
+
+
+def test_weights_learn_by_boa_and_widths_by_their_equations():
+    """One horizon, one member beside persistence, against the equations of the module in plain Python."""
+    model = Ensemble({"aid": AID(28.0), "persistence": Persistence()}, forecasts=Forecasts((0.8,), overlap=2.0))
+    samples = plain(120)
+    leaves = ["forecasts.predictions", "forecasts.halfwidths", "forecasts.quantile", "forecasts.error"]
+    kept = rollout(model, model.init(), samples, leaves)[2]
+    rule = BOA(memory=30 + 4 * 0.8)
+    rule.bind(["aid", "persistence"])
+    state, s, q, n = rule.init((), torch.zeros((), dtype=torch.float64)), 0.0, FIRST, 0
+    for k in range(120):
+        found = kept["forecasts.predictions"][k, 0]
+        if found.isnan().all():
+            continue
+        y = samples.surge[k]
+        unit = math.sqrt(0.8 / 0.4)
+        state = rule.learn(state, found[:2] / unit, y / unit, torch.tensor(0.4, dtype=torch.float64))
+        e, n = abs(float(found[3] - y)), n + 1
+        q = min(max(q * math.exp(((e > q * s) - 0.1) / (DELAY + 2.0)), 0.3), MOST)
+        s += max(1 / n, 1 / 200) * (e - s)
+        assert kept["forecasts.error"][k, 0] == pytest.approx(s, rel=1e-9)
+        assert kept["forecasts.quantile"][k, 0] == pytest.approx(q, rel=1e-9)
+    assert n > 100
+    end = rollout(model, model.init(), samples)[0]
+    torch.testing.assert_close(end.forecasts.rule.weights[0], state.weights, rtol=1e-6, atol=1e-9)
+
+
+def test_a_horizon_that_was_hardly_judged_has_the_weights_of_a_shorter_one():
+    model = ensemble(horizons=(0.4, 2.0, 30.0))
+    state = rollout(model, model.init(), plain(60))[0].forecasts
+    assert state.errors[1] >= FEW > state.errors[2]
+    at = lambda t: model.forecasts.weights_after(state, torch.tensor(t, dtype=torch.float64))  # noqa: E731
+    torch.testing.assert_close(at(30.0), state.rule.weights[1])
+    torch.testing.assert_close(at(1.2), 0.5 * (state.rule.weights[0] + state.rule.weights[1]))
+
+
+def test_intervals_cover_what_they_say():
+    model, samples = ensemble(), plain(3000, seed=4)
+    found, widths = made(model, samples)
+    error = (found[..., -1] - samples.surge[:, None]).abs()
+    for j in range(3):
+        known = widths[:, j].isfinite() & found[:, j, -1].isfinite()
+        assert (error[known, j] <= widths[known, j]).double().mean() == pytest.approx(0.9, abs=0.03)
+        first = int(known.nonzero()[0])
+        assert (
+            found[:first, j, -1].isfinite().sum() >= FEW
+            and (widths[:first, j].isinf() | widths[:first, j].isnan()).all()
+        )
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
+def test_a_state_goes_on_where_it_was(dtype, tmp_path):
+    """Saved aboard and opened in mid-flight, bit for bit; a batch is its lanes."""
+    model, samples = ensemble().to(dtype), plain(80, 2)
+    samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)
+    whole, _ = made(model, samples)
+    half = rollout(model, model.init((2,)), tree_map(lambda x: x[:37], samples))[0]
+    online = Online(model)
+    online.state = tree_map(lambda x: x[1], half)
+    online = Online.open(online.save(tmp_path / "a.safetensors"))
+    for k in range(37, 80):
+        inputs = Inputs(*(float(x[k, 1]) for x in samples.inputs))
+        online.step(Sample(inputs, float(samples.surge[k, 1]), True, True))
+        expected = whole[k, 1].numpy()
+        rounding = 0 if dtype == torch.float64 else 1e-5  # a call and a run round differently in float32
+        np.testing.assert_allclose(online.state["forecasts.predictions"], expected, rtol=rounding)
+
+
+def test_online_forecasts_are_those_of_lanes():
+    model, samples = ensemble(), plain(50, 3)
+    state = rollout(model, model.init((3,)), samples)[0]
+    online, rng = Online(model, (3,)), np.random.default_rng(0)
+    online.state = state
+    commands, headings = rng.uniform(-1, 1, (12, 3, 2)), rng.uniform(-3, 3, (12, 3))
+    found = online.forecast(commands, headings, 0.1, dt=0.4)
+    left, right = (torch.from_numpy(np.ascontiguousarray(commands[..., k])) for k in (0, 1))
+    psi = torch.from_numpy(headings)
+    inputs = Inputs(left, right, psi, torch.full_like(psi, 0.1), torch.full_like(psi, 0.4))
+    expected = forecast(model, state, inputs)
+    np.testing.assert_allclose(found.surge, expected.surge, rtol=1e-12)
+    np.testing.assert_allclose(found.high, expected.high, rtol=1e-12)
+    assert found.time.tolist() == pytest.approx([0.4 * k for k in range(1, 13)])
+    assert np.isfinite(found.low[:10]).all() and np.isinf(found.low[10:]).all()  # beyond the longest horizon of 4 s
+    plain_torch = Online(model, (3,), backend="torch")
+    plain_torch.state = state
+    np.testing.assert_allclose(plain_torch.forecast(commands, headings, 0.1).surge, found.surge, rtol=1e-12)
+    again = online.forecast(commands, headings, 0.1)
+    np.testing.assert_array_equal(again.surge, found.surge)  # nothing was learned, and the state stays
+
+
+def test_a_forecast_before_the_first_sample_has_no_interval():
+    found = Online(ensemble()).forecast([[0.5, 0.5]] * 10, 0.0)
+    assert np.isfinite(found.surge).all() and np.isinf(found.high).all() and np.isinf(found.low).all()
+
+
+PLANS = {
+    "few_commands": (([[0.5, 0.5]] * 3, [0.0] * 4), {}, ShapeError, r"headings: found the shape \(4,\), expected one"),
+    "beyond": (([[0.5, 1.2]], 0.0), {}, ConfigError, "commands: found 1.2 for the right side in step 1, expected -1"),
+    "nan": (([[0.5, 0.5], [math.nan, 0.0]], 0.0), {}, ConfigError, "commands: found nan for the left side in step 2"),
+    "nan_heading": (([[0.5, 0.5]], math.nan), {}, ConfigError, "headings: found nan in step 1"),
+    "dt_0": (([[0.5, 0.5]], 0.0), {"dt": 0.0}, ConfigError, "dt: found 0, expected one time of 0.01 … 2 s"),
+    "dt_10": (([[0.5, 0.5]], 0.0), {"dt": 10.0}, ConfigError, "dt: found 10, expected"),
+    "dts": (([[0.5, 0.5]], 0.0), {"dt": [0.4]}, ConfigError, "dt: found the shape"),
+    "none": (([], 0.0), {}, ShapeError, "commands: found the shape"),
+    "one_side": (([0.5, 0.5, 0.5], 0.0), {}, ShapeError, r"commands: found the shape \(3,\), expected \(time, 2\)"),
+    "text": ((["left"], 0.0), {}, ShapeError, "commands: found .* expected numbers"),
+    "rates": (([[0.5, 0.5]], 0.0, [0.1, 0.2]), {}, ShapeError, r"yaw_rates: found the shape \(2,\)"),
+}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_plan_that_cannot_be_is_refused_in_one_sentence(name):
+    arguments, options, error, message = PLANS[name]
+    with pytest.raises(error, match=message):
+        Online(ensemble()).forecast(*arguments, **options)
+
+
+def test_yaw_rates_are_those_of_the_headings():
+    online = Online(ensemble())
+    online.state = rollout(ensemble(), ensemble().init(), plain(40))[0]
+    headings = [3.0, 3.1, -3.08, -2.98]  # through south
+    rates = [0.25, (2 * math.pi - 6.18) / 0.4, 0.25, 0.25]
+    found = [online.forecast([[0.5, 0.2]] * 4, headings, each).surge for each in (None, rates)]
+    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
+
+
+def test_an_estimator_without_forecasts_says_what_to_add():
+    for estimator in (AID(28.0), Ensemble({"aid": AID(28.0)})):
+        for backend in ("auto", "torch"):
+            with pytest.raises(ConfigError, match=r"found an estimator without forecasts, .* forecasts=Forecasts\(\)"):
+                Online(estimator, backend=backend).forecast([[0.5, 0.5]], 0.0)
+
+
+OPTIONS = {
+    "horizons": (dict(horizons=(2.0, 1.0)), "forecasts.horizons: found .*, expected 1 … 32 times, increasing"),
+    "no_horizon": (dict(horizons=()), "forecasts.horizons"),
+    "negative": (dict(horizons=(-1.0,)), "forecasts.horizons: found -1.0, expected a positive number of s"),
+    "overlap": (dict(overlap=0.0), "forecasts.overlap: found 0.0, expected a positive number"),
+    "many": (dict(overlap=1000.0), "forecasts.overlap: found 1000.0, expected less: .* of 512 at most"),
+    "unknown": (dict(members=["rnn"]), "forecasts.members: found rnn, expected some of joint, arx, aid, persistence"),
+    "twice": (dict(members=["aid", "aid"]), "forecasts.members: found aid, aid, expected each member once"),
+    "none": (dict(members=[]), "forecasts.members: found none"),
+    "share": (dict(share=2.0), "share: found 2.0"),
+}
+
+
+@pytest.mark.parametrize("name", OPTIONS)
+def test_options_that_are_not_legal(name):
+    options, message = OPTIONS[name]
+    with pytest.raises(ConfigError, match=message):
+        ensemble(**options)
+
+
+def test_a_bank_is_no_member_of_forecasts():
+    members = {"bank": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "aid": AID(28.0)}
+    with pytest.raises(ConfigError, match=r"forecasts.members: found bank_slow, expected some of aid"):
+        Ensemble(members, forecasts=Forecasts())
+    assert Ensemble(members, forecasts=Forecasts(members=["aid"])).forecasts.names == ("aid",)
+
+
+def test_a_custom_estimator_is_forecast_in_torch():
+    class Slow(Persistence):
+        def predict(self, state, inputs):
+            state, surge = super().predict(state, inputs)
+            return state._replace(surge=0.9 * state.surge), 0.9 * surge
+
+        def update(self, state, inputs, surge):
+            return state._replace(surge=surge)
+
+    model = Ensemble({"slow": Slow()}, forecasts=Forecasts((2.0,)))
+    samples = plain(20)
+    found, _ = made(model, samples)
+    assert found[7, 0, 0] == pytest.approx(0.9**5 * float(samples.surge[2]))
+
+
+def test_scores_by_horizon_against_a_plain_loop():
+    model, samples = ensemble(), plain(60, 2)
+    samples.measured[20:25, 1] = False
+    found, widths = made(model, samples)
+    arrays = {"forecasts": found.flatten(2).numpy(), "forecast_halfwidths": widths.numpy()}
+    run = Run(np.zeros((60, 2)), tree_map(lambda x: x.numpy(), samples), ("a", "a"), (60, 60))
+    fleet = Fleet(("one", "two"), (run,), {})
+    columns = model.forecasts.columns
+    scores = horizon_scores(fleet, [(0, 0, arrays)], HORIZONS, columns)
+    for lane, boat in enumerate(fleet.boats):
+        for j, horizon in enumerate(("0.4", "2", "4")):
+            errors, inside = [], []
+            for k in range(60):
+                if samples.measured[k, lane] and found[k, lane, j, -1].isfinite():
+                    errors.append([abs(float(x - samples.surge[k, lane])) for x in found[k, lane, j]])
+                    if widths[k, lane, j].isfinite():
+                        inside.append(errors[-1][-1] <= float(widths[k, lane, j]))
+            mean = np.mean(errors, 0)
+            for name, mae in zip(columns, mean, strict=True):
+                row = scores[boat][name][horizon]
+                assert row["mae"] == pytest.approx(mae) and row["steps"] == len(errors)
+                assert row["skill"] == pytest.approx(1 - mae / mean[4])
+            assert scores[boat]["ensemble"][horizon]["covers"] == (pytest.approx(np.mean(inside)) if inside else None)
+    assert json.dumps(scores)
+
+
+def test_only_the_leaves_of_a_free_run_are_kept():
+    frozen = ensemble().init().forecasts.frozen
+    assert {name: sorted(leaves) for name, leaves in frozen.items()} == {
+        "joint": ["commands", "mean", "started", "surge"], "arx": ["past", "started", "surge", "theta"],
+        "aid": ["surge", "theta"], "persistence": ["surge"],
+    }  # fmt: skip
+    assert not any("factor" in name for name, _ in named_leaves(frozen))
