@@ -122,27 +122,31 @@ def reported(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
     yield f"| a simulated boat, median | {cells(np.median(every[:, 2], 0), 0)} |"
 
 
+def halves(real: Sequence[Log], more: tuple[str, ...] = ()) -> list[np.ndarray]:
+    """Skill on the first halves of recorded boats."""
+    return [by_horizon(log, more, first_half(log))[0] for log in real]
+
+
 def members(label: str) -> tuple[str, ...]:
     return (*ADDED.get(label, ()), f"forecasts.members=[{','.join(SETS[label])}]")
 
 
 def ablation(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
-    """Skill by horizon, less that of the default: first halves and simulated boats, on which the members were chosen."""
-    base = [by_horizon(log, (), first_half(log))[0] for log in real], [by_horizon(log)[0] for log in boats]
+    """Skill by horizon, less that of the default, on the logs on which the members were chosen."""
+    base = halves(real), [by_horizon(log)[0] for log in boats]
     yield from head("skill, less the default's: first halves of recorded boats / simulated boats, means")
     for label in SETS:
         more = members(label)
-        found = [by_horizon(log, more, first_half(log))[0] for log in real], [by_horizon(log, more)[0] for log in boats]
+        found = halves(real, more), [by_horizon(log, more)[0] for log in boats]
         gains = [np.nanmean(np.stack(a) - np.stack(b), 0) for a, b in zip(found, base, strict=True)]
-        text = (f"{x:+.3f} / {y:+.3f}" for x, y in zip(*gains, strict=True))
-        yield f"| {label} | " + " | ".join(text) + " |"
+        yield f"| {label} | " + " | ".join(f"{x:+.3f} / {y:+.3f}" for x, y in zip(*gains, strict=True)) + " |"
 
 
 def overlaps(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
     yield from head("overlap: first halves of recorded boats / simulated boats, means")
     for overlap in OVERLAPS:
         more = () if overlap == 5 else (f"forecasts.overlap={overlap:g}",)
-        found = [by_horizon(log, more, first_half(log))[0] for log in real], [by_horizon(log, more)[0] for log in boats]
+        found = halves(real, more), [by_horizon(log, more)[0] for log in boats]
         means = [np.nanmean(np.stack(each), 0) for each in found]
         yield f"| {overlap:g} | " + " | ".join(f"{x:.3f} / {y:.3f}" for x, y in zip(*means, strict=True)) + " |"
 

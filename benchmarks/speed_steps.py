@@ -58,6 +58,7 @@ def estimators() -> dict[str, Estimator]:
         "joint, n = 23": of["joint"],
         "rnn, n = 20": of["rnn"],
         "joint, n = 16": JointEKF(2.74, mass, even=None),
+        "default ensemble, no forecasts": accuracy.ensemble(("forecasts=null",)),
         "default ensemble": ensemble,
     }
 

@@ -220,7 +220,7 @@ class Family(Generic[S]):
         work: from the size, the length of the work array that its kernel needs.
         heading: from its entries, whether it needs the heading.
         remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
-        frozen: the leaves, by dotted name, that a free run needs: those that `free_step` reads or changes.
+        frozen: the leaves, by dotted name, that a free run needs: those that `free_step` reads or changes; None: all.
 
     >>> from usvlearn.estimators.aid.state import FAMILY
     >>> FAMILY.at.surge - FAMILY.at.theta, list(FAMILY.leaves(9))
@@ -238,7 +238,7 @@ class Family(Generic[S]):
     work: Callable[[int], int] = lambda size: 0
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
     remembers: Callable[[Mapping[str, Any]], bool] = lambda own: False
-    frozen: tuple[str, ...] = ()
+    frozen: tuple[str, ...] | None = None
 
     @property
     def at(self) -> S:

@@ -61,7 +61,8 @@ def rows(path: Path) -> list[dict[str, str]]:
 def test_every_file_is_there_and_replaced(saved):
     report = saved / "report"
     figures = {path.name for path in (report / "figures").iterdir()}
-    names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria", "parameters_heron1", "parameters_heron2",
+    names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria",
+             "parameters_heron1", "parameters_heron2",
              "identified_heron1", "identified_heron2"}  # fmt: skip
     assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")}
     tables = {

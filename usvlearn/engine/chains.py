@@ -33,6 +33,7 @@ VERBS = {
     "predict": "node, s, q, x, work",
     "coast": "node, s, q, x, predicted, work",
     "learn": "node, s, q, x, estimate, target, work",
+    # Without one of its own, a family makes a step of a free run by `predict` and `coast`.
     "free_step": "node, s, q, x, work",
     # Optional: only a family with a covariance has the first; the second is a faster loop over all steps of one lane.
     "inflate_covariance": "node, s, q, factor",
@@ -49,6 +50,24 @@ def having(verb: str) -> dict[int, Any]:
     return {k: getattr(kernel, verb) for k, kernel in enumerate(KERNELS) if hasattr(kernel, verb)}
 
 
+COASTED = """
+@jit
+def free_step(node, s, q, x, work):
+    predicted, _ = predict(node, s, q, x, work)
+    coast(node, s, q, x, predicted, work)
+    return predicted
+"""
+
+
+def free_step_of(kernel: Any) -> Any:
+    """A family's `free_step`, or one that is made of its `predict` and `coast`."""
+    if hasattr(kernel, "free_step"):
+        return kernel.free_step
+    names = {"__name__": kernel.__name__, "jit": jit, "predict": kernel.predict, "coast": kernel.coast}
+    exec(compile(COASTED, kernel.__file__, "exec"), names)
+    return names["free_step"]
+
+
 def bits(verb: str) -> int:
     """The families that have a verb, as a bit mask."""
     return sum(1 << k for k in having(verb))
@@ -56,7 +75,8 @@ def bits(verb: str) -> int:
 
 def chain(verb: str) -> Any:
     """The function of a verb."""
-    own, lines = having(verb), [f"def {verb}({VERBS[verb]}):"]
+    own = dict(enumerate(map(free_step_of, KERNELS))) if verb == "free_step" else having(verb)
+    lines = [f"def {verb}({VERBS[verb]}):"]
     for k in own:
         call = f"return {verb}_{k}({VERBS[verb]})"
         last = k == max(own)

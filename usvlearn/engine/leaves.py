@@ -69,10 +69,11 @@ def frozen(description: Description) -> dict[str, Field]:
     """
     part = unwrapped(description)
     family, every = KINDS[part.own["kind"]], _member(description, "")
-    names = [part.prefix + name for name in family.frozen]
+    names = list(family.frozen or family.leaves(part.own["size"], own=part.own))
+    found = [part.prefix + name for name in names]
     if "memory" in part.wrappers:
-        names += [part.wrappers["memory"][1] + name for name in WRAPPERS["memory"].frozen]
-    return {name: every[name] for name in names}
+        found += [part.wrappers["memory"][1] + name for name in WRAPPERS["memory"].frozen or ()]
+    return {name: every[name] for name in found}
 
 
 def forecast_size(made: Description) -> tuple[int, int, int]:

@@ -237,7 +237,7 @@ class Forecasts(nn.Module):
     def _leaves(self, member: Estimator, state: Any) -> dict[str, Tensor]:
         """The leaves of a member's state that its free run needs, by dotted name."""
         leaves = dict(named_leaves(state))
-        names = member.frozen if spec_of(member) is not None else None  # a subclass may need others
+        names = None if spec_of(member) is None else member.frozen  # a subclass may need others
         return leaves if names is None else {name: leaves[name] for name in names}
 
     def _free(
