@@ -97,6 +97,7 @@ def main() -> None:
         "",
         "Measured by `python benchmarks/ablation.py LOGS`: MAE of the ensemble with one piece switched off or added,",
         "over that of the default, whole logs, one step ahead. Above 1, the piece as it is by default pays.",
+        "`benchmarks/forecast.md` has the members of forecasts, by horizon.",
         "",
         *table(logs),
         "",

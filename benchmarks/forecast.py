@@ -158,10 +158,11 @@ def main() -> None:
     publish(__file__, [
         "# Forecasts",
         "",
-        "Measured by `python benchmarks/forecast.py LOGS` with the default configuration, learned online, each forecast",
-        "made before anything after its origin was seen, told only the commands, headings and yaw rates that came. Skill",
-        f"is 1 − MAE/MAE(persistence from the same origins). Simulated: five plants, three boats each, {HOURS} h, seed "
-        f"{SEED}. – : fewer than {FEW} forecasts.",
+        "Measured by `python benchmarks/forecast.py LOGS` with the default configuration, learned online. Each forecast",
+        "is made before anything after its origin is seen, and is told only the commands, headings and yaw rates that",
+        "came. Skill is 1 − MAE/MAE(persistence from the same origins). Simulated: five plants, three boats each, "
+        f"{HOURS} h, seed {SEED}.",
+        f"– : fewer than {FEW} forecasts.",
         "",
         *reported(real, simulated()),
         "",
