@@ -55,34 +55,29 @@ def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tu
     Traceback (most recent call last):
     usvlearn.errors.ConfigError: commands: found 1.4 for the right side in step 1, expected -1 … 1, shares of full scale
     """
-    dt = _numbers("dt", dt)
-    if dt.ndim or not LEAST_DT <= dt <= MOST_DT:
-        raise ConfigError(f"dt: found {_shown(dt)}, expected one time of {LEAST_DT:g} … {MOST_DT:g} s for all steps")
+    h = _numbers("dt", dt)
+    if h.ndim or not LEAST_DT <= h <= MOST_DT:
+        raise ConfigError(f"dt: found {_shown(h)}, expected one time of {LEAST_DT:g} … {MOST_DT:g} s for all steps")
     u = _numbers("commands", commands)
-    steps = len(u) if u.ndim else 0
-    if u.ndim not in (2, 2 + len(batch)) or u.shape[-1] != 2 or not 1 <= steps <= MOST_STEPS:
+    shape = (len(u) if u.ndim else 0, *batch)
+    if u.shape == (shape[0], 2) and batch:
+        u = np.broadcast_to(u.reshape(-1, *[1] * len(batch), 2), (*shape, 2))
+    if u.shape != (*shape, 2) or not 1 <= len(u) <= MOST_STEPS:
         wide = "(time, 2)" if not batch else f"(time, 2) or (time, {', '.join(map(str, batch))}, 2)"
         raise ShapeError(f"commands: found the shape {u.shape}, expected {wide} with 1 … {MOST_STEPS} steps")
-    if u.ndim < 2 + len(batch):
-        u = u.reshape(steps, *[1] * len(batch), 2)
-    shape = (steps, *batch)
-    if u.shape[:-1] != shape and any(own not in (1, all_) for own, all_ in zip(u.shape, shape, strict=False)):
-        raise ShapeError(f"commands: found the shape {u.shape}, expected {(*shape, 2)}")
-    for side, values in zip(("left", "right"), np.moveaxis(u, -1, 0), strict=True):
+    left, right = u[..., 0], u[..., 1]
+    for side, values in (("left", left), ("right", right)):
         _check_range("commands", values, 1.0, "shares of full scale", f" for the {side} side")
     psi = _wide("headings", headings, shape)
     _check_range("headings", psi, HEADING, "rad")
     if yaw_rates is None:
-        change = np.diff(psi, axis=0, append=psi[-1:])
-        turn = np.remainder(change + math.pi, 2 * math.pi) - math.pi
-        if steps > 1:
-            turn[-1] = turn[-2]
-        r = turn / dt
+        turn = np.remainder(np.diff(psi, axis=0) + math.pi, 2 * math.pi) - math.pi
+        last = turn[-1:] if len(turn) else np.zeros_like(psi)
+        r = np.concatenate([turn, last]) / h
     else:
         r = _wide("yaw_rates", yaw_rates, shape)
         _check_range("yaw_rates", r, YAW_RATE, "rad/s")
-    left, right = (np.broadcast_to(x, shape).astype(float) for x in np.moveaxis(u, -1, 0))
-    return Inputs(left, right, psi, r, np.full(shape, float(dt)))
+    return Inputs(left, right, psi, r, np.full(shape, float(h)))
 
 
 def check_plan(inputs: Inputs) -> None:
@@ -109,22 +104,22 @@ def _numbers(name: str, value: Any) -> np.ndarray:
 def _wide(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     """One number, `(time,)` or `(time, *batch)` as an array `(time, *batch)`."""
     found = _numbers(name, value)
-    if found.ndim not in (0, 1, len(shape)) or (found.ndim and found.shape != shape[: found.ndim]):
-        raise ShapeError(
-            f"{name}: found the shape {found.shape}, expected one number, or {shape} as the commands have it"
-        )
-    if found.ndim == 1:
-        found = found.reshape(shape[0], *[1] * (len(shape) - 1))
-    return np.broadcast_to(found, shape).copy()
+    if found.ndim == 0:
+        return np.full(shape, float(found))
+    if found.shape == shape:
+        return found
+    if found.shape != shape[:1]:
+        raise ShapeError(f"{name}: found the shape {found.shape}, expected one number, or {shape} as the commands have")
+    return np.broadcast_to(found.reshape(-1, *[1] * (len(shape) - 1)), shape)
 
 
 def _check_range(name: str, values: np.ndarray, limit: float, unit: str, of: str = "") -> None:
-    wrong = ~(np.abs(values) <= limit)
-    if wrong.any():
-        place = tuple(np.argwhere(wrong)[0])
-        raise ConfigError(
-            f"{name}: found {values[place]:g}{of} in step {place[0] + 1}, expected {-limit:g} … {limit:g}, {unit}"
-        )
+    if -limit <= values.min() and values.max() <= limit:  # not so where one is NaN
+        return
+    place = tuple(np.argwhere(~(np.abs(values) <= limit))[0])
+    raise ConfigError(
+        f"{name}: found {values[place]:g}{of} in step {place[0] + 1}, expected {-limit:g} … {limit:g}, {unit}"
+    )
 
 
 def _shown(value: np.ndarray) -> str:
