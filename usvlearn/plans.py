@@ -66,17 +66,16 @@ def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tu
         wide = "(time, 2)" if not batch else f"(time, 2) or (time, {', '.join(map(str, batch))}, 2)"
         raise ShapeError(f"commands: found the shape {u.shape}, expected {wide} with 1 … {MOST_STEPS} steps")
     left, right = u[..., 0], u[..., 1]
-    for side, values in (("left", left), ("right", right)):
-        _check_range("commands", values, 1.0, "shares of full scale", f" for the {side} side")
-    psi = _wide("headings", headings, shape)
-    _check_range("headings", psi, HEADING, "rad")
+    if not _within(u, 1.0):
+        for side, values in (("left", left), ("right", right)):
+            _check_range("commands", values, 1.0, "shares of full scale", f" for the {side} side")
+    psi = _wide("headings", headings, shape, HEADING, "rad")
     if yaw_rates is None:
         turn = np.remainder(np.diff(psi, axis=0) + math.pi, 2 * math.pi) - math.pi
         last = turn[-1:] if len(turn) else np.zeros_like(psi)
         r = np.concatenate([turn, last]) / h
     else:
-        r = _wide("yaw_rates", yaw_rates, shape)
-        _check_range("yaw_rates", r, YAW_RATE, "rad/s")
+        r = _wide("yaw_rates", yaw_rates, shape, YAW_RATE, "rad/s")
     return Inputs(left, right, psi, r, np.full(shape, float(h)))
 
 
@@ -101,11 +100,14 @@ def _numbers(name: str, value: Any) -> np.ndarray:
     return found
 
 
-def _wide(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """One number, `(time,)` or `(time, *batch)` as an array `(time, *batch)`."""
+def _wide(name: str, value: Any, shape: tuple[int, ...], limit: float, unit: str) -> np.ndarray:
+    """One number, `(time,)` or `(time, *batch)` as an array `(time, *batch)`, whose numbers are within ± `limit`."""
     found = _numbers(name, value)
     if found.ndim == 0:
-        return np.full(shape, float(found))
+        if not abs(one := float(found)) <= limit:
+            _check_range(name, found.reshape(1), limit, unit)
+        return np.full(shape, one)
+    _check_range(name, found, limit, unit)
     if found.shape == shape:
         return found
     if found.shape != shape[:1]:
@@ -113,8 +115,13 @@ def _wide(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     return np.broadcast_to(found.reshape(-1, *[1] * (len(shape) - 1)), shape)
 
 
+def _within(values: np.ndarray, limit: float) -> bool:
+    """Whether all numbers are within ± `limit`, and none is NaN."""
+    return not values.size or bool(-limit <= values.min() and values.max() <= limit)
+
+
 def _check_range(name: str, values: np.ndarray, limit: float, unit: str, of: str = "") -> None:
-    if -limit <= values.min() and values.max() <= limit:  # not so where one is NaN
+    if _within(values, limit):
         return
     place = tuple(np.argwhere(~(np.abs(values) <= limit))[0])
     raise ConfigError(

@@ -40,6 +40,9 @@ def compile_plans(dtype: np.dtype) -> None:
     compile_steps(dtype)
     if NUMBA.DISABLE_JIT:
         return
-    numbers, rows, program = np.zeros(1, dtype), np.zeros((0, ROW), dtype), np.zeros((1, 2 * WIDTH), np.int64)
+    numbers, none, program = np.zeros(2 * ROW, dtype), np.zeros(0, dtype), np.zeros((1, 2 * WIDTH), np.int64)
     with COMPILING, announced(forecasting.__file__, f"kernels of forecasts, {dtype}"):
-        forecasting.forecast_plan(program, numbers, numbers, rows, 1.0, numbers, np.zeros((0, 2), dtype), numbers)
+        found = np.zeros((0, 2), dtype)
+        forecasting.forecast_plan(
+            program, numbers, numbers, none, none, none, none, none, False, 1.0, numbers, found, numbers
+        )

@@ -14,7 +14,7 @@ from usvlearn.estimators.ensemble.forecasts.state import AT, EMPTY, Choice, Vect
 from usvlearn.estimators.wrappers.memory.kernel import recall, remember
 from usvlearn.family import CHOICES, WIDTH, Node
 from usvlearn.jit import jit
-from usvlearn.rows import DT, INPUTS, SURGE
+from usvlearn.rows import DT, INPUTS, ROW, SURGE, prepare
 
 PLACE = CHOICES + 8  # in the first row of the table: there stands the index of the forecasts' row, −1 without
 
@@ -87,18 +87,19 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
 
 
 @jit(entry=True)
-def forecast_plan(program, s, q, rows, limit, slot, found, work):
-    """Forecast the steps `rows`, `(time, ROW)`: writes predictions and half-widths, m/s, `(time, 2)`.
+def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, found, work):
+    """Forecast the steps of a plan, arrays `(time,)`: writes predictions and half-widths, m/s, `(time, 2)`.
 
-    `slot` is an array of the length of a slot.
+    `heads`: whether a member needs the heading. `slot` is an array of the length of a slot.
     """
     node, elapsed = program[program[0, PLACE]], 0.0
     M = node[Choice.MEMBERS]
-    x, weights, rest = work[:M], work[M : 2 * M], work[2 * M :]
+    x, weights, rest, row = work[:M], work[M : 2 * M], work[2 * M :], work[-ROW:]
     freeze(node, s, slot)
-    for k in range(len(rows)):
-        step_frozen(program, node, slot, q, rows[k], limit, x, rest)
-        elapsed += rows[k, DT]
+    for k in range(len(left)):
+        prepare(left[k], right[k], heading[k], yaw_rate[k], dt[k], np.nan, True, False, heads, limit, row)
+        step_frozen(program, node, slot, q, row, limit, x, rest)
+        elapsed += dt[k]
         found[k, 1] = weights_after(node, s, q, elapsed, weights)
         found[k, 0] = combine(node, q, weights, x)
 

@@ -18,7 +18,6 @@ from usvlearn.engine.leaves import Description, batch_of, leaves_of
 from usvlearn.engine.program import plan_for
 from usvlearn.errors import ConfigError
 from usvlearn.plans import NONE
-from usvlearn.rows import ROW, prepare_all
 from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
 LIVE = step.step_once
@@ -97,15 +96,15 @@ class Live:
             raise ConfigError(NONE)
         compile_plans(dtype)
         steps, lanes = len(inputs.dt), plan.lanes
-        rows, found = np.empty((lanes, steps, ROW), dtype), np.empty((lanes, steps, 2), dtype)
-        columns = Inputs(*(np.ascontiguousarray(x.reshape(steps, lanes), dtype) for x in inputs))
-        yes = np.ones((steps, lanes), bool)
+        found, slot = np.empty((lanes, steps, 2), dtype), np.empty(plan.slot, dtype)
+        columns = [np.ascontiguousarray(x.reshape(steps, lanes).T, dtype) for x in inputs]
+        heads, limit = bool(plan.program[0, step.Whole.HEADS] > 0), step.surge_limit(plan.program, plan.numbers[0])
         with self._lock:
-            heads, limit = plan.program[0, step.Whole.HEADS] > 0, step.surge_limit(plan.program, plan.numbers[0])
-            prepare_all(*columns, np.zeros((steps, lanes), dtype), yes, yes, heads, limit, rows)
-            slot = np.empty(plan.slot, dtype)
             for lane, (program, s, q, work) in enumerate(self._steps):
-                forecast_plan(program, s, q, rows[lane], limit, slot, found[lane], work)
+                left, right, heading, yaw_rate, dt = (x[lane] for x in columns)
+                forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, found[lane], work)
+        if not plan.batch:
+            return found[0, :, 0], found[0, :, 1]
         wide = np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, 2)
         return wide[..., 0], wide[..., 1]
 
