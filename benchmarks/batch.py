@@ -31,7 +31,8 @@ PEERS = {
     "GRU, torch": gru,
     "batch output error": physics,
 }
-OURS = ("joint", "joint_quick", "arx", "reader", "ensemble")
+OURS = ("joint", "joint_quick", "arx", "reader", "rnn", "rnn_replay", "ensemble")
+REPLAY = "+estimator@estimators.rnn_replay=rnn_replay"  # it has rows, and no weight in the ensemble
 Skills = dict[int, float]  # by horizon, steps
 
 
@@ -58,13 +59,14 @@ def recorded(folder: Path, name: str) -> Log:
     """A recorded boat: the halves of its runs, or of its only run."""
     log = accuracy.recorded(folder, name)
     parts = [[tree_map(lambda x: x[:, 0].numpy(), run) for run in half] for half in accuracy.halves(log)]
-    return Log(name, *parts, accuracy.configuration(log.overrides).vehicle.surge_max, log.overrides)
+    top = accuracy.configuration(log.overrides).vehicle.surge_max
+    return Log(name, *parts, top, (*log.overrides, REPLAY))
 
 
 def simulated(plant: str, seed: int = SEED) -> Log:
     """A simulated boat: 3 h to learn from, and the hour after them."""
     (boat,), (mass, top) = boats(plant, seed, n=1), NOMINAL[plant]
-    given = (f"data.plant={plant}", f"vehicle.mass={mass}", f"vehicle.surge_max={top}")
+    given = (f"data.plant={plant}", f"vehicle.mass={mass}", f"vehicle.surge_max={top}", REPLAY)
     return Log(plant, boat.learned, boat.later, top, given)
 
 
