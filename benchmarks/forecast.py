@@ -158,7 +158,7 @@ def main() -> None:
     publish(__file__, [
         "# Forecasts",
         "",
-        "Measured by `python benchmarks/forecast.py LOGS` with the default configuration, learned online. Each forecast",
+        "Measured by `python benchmarks/forecast.py LOGS`: the default configuration, learned online. Each forecast",
         "is made before anything after its origin is seen, and is told only the commands, headings and yaw rates that",
         "came. Skill is 1 − MAE/MAE(persistence from the same origins).",
         f"Simulated: five plants, 3 boats each, {HOURS} h, seed {SEED}. – : fewer than {FEW} forecasts.",
