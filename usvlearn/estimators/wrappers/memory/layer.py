@@ -49,7 +49,7 @@ class WithMemory(Estimator):
     @property
     def frozen(self) -> tuple[str, ...] | None:  # type: ignore[override]  # of the estimator within
         inner = self.estimator.frozen
-        return None if inner is None else (*(f"inner.{name}" for name in inner), *FAMILY.frozen)
+        return None if inner is None else (*(f"inner.{name}" for name in inner), *(FAMILY.frozen or ()))
 
     def free_step(self, state: MemoryState, inputs: Inputs) -> tuple[MemoryState, Tensor]:
         inner, surge = self.estimator.free_step(state.inner, self._with_memory(state, inputs))
