@@ -28,7 +28,6 @@ The derivation is in `docs/theory.md`, section 21.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -36,10 +35,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.estimators.joint.quantities import EVEN_BESIDE, QUANTITIES, SIDES, gradients, steps_of
+from usvlearn.estimators.joint.lacking import (
+    SILENT,
+    WRONG_SIGN,
+    Quantity,
+    astray,
+    lacking,
+    misstated,
+    stated_top,
+    undetermined,
+)
+from usvlearn.estimators.joint.quantities import QUANTITIES, gradients, steps_of
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
-from usvlearn.estimators.joint.state import DROPPED, NOISE_LEAST, NORTH, THETA, names
-from usvlearn.estimators.regressors.terms import SURGE
+from usvlearn.estimators.joint.state import DROPPED, THETA
 
 DEVIATIONS = 1.645  # of a normal distribution: 90 %
 FEW_P, FEW_C = 8.0, 2.0  # of (1)
@@ -47,27 +55,6 @@ FIRST, FADES = 600.0, 300.0  # s, of (2)
 POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
 WIDEST = math.log(1000)  # exponent of an interval on the log scale
 OWN_ERROR = {"drag_cross": 1.5}  # standard deviation relative to the value: noise in the yaw rate makes it too small
-SILENT = 2 * NOISE_LEAST  # m/s, of the noise: no sensor is as good
-FEW = 100  # learned steps below which nothing else is said
-UNUSED = 0.8  # of (3): no step told anything
-VAGUE_DRAG, VAGUE_THRUST = 0.1, 0.3  # of (3), beyond which an interval contains the prior's
-ONE_HEADING = 0.9  # share of the current's variance across the heading, after some 10 min without a turn
-WIDE = 0.5  # half-width over value, beyond which a quantity is not well determined
-FAR = 1.5  # ratio of the steady speed to vehicle.surge_max, or its inverse
-ASTERN_ONLY = 4.0, 0.1  # ratio of (3) ahead to (3) astern, and least (3) ahead, where the boat went astern only
-WRONG_SIGN = (
-    "known: the forces have the opposite sign of those found, so that neither mass nor forces can be told; thrust "
-    "ahead is positive, drag negative: correct the signs, and learn anew."
-)
-
-
-class Quantity(NamedTuple):
-    """A quantity with its 90 % interval; NaN where nothing is known."""
-
-    value: float
-    low: float
-    high: float
-    unit: str
 
 
 class Beside(NamedTuple):
@@ -221,12 +208,12 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
             f"{(DROPPED + 1) * every / 60:g} min of learned steps."
         )
     silent = float(state["noise"]) <= SILENT**2
-    found = _found(P, variance, float(numbers["current"]), float(state["updates"]), silent)
+    found = lacking(P, variance, float(numbers["current"]), float(state["updates"]), silent)
     total = inflation * P[THETA:, THETA:] + spread + np.diag(found.astern)
     values, slopes = gradients(theta, mass, inverse, steps_of(variance))
     top = values["steady_speed_full"]
-    total *= _astray(top, variance)
-    speed = max(abs(top), 1e-9) if math.isfinite(top) else _stated(variance)
+    total *= astray(top, variance)
+    speed = max(abs(top), 1e-9) if math.isfinite(top) else stated_top(variance)
     beside = Beside(2 * found.blind / speed, now, prior, variance, found.vague)
     present, (first, first_slopes) = (
         quantities_of(now, mass, inverse),
@@ -237,7 +224,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         each = values[name], float(present[name]), first[name]
         return beside.interval(name, each, slopes[name], first_slopes[name], total)
 
-    said = _top(top, *interval("steady_speed_full"), variance)
+    said = misstated(top, *interval("steady_speed_full"), variance)
     if top < 0:  # a sign is reversed
         beside = beside._replace(vague=True)
     wrong = [WRONG_SIGN] if theta @ inverse < 0 else []
@@ -251,101 +238,13 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         quantities,
         basis,
         "" if wrong else _scale(inverse, mass),
-        tuple(lacks or _wide(quantities)),
+        tuple(lacks or undetermined(quantities)),
         mass,
         inverse,
         theta,
         total,
         beside,
     )
-
-
-class _Found(NamedTuple):
-    """What a log lacks."""
-
-    lacks: tuple[str, ...]
-    vague: bool  # whether the drag or the thrust is not informed
-    astern: np.ndarray  # (m,) variance of even terms, to be added where the boat never went ahead
-    blind: float  # m/s, standard deviation of a current that cannot be separated from the speed
-
-
-def _found(P: np.ndarray, variance: np.ndarray, current: float, updates: float, silent: bool) -> _Found:
-    """What a log lacks, from the covariance P, `(n, n)`, and the prior variance of the parameters, `(m,)`.
-
-    `silent`: the speed has no noise, as that of a channel that is stuck.
-    """
-    m = len(variance)
-    even = m == len(names(even=True))
-    share = {
-        name: _least_share(A @ P[THETA:, THETA:] @ A.T, A @ (variance[:, None] * A.T))
-        for name, A in _combinations(even).items()
-    }  # (3)
-    drag, ahead, astern, apart = (share[name] for name in ("drag", "ahead", "astern", "apart"))
-    shares = np.linalg.eigvalsh(P[NORTH:THETA, NORTH:THETA]) / current**2
-    never = [side for side in SIDES if share[side] > UNUSED]
-    pushed = share[f"ahead_{next(side for side in SIDES if side not in never)}"] if len(never) == 1 else ahead
-    vague, lacks = drag > VAGUE_DRAG or pushed > VAGUE_THRUST, []
-    only_astern = even and ahead > ASTERN_ONLY[0] * astern and ahead > ASTERN_ONLY[1]
-    turned = bool(shares[-1] < ONE_HEADING)
-    if updates < FEW:
-        learned = "1 step was" if updates == 1 else f"{updates:.0f} steps were"
-        lacks.append(f"Only {learned} learned under way: the intervals are almost those before any data.")
-        turned = True
-    elif silent:
-        lacks.append("The measured speed does not change, or has no noise: check the speed channel.")
-        vague = True
-    elif drag > VAGUE_DRAG and not only_astern:
-        lacks.append(
-            "The speed hardly changed: neither drag nor thrust can be determined. Let the sum of the commands vary, or "
-            "check the speed channel."
-        )
-    elif len(never) == 1:
-        lacks.append(f"The {never[0]} thruster was never used: its thrust is only an assumption.")
-    elif vague and not only_astern:
-        lacks.append("The sum of the commands hardly changed: the thrust cannot be determined. Let the sum vary.")
-    elif apart > UNUSED:
-        lacks.append(
-            "Both thrusters always had the same command: the thrust of the left side cannot be separated from that of "
-            "the right side."
-        )
-    if only_astern:
-        lacks.append("The boat went astern only: its motion ahead is an assumption. Let it go ahead, too.")
-    if not turned:
-        lacks.append(
-            "The boat kept one heading, or its opposite, for the last ten minutes or more: the current cannot be "
-            "separated from the boat's own speed. Let the boat turn."
-        )
-    added = np.zeros(m)
-    if only_astern:
-        place = {name: k for k, name in enumerate(names(even))}
-        for odd, beside in EVEN_BESIDE.items():
-            added[place[beside]] = variance[place[odd]]
-    return _Found(tuple(lacks), vague, added, 0.0 if turned else current)
-
-
-@functools.cache
-def _combinations(even: bool) -> dict[str, np.ndarray]:
-    """The combinations of parameters, `(combinations, m)`, of which (3) is computed."""
-    of = dict(zip(names(even), np.eye(len(names(even))), strict=True))
-    odd = {side: [f"thrust_{kind}_{side}" for kind in ("linear", "quadratic", "speed", "cubic")] for side in SIDES}
-    beside = {name: of[other] for name, other in EVEN_BESIDE.items() if even}
-    each = {side: [of[name] for name in odd[side]] + [beside[x] for x in odd[side] if x in beside] for side in SIDES}
-    found = dict(each)
-    found["drag"] = [of["drag_quadratic"], of["drag_linear"], *([of["drag_even"]] if even else [])]
-    found["apart"] = [left - right for left, right in zip(each["left"], each["right"], strict=True)]
-    both = {"ahead": (1.0, SIDES), "astern": (-1.0, SIDES)} | {f"ahead_{side}": (1.0, (side,)) for side in SIDES}
-    for name, (sign, sides) in both.items():  # linear and quadratic thrust, of the sides together
-        found[name] = [
-            sum((of[odd[side][k]] + sign * beside.get(odd[side][k], 0.0) for side in sides), np.zeros(len(of)))
-            for k in range(2)
-        ]
-    return {name: np.stack(rows) for name, rows in found.items()}
-
-
-def _least_share(left: np.ndarray, prior: np.ndarray) -> float:
-    """The least eigenvalue of `left` relative to `prior`, both covariances."""
-    lower = np.linalg.inv(np.linalg.cholesky(prior))
-    return float(np.linalg.eigvalsh(lower @ left @ lower.T)[0])
 
 
 def _covariance(factor: np.ndarray) -> np.ndarray:
@@ -371,55 +270,6 @@ def _scale(inverse: np.ndarray, mass: float) -> str:
     if inverse.any():
         return "The mass and all forces follow from the known forces."
     return f"Forces are those of a boat of {mass:g} kg, as configured: speeds alone do not tell the mass."
-
-
-def _stated(variance: np.ndarray) -> float:
-    """The top speed that the prior was made with, m/s: the deviation of its first parameter is .5 over it."""
-    return 0.5 / math.sqrt(variance[0])
-
-
-def _astray(speed: float, variance: np.ndarray) -> float:
-    """How far the steady speed at full command is from the top speed of the prior, as a ratio above 1; 1 below
-    `FAR`. The deviations of the prior are wrong by powers of it.
-    """
-    stated = _stated(variance)
-    ratio = max(stated / max(abs(speed), 1e-3 * stated), abs(speed) / stated) if math.isfinite(speed) else 1.0
-    return ratio if ratio > FAR else 1.0
-
-
-def _top(speed: float, low: float, high: float, variance: np.ndarray) -> list[str]:
-    """A sentence if the interval of the steady speed at full command, m/s, is far from the top speed of the prior."""
-    stated = _stated(variance)
-    if not (low > FAR * stated or high < stated / FAR):
-        return []
-    if speed < 0:
-        return [
-            f"The boat's steady speed at full command is {speed:.2f} m/s: the sign of the speed or of the commands is "
-            "reversed; change the sign of data.channels.surge.span, or of data.channels.command_left.span and "
-            "data.channels.command_right.span, and learn anew."
-        ]
-    return [
-        f"vehicle.surge_max: found {stated:.3g} m/s, and the boat's steady speed at full command is "
-        f"{speed:.2f} m/s: correct it, and learn anew."
-    ]
-
-
-def _wide(quantities: Mapping[str, Quantity]) -> list[str]:
-    """A sentence that names the quantities whose half-widths are more than `WIDE` times their values.
-
-    Single parameters, which trade against each other, are left out.
-    """
-    wide = [
-        name
-        for name, (value, low, high, _) in quantities.items()
-        if name not in SURGE and not high - low < 2 * WIDE * abs(value)
-    ]
-    if not wide:
-        return []
-    return [
-        f"Not well determined: {', '.join(wide)}, whose intervals are wider than ± half of the value. Learn from a "
-        "longer log in which both commands change often, up to full."
-    ]
 
 
 def _nothing(mass: float, inverse: np.ndarray, theta: np.ndarray, covariance: np.ndarray) -> Identified:
