@@ -110,6 +110,7 @@ def learn(
     >>> learned.ensemble.names, learned.boats
     (('aid', 'persistence', 'ensemble'), ('heron1', 'heron2'))
     """
+    from usvlearn.evaluation.horizons import ensemble_scores
     from usvlearn.evaluation.metrics import alarms, fleet_scores
     from usvlearn.runs.replay import replay
 
@@ -124,9 +125,8 @@ def learn(
     whole = [{name: np.concatenate([part[name] for part in run]) for name in run[0]} for run in parts]
     published = [(index, 0, arrays) for index, arrays in enumerate(whole)]
     scores = fleet_scores(fleet, published, ensemble.names, ensemble.surge_limit)
-    return Learned(
-        logs, ensemble, state, predictions_of(fleet, ensemble.names, whole), scores, alarms(fleet, published)
-    )
+    predictions, forecast = predictions_of(fleet, ensemble.names, whole), ensemble_scores(ensemble, fleet, published)
+    return Learned(logs, ensemble, state, predictions, scores, alarms(fleet, published), forecast)
 
 
 def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:

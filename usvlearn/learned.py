@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -135,6 +135,7 @@ class Learned:
         scores: boat -> member or rule -> MAE, skill against persistence and others; see
             `usvlearn.evaluation.metrics.scores`.
         alarms: boat -> alarms of lost thrust; see `usvlearn.evaluation.metrics.alarms`.
+        forecast: boat -> estimator -> horizon -> scores; see `usvlearn.evaluation.horizons.horizon_scores`.
     """
 
     logs: AlignedLogs
@@ -143,6 +144,7 @@ class Learned:
     predictions: tuple[Predictions, ...]
     scores: dict[str, dict[str, dict[str, Any]]]
     alarms: dict[str, list[dict[str, Any]]]
+    forecast: dict[str, dict[str, dict[str, dict[str, Any]]]] = field(default_factory=dict)
 
     @property
     def boats(self) -> tuple[str, ...]:
@@ -224,9 +226,8 @@ class Learned:
         from usvlearn.evaluation.members import explained, remarks
         from usvlearn.report.tables import report
 
-        return _printed(
-            report(self.scores, self.logs.rejected, self.alarms, remarks(self.ensemble), explained(self.ensemble))
-        )
+        judged = self.scores, self.logs.rejected, self.alarms, remarks(self.ensemble), explained(self.ensemble)
+        return _printed(report(*judged, self.forecast))
 
 
 def check_logs(logs: AlignedLogs) -> AlignedLogs:

@@ -70,6 +70,7 @@ class Online:
         self = cls.__new__(cls)
         self._template, self._name, self._description = None, facts["estimator"], facts["kernel"]
         self._live = Live(self._description, leaves)
+        self._live.current = False  # it may have been saved long ago
         return self
 
     def __copy__(self) -> Online:  # a shallow copy would let two boats learn into one state

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.signals import PLAUSIBLE_INPUTS, Inputs
+from usvlearn.signals import Inputs
 
 LEAST_DT, MOST_DT, MOST_STEPS = 0.01, 2.0, 100_000  # s, s; steps of a plan
-HEADING, YAW_RATE = float(PLAUSIBLE_INPUTS.heading), float(PLAUSIBLE_INPUTS.yaw_rate)  # rad, rad/s, at most
+HEADING, YAW_RATE = 1e5, 10.0  # rad, rad/s, at most
 NONE = (
     "forecast: found an estimator without forecasts, expected an ensemble that makes them: "
     "Ensemble(…, forecasts=Forecasts()), or one of the default configuration"
@@ -25,8 +25,9 @@ NONE = (
 class Forecast(NamedTuple):
     """Predicted speeds of a plan, with 90 % intervals (the ensemble's `coverage`).
 
-    An end is infinite where no interval is known: beyond the longest horizon, and before ten forecasts over the horizon
-    have been compared with measurements.
+    An end is infinite where no interval is known: beyond the longest horizon after the last measured speed, before ten
+    forecasts over the horizon have been compared with measurements, and after `Online.open` until the first step. The
+    intervals hold for the mix of manoeuvres that was sailed: less often while commands change much, more often else.
     """
 
     time: Any  # (time,) s from now, at the end of each step
@@ -79,11 +80,15 @@ def plan_inputs(commands: Any, headings: Any, yaw_rates: Any, dt: Any, batch: tu
     return Inputs(left, right, psi, r, np.full(shape, float(h)))
 
 
-def check_plan(inputs: Inputs) -> None:
+def check_plan(inputs: Inputs, batch: tuple[int, ...]) -> None:
     """Raise a ConfigError unless all numbers of a plan, arrays `(time, *batch)`, are legal; a ShapeError for shapes."""
     shapes = {np.shape(x) for x in inputs}
-    if len(shapes) > 1 or not all(shape and 1 <= shape[0] <= MOST_STEPS for shape in shapes):
-        raise ShapeError(f"inputs: found the shapes {sorted(shapes)}, expected (time, *batch), the same for all")
+    if (
+        not all(len(shape) and shape[1:] == batch and 1 <= shape[0] <= MOST_STEPS for shape in shapes)
+        or len(shapes) > 1
+    ):
+        wide = ", ".join(("time", *map(str, batch)))
+        raise ShapeError(f"inputs: found the shapes {sorted(shapes)}, expected ({wide}), the same for all")
     limits = (1.0, "shares of full scale"), (1.0, "shares of full scale"), (HEADING, "rad"), (YAW_RATE, "rad/s")
     for name, values, (limit, unit) in zip(Inputs._fields[:4], inputs[:4], limits, strict=True):
         _check_range(name, np.asarray(values), limit, unit)
@@ -93,6 +98,8 @@ def check_plan(inputs: Inputs) -> None:
 
 
 def _numbers(name: str, value: Any) -> np.ndarray:
+    if value is None:
+        raise ShapeError(f"{name}: found None, expected numbers")
     try:
         found = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -117,7 +117,7 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
     """
     if not hasattr(estimator, "forecast"):
         raise ConfigError(NONE)
-    check_plan(Inputs(*map(_array, inputs)))
+    check_plan(Inputs(*map(_array, inputs)), tuple(state.predictions.shape[:-1]))
     surge, width = estimator.forecast(state, inputs)
     return Forecast(inputs.dt.cumsum(0), surge, surge - width, surge + width)
 

@@ -26,7 +26,7 @@ from usvlearn import (
 )
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FEW, FIRST, MOST
-from usvlearn.evaluation.horizons import horizon_scores
+from usvlearn.evaluation.horizons import LEAST, horizon_scores
 from usvlearn.rollouts import simulate
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
@@ -237,9 +237,44 @@ def test_online_forecasts_are_those_of_lanes():
     np.testing.assert_array_equal(again.surge, found.surge)  # nothing was learned, and the state stays
 
 
-def test_a_forecast_before_the_first_sample_has_no_interval():
+def test_a_forecast_before_the_first_sample_has_no_interval(tmp_path):
     found = Online(ensemble()).forecast([[0.5, 0.5]] * 10, 0.0)
     assert np.isfinite(found.surge).all() and np.isinf(found.high).all() and np.isinf(found.low).all()
+    boat, samples = Online(ensemble()), plain(60)
+    calls = [
+        Sample(Inputs(*(float(x[k]) for x in samples.inputs)), float(samples.surge[k]), True, True) for k in range(60)
+    ]
+    for each in calls:
+        boat.step(each)
+    assert np.isfinite(boat.forecast([[0.5, 0.5]] * 10, 0.0).high).all()
+    opened = Online.open(boat.save(tmp_path / "a.safetensors"))  # nobody knows how long ago
+    assert np.isinf(opened.forecast([[0.5, 0.5]] * 10, 0.0).high).all()
+    opened.step(calls[-1])
+    assert np.isfinite(opened.forecast([[0.5, 0.5]] * 10, 0.0).high).all()
+
+
+@pytest.mark.parametrize("backend", ["auto", "torch"])
+def test_a_plan_after_steps_without_speed_is_less_sure(backend):
+    """Its time counts from the last measured speed: widths grow, and end at the longest horizon."""
+    model, samples = ensemble(), plain(60)
+    online = Online(model, backend=backend)
+    online.state = rollout(model, model.init(), samples)[0]
+    sure = online.forecast([[0.5, 0.5]] * 10, 0.0)
+    for _ in range(5):
+        online.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), math.nan, True, False))
+    found = online.forecast([[0.5, 0.5]] * 10, 0.0)
+    np.testing.assert_allclose((found.high - found.low)[:5], (sure.high - sure.low)[5:], rtol=1e-9)
+    assert np.isinf(found.high[5:]).all()
+    inputs = Inputs(*(torch.full((10,), x, dtype=torch.float64) for x in (0.5, 0.5, 0.0, 0.0, 0.4)))
+    state = online.state
+    np.testing.assert_allclose(forecast(model, state, inputs).high, found.high, rtol=1e-9)
+
+
+def test_lanes_of_another_number_are_refused():
+    model = ensemble()
+    inputs = Inputs(*(torch.zeros(10, 3, dtype=torch.float64) for _ in range(5)))
+    with pytest.raises(ShapeError, match=r"inputs: found the shapes \[\(10, 3\)\], expected \(time, 2\)"):
+        forecast(model, model.init((2,)), inputs)
 
 
 PLANS = {
@@ -252,6 +287,8 @@ PLANS = {
     "dts": (([[0.5, 0.5]], 0.0), {"dt": [0.4]}, ConfigError, "dt: found the shape"),
     "none": (([], 0.0), {}, ShapeError, "commands: found the shape"),
     "one_side": (([0.5, 0.5, 0.5], 0.0), {}, ShapeError, r"commands: found the shape \(3,\), expected \(time, 2\)"),
+    "turns": (([[0.5, 0.5]], 0.0, 30.0), {}, ConfigError, "yaw_rates: found 30 in step 1, expected -10 … 10, rad/s"),
+    "nothing": (([[0.5, 0.5]], None), {}, ShapeError, "headings: found None, expected numbers"),
     "text": ((["left"], 0.0), {}, ShapeError, "commands: found .* expected numbers"),
     "rates": (([[0.5, 0.5]], 0.0, [0.1, 0.2]), {}, ShapeError, r"yaw_rates: found the shape \(2,\)"),
 }
@@ -344,7 +381,8 @@ def test_scores_by_horizon_against_a_plain_loop():
                 row = scores[boat][name][horizon]
                 assert row["mae"] == pytest.approx(mae) and row["steps"] == len(errors)
                 assert row["skill"] == pytest.approx(1 - mae / mean[4])
-            assert scores[boat]["ensemble"][horizon]["covers"] == (pytest.approx(np.mean(inside)) if inside else None)
+            enough = len(inside) >= LEAST
+            assert scores[boat]["ensemble"][horizon]["covers"] == (pytest.approx(np.mean(inside)) if enough else None)
     assert json.dumps(scores)
 
 

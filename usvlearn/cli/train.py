@@ -52,7 +52,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
     ensemble = ensemble_of(cfg)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
-    check_measure(measure_of(cfg.output), ensemble, len(fleet.runs))
+    check_measure(measure_of(cfg.output), ensemble, fleet)
     run = RunFolder(
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts
     )

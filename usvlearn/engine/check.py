@@ -166,6 +166,8 @@ class _Reading:
         slots = _number(f"{entry}.slots", made["slots"], Range(1, forecasts.MOST_SLOTS))
         _keys(f"{entry}.vectors", made["vectors"], [vector.key for vector in forecasts.Vector])
         horizons = _list(f"{entry}.vectors.horizons", made["vectors"]["horizons"], Range(1, forecasts.MOST_HORIZONS))
+        if any(not isinstance(h, int | float) for h in horizons) or sorted(set(horizons)) != horizons:
+            raise wrong(f"{entry}.vectors.horizons", horizons, "increasing numbers")
         size = slots, len(horizons), len(members)
         for vector in forecasts.Vector:
             own, value = (vector.length(size),), made["vectors"][vector.key]

@@ -92,7 +92,8 @@ def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limi
 
     `heads`: whether a member needs the heading. `slot` is an array of the length of a slot.
     """
-    node, elapsed = program[program[0, PLACE]], 0.0
+    node = program[program[0, PLACE]]
+    elapsed = s[node[AT.coasted]]
     M = node[Choice.MEMBERS]
     x, weights, rest, row = work[:M], work[M : 2 * M], work[2 * M :], work[-ROW:]
     freeze(node, s, slot)

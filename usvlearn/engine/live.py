@@ -51,6 +51,7 @@ class Live:
         self._spare = self.states.copy()  # `predict` steps this copy
         self._work = np.empty(self.plan.work, first.dtype)
         self._steps, self._predictions = self._arguments(self.states), self._arguments(self._spare)
+        self.current = True  # whether the state is known to be the present one
         with COMPILING:
             ALIVE.add(self)
         compile_steps(first.dtype)
@@ -77,6 +78,7 @@ class Live:
     def step(self, sample: Sample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
         with self._lock:
+            self.current = True
             return self._advance(self._steps, *sample)
 
     def predict(self, inputs: Inputs) -> Any:
@@ -97,12 +99,15 @@ class Live:
         compile_plans(dtype)
         steps, lanes = len(inputs.dt), plan.lanes
         found, slot = np.empty((lanes, steps, 2), dtype), np.empty(plan.slot, dtype)
+        current = self.current
         columns = [np.ascontiguousarray(x.reshape(steps, lanes).T, dtype) for x in inputs]
         heads, limit = bool(plan.program[0, step.Whole.HEADS] > 0), step.surge_limit(plan.program, plan.numbers[0])
         with self._lock:
             for lane, (program, s, q, work) in enumerate(self._steps):
                 left, right, heading, yaw_rate, dt = (x[lane] for x in columns)
                 forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, found[lane], work)
+        if not current:
+            found[..., 1] = np.inf
         if not plan.batch:
             return found[0, :, 0], found[0, :, 1]
         wide = np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, 2)

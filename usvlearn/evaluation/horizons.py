@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.evaluation.metrics import Stretch
 from usvlearn.signals import PLAUSIBLE, Fleet, masks, tree_map
 
+if TYPE_CHECKING:
+    from usvlearn.estimators.ensemble.layer import Ensemble
+
+LEAST = 8  # forecasts, below which no score is stated
 Scores = dict[str, dict[str, dict[str, dict[str, float | int | None]]]]  # boat -> estimator -> horizon -> number
 
 
@@ -33,7 +37,8 @@ def horizon_scores(
     Returns:
         By boat, estimator and horizon (as `"10"`, s): `mae`, m/s; `skill` = 1 − MAE/MAE(persistence), the last speed
         measured at the origin; `steps`, how many forecasts; of the ensemble also `covers`, the share of measurements in
-        its intervals, and `halfwidth`, their mean, m/s, over those that are finite. None where there is nothing.
+        its intervals, and `halfwidth`, their mean, m/s, over those that are finite. None where there are fewer than
+        LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
 
     >>> horizon_scores(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble"))
     {}
@@ -63,18 +68,26 @@ def horizon_scores(
         found[boat] = {name: {} for name in names}
         for j, horizon in enumerate(horizons):
             steps = int(count[lane, j])
-            maes = total[lane, j] / steps if steps else np.full(K, np.nan)
+            maes = total[lane, j] / steps if steps >= LEAST else np.full(K, np.nan)
             base = maes[list(names).index(PERSISTENCE)]
             for k, name in enumerate(names):
                 row: dict[str, float | int | None] = {"mae": _known(maes[k]), "skill": None, "steps": steps}
                 if np.isfinite(maes[k]) and base > 0:
                     row["skill"] = float(1 - maes[k] / base)
                 if k == K - 1:
-                    some = known[lane, j]
+                    some = known[lane, j] if known[lane, j] >= LEAST else 0
                     row["covers"] = float(inside[lane, j] / some) if some else None
                     row["halfwidth"] = float(width[lane, j] / some) if some else None
                 found[boat][name][f"{horizon:g}"] = row
     return found
+
+
+def ensemble_scores(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> Scores:
+    """`horizon_scores` of what an ensemble published; {} if it makes no forecasts."""
+    if (made := ensemble.forecasts) is None:
+        return {}
+    columns = (*made.columns[:-1], ensemble.output)
+    return horizon_scores(fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit)
 
 
 def mean_forecast_mae(scores: Mapping[str, Any], estimator: str, horizon: str) -> float:

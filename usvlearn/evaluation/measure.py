@@ -39,8 +39,8 @@ def measure_of(output: Any) -> Measure:
     >>> measure_of("ensemble"), measure_of("ensemble.forecast.10")
     (Measure(rule='ensemble', kind='mae', horizon=0.0), Measure(rule='ensemble', kind='forecast', horizon=10.0))
     """
-    rule, _, kind = str(output).partition(".")
-    if not kind:
+    rule, dot, kind = str(output).partition(".")
+    if not dot:
         return Measure(rule)
     if kind == FREE:
         return Measure(rule, FREE)
@@ -53,7 +53,7 @@ def measure_of(output: Any) -> Measure:
     raise ConfigError(f"output: found {output!r}, expected RULE, RULE.forecast.SECONDS or RULE.free")
 
 
-def check_measure(measure: Measure, ensemble: Ensemble, runs: int) -> None:
+def check_measure(measure: Measure, ensemble: Ensemble, fleet: Fleet) -> None:
     """Raise a ConfigError unless an ensemble makes what is measured, and there are enough runs."""
     if measure.kind == FORECAST:
         horizons = [] if ensemble.forecasts is None else ensemble.forecasts.horizons.tolist()
@@ -62,8 +62,19 @@ def check_measure(measure: Measure, ensemble: Ensemble, runs: int) -> None:
                 f"output: found a forecast over {measure.horizon:g} s, expected one of forecasts.horizons: "
                 f"{', '.join(f'{h:g}' for h in horizons) or 'there are none'}"
             )
-    if measure.kind == FREE and runs < 2:
-        raise ConfigError("output: found free runs with a single log, expected two or more: learn from the first half")
+    if measure.kind == FREE:
+        check_halves(fleet)
+
+
+def check_halves(fleet: Fleet) -> None:
+    """Raise a ConfigError unless each boat has runs in both halves."""
+    first = middle(fleet.runs)
+    for lane, boat in enumerate(fleet.boats):
+        if not all(any(run.lengths[lane] for run in half) for half in (fleet.runs[:first], fleet.runs[first:])):
+            raise ConfigError(
+                f"output: found free runs, and too few logs of {boat}, expected two or more of each boat, about as "
+                "many as of the others: the first half is learned, the second one is simulated"
+            )
 
 
 def free_mae(

@@ -101,7 +101,7 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
     if not forecast:
         return None
     horizons = list(next(iter(next(iter(forecast.values())).values())))
-    table = Blocks("Forecasts: skill by horizon, s", ["estimator"], horizons)
+    table = Blocks("Forecasts: skill by horizon, s (–: too few, or one was no speed)", ["estimator"], horizons)
     for boat, rows in forecast.items():
         if len(forecast) > 1:
             table.group(boat)
@@ -207,10 +207,12 @@ def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
     shown = [*first, *(moved if len(first) + len(moved) <= MOST_COLUMNS else [])] or names[-1:]
     title = "Sweep: MAE in m/s, mean over boats" + (f", ranked by {' or '.join(by)}" if any(by) else "")
     heads = [_short(key) for key in keys]
-    table = Blocks(title, heads, [*shown, "best", "its MAE"], folded=heads)
-    for (settings, _), maes in zip(done, means, strict=True):
+    measured = [name for name in by if "." in name]  # errors that are not of the next step
+    table = Blocks(title, heads, [*measured, *shown, "best", "its MAE"], folded=heads)
+    for (settings, result), maes in zip(done, means, strict=True):
         best = next((name for name in by_error(maes) if maes[name] == maes[name]), "–")
-        cells = [*(_number(maes.get(name)) for name in shown), best, _number(maes.get(best))]
+        own = [_number(result.get("objective")) if result.get("ranked_by") == name else "–" for name in measured]
+        cells = [*own, *(_number(maes.get(name)) for name in shown), best, _number(maes.get(best))]
         table.add(*(settings.get(key, "") for key in keys), *cells)
     failed = [
         Text(f"failed: {short_settings(settings, keys)}: {result.get('error', 'did not finish')}")

@@ -15,6 +15,8 @@ steps, b boats and m estimators:
     fresh, measured  (n, b)     bool: every input was recent; so was the speed
     boats, runs      (b,)       names; the run's name is empty for a boat without this run
     estimators       (m,)       names of the last axis of predictions and halfwidths
+    horizons         (h,)       s
+    forecast_columns (c,)       names
     units            (k, 2)     name and unit of each array that has one
 
 Older files contain only the first three. An ensemble without forecasts has none here.
@@ -41,7 +43,7 @@ DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipf
 PUBLISHED = ("predictions", "halfwidths", "thrusters", "forecasts", "forecast_halfwidths")
 UNITS = signals.UNITS | {
     "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1",
-    "measured_surge": signals.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s",
+    "measured_surge": signals.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s", "horizons": "s",
 }  # fmt: skip
 Widths = Mapping[str, int]  # the length of the last axis of each array that may be published
 
@@ -131,7 +133,12 @@ def joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
 
 
 def packed(
-    published: Mapping[str, np.ndarray], run: Run, end: int, boats: Sequence[str], estimators: Sequence[str]
+    published: Mapping[str, np.ndarray],
+    run: Run,
+    end: int,
+    boats: Sequence[str],
+    estimators: Sequence[str],
+    forecasts: Any = None,
 ) -> bytes:
     """The content of a file: what was published of the last steps of a run before `end`, with their samples."""
     part = slice(end - len(published["predictions"]), end)
@@ -147,6 +154,8 @@ def packed(
         "runs": np.array(run.names, str),
         "estimators": np.array(estimators, str),
     }
+    if forecasts is not None:
+        arrays |= {"horizons": forecasts.horizons.numpy(), "forecast_columns": np.array(forecasts.columns, str)}
     arrays["units"] = np.array([(name, unit) for name, unit in UNITS.items() if name in arrays])
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:  # 6 takes 2.5 times as long

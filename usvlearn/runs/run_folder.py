@@ -22,7 +22,7 @@ from usvlearn.engine import of_lane
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
-from usvlearn.evaluation.horizons import horizon_scores, mean_forecast_mae
+from usvlearn.evaluation.horizons import ensemble_scores, mean_forecast_mae
 from usvlearn.evaluation.identification import Truth, as_results, identified_boats
 from usvlearn.evaluation.measure import FORECAST, FREE, free_mae, mean_of, measure_of, middle
 from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
@@ -66,7 +66,7 @@ class RunFolder:
         self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None
     ):
         self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
-        self._widths = widths_of(names, forecasts)
+        self._forecasts, self._widths = forecasts, widths_of(names, forecasts)
         self.metadata = {"version": usvlearn.__version__, **metadata}
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
@@ -152,7 +152,7 @@ class RunFolder:
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
         """Write the predictions and sets of one place, in a thread, while the replay continues."""
         run = self.fleet.runs[place.run]
-        content = packed(joined(published), run, place.step, self.fleet.boats, self.names)
+        content = packed(joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts)
         folder = self.path / PREDICTIONS
         folder.mkdir(exist_ok=True)
         write_atomically(folder / f"{stem(place)}.npz", content)
@@ -200,10 +200,8 @@ class RunFolder:
             "rejected": self.fleet.rejected,
             **as_results(identified_boats(ensemble, self.state, self.fleet.boats), truth),
         }
-        if ensemble.forecasts is not None:
-            horizons = ensemble.forecasts.horizons.tolist()
-            columns = (*ensemble.forecasts.columns[:-1], ensemble.output)
-            found["forecast"] = horizon_scores(self.fleet, published, horizons, columns, ensemble.surge_limit)
+        if forecast := ensemble_scores(ensemble, self.fleet, published):
+            found["forecast"] = forecast
         output = self.metadata.get("configuration", {}).get("output", ensemble.output)
         measure = measure_of(output)
         objective = mean_mae(boats)[ensemble.output]

@@ -17,7 +17,7 @@ from rich.progress import Progress
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.estimators.rnn.layer import RNN
-from usvlearn.evaluation.measure import FREE, ONE_STEP, Measure, measure_of
+from usvlearn.evaluation.measure import FREE, ONE_STEP, Measure, check_halves, measure_of
 from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest
 from usvlearn.signals import Fleet
@@ -206,8 +206,8 @@ def tune(
     check_folder(folder, asked_for.way, asked_for.member)
     with console.status("reading and aligning"), under("data", configuration["data"]):
         fleet = align(instantiate(configuration["data"]), **configuration["align"])
-    if asked_for.measure.kind == FREE and len(fleet.runs) < 2:
-        raise ConfigError("output: found free runs with a single log, expected two or more: learn from the first half")
+    if asked_for.measure.kind == FREE:
+        check_halves(fleet)
     began = time.perf_counter()
     with Progress(console=console) as progress:
         bar = progress.add_task(f"{asked_for.way}={asked_for.member}", total=asked_for.evaluations)

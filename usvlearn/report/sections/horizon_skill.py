@@ -69,8 +69,8 @@ def forecast_figure(found: Scores):
         for panel, (boat, table) in zip(panels, found.items(), strict=False):
             panel.axhline(0.0, color=palette[PERSISTENCE], linewidth=1.0, linestyle=":")
             for name in (each for each in names if each != PERSISTENCE):
-                at = [float(h) for h, row in table[name].items() if row["skill"] is not None]
-                skill = [row["skill"] for row in table[name].values() if row["skill"] is not None]
+                at = [float(h) for h in table[name]]
+                skill = [np.nan if row["skill"] is None else row["skill"] for row in table[name].values()]
                 wide = 2.0 if name == names[-1] else 1.1
                 panel.plot(at, skill, color=palette[name], linewidth=wide, marker="o", markersize=3, label=name)
             panel.set(title=boat, xscale="log")
@@ -117,7 +117,9 @@ def _findings(found: Scores, output: str) -> list[str]:
     below = [
         f"{boat} at {h} s" for boat, table in found.items() for h in horizons if (table[output][h]["skill"] or 0.0) < 0
     ]
-    here.append("Below persistence: " + (", ".join(below) or "on no boat, at no horizon") + ".")
+    here.append(
+        f"Worse than persistence: {', '.join(below)}." if below else "Better than persistence wherever it is judged."
+    )
     rows = [row for table in found.values() for row in table[output].values()]
     held = [share for row in rows if (share := row.get("covers")) is not None]
     if held:

@@ -5,10 +5,12 @@ import numpy as np
 from usvlearn.estimators.ensemble.combiners.kernel import bernstein
 from usvlearn.estimators.ensemble.forecasts.state import (
     AT,
+    BEYOND,
     DELAY,
     FEW,
     LEAST,
     MOST,
+    NARROWEST,
     SHARE,
     STEP,
     Choice,
@@ -34,7 +36,7 @@ def weights_after(node, s, q, time, weights):
     above = s[node[AT.rule.weights] + judged(node, s, min(k + 1, H - 1)) * M :]
     for m in range(M):
         weights[m] = (1 - rise) * below[m] + rise * above[m] if rise > 0 else below[m]
-    return np.inf if time > horizons[H - 1] * (1 + 1e-6) else width
+    return np.inf if time > horizons[H - 1] * BEYOND else width
 
 
 @jit
@@ -96,7 +98,7 @@ def learn_due(node, s, q, surge, dt, work):
         e, q_before, s_before = abs(found[M + 1] - surge), s[node[AT.quantile] + k], s[node[AT.error] + k]
         s[node[AT.errors] + k] += 1
         s[node[AT.error] + k] += max(1 / s[node[AT.errors] + k], SHARE) * (e - s_before)  # (2)
-        miss = 1.0 if e > q_before * s_before else 0.0
+        miss = 1.0 if e > max(q_before * s_before, NARROWEST) else 0.0
         moved = q_before * np.exp((miss - (1 - numbers[Number.COVERAGE])) / (DELAY + overlap))  # (3)
         s[node[AT.quantile] + k] = min(max(moved, LEAST), MOST)
 
@@ -112,7 +114,9 @@ def judged(node, s, k):
 @jit
 def halfwidth(node, s, k):
     """q s over the horizon k, infinite where too few errors are known."""
-    return s[node[AT.quantile] + k] * s[node[AT.error] + k] if s[node[AT.errors] + k] >= FEW else np.inf
+    if s[node[AT.errors] + k] < FEW:
+        return np.inf
+    return max(s[node[AT.quantile] + k] * s[node[AT.error] + k], NARROWEST)
 
 
 @jit

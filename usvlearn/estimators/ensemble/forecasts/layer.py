@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from usvlearn.errors import ConfigError, check_positive
+from usvlearn.errors import ConfigError, check_not_negative, check_positive
 from usvlearn.estimator import Estimator, spec_of
 from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_sleeping
 from usvlearn.estimators.ensemble.combiners.state import TINY
@@ -50,6 +50,8 @@ class Forecasts(nn.Module):
         share: float = 0.01,
     ):
         super().__init__()
+        if not isinstance(horizons, Sequence) or isinstance(horizons, str):
+            raise ConfigError(f"forecasts.horizons: found {horizons!r}, expected a list of times, s")
         chosen = [check_positive("forecasts.horizons", h, "of s") for h in horizons]
         if not chosen or sorted(set(chosen)) != chosen or len(chosen) > at.MOST_HORIZONS:
             raise ConfigError(
@@ -63,8 +65,8 @@ class Forecasts(nn.Module):
                 f"forecasts.overlap: found {overlap}, expected less: {self.slots} forecasts would be under way at the "
                 f"same time, of {at.MOST_SLOTS} at most"
             )
-        self.members = None if members is None else list(members)
-        memory, growth = check_positive("forecasts.memory", memory, "of s"), check_positive("forecasts.growth", growth)
+        self.members = [members] if isinstance(members, str) else None if members is None else list(members)
+        memory, growth = check_positive("forecasts.memory", memory, "of s"), check_not_negative("growth", growth)
         self.register_buffer("horizons", torch.tensor(chosen, dtype=torch.float64))
         self.rule = BOA(memory=[memory + growth * h for h in chosen], scale=scale, share=share)
         self.names: tuple[str, ...] = ()
@@ -178,7 +180,7 @@ class Forecasts(nn.Module):
         """Its half-width, m/s; infinite beyond the longest horizon, and where too few errors are known."""
         place = self._place(time)
         width = torch.where(place > 0, place * self._halfwidths(state), 0.0).sum(-1)
-        return torch.where(time > self.horizons[-1] * (1 + 1e-6), math.inf, width)
+        return torch.where(time > self.horizons[-1] * at.BEYOND, math.inf, width)
 
     def combine(self, state: ForecastState, predictions: Tensor, time: Tensor) -> Tensor:
         """The forecast over `time`, s, of members' predictions, m/s, `(*batch, M)`."""
@@ -190,13 +192,15 @@ class Forecasts(nn.Module):
     ) -> tuple[Tensor, Tensor]:
         """A forecast from now on: predictions and half-widths, m/s, `(time, *batch)` each.
 
+        Its time counts from the last measured speed.
+
         Args:
             state: as after the last sample.
             members, states: of the ensemble.
             inputs: of the plan's steps, `(time, *batch)`.
         """
         states, found = {name: states[name] for name in self.names}, []
-        elapsed = torch.zeros_like(inputs.dt[0])
+        elapsed = state.coasted
         for k in range(len(inputs.dt)):
             now = Inputs(*(x[k] for x in inputs))
             stepped = {name: members[name].free_step(states[name], now) for name in self.names}
@@ -271,7 +275,7 @@ class Forecasts(nn.Module):
         e = torch.where(known, combined - y, 0.0).abs()
         k = state.errors + known
         error = state.error + (1 / k.clamp(min=1)).clamp(min=at.SHARE) * (e - state.error)  # (2)
-        miss = (e > state.quantile * state.error).to(e.dtype)
+        miss = (e > (state.quantile * state.error).clamp(min=at.NARROWEST)).to(e.dtype)
         quantile = state.quantile * ((miss - (1 - self.coverage)) / (at.DELAY + self.overlap)).exp()  # (3)
         return state._replace(
             rule=tree_map(lambda new, old: where(known, new, old), rule, state.rule),
@@ -318,7 +322,8 @@ class Forecasts(nn.Module):
 
     def _halfwidths(self, state: ForecastState) -> Tensor:
         """q s, `(*batch, H)`; infinite where too few errors are known."""
-        return torch.where(state.errors >= at.FEW, state.quantile * state.error, math.inf)
+        width = (state.quantile * state.error).clamp(min=at.NARROWEST)
+        return torch.where(state.errors >= at.FEW, width, math.inf)
 
     def _place(self, time: Tensor) -> Tensor:
         """The share of each horizon in a time, s, `(*batch, H)`."""

@@ -15,7 +15,8 @@ interval by conformal inference: s is the running mean of |y − ŷ|, and q its 
     log q ← log q + (miss − α)/(9 + n),    q in 0.3 … 12,    miss = 1 where |y − ŷ| > q s, else 0        (3)
 
 with k the number of errors so far. Errors come late: n further forecasts are under way before the first error is known,
-and (3) learns the more slowly. The interval is infinite until k = 10. BOA forgets over `memory` + `growth` h.
+and (3) learns the more slowly. The interval is infinite until k = 10, and ± 5 mm/s at least. BOA forgets over
+`memory` + `growth` h.
 
 Losses of a long horizon are larger. The predictions and y are divided by √(h/0.4 s) before BOA, so that its least range
 of the losses grows like those of a random walk.
@@ -23,7 +24,8 @@ of the losses grows like those of a random walk.
 *A horizon with fewer than ten errors* has the weights of the next shorter one that has as many, or of the shortest.
 
 *Between horizons* weights and half-widths are interpolated linearly in time; before the first horizon they are the
-first's; beyond the last one the weights are the last's, and the interval is infinite.
+first's; beyond the last one the weights are the last's, and the interval is infinite. Time counts from the last
+measured speed.
 
 *After steps without measured speed* the ensemble's own prediction has the weights of the time since the last measured
 speed, because it is a forecast over that time. So has a free run.
@@ -59,6 +61,8 @@ HORIZONS = (0.4, 1.2, 2.0, 5.2, 10.0, 30.0)  # s
 STEP = 0.4  # s, over which the losses have their unit
 DELAY, LEAST, MOST, FIRST = 9.0, 0.3, 12.0, 2.06  # of (3): 1.645 deviations of a normal error are 2.06 mean errors
 SHARE, FEW = 1 / 200, 10.0  # of (2); errors below which an interval is infinite, and the weights are another horizon's
+NARROWEST = 5e-3  # m/s, least half-width: after hours at rest all errors are 0
+BEYOND = 1 + 1e-4  # times the longest horizon, with room for rounding: there is no interval
 MOST_SLOTS, MOST_HORIZONS = 512, 32
 WIDE = Range(0.0, inf)
 EMPTY = -1.0  # s, elapsed of a slot without a forecast
