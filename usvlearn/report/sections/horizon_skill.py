@@ -8,7 +8,7 @@ import numpy as np
 
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.evaluation.horizons import Scores, horizon_scores
+from usvlearn.evaluation.horizons import Scores, ensemble_scores
 from usvlearn.evaluation.season import Season
 from usvlearn.figures import INK, LINE, colours, themed
 from usvlearn.report.result_table import ResultTable
@@ -27,11 +27,9 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     """
     if ensemble.forecasts is None:
         return None
-    horizons = ensemble.forecasts.horizons.tolist()
-    names = (*ensemble.forecasts.columns[:-1], ensemble.output)
     found: Scores = {}
     for season in seasons:
-        found |= _scores(season, horizons, names, ensemble.surge_limit)
+        found |= _scores(season, ensemble)
     if not found:
         return None
     rows = [
@@ -88,7 +86,7 @@ def forecast_figure(found: Scores):
         return figure
 
 
-def _scores(season: Season, horizons: Sequence[float], names: Sequence[str], surge_limit: float) -> Scores:
+def _scores(season: Season, ensemble: Ensemble) -> Scores:
     """The scores of one boat; {} if its forecasts were not kept."""
     runs = [run for run in season.runs if "forecasts" in run.published]
     if not runs:
@@ -105,7 +103,7 @@ def _scores(season: Season, horizons: Sequence[float], names: Sequence[str], sur
     )
     kept = ("forecasts", "forecast_halfwidths")
     stretches = [(k, 0, {name: run.published[name][:, None] for name in kept}) for k, run in enumerate(runs)]
-    return horizon_scores(fleet, stretches, horizons, names, surge_limit)
+    return ensemble_scores(ensemble, fleet, stretches)
 
 
 def _findings(found: Scores, output: str) -> list[str]:
