@@ -8,7 +8,7 @@ output=ensemble.free            that of its free runs: the second half of each b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -77,9 +77,7 @@ def check_halves(fleet: Fleet) -> None:
             )
 
 
-def free_mae(
-    ensemble: Ensemble, state: Any, fleet: Fleet, first: int, advance: Callable[[float], None] = lambda share: None
-) -> dict[str, dict[str, float | None]]:
+def free_mae(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> dict[str, dict[str, float | None]]:
     """MAE of free runs by boat and estimator, m/s, from the run with index `first` on; nothing is learned.
 
     Args:
@@ -87,7 +85,6 @@ def free_mae(
         state: leaves `(boats, …)`.
         fleet: aligned runs.
         first: index of the first run that is simulated.
-        advance: receives the fraction completed since the last call.
 
     Returns:
         None where a boat has no measured step. A simulation that leaves ± `surge_max` errs by that limit there.
@@ -107,7 +104,6 @@ def free_mae(
             error = np.abs(predicted.clip(-limit, limit) - np.nan_to_num(run.samples.surge)[..., None])
             total += np.where(learns[..., None], error, 0.0).sum(0)
             count += learns.sum(0)
-            advance(len(run.time) / fleet.steps)
     return {
         boat: {name: float(total[lane, k] / count[lane]) if count[lane] else None for k, name in enumerate(names)}
         for lane, boat in enumerate(fleet.boats)
