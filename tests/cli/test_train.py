@@ -107,7 +107,7 @@ def test_tensorboard(whole):
 
 def test_everything_lies_in_the_runs_folder(whole):
     assert sorted(p.name for p in whole.parent.iterdir()) == ["output.txt", "run"]
-    assert {"checkpoints", "predictions", "tensorboard", ".hydra", "results.json", "runs.json"} == {
+    assert {"checkpoints", "predictions", "tensorboard", ".hydra", "errors.csv", "results.json", "runs.json"} == {
         p.name for p in whole.iterdir()
     }
     assert "gain: 1.0" in (whole / ".hydra" / "config.yaml").read_text()

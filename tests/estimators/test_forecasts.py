@@ -26,7 +26,7 @@ from usvlearn import (
 )
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FEW, FIRST, MOST
-from usvlearn.evaluation.horizons import LEAST, horizon_scores
+from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
 from usvlearn.rollouts import simulate
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
@@ -367,7 +367,7 @@ def test_scores_by_horizon_against_a_plain_loop():
     run = Run(np.zeros((60, 2)), tree_map(lambda x: x.numpy(), samples), ("a", "a"), (60, 60))
     fleet = Fleet(("one", "two"), (run,), {})
     columns = model.forecasts.columns
-    scores = horizon_scores(fleet, [(0, 0, arrays)], HORIZONS, columns)
+    scores = horizon_scores(horizon_sums(fleet, [(0, 0, arrays)], HORIZONS, columns), fleet.boats)
     for lane, boat in enumerate(fleet.boats):
         for j, horizon in enumerate(("0.4", "2", "4")):
             errors, inside = [], []

@@ -1,6 +1,7 @@
-"""What is minimised: errors of the next step, of forecasts, or of free runs; by a run, by lanes, and by the command."""
+"""The objective: errors of the next step, of forecasts, or of free runs; by a run, by lanes, and by the command."""
 
 import json
+import math
 import subprocess
 
 import numpy as np
@@ -11,7 +12,9 @@ from tests.support.commands import ENVIRONMENT, QUICK, command, results
 from tests.support.configured import request
 from usvlearn import AID, Average, Ensemble, Forecasts, Persistence, rollout
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.measure import Measure, check_measure, free_mae, measure_of, middle
+from usvlearn.evaluation.by_run import from_csv
+from usvlearn.evaluation.free_simulation import free_errors, middle
+from usvlearn.evaluation.measure import Measure, check_measure, measure_of
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.rollouts import simulate, tensors
 from usvlearn.signals import masks
@@ -25,23 +28,59 @@ def fleet():
 
 
 @pytest.mark.parametrize(
-    "output", ["ensemble.forecast", "ensemble.forecast.x", "ensemble.forecast.-1", "ensemble.loose", "ensemble."]
+    "objective",
+    ["rnn.forecast", "rnn.forecast.x", "rnn.forecast.-1", "rnn.forecast.inf", "rnn.loose", "rnn.mae.10", ".free", ""],
 )
-def test_an_output_of_another_form(output):
-    with pytest.raises(ConfigError, match=r"output: found .*, expected RULE, RULE.forecast.SECONDS or RULE.free"):
-        measure_of(output)
+def test_an_objective_of_another_form(objective):
+    with pytest.raises(ConfigError, match=r"objective: found '.*', expected MEMBER or MEMBER\.KIND, KIND one of mae, "):
+        measure_of(objective, "ensemble")
+
+
+@pytest.mark.parametrize("text", ["rnn.mae", "rnn.skill", "rnn.coverage", "rnn.free", "rnn.forecast.5.2"])
+def test_an_objective_is_written_as_it_is_read(text):
+    assert str(measure_of(text, "ensemble")) == text
+
+
+RESULTS = {
+    "boats": {"a": {"rnn": {"mae": 0.1, "skill": 0.5, "coverage": 0.8}, "w_x": {"mae": 0.3}, "w_y": {"mae": 0.25}},
+              "b": {"rnn": {"mae": 0.3, "skill": 0.1, "coverage": 0.9}, "w_x": {"mae": 0.1}, "w_y": {"mae": None}}},
+    "forecast": {"a": {"rnn": {"10": {"mae": 0.5}}}, "b": {"rnn": {"10": {"mae": 0.7}, "30": {"mae": None}}}},
+    "free": {"a": {"rnn": 0.25}, "b": {"rnn": 0.75}},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("objective", "value", "loss"),
+    [
+        ("rnn", 0.2, 0.2), ("rnn.skill", 0.3, -0.3), ("rnn.coverage", 0.85, 0.05), ("rnn.free", 0.5, 0.5),
+        ("rnn.forecast.10", 0.6, 0.6), ("rnn.forecast.30", None, math.inf), ("w", 0.2, 0.2), ("gone", None, math.inf),
+        ("w.free", None, math.inf),
+    ],
+)  # fmt: skip
+def test_the_value_of_an_objective_is_that_of_the_results(objective, value, loss):
+    measure = measure_of(objective, "ensemble")
+    assert measure.value(RESULTS) == (None if value is None else pytest.approx(value))
+    assert measure.loss(measure.value(RESULTS)) == pytest.approx(loss)
+    if measure.kind in ("free", "forecast"):  # of an older run
+        assert measure.value({"boats": RESULTS["boats"]}) is None
 
 
 def test_what_is_measured_must_be_made(fleet):
-    ensemble = Ensemble({"aid": AID(28.0)}, forecasts=Forecasts((2.0, 10.0)))
-    check_measure(measure_of("average.forecast.10"), ensemble, fleet)
-    with pytest.raises(ConfigError, match=r"a forecast over 5 s, expected one of forecasts.horizons: 2, 10"):
-        check_measure(measure_of("average.forecast.5"), ensemble, fleet)
+    ensemble = Ensemble({"aid": AID(28.0), "slow": AID(28.0, 0.1)}, forecasts=Forecasts((2.0, 10.0), members=["aid"]))
+    for objective in ("average.forecast.10", "aid.forecast.2", "slow.skill", "average.free", None):
+        check_measure(measure_of(objective, "average"), ensemble, fleet)
+    wrong = {
+        "average.forecast.5": r"a forecast over 5 s, expected one of forecasts.horizons: 2, 10",
+        "slow.forecast.2": r"forecasts of slow, which makes none: add it to forecasts.members",
+        "slwo": r"found 'slwo', expected one of aid, slow, average: did you mean slow\?",
+    }
+    for objective, sentence in wrong.items():
+        with pytest.raises(ConfigError, match=sentence):
+            check_measure(measure_of(objective, "average"), ensemble, fleet)
     with pytest.raises(ConfigError, match="there are none"):
-        check_measure(measure_of("average.forecast.5"), Ensemble({"aid": AID(28.0)}), fleet)
-    check_measure(measure_of("average.free"), ensemble, fleet)
+        check_measure(measure_of("average.forecast.5", ""), Ensemble({"aid": AID(28.0)}), fleet)
     with pytest.raises(ConfigError, match="found free runs, and too few logs of heron1"):
-        check_measure(measure_of("average.free"), ensemble, fleet._replace(runs=fleet.runs[:1]))
+        check_measure(measure_of("average.free", ""), ensemble, fleet._replace(runs=fleet.runs[:1]))
 
 
 def test_lanes_measure_forecasts_as_an_ensemble_makes_them(fleet):
@@ -78,25 +117,40 @@ def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
             total += np.where(learns, np.abs(free - run.samples.surge), 0.0).sum(0)
             count += learns.sum(0)
     np.testing.assert_allclose(found, total / count, rtol=1e-9)
-    whole = free_mae(ensemble, state, fleet, half)
+    whole = free_errors(ensemble, state, fleet, half).mae(fleet.boats, ensemble.names)
     assert [row["aid"] for row in whole.values()] == pytest.approx((total / count).tolist())
 
 
-def test_the_gradient_minimises_the_next_step_alone():
-    with pytest.raises(ConfigError, match=r"output: found ensemble.free with learn=aid"):
-        request("learn=aid", "output=ensemble.free")
-    assert request("search=aid", "output=ensemble.forecast.10").measure == Measure("ensemble", "forecast", 10.0)
+def test_tuning_minimises_an_error_of_its_member():
+    with pytest.raises(ConfigError, match=r"objective: found aid.free with learn=aid"):
+        request("learn=aid", "objective=aid.free")
+    with pytest.raises(ConfigError, match=r"objective: found rnn.mae with grid=aid, expected aid or aid.KIND"):
+        request("grid=aid", "objective=rnn")
+    with pytest.raises(ConfigError, match=r"objective: found aid.coverage with grid=aid, expected one of its errors"):
+        request("grid=aid", "objective=aid.coverage")
+    assert request("search=aid", "objective=aid.forecast.10").measure == Measure("aid", "forecast", 10.0)
+    assert request("search=aid").measure == Measure("aid")
 
 
-@pytest.mark.parametrize("output", ["ensemble.forecast.2", "ensemble.free"])
-def test_a_run_ends_with_what_it_measures(output, tmp_path):
-    arguments = [*QUICK, "data.mission_minutes=1", f"output={output}", "hydra.run.dir=run"]
+@pytest.mark.parametrize("objective", ["aid.forecast.2", "ensemble.free"])
+def test_a_run_ends_with_what_it_measures(objective, tmp_path):
+    arguments = [*QUICK, "data.mission_minutes=1", f"objective={objective}", "hydra.run.dir=run"]
     done = subprocess.run(command(*arguments), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     found = results(tmp_path / "run")
-    assert found["output"] == output and f"MAE of {output}: {found['objective']:.4f} m/s" in done.stdout
-    rows = found["forecast"]["heron"]["ensemble"]
-    expected = rows["2"]["mae"] if "forecast" in output else found["free"]["heron"]["ensemble"]
+    assert found["output"] == "ensemble" and found["measure"] == objective
+    measure = measure_of(objective, "")
+    assert f"{measure.title()}: {found['objective']:.4f} m/s; results" in done.stdout
+    rows = found["forecast"]["heron"]["aid"]
+    expected = rows["2"]["mae"] if "forecast" in objective else found["free"]["heron"]["ensemble"]
     assert found["objective"] == pytest.approx(expected)
     assert set(rows) == {"0.4", "1.2", "2", "5.2", "10", "30"} and json.dumps(found)
     assert "Forecasts: skill by horizon, s" in done.stdout
+    errors = from_csv((tmp_path / "run" / "errors.csv").read_text())
+    for ahead, mae in {"step": found["boats"]["heron"]["aid"]["mae"], "2": rows["2"]["mae"],
+                       "free": found["free"]["heron"]["aid"]}.items():  # fmt: skip
+        some = [each for each in errors if each.ahead == ahead]
+        total = sum(each.steps * each.mae["aid"] for each in some) / sum(each.steps for each in some)
+        assert total == pytest.approx(mae) and {each.boat for each in some} == {"heron"}
+    assert len({each.run for each in errors if each.ahead == "step"}) == 3
+    assert len({each.run for each in errors if each.ahead == "free"}) == 2  # the second half

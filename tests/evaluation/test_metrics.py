@@ -9,7 +9,7 @@ from rich.console import Console
 from usvlearn import Inputs, Sample
 from usvlearn.evaluation.metrics import alarms, fleet_scores, scores
 from usvlearn.figures import prediction_figure
-from usvlearn.report.tables import fleet_table, rejection_table, score_table, sweep_table
+from usvlearn.report.tables import fleet_table, rejection_table, score_table
 from usvlearn.signals import Fleet, Run
 
 SURGE = np.array([1.0, 2.0, np.nan, 4.0, np.nan])
@@ -86,16 +86,6 @@ def test_tables_show_units_and_survive_gaps():
     assert "m/s" in text and "0.5000" in text and "0.625" in text and "–" in text
     assert rejection_table({"heron": {}}) is None
     assert "17" in shown(rejection_table({"heron": {"surge": {"stale": 17}}}))
-    jobs = [({"c": "9", "a.b.gain": "[one]"}, {"boats": {"heron": rows}, "objective": 0.5}),
-            ({"c": "9", "a.b.gain": "two"}, {"error": "bad"}), ({"c": "9"}, {}),
-            ({"c": "9", "a.b.gain": "zero"}, {"boats": {"heron": rows}, "objective": 0.1})]  # fmt: skip
-    text = shown(sweep_table(jobs))
-    assert "b.gain" in text and "9" not in text.splitlines()[2]  # what is the same in all jobs is not shown
-    assert all(
-        "–" in line
-        for line in shown(sweep_table([({}, {"boats": {"a": none}}), ({}, {"boats": {}})])).splitlines()[4:6]
-    )
-    assert text.index("zero") < text.index("[one]") < text.index("gain=two: bad") < text.index("did not finish")
 
 
 def test_tables_are_in_the_order_of_the_errors_and_say_what_stands_in_them():

@@ -5,18 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from omegaconf import OmegaConf
 
 from tests.support.commands import hparams, load, never, table
-from usvlearn.cli.sweep import swept as swept_keys
+from usvlearn.cli.sweep import jobs_of
+from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import ranked_by
-from usvlearn.sweeps.jobs import run_job
+from usvlearn.sweeps.jobs import SweepNote, run_job
 from usvlearn.sweeps.leaderboard import leaderboard
 
 
 def found_by(**maes: float | None) -> dict:
     """Results of one boat; the output is `ensemble`."""
     return {"boats": {"heron": {name: {"mae": mae} for name, mae in maes.items()}}, "output": "ensemble",
-            "objective": maes["ensemble"], "seconds": 1.0}  # fmt: skip
+            "measure": "ensemble.mae", "objective": maes["ensemble"], "seconds": 1.0}  # fmt: skip
 
 
 SIZES = {"10": 0.05, "20": 0.03, "4": 0.11, "40": None}  # neurons -> MAE, m/s; the largest network diverges
@@ -44,23 +46,19 @@ def write_sweep(folder: Path, key: str, more: dict[str, str]) -> None:
         ("estimators.wind.estimator.memory", {}, "wind", [1, 0, 2, 3]),  # a bank: its best column
         ("align.inputs", {}, "ensemble", [0, 1, 2, 3]),
         ("estimators.gone.gain", {}, "ensemble", [0, 1, 2, 3]),
-        ("estimators.rnn.neurons", {"output": "ensemble"}, "ensemble", [0, 1, 2, 3]),
+        ("estimators.rnn.neurons", {"output": "weighted"}, "rnn", [1, 0, 2, 3]),
     ],
 )
 def test_a_sweep_is_ranked_by_the_member_that_its_keys_name(tmp_path, capsys, key, more, by, order):
     write_sweep(tmp_path, key, more)
     assert leaderboard(tmp_path, load)
     text, rows = capsys.readouterr().out, table(tmp_path)
-    assert [int(row["job"]) for row in rows] == order and {row["ranked_by"] for row in rows} == {by}
-    assert f"ranked by {by}\n" in text and " ensemble " in text
+    assert [int(row["job"]) for row in rows] == order and {row["measure"] for row in rows} == {f"{by}.mae"}
+    assert text.startswith(f"MAE of {by}, m/s" if by != "ensemble" else "MAE of each job's output, m/s")
     for row in rows:
         column = {"wind": "mae/wind_long" if row["job"] in "023" else "mae/wind_short"}.get(by, f"mae/{by}")
-        assert row["objective"] == row[column]
-    if by != "ensemble":
-        (head,) = (line for line in text.splitlines() if "its MAE" in line)
-        assert head.index(f" {by}") < head.index(" ensemble ")
+        assert row["objective"] == row[column] and row["unit"] == "m/s"
     pages = hparams(tmp_path / "leaderboard").values()
-    assert {settings["ranked_by"] for settings, _ in pages} == {by}
     shown = np.sort([numbers["objective"] for _, numbers in pages])
     np.testing.assert_allclose(shown, np.sort([float(row["objective"] or "nan") for row in rows]), rtol=1e-6)
     for row in rows:  # what a job hands to Hydra is what ranks it
@@ -68,24 +66,33 @@ def test_a_sweep_is_ranked_by_the_member_that_its_keys_name(tmp_path, capsys, ke
         made, task = (folder / "results.json").read_text(), load(folder / ".hydra" / "overrides.yaml")
         (folder / "results.json").unlink()
         for work in (lambda _, folder=folder, made=made: (folder / "results.json").write_text(made), never):
-            handed = run_job(folder, {"all": row["job"]}, task, work, swept=[key])
+            handed = run_job(folder, {"all": row["job"]}, task, work, SweepNote(swept=(key,)))
             assert handed == pytest.approx(float(row["objective"] or "nan"), nan_ok=True)
 
 
 def test_keys_of_several_members_rank_by_the_ensemble():
-    assert ranked_by(["estimators.rnn.neurons", "align.dt"], [{}], [found_by(rnn=0.1, ensemble=0.1)]) == "rnn"
-    assert ranked_by(["estimators.rnn.neurons", "estimators.aid.gain"], [{}], []) is None
+    assert ranked_by(None, ["estimators.rnn.neurons", "align.dt"], [found_by(rnn=0.1, ensemble=0.1)]) == Measure("rnn")
+    assert ranked_by(None, ["estimators.rnn.neurons", "estimators.aid.gain"], []) is None
     removed = [found_by(rnn=0.1, ensemble=0.1), found_by(ensemble=0.2), {"error": "bad"}]
-    assert ranked_by(["~estimators.rnn"], [{}, {"~estimators.rnn": ""}], removed) is None
-    assert ranked_by(["estimators.rnn.neurons"], [{}], removed[::2]) == "rnn"  # whoever failed has no say
+    assert ranked_by(None, ["~estimators.rnn"], removed) is None
+    assert ranked_by(None, ["estimators.rnn.neurons"], removed[::2]) == Measure("rnn")  # whoever failed has no say
+    assert ranked_by("average.free", ["estimators.rnn.neurons"], removed) == Measure("average", "free")
 
 
-def test_the_swept_keys_are_those_with_several_values(tmp_path):
+def test_another_objective_ranks_a_finished_sweep_anew(tmp_path, capsys):
+    write_sweep(tmp_path, "estimators.rnn.neurons", {})
+    assert leaderboard(tmp_path, load, "weighted")
+    assert [int(row["job"]) for row in table(tmp_path)] == [2, 0, 1, 3]
+    assert capsys.readouterr().out.startswith("MAE of weighted, m/s")
+
+
+def test_the_swept_keys_are_those_with_several_values():
     """As Hydra notes a command: the keys of a file of configs/sweep, unless the command gives one value."""
-    assert swept_keys(tmp_path) == []
     params = {"estimators.rnn.neurons": "4,10", "estimators.rnn.unroll": "1,2", "align.inputs": "mean"}
     task = ["estimators.rnn.unroll=1", "data.hours=0.3", "+estimator@estimators.x=aid,rls", "align.dt=range(1,3)",
             "~estimators.aid", "data.path={a: x, b: y}", "combiners.average.members=[aid,rnn]"]  # fmt: skip
-    noted = {"hydra": {"sweeper": {"params": params}, "overrides": {"task": task}}}
-    (tmp_path / "multirun.yaml").write_text(json.dumps(noted))
-    assert swept_keys(tmp_path) == ["estimators.rnn.neurons", "+estimator@estimators.x", "align.dt"]
+    hydra = OmegaConf.create({"sweeper": {"params": params}, "overrides": {"task": task}})
+    swept, made = jobs_of(hydra)
+    assert swept == ["estimators.rnn.neurons", "+estimator@estimators.x", "align.dt"]
+    assert len(made) == 8 and made[0]["estimators.rnn.neurons"] == "4" and made[-1]["align.dt"] == "2"
+    assert {job["data.hours"] for job in made} == {"0.3"} and {job["estimators.rnn.unroll"] for job in made} == {"1"}

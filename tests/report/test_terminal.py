@@ -15,7 +15,7 @@ from rich.console import Console
 from tests.support import ROOT, over
 from usvlearn.estimators.joint.reading import Identified, Quantity
 from usvlearn.evaluation.metrics import scores
-from usvlearn.report.tables import identified_table, report, sweep_table, tuning_table
+from usvlearn.report.tables import identified_table, report, tuning_table
 from usvlearn.report.terminal import Blocks, console
 
 WIDTHS = [60, 80, 100, 160]
@@ -66,23 +66,6 @@ def test_the_tables_of_a_run_are_whole(count, name, width):
             assert words.count(each) + words.count(f"{each},") >= count
     narrow, wide = (Counter(re.findall(NUMBER, " ".join(text))) for text in (lines, whole))
     assert not wide - narrow  # none is lost
-
-
-@pytest.mark.parametrize("width", WIDTHS)
-def test_the_table_of_a_sweep_is_whole(width):
-    long = "/logs/of/a/long/season/that/has/a/name"
-    jobs = [
-        ({"estimators.rnn.neurons": f"{10**k}", "align.dt": f"0.{k}25", "data.path": f"{long}/{k}"},
-         {"boats": fleet(k + 1), "objective": k / 7, "ranked_by": "aid", "output": "average"})
-        for k in range(1, 4)
-    ]  # fmt: skip
-    lines = printed(sweep_table(jobs), width)
-    assert max(map(len, lines)) <= width and "…" not in "".join(lines)
-    words = " ".join(lines).split()
-    assert {"rnn.neurons", "align.dt", "10", "100", "1000", "0.125", "0.225", "0.325", "average", NAMES[-1]} <= set(
-        words
-    )
-    assert (f"{long}/3" in words) == (width >= 100)  # else folded
 
 
 @pytest.mark.parametrize("width", WIDTHS)

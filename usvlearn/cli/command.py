@@ -26,11 +26,12 @@ from omegaconf import DictConfig
 from usvlearn.cli.composition import configs_folder
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.stopping import Stopped, in_program, stoppable, stoppable_worker, was_stopped
-from usvlearn.cli.sweep import Sweep, cut_short, load
+from usvlearn.cli.sweep import LanesDone, Sweep, cut_short, end_progress, load
 from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, exit_on_user_error
 from usvlearn.runs.layout import JOURNAL, RUNS
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import leaderboard
+from usvlearn.sweeps.seeds import with_seeds
 
 FULL_ERROR = "HYDRA_FULL_ERROR"  # of Hydra: errors are raised, not printed
 
@@ -50,6 +51,8 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
         @functools.wraps(task)
         def main() -> None:
             with exit_on_user_error(), stoppable():
+                if name == "train":
+                    sys.argv[1:] = with_seeds(sys.argv[1:])
                 flags = parse(sys.argv[1:])
                 check_launcher(flags.overrides)
                 folder, main_file = configs.parent / (flags.config_path or configs), flags.config_name or name
@@ -85,7 +88,10 @@ def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> No
     try:
         with _raising(), in_one_sentence(names):
             start()
+    except LanesDone:
+        return
     except (Exception, KeyboardInterrupt, Stopped) as error:
+        end_progress()
         if stopped := _stopped_by(error):
             _end(stopped)
         if Sweep.folder is None or (sentence := cut_short(error)) is None:

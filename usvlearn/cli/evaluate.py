@@ -53,6 +53,6 @@ def main(cfg: DictConfig) -> None:
     if cfg.study is not None:
         study(cfg, tools)
     elif is_sweep(Path(cfg.runs)):
-        leaderboard(Path(cfg.runs), load)
+        leaderboard(Path(cfg.runs), load, cfg.objective)
     else:
         evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))

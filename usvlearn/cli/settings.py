@@ -57,12 +57,10 @@ def instantiate(node: Any, **options: Any) -> Any:
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
     """The ensemble that a configuration describes: its members, its rules, the rule that predicts, its forecasts."""
     from usvlearn.estimators.ensemble.layer import Ensemble
-    from usvlearn.evaluation.measure import measure_of
 
     members, rules = instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all")
     made = cfg.get("forecasts")
-    output = measure_of(cfg["output"]).rule
-    return Ensemble(members, rules, output, forecasts=made and instantiate(made, _convert_="all"))
+    return Ensemble(members, rules, cfg["output"], forecasts=made and instantiate(made, _convert_="all"))
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:

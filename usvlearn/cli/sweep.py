@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import yaml
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.experimental.callback import Callback
@@ -17,13 +18,18 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
+from usvlearn.cli.composition import plain
 from usvlearn.cli.mistakes import in_one_sentence
+from usvlearn.cli.settings import check_settings, instantiate
 from usvlearn.cli.stopping import defer_signals, end_deferral
-from usvlearn.errors import ConfigError, exit_on_user_error
+from usvlearn.errors import ConfigError, check_choice, exit_on_user_error
 from usvlearn.lock import Lock
-from usvlearn.sweeps.jobs import check_sweep, run_job
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.report.terminal import console
+from usvlearn.sweeps.jobs import LANES, SweepNote, check_sweep, note_sweep, noted_sweep, run_job, write_lanes
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers
 from usvlearn.sweeps.leaderboard import leaderboard
+from usvlearn.sweeps.progress import Progress
 
 
 def load(path: Path) -> Any:
@@ -41,31 +47,70 @@ def load(path: Path) -> Any:
 
 
 def do_job(cfg: DictConfig, work: Callable[..., float]) -> float:
-    """Run train.py's work, alone or as one job of a sweep. Returns the objective, m/s."""
+    """Run train.py's work, alone or as one job of a sweep. Returns the objective, or what a sweep minimises."""
     job, folder = HydraConfig.get(), Path(HydraConfig.get().runtime.output_dir)
-    ask = partial(work, cfg, folder, job.overrides.task, quiet=job.runtime.choices["hydra/launcher"] == "joblib")
-    if job.mode is not RunMode.MULTIRUN:
+    several = job.mode is RunMode.MULTIRUN
+    ask = partial(work, cfg, folder, job.overrides.task, quiet=several)
+    if not several:
         return ask()
     settings: Any = OmegaConf.to_container(cfg)
-    return run_job(folder, settings, job.overrides.task, ask, swept(Path(job.sweep.dir)))
+    return run_job(folder, settings, job.overrides.task, ask, noted_sweep(Path(job.sweep.dir)))
 
 
-def swept(folder: Path) -> list[str]:
-    """The keys with several values in the command of a sweep, as Hydra records it in the sweep's folder."""
-    if not (folder / "multirun.yaml").exists():
-        return []
-    noted = load(folder / "multirun.yaml")["hydra"]
-    given = [f"{key}={values}" for key, values in (noted["sweeper"].get("params") or {}).items()]
-    parsed = OverridesParser.create().parse_overrides([*given, *noted["overrides"]["task"]])
-    last = {each.get_key_element(): each for each in parsed}  # the command overrides the file
-    return [key for key, each in last.items() if each.is_sweep_override()]
+def jobs_of(hydra: DictConfig) -> tuple[list[str], list[dict[str, str]]]:
+    """The keys with several values in a sweep's command or file, and the settings of its jobs, by key.
+
+    Args:
+        hydra: the configuration of Hydra itself.
+    """
+    params = hydra.sweeper.get("params") or {}
+    given = [*(f"{key}={values}" for key, values in params.items()), *hydra.overrides.task]
+    parsed = {each.get_key_element(): each for each in OverridesParser.create().parse_overrides(given)}
+    swept = [key for key, each in parsed.items() if each.is_sweep_override()]  # the command overrides the file
+    if any(not parsed[key].is_discrete_sweep() for key in swept):  # of another sweeper, which draws them
+        return swept, []
+    (batch,) = BasicSweeper.split_arguments(list(parsed.values()), None)
+    return swept, [{key: value for key, _, value in (each.partition("=") for each in overrides)} for overrides in batch]
+
+
+def note_of(config: DictConfig, swept: Sequence[str], jobs: int) -> SweepNote:
+    """What is noted of a sweep before it starts.
+
+    Args:
+        config: composed without the swept values.
+        swept: the keys with several values.
+        jobs: how many there are.
+    """
+    choices, defaults = config.hydra.runtime.choices, {}
+    for key in swept:
+        name = key.partition("@")[0]
+        value = OmegaConf.select(config, key) if key not in choices else choices[key]
+        if value is not None and not key.startswith(("+", "~")) and not isinstance(value, DictConfig):
+            defaults[name if key in choices else key] = as_value(value)
+    return SweepNote(jobs, tuple(swept), defaults, config.get("objective"))
+
+
+def as_value(value: Any) -> str:
+    """A value as a command gives it.
+
+    >>> as_value(True), as_value(OmegaConf.create(["a", "b"])), as_value(0.5)
+    ('true', '[a,b]', '0.5')
+    """
+    if OmegaConf.is_list(value):
+        return f"[{','.join(map(as_value, value))}]"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+class LanesDone(BaseException):
+    """The jobs of a sweep are done as lanes, and Hydra has nothing to start. It is no Exception: Hydra hides those."""
 
 
 class Sweep(Callback):
-    """Lock a run's folder; at the end of a sweep show its leaderboard, and end with code 2 where a job failed."""
+    """Lock a run's folder; tell the jobs of a sweep, show its leaderboard, and end with code 2 where a job failed."""
 
     folder: Path | None = None  # of the sweep that this process has started
     lock: Lock | None = None  # of the run
+    progress: Progress | None = None
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         with exit_on_user_error(), in_one_sentence():  # a search is made by several processes together
@@ -76,19 +121,58 @@ class Sweep(Callback):
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         folder = Path(config.hydra.sweep.dir)
         own: Any = OmegaConf.to_container(config.hydra)
-        with exit_on_user_error():
+        with exit_on_user_error(), in_one_sentence():
             check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
             check_sweep(folder, load, own)
+            swept, jobs = jobs_of(config.hydra)
+            note = note_of(config, swept, len(jobs))
+            if as_lanes(config, folder, note, jobs):
+                raise LanesDone
+            note_sweep(folder, note)
             prepare_workers(Path(usvlearn.__file__).parents[1])
         Sweep.folder = folder
         if "joblib" in config.hydra.launcher._target_:
             defer_signals()  # a signal is passed on to the workers, which finish their chunk
+        if own["sweep"]["subdir"] == "${hydra.job.num}":
+            Sweep.progress = Progress(folder, jobs, note, partial(print, flush=True))
+            Sweep.progress.start()
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        end_progress()
         end_deferral()
         with exit_on_user_error():
             if not leaderboard(Path(config.hydra.sweep.dir), load):
                 sys.exit(2)
+
+
+def end_progress() -> None:
+    """Say what happened to the last jobs, if a sweep is told."""
+    if Sweep.progress is not None:
+        Sweep.progress.stop()
+        Sweep.progress = None
+
+
+def as_lanes(config: DictConfig, folder: Path, note: SweepNote, jobs: Sequence[Mapping[str, str]]) -> bool:
+    """Run the jobs as lanes of one batch if `sweep.lanes=auto` asks for it, and it is possible; whether it was."""
+    if check_choice("sweep.lanes", OmegaConf.select(config, "sweep.lanes", default="off"), ("off", "auto")) == "off":
+        return False
+    from usvlearn.tuning.sweep_lanes import run_lanes, why_not
+
+    check_settings(own := OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"]))
+    settings = plain(own)
+    if (folder / LANES).exists():
+        print(f"finished before: {folder}")
+    elif reason := why_not(settings, note, jobs, instantiate):
+        print(f"sweep.lanes=auto: one job each, because {reason}", flush=True)
+        return False
+    else:
+        with Lock(folder, "hydra.sweep.dir"):
+            OmegaConf.save(config, folder / "multirun.yaml")
+            made = run_lanes(settings, note, jobs, instantiate, align_fleet, console())
+            note_sweep(folder, note)
+            write_lanes(folder, made)
+    leaderboard(folder, load)
+    return True
 
 
 def cut_short(error: BaseException) -> str | None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 from rich.progress import Progress
 
@@ -21,11 +21,13 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.report import terminal
 from usvlearn.report.tables import identified_table, report, summary_lines
 from usvlearn.sweeps.launchers import set_threads
+from usvlearn.sweeps.seeds import seeded
 
 
 def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
-    """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the MAE, m/s."""
+    """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the objective."""
     check_settings(cfg)
+    cfg = OmegaConf.create(seeded(plain(cfg)))
     from usvlearn.tuning import tune as tuning
 
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
@@ -52,7 +54,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
     ensemble = ensemble_of(cfg)
     with console.status("reading and aligning"):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
-    check_measure(measure_of(cfg.output), ensemble, fleet)
+    check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
     run = RunFolder(
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts
     )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,14 +18,26 @@ LEAST = 8  # forecasts, below which no score is stated
 Scores = dict[str, dict[str, dict[str, dict[str, float | int | None]]]]  # boat -> estimator -> horizon -> number
 
 
-def horizon_scores(
+class HorizonSums(NamedTuple):
+    """Sums over forecasts that became due at a step with a measured speed, the same steps for all estimators."""
+
+    horizons: tuple[float, ...]  # s
+    names: tuple[str, ...]  # of the estimators; the last is the ensemble
+    errors: np.ndarray  # (runs, boats, horizons, estimators) of |forecast − measured|, m/s; NaN if one was no speed
+    steps: np.ndarray  # (runs, boats, horizons) forecasts
+    known: np.ndarray  # (runs, boats, horizons) those with a finite interval of the ensemble
+    inside: np.ndarray  # (runs, boats, horizons) those whose interval contains the measurement
+    width: np.ndarray  # (runs, boats, horizons) of half-widths that are finite, m/s
+
+
+def horizon_sums(
     fleet: Fleet,
     published: Iterable[Stretch],
     horizons: Sequence[float],
     names: Sequence[str],
     surge_limit: float = PLAUSIBLE,
-) -> Scores:
-    """Scores of forecasts that became due at a step with a measured speed, the same steps for all estimators.
+) -> HorizonSums:
+    """The sums of each run.
 
     Args:
         fleet: what was replayed.
@@ -33,20 +45,12 @@ def horizon_scores(
         horizons: s.
         names: of the columns of forecasts; the last is the ensemble's.
         surge_limit: m/s, of the ensemble.
-
-    Returns:
-        By boat, estimator and horizon (as `"10"`, s): `mae`, m/s; `skill` = 1 − MAE/MAE(persistence), the last speed
-        measured at the origin; `steps`, how many forecasts; of the ensemble also `covers`, the share of measurements in
-        its intervals, and `halfwidth`, their mean, m/s, over those that are finite. None where there are fewer than
-        LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
-
-    >>> horizon_scores(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble"))
-    {}
     """
     H, K = len(horizons), len(names)
-    total = np.zeros((len(fleet.boats), H, K))
-    count = np.zeros((len(fleet.boats), H))
-    inside, known, width = (np.zeros((len(fleet.boats), H)) for _ in range(3))
+    shape = (len(fleet.runs), len(fleet.boats), H)
+    found = HorizonSums(
+        tuple(horizons), tuple(names), np.zeros((*shape, K)), np.zeros(shape, int), *(np.zeros(shape) for _ in range(3))
+    )
     for run, step, arrays in published:
         if "forecasts" not in arrays:
             continue
@@ -57,19 +61,40 @@ def horizon_scores(
         made = made.reshape(*made.shape[:2], H, K)
         due = np.isfinite(made[..., -1]) & np.isfinite(surge)
         errors = np.where(due[..., None], np.abs(made - surge[..., None]), 0.0)
-        total += errors.sum(0)  # NaN where a member sleeps: it has no errors then
-        count += due.sum(0)
+        found.errors[run] += errors.sum(0)  # NaN where a member sleeps: it has no errors then
+        found.steps[run] += due.sum(0)
         finite = due & np.isfinite(widths)
-        known += finite.sum(0)
-        inside += (finite & (errors[..., -1] <= widths)).sum(0)
-        width += np.where(finite, widths, 0.0).sum(0)
+        found.known[run] += finite.sum(0)
+        found.inside[run] += (finite & (errors[..., -1] <= widths)).sum(0)
+        found.width[run] += np.where(finite, widths, 0.0).sum(0)
+    return found
+
+
+def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
+    """Scores of forecasts, over all runs.
+
+    Args:
+        sums: of `horizon_sums`.
+        boats: their names.
+
+    Returns:
+        By boat, estimator and horizon (as `"10"`, s): `mae`, m/s; `skill` = 1 − MAE/MAE(persistence), the last speed
+        measured at the origin; `steps`, how many forecasts; of the ensemble also `covers`, the share of measurements in
+        its intervals, and `halfwidth`, their mean, m/s, over those that are finite. None where there are fewer than
+        LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
+
+    >>> horizon_scores(horizon_sums(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble")), ())
+    {}
+    """
+    total, count, known, inside, width = (x.sum(0) for x in sums[2:])
+    names, K = sums.names, len(sums.names)
     found: Scores = {}
-    for lane, boat in enumerate(fleet.boats):
+    for lane, boat in enumerate(boats):
         found[boat] = {name: {} for name in names}
-        for j, horizon in enumerate(horizons):
+        for j, horizon in enumerate(sums.horizons):
             steps = int(count[lane, j])
             maes = total[lane, j] / steps if steps >= LEAST else np.full(K, np.nan)
-            base = maes[list(names).index(PERSISTENCE)]
+            base = maes[names.index(PERSISTENCE)]
             for k, name in enumerate(names):
                 row: dict[str, float | int | None] = {"mae": _known(maes[k]), "skill": None, "steps": steps}
                 if np.isfinite(maes[k]) and base > 0:
@@ -82,22 +107,18 @@ def horizon_scores(
     return found
 
 
+def ensemble_sums(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> HorizonSums | None:
+    """`horizon_sums` of what an ensemble published; None if it makes no forecasts."""
+    if (made := ensemble.forecasts) is None:
+        return None
+    columns = (*made.columns[:-1], ensemble.output)
+    return horizon_sums(fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit)
+
+
 def ensemble_scores(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> Scores:
     """`horizon_scores` of what an ensemble published; {} if it makes no forecasts."""
-    if (made := ensemble.forecasts) is None:
-        return {}
-    columns = (*made.columns[:-1], ensemble.output)
-    return horizon_scores(fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit)
-
-
-def mean_forecast_mae(scores: Mapping[str, Any], estimator: str, horizon: str) -> float:
-    """MAE of an estimator over a horizon, m/s, mean over boats; NaN where a boat has none.
-
-    >>> mean_forecast_mae({"a": {"x": {"10": {"mae": 0.1}}}, "b": {"x": {"10": {"mae": 0.3}}}}, "x", "10")
-    0.2
-    """
-    maes = [rows[estimator][horizon]["mae"] for rows in scores.values()]
-    return float("nan") if not maes or None in maes else sum(maes) / len(maes)
+    sums = ensemble_sums(ensemble, fleet, published)
+    return {} if sums is None else horizon_scores(sums, fleet.boats)
 
 
 def _known(value: float) -> float | None:

@@ -1,126 +1,144 @@
-"""What a run, a sweep or a tuning minimises: `output` of the configuration.
+"""The objective: which error of which estimator a run, a sweep or a tuning minimises.
 
-output=ensemble                 the MAE of this rule one step ahead
-output=ensemble.forecast.10     that of its forecasts over 10 s, one of forecasts.horizons
-output=ensemble.free            that of its free runs: the second half of each boat's runs, from commands alone, with
+objective=null                  the MAE of the rule that predicts; in a sweep, of the member that it varies
+objective=rnn                   the MAE of this member or rule one step ahead; so does rnn.mae
+objective=rnn.skill             1 − MAE/MAE(persistence), one step ahead; greater is better
+objective=rnn.coverage          the share of measured speeds within its 90 % intervals; 0.9 is best
+objective=rnn.forecast.10       the MAE of its forecasts over 10 s, one of forecasts.horizons
+objective=rnn.free              the MAE of its free runs: the second half of each boat's runs, from commands alone, with
                                 the parameters learned by the end of the first half
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-
-from usvlearn.errors import ConfigError
-from usvlearn.signals import Fleet, masks
+from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.evaluation.free_simulation import check_halves
+from usvlearn.evaluation.metrics import mean
+from usvlearn.signals import Fleet
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
 
-ONE_STEP, FORECAST, FREE = "mae", "forecast", "free"
+ONE_STEP, SKILL, COVERAGE, FORECAST, FREE = "mae", "skill", "coverage", "forecast", "free"
+KINDS = (ONE_STEP, SKILL, COVERAGE, FREE, f"{FORECAST}.SECONDS")
+NOMINAL = 0.9  # of the intervals
 
 
 class Measure(NamedTuple):
-    """A rule of the ensemble, and which of its errors counts."""
+    """An estimator of an ensemble, a member or a rule, and which of its errors counts."""
 
-    rule: str
+    estimator: str
     kind: str = ONE_STEP
     horizon: float = 0.0  # s, of FORECAST
 
+    def __str__(self) -> str:
+        return f"{self.estimator}.{self.kind}" + (f".{self.horizon:g}" if self.kind == FORECAST else "")
 
-def measure_of(output: Any) -> Measure:
-    """What `output` names.
+    @property
+    def unit(self) -> str:
+        """m/s, or nothing for a share."""
+        return "" if self.kind in (SKILL, COVERAGE) else "m/s"
+
+    def shown(self, value: float | None) -> str:
+        """A value with its unit.
+
+        >>> Measure("rnn").shown(0.0312), Measure("rnn", "skill").shown(0.5), Measure("rnn").shown(None)
+        ('0.0312 m/s', '0.5000', 'unknown')
+        """
+        return "unknown" if value is None else f"{value:.4f} {self.unit}".strip()
+
+    def title(self) -> str:
+        """In words.
+
+        >>> Measure("rnn", "forecast", 10.0).title()
+        'MAE of rnn 10 s ahead'
+        """
+        name = {SKILL: "skill of {}", COVERAGE: "coverage of the 90 % intervals of {}", FREE: "MAE of free runs of {}",
+                FORECAST: f"MAE of {{}} {self.horizon:g} s ahead"}.get(self.kind, "MAE of {}")  # fmt: skip
+        return name.format(self.estimator)
+
+    def loss(self, value: float | None) -> float:
+        """What is to be minimised; infinite for no value.
+
+        >>> Measure("rnn").loss(0.1), Measure("rnn", "skill").loss(0.4), round(Measure("rnn", "coverage").loss(0.95), 6)
+        (0.1, -0.4, 0.05)
+        """
+        if value is None or math.isnan(value):
+            return math.inf
+        return {SKILL: -value, COVERAGE: abs(value - NOMINAL)}.get(self.kind, value)
+
+    def value(self, results: Mapping[str, Any]) -> float | None:
+        """What `results.json` says of it, mean over boats; None where it is unknown of a boat, or diverged.
+
+        For a bank it is that of its best setting.
+
+        >>> Measure("rnn").value({"boats": {"heron": {"rnn": {"mae": 0.1}}}})
+        0.1
+        """
+        tables = results.get(self.kind if self.kind in (FORECAST, FREE) else "boats") or {}
+        columns = own_columns(self.estimator, next(iter(tables.values()), {}))
+        found = [mean(self._of(rows.get(column)) for rows in tables.values()) for column in columns]
+        return min(found, key=self.loss, default=None)
+
+    def _of(self, row: Any) -> float | None:
+        """The number in an estimator's row of its table."""
+        if self.kind == FREE or row is None:
+            return row
+        return row.get(f"{self.horizon:g}", {}).get("mae") if self.kind == FORECAST else row.get(self.kind)
+
+
+def own_columns(estimator: str, names: Iterable[str]) -> list[str]:
+    """The rows of a table of errors that belong to a member or rule; those of a bank are called NAME_LABEL.
+
+    >>> own_columns("wind", ["aid", "wind_short", "wind_long"])
+    ['wind_short', 'wind_long']
+    """
+    names = list(names)
+    return [estimator] if estimator in names else [name for name in names if name.startswith(f"{estimator}_")]
+
+
+def measure_of(objective: Any, default: str) -> Measure:
+    """What `objective` names; without one, the MAE of `default` one step ahead.
 
     Raises:
         ConfigError: it has another form.
 
-    >>> measure_of("ensemble"), measure_of("ensemble.forecast.10")
-    (Measure(rule='ensemble', kind='mae', horizon=0.0), Measure(rule='ensemble', kind='forecast', horizon=10.0))
+    >>> measure_of(None, "ensemble"), measure_of("rnn.forecast.10", "ensemble")
+    (Measure(estimator='ensemble', kind='mae', horizon=0.0), Measure(estimator='rnn', kind='forecast', horizon=10.0))
     """
-    rule, dot, kind = str(output).partition(".")
-    if not dot:
-        return Measure(rule)
-    if kind == FREE:
-        return Measure(rule, FREE)
+    name, _, kind = str(default if objective is None else objective).partition(".")
     kind, _, horizon = kind.partition(".")
     try:
-        if kind == FORECAST and float(horizon) > 0:
-            return Measure(rule, FORECAST, float(horizon))
+        if name and kind in ("", ONE_STEP, SKILL, COVERAGE, FREE) and not horizon:
+            return Measure(name, kind or ONE_STEP)
+        if name and kind == FORECAST and 0 < float(horizon) < math.inf:
+            return Measure(name, FORECAST, float(horizon))
     except ValueError:
         pass
-    raise ConfigError(f"output: found {output!r}, expected RULE, RULE.forecast.SECONDS or RULE.free")
+    raise ConfigError(f"objective: found {objective!r}, expected MEMBER or MEMBER.KIND, KIND one of {', '.join(KINDS)}")
 
 
 def check_measure(measure: Measure, ensemble: Ensemble, fleet: Fleet) -> None:
     """Raise a ConfigError unless an ensemble makes what is measured, and there are enough runs."""
+    made = ensemble.forecasts
+    if not own_columns(measure.estimator, ensemble.names):
+        known = [*ensemble.members, *ensemble.combiners]
+        hint = did_you_mean(measure.estimator, known)
+        raise ConfigError(f"objective: found {measure.estimator!r}, expected one of {', '.join(known)}{hint}")
     if measure.kind == FORECAST:
-        horizons = [] if ensemble.forecasts is None else ensemble.forecasts.horizons.tolist()
+        horizons = [] if made is None else made.horizons.tolist()
         if measure.horizon not in horizons:
             raise ConfigError(
-                f"output: found a forecast over {measure.horizon:g} s, expected one of forecasts.horizons: "
+                f"objective: found a forecast over {measure.horizon:g} s, expected one of forecasts.horizons: "
                 f"{', '.join(f'{h:g}' for h in horizons) or 'there are none'}"
+            )
+        if made is not None and measure.estimator not in (*made.columns[:-1], ensemble.output):
+            raise ConfigError(
+                f"objective: found forecasts of {measure.estimator}, which makes none: add it to forecasts.members"
             )
     if measure.kind == FREE:
         check_halves(fleet)
-
-
-def check_halves(fleet: Fleet) -> None:
-    """Raise a ConfigError unless each boat has runs in both halves."""
-    first = middle(fleet.runs)
-    for lane, boat in enumerate(fleet.boats):
-        if not all(any(run.lengths[lane] for run in half) for half in (fleet.runs[:first], fleet.runs[first:])):
-            raise ConfigError(
-                f"output: found free runs, and too few logs of {boat}, expected two or more of each boat, about as "
-                "many as of the others: the first half is learned, the second one is simulated"
-            )
-
-
-def free_mae(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> dict[str, dict[str, float | None]]:
-    """MAE of free runs by boat and estimator, m/s, from the run with index `first` on; nothing is learned.
-
-    Args:
-        ensemble: an ensemble.
-        state: leaves `(boats, …)`.
-        fleet: aligned runs.
-        first: index of the first run that is simulated.
-
-    Returns:
-        None where a boat has no measured step. A simulation that leaves ± `surge_max` errs by that limit there.
-    """
-    import torch
-
-    from usvlearn.rollouts import simulate, tensors
-
-    limit, names = ensemble.surge_max, ensemble.names
-    total, count = np.zeros((len(fleet.boats), len(names))), np.zeros(len(fleet.boats))
-    dtype = state.predictions.dtype
-    with torch.no_grad():
-        for run in fleet.runs[first:]:
-            _, _, kept = simulate(ensemble, state, tensors(run.samples, dtype), record=["predictions"])
-            learns = masks(run.samples, ensemble.surge_limit).learns
-            predicted = np.nan_to_num(kept["predictions"].double().numpy(), nan=limit, posinf=limit, neginf=-limit)
-            error = np.abs(predicted.clip(-limit, limit) - np.nan_to_num(run.samples.surge)[..., None])
-            total += np.where(learns[..., None], error, 0.0).sum(0)
-            count += learns.sum(0)
-    return {
-        boat: {name: float(total[lane, k] / count[lane]) if count[lane] else None for k, name in enumerate(names)}
-        for lane, boat in enumerate(fleet.boats)
-    }
-
-
-def middle(runs: Sequence[Any]) -> int:
-    """How many runs are the first half."""
-    return len(runs) // 2
-
-
-def mean_of(errors: Mapping[str, Mapping[str, float | None]], name: str) -> float:
-    """The mean over boats; NaN where one has none.
-
-    >>> mean_of({"a": {"x": 0.1}, "b": {"x": 0.3}}, "x")
-    0.2
-    """
-    found = [row[name] for row in errors.values()]
-    known = [x for x in found if x is not None]
-    return sum(known) / len(known) if known and len(known) == len(found) else float("nan")

@@ -132,15 +132,23 @@ def by_error(errors: Mapping[str, float | None]) -> list[str]:
     return sorted(errors, key=key)
 
 
+def mean(values: Iterable[float | None]) -> float | None:
+    """The mean over boats; None where there is none, or where one is unknown (None, NaN).
+
+    >>> mean([0.25, 0.75]), mean([0.1, None]), mean([])
+    (0.5, None, None)
+    """
+    found = list(values)
+    known = [x for x in found if x is not None and x == x]
+    return sum(known) / len(known) if known and len(known) == len(found) else None
+
+
 def mean_mae(boats: Mapping[str, Mapping[str, Mapping]]) -> dict[str, float]:
     """MAE of each estimator, m/s, mean over boats; NaN where a boat has none.
 
-    >>> mean_mae({"a": {"aid": {"mae": 0.1}}, "b": {"aid": {"mae": 0.3}}})
-    {'aid': 0.2}
+    >>> mean_mae({"a": {"aid": {"mae": 0.25}}, "b": {"aid": {"mae": 0.75}}})
+    {'aid': 0.5}
     """
     names = dict.fromkeys(name for rows in boats.values() for name in rows)
-    means = {}
-    for name in names:
-        maes = [rows[name]["mae"] for rows in boats.values() if name in rows]
-        means[name] = float("nan") if None in maes else sum(maes) / len(maes)
-    return means
+    means = {name: mean(rows[name]["mae"] for rows in boats.values() if name in rows) for name in names}
+    return {name: float("nan") if x is None else x for name, x in means.items()}

@@ -14,7 +14,6 @@ from rich.progress import Progress
 
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.season import Season
 from usvlearn.lock import Lock
 from usvlearn.report.assembly import assemble, best_start, facts, simulations
@@ -60,7 +59,7 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
     try:
         combiners = tools.instantiate(last["combiners"], _convert_="all")
         forecasts = last.get("forecasts") and tools.instantiate(last["forecasts"])
-        output = measure_of(last["output"]).rule if last.get("output") else None
+        output = str(last["output"]).partition(".")[0] if last.get("output") else None  # older ones named a measure
         ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, output, forecasts=forecasts)
         with tools.console.status("reading and aligning"):
             fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]

@@ -13,12 +13,11 @@ from rich.text import Text
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
+from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean_mae
-from usvlearn.evaluation.ranking import differing, own_columns, ranked
 from usvlearn.identified import sentences
 from usvlearn.report.terminal import Blocks
 
-MOST_COLUMNS = 5  # of estimators, beside the settings of a sweep
 COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",
            "steps": "steps"}  # fmt: skip
 
@@ -178,48 +177,13 @@ def _short(key: str) -> str:
 def summary_lines(results: Mapping, folder: Path) -> list[str]:
     """The last lines of a run: its result, and the command that shows it.
 
-    >>> summary_lines({"seconds": 2.0, "output": "ensemble", "objective": 0.05}, Path("run"))[1]
+    >>> summary_lines({"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}, Path("run"))[1]
     'To look at the run: tensorboard --logdir run'
     """
-    found = f"{results['seconds']:.1f} s; MAE of {results['output']}: {results['objective']:.4f} m/s"
+    measure, value = measure_of(results["measure"], ""), results["objective"]
+    found = f"{results['seconds']:.1f} s; {measure.title()}: {measure.shown(value)}"
     look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"
     return [f"{found}; results and parameter sets: {folder}", look]
-
-
-def sweep_table(jobs: Sequence[tuple[Mapping[str, str], Mapping]]) -> Group:
-    """One row per job of a sweep, the best first: the settings that differ, and MAE, averaged over boats.
-
-    The columns are the errors of the ranking member and of the ensemble, then those of the estimators whose error
-    differs between jobs, if they are few, and each job's best.
-
-    Args:
-        jobs: settings by key, and results as of `usvlearn.evaluation.ranking.scored`; `{"error": …}` of a job that
-            failed, {} of one that did not finish.
-    """
-    done = [(settings, result) for settings, result in ranked(jobs) if "boats" in result]
-    keys = differing([settings for settings, _ in jobs])
-    means = [mean_mae(result["boats"]) for _, result in done]
-    names = list(dict.fromkeys(name for maes in means for name in maes))
-    by = list(dict.fromkeys(result.get("ranked_by", "") for _, result in done))
-    first = dict.fromkeys(column for each in by for column in own_columns(each, names))
-    first |= dict.fromkeys(name for _, result in done if (name := result.get("output")) in names)
-    moved = [name for name in names if len({maes.get(name) for maes in means}) > 1 and name not in first]
-    shown = [*first, *(moved if len(first) + len(moved) <= MOST_COLUMNS else [])] or names[-1:]
-    title = "Sweep: MAE in m/s, mean over boats" + (f", ranked by {' or '.join(by)}" if any(by) else "")
-    heads = [_short(key) for key in keys]
-    measured = [name for name in by if "." in name]  # errors that are not of the next step
-    table = Blocks(title, heads, [*measured, *shown, "best", "its MAE"], folded=heads)
-    for (settings, result), maes in zip(done, means, strict=True):
-        best = next((name for name in by_error(maes) if maes[name] == maes[name]), "–")
-        own = [_number(result.get("objective")) if result.get("ranked_by") == name else "–" for name in measured]
-        cells = [*own, *(_number(maes.get(name)) for name in shown), best, _number(maes.get(best))]
-        table.add(*(settings.get(key, "") for key in keys), *cells)
-    failed = [
-        Text(f"failed: {short_settings(settings, keys)}: {result.get('error', 'did not finish')}")
-        for settings, result in jobs
-        if "boats" not in result
-    ]
-    return Group(*([table] if done else []), *failed)
 
 
 def tuning_table(title: str, rows: Sequence[tuple[str, str, Mapping]]) -> Blocks:

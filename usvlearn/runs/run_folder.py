@@ -22,13 +22,11 @@ from usvlearn.engine import of_lane
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
-from usvlearn.evaluation.horizons import ensemble_scores, mean_forecast_mae
-from usvlearn.evaluation.identification import Truth, as_results, identified_boats
-from usvlearn.evaluation.measure import FORECAST, FREE, free_mae, mean_of, measure_of, middle
-from usvlearn.evaluation.metrics import alarms, fleet_scores, mean_mae
+from usvlearn.evaluation.identification import Truth
 from usvlearn.rollouts import stack
-from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
+from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
+from usvlearn.runs.outcome import judged
 from usvlearn.runs.published import BEGIN, Position, Published, joined, packed, position, stem, widths_of
 from usvlearn.runs.replay import Chunk
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map
@@ -172,14 +170,15 @@ class RunFolder:
         self._wait()
 
     def finish(self, ensemble: Ensemble, seconds: float, truth: Truth | None = None) -> dict[str, Any]:
-        """Score all predictions; returns the content of `results.json`: scores, alarms, identified, the objective.
+        """Score all predictions, and write `errors.csv` and `results.json`; returns the content of the latter.
 
         Args:
             ensemble: that has learned.
             seconds: that the run took.
             truth: of simulated boats, to be written beside what was identified.
         """
-        found = self._judged(ensemble, seconds, truth or {})
+        found, errors = self._judged(ensemble, seconds, truth or {})
+        write_atomically(self.path / ERRORS, errors.encode())
         save_results(self.path, found)
         return found
 
@@ -188,45 +187,31 @@ class RunFolder:
         if self._pending:
             self._hand_on()
         steps = {"steps": self.fleet.steps_before(*self._reached), "of": self.fleet.steps}
-        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, seconds, {})}})
+        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, seconds, {})[0]}})
 
-    def _judged(self, ensemble: Ensemble, seconds: float, truth: Truth) -> dict[str, Any]:
+    def _judged(self, ensemble: Ensemble, seconds: float, truth: Truth) -> tuple[dict[str, Any], str]:
+        """The content of `results.json` and of `errors.csv`."""
         self._wait()
-        published = self.published
-        boats = fleet_scores(self.fleet, published, ensemble.names, ensemble.surge_limit)
-        found = {
-            "boats": boats,
-            "alarms": alarms(self.fleet, published.stretches(["thrusters"])),
-            "rejected": self.fleet.rejected,
-            **as_results(identified_boats(ensemble, self.state, self.fleet.boats), truth),
-        }
-        if forecast := ensemble_scores(ensemble, self.fleet, published):
-            found["forecast"] = forecast
-        output = self.metadata.get("configuration", {}).get("output", ensemble.output)
-        measure = measure_of(output)
-        objective = mean_mae(boats)[ensemble.output]
-        if measure.kind == FORECAST:
-            objective = mean_forecast_mae(found["forecast"], ensemble.output, f"{measure.horizon:g}")
-        elif measure.kind == FREE:
-            first = middle(self.fleet.runs)
-            found["free"] = free_mae(ensemble, self._after(first), self.fleet, first) if self._done(first) else {}
-            objective = mean_of(found["free"], ensemble.output)
-        return found | {"seconds": seconds, "output": output, "objective": objective}
+        objective = self.metadata.get("configuration", {}).get("objective")
+        found, errors = judged(ensemble, self.fleet, self.state, self.published, self._after, truth, objective)
+        return found | {"seconds": seconds}, errors
 
-    def _done(self, runs: int) -> bool:
-        """Whether so many runs have been replayed."""
-        return self._reached.run >= runs or self._reached == Position(runs - 1, len(self.fleet.runs[runs - 1].time))
+    def _after(self, runs: int) -> EnsembleState | None:
+        """The state of every boat after the first `runs` runs, from its parameter sets; None if they are not done.
 
-    def _after(self, runs: int) -> EnsembleState:
-        """The state of every boat after the first `runs` runs, from its parameter sets."""
+        A boat that has no run among them keeps its newest state.
+        """
+        if self._reached.run < runs and self._reached != Position(runs - 1, len(self.fleet.runs[runs - 1].time)):
+            return None
         lanes = []
         for lane, boat in enumerate(self.fleet.boats):
             paths = [
                 path
                 for path in checkpoints(self.path / CHECKPOINTS / boat)
-                if (place := position(path)) is not None and (place.run < runs or place.step == 0)
+                if (place := position(path)) is not None and place.run < runs and place.step
             ]
-            lanes.append(restore(paths[-1], _lane(self.state, lane), ESTIMATOR)[0])
+            now = _lane(self.state, lane)
+            lanes.append(restore(paths[-1], now, ESTIMATOR)[0] if paths else now)
         return stack(lanes)
 
     def _lane_set(self, state: EnsembleState, lane: int, boat: str, place: Position) -> Set:
@@ -350,7 +335,8 @@ class RunFolder:
     def _forget(self, place: Position) -> None:
         """Remove the results, and the predictions after `place`, the last first: they are made anew."""
         self.path.mkdir(parents=True, exist_ok=True)
-        (self.path / RESULTS).unlink(missing_ok=True)
+        for name in (RESULTS, ERRORS):
+            (self.path / name).unlink(missing_ok=True)
         for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
             if (found := position(old)) is None or found > place:
                 old.unlink()

@@ -1,14 +1,23 @@
 """The jobs of a sweep: identified by their settings, skipped if finished, resumed if begun, recorded if they fail.
 
+In a job's folder:
+
 job.json         all settings of the job, and those that the command gave
 results.json     the results, or {"error": reason}
 traceback.txt    of an unexpected error
+
+In the sweep's folder:
+
+sweep.json       the number of jobs, the keys with several values, their values without the sweep, the objective
+lanes.json       the jobs that were run as lanes of one batch (`usvlearn.sweeps.lanes`); they have no folders
 """
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
+import math
 import shlex
 import sys
 import traceback
@@ -19,12 +28,14 @@ from typing import Any, NamedTuple
 
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, UsvlearnError, bad_input, printable
+from usvlearn.evaluation.by_run import RunError, from_csv
+from usvlearn.evaluation.measure import Measure, measure_of
 from usvlearn.evaluation.ranking import differing, ranked_by, scored
 from usvlearn.lock import Lock
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.layout import RESULTS, RUNS, save_results
+from usvlearn.runs.layout import ERRORS, RESULTS, RUNS, save_results
 
-JOB, TRACEBACK = "job.json", "traceback.txt"
+JOB, TRACEBACK, SWEEP, LANES = "job.json", "traceback.txt", "sweep.json", "lanes.json"
 
 
 class Job(NamedTuple):
@@ -33,6 +44,24 @@ class Job(NamedTuple):
     folder: Path
     settings: dict[str, str]  # the settings of its command, by key
     results: dict[str, Any]  # of results.json; {"error": reason} if it failed, {} if it did not finish
+    errors: tuple[RunError, ...] | None = None  # by run; None: in its folder
+
+
+class Lane(NamedTuple):
+    """A job that was run as a lane."""
+
+    overrides: list[str]
+    results: dict[str, Any]
+    errors: list[RunError]
+
+
+class SweepNote(NamedTuple):
+    """The content of `sweep.json`."""
+
+    jobs: int = 0
+    swept: tuple[str, ...] = ()  # keys with several values
+    defaults: Mapping[str, str] = {}  # their values without the sweep, those that are known
+    objective: str | None = None
 
 
 def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, Any]) -> None:
@@ -47,7 +76,7 @@ def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, A
         ConfigError: the command, or the settings of its sweep, differ from those that began there.
     """
     held = folder / "multirun.yaml"
-    if not (held.exists() and any(folder.glob(f"*/{JOB}"))):
+    if not (held.exists() and (any(folder.glob(f"*/{JOB}")) or (folder / LANES).exists())):
         return
     old = load(held)["hydra"]
     asked = [[sorted(each["overrides"]["task"]), each["sweeper"].get("params")] for each in (old, hydra)]
@@ -72,7 +101,7 @@ def run_job(
     settings: Mapping,
     overrides: Sequence[str],
     work: Callable[[str | None], float],
-    swept: Sequence[str] = (),
+    note: SweepNote = SweepNote(),  # noqa: B008  # a constant
 ) -> float:
     """Do one job of a sweep: nothing if it is finished, the rest if it was begun, everything if it failed before.
 
@@ -84,10 +113,10 @@ def run_job(
         settings: all settings; a different value of any is a different job.
         overrides: the settings of the command, for people who read the folder.
         work: does the job, resuming from a folder or as its settings say (None); returns its own objective.
-        swept: the keys to which the sweep gives several values.
+        note: of the sweep.
 
     Returns:
-        The error that ranks the job in the leaderboard, NaN if it failed.
+        What ranks the job in the leaderboard, so that less is better; NaN if it failed, or if that is unknown.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -103,7 +132,7 @@ def run_job(
         print(f"error: {bad_input(error) or error}", file=sys.stderr)
         return float("nan")
     with lock:
-        return _run_job(folder, settings, overrides, work, swept)
+        return _run_job(folder, settings, overrides, work, note)
 
 
 def _run_job(
@@ -111,7 +140,7 @@ def _run_job(
     settings: Mapping,
     overrides: Sequence[str],
     work: Callable[[str | None], float],
-    swept: Sequence[str],
+    note: SweepNote,
 ) -> float:
     """`run_job` in a folder that is locked."""
     known, held, results = digest(settings), _read(folder / JOB), _read(folder / RESULTS)
@@ -120,15 +149,14 @@ def _run_job(
         print(f"error: {_foreign(folder, held, overrides)}", file=sys.stderr)
         return float("nan")
     if "settings" in held and done:
-        print(f"finished before: {folder}")
-        return _objective(results, overrides, swept)
+        return _loss(results, note)
     try:
         for old in (RESULTS, TRACEBACK):
             (folder / old).unlink(missing_ok=True)
-        note = {"settings": known, "overrides": list(overrides)}
-        write_atomically(folder / JOB, json.dumps(note, indent=2).encode())
+        noted = {"settings": known, "overrides": list(overrides)}
+        write_atomically(folder / JOB, json.dumps(noted, indent=2).encode())
         made = work(str(folder) if begun else None)
-        return _objective({"objective": made, **_read(folder / RESULTS)}, overrides, swept)
+        return _loss({"objective": made, **_read(folder / RESULTS)}, note)
     except Exception as error:
         cause, trace = bad_input(error), traceback.format_exc()
         with suppress(OSError):  # the missing results show that a folder was not writable
@@ -136,13 +164,50 @@ def _run_job(
                 cause = f"{type(error).__name__}: {error} (see {folder / TRACEBACK})"
                 write_atomically(folder / TRACEBACK, trace.encode())
             save_results(folder, {"error": cause})
-        print(f"error: {cause}", file=sys.stderr)
         return float("nan")
 
 
-def _objective(results: Mapping[str, Any], overrides: Sequence[str], swept: Sequence[str]) -> float:
-    found = scored(results, ranked_by(swept, [_by_key(overrides)], [results])).get("objective")
-    return float("nan") if found is None else found
+def _loss(results: Mapping[str, Any], note: SweepNote) -> float:
+    found = scored(results, ranked_by(note.objective, note.swept, [results]))
+    loss = _measure(found).loss(found.get("objective"))
+    return loss if math.isfinite(loss) else float("nan")
+
+
+def _measure(results: Mapping[str, Any]) -> Measure:
+    """What ranks a job whose results are `scored`."""
+    return measure_of(results.get("measure"), "output")
+
+
+def note_sweep(folder: Path, note: SweepNote) -> None:
+    """Write `sweep.json`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / SWEEP, json.dumps(note._asdict(), indent=2).encode())
+
+
+def noted_sweep(folder: Path) -> SweepNote:
+    """What `sweep.json` says; an empty note where it is missing or damaged.
+
+    >>> noted_sweep(Path("nowhere"))
+    SweepNote(jobs=0, swept=(), defaults={}, objective=None)
+    """
+    found = _read(folder / SWEEP)
+    count, swept, defaults, objective = (found.get(key) for key in SweepNote._fields)
+    return SweepNote(
+        count if isinstance(count, int) else 0,
+        tuple(map(str, swept)) if isinstance(swept, list) else (),
+        {str(key): str(value) for key, value in defaults.items()} if isinstance(defaults, dict) else {},
+        objective if isinstance(objective, str) else None,
+    )
+
+
+def errors_of(job: Job) -> Sequence[RunError]:
+    """The errors of a job by run; none where they are missing or damaged."""
+    if job.errors is not None:
+        return job.errors
+    try:
+        return from_csv((job.folder / ERRORS).read_text())
+    except (OSError, ValueError, csv.Error):
+        return ()
 
 
 def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
@@ -160,6 +225,8 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
     usvlearn.errors.ConfigError: runs: found no run below 'nowhere', expected a folder that train.py has written
     """
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
+    if not paths and (folder / LANES).exists():
+        return _lanes(folder / LANES)
     if not paths:
         raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
     found = []
@@ -170,6 +237,32 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
             results = {"error": _foreign(path, held, overrides)}  # Hydra has already written its records there
         found.append(Job(path, _by_key(overrides), results))
     return found
+
+
+def write_lanes(folder: Path, made: Sequence[Lane]) -> None:
+    """Write `lanes.json`."""
+    write_atomically(folder / LANES, json.dumps({"jobs": [each._asdict() for each in made]}).encode())
+
+
+def _lanes(path: Path) -> list[Job]:
+    """The jobs of a `lanes.json`.
+
+    Raises:
+        ConfigError: it is damaged.
+    """
+    try:
+        rows = json.loads(path.read_text())["jobs"]
+        found = []
+        for k, row in enumerate(rows):
+            check_results(row["results"])
+            errors = tuple(
+                RunError(str(boat), str(run), str(ahead), int(steps), {str(name): float(x) for name, x in mae.items()})
+                for boat, run, ahead, steps, mae in row["errors"]
+            )
+            found.append(Job(path.parent / str(k), _by_key(row["overrides"]), dict(row["results"]), errors))
+        return found
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, UsvlearnError, RecursionError) as error:
+        raise ConfigError(f"{path}: is damaged ({error}): run the same command in another hydra.sweep.dir") from error
 
 
 def _by_key(overrides: Sequence[str]) -> dict[str, str]:
@@ -185,13 +278,32 @@ def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
     return f"{folder} holds another job, {other}: repeat the command that made it, or choose another hydra.sweep.dir"
 
 
-def _are_scores(boats: Any) -> bool:
-    """Whether these are numbers, or null, by boat, method and score."""
-    tables = list(boats.values()) if isinstance(boats, dict) else [None]
-    rows = [row for table in tables for row in (table.values() if isinstance(table, dict) else [None])]
-    return all(
-        isinstance(row, dict) and all(x is None or isinstance(x, int | float) for x in row.values()) for row in rows
-    )
+def check_results(found: Mapping[str, Any]) -> None:
+    """Raise a ValueError unless what a leaderboard reads of `results.json` has its form: others may have written it."""
+    tables = {"boats": 3, "forecast": 4, "free": 2}  # depth of the dictionaries: boat, method, horizon, score
+    for name, depth in tables.items():
+        if name in found and not _are_numbers(found[name], depth):
+            raise ValueError(f"{name}: expected numbers by boat, method and score")
+    for name in ("seconds", "objective"):
+        if name in found and not _is_number(found[name]):
+            raise ValueError(f"{name}: found {found[name]!r:.50}, expected a number")
+    if "measure" in found:
+        measure_of(str(found["measure"]), "")
+    networks = found.get("network", {})
+    each = [x for members in networks.values() for x in members.values()]
+    if not all(isinstance(x["contracting"], bool) and _is_number(x["rate"]) for x in each):
+        raise ValueError("network: expected a verdict and a rate by boat and network")
+
+
+def _are_numbers(node: Any, depth: int) -> bool:
+    """Whether a tree of so many dictionaries has numbers, or null, at its ends."""
+    if depth == 0:
+        return _is_number(node)
+    return isinstance(node, dict) and all(_are_numbers(child, depth - 1) for child in node.values())
+
+
+def _is_number(x: Any) -> bool:
+    return x is None or isinstance(x, int | float)
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -200,12 +312,11 @@ def _read(path: Path) -> dict[str, Any]:
         found = json.loads(path.read_text())
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected a dictionary")
-        if "boats" in found and not _are_scores(found["boats"]):
-            raise ValueError("boats: expected numbers by boat, method and score")
+        check_results(found)
         if "settings" in found and not isinstance(found.get("overrides"), list):
             raise ValueError("overrides: expected a list")
         return found | {"error": printable(str(found["error"]))} if "error" in found else found
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, UsvlearnError, RecursionError) as error:
         return {"error": f"{path} is damaged ({error}): run the same command again"}

@@ -1,93 +1,101 @@
-"""The leaderboard of a sweep: a CSV table, and a row per job on TensorBoard's HPARAMS page."""
+"""The leaderboard of a sweep: printed, and written as CSV, Markdown, a figure and a page of TensorBoard.
+
+leaderboard.csv   one row per setting, all digits      leaderboard.md    the same with four digits
+leaderboard.png   the objective against the swept keys (extra plot)
+leaderboard/      one row per job on TensorBoard's HPARAMS page
+"""
 
 from __future__ import annotations
 
-import csv
-import io
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.errors import ConfigError
-from usvlearn.evaluation.metrics import mean_mae
-from usvlearn.evaluation.ranking import differing, ranked, ranked_by, scored
-from usvlearn.report.tables import short_settings, sweep_table
+from usvlearn.errors import ConfigError, MissingExtraError
+from usvlearn.evaluation.measure import Measure
+from usvlearn.evaluation.ranking import differing, ranked_by, scored
+from usvlearn.report.tables import short_settings
 from usvlearn.report.terminal import console
-from usvlearn.sweeps.jobs import Job, jobs
+from usvlearn.sweeps.jobs import Job, jobs, noted_sweep
+from usvlearn.sweeps.seeds import SEED
+from usvlearn.sweeps.standings import Standing, standings
+from usvlearn.sweeps.sweep_figure import sweep_figure
+from usvlearn.sweeps.table import error, label, printed, result_table
 from usvlearn.tensorboard import TensorBoardWriter
 
-FOLDER, TABLE = "leaderboard", "leaderboard.csv"
+FOLDER, TABLE, TEXT, FIGURE = "leaderboard", "leaderboard.csv", "leaderboard.md", "leaderboard.png"
 LONGEST = 120  # characters of a row's name, which is a folder's
 
 
-def leaderboard(folder: Path, load: Callable[[Path], Any]) -> bool:
+def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None) -> bool:
     """Print and write the leaderboard of the runs below a folder; returns whether all are finished.
 
     Args:
         folder: of a sweep, or any other folder with runs.
         load: see `usvlearn.sweeps.jobs.jobs`.
+        objective: that ranks; by default that of the sweep (`usvlearn.evaluation.ranking.ranked_by`).
     """
-    found = _scored(jobs(folder, load))
-    console().print(sweep_table([(job.settings, job.results) for job in found]))
-    write_leaderboard(folder, found)
-    return not any(map(_error, found))
+    found, note = jobs(folder, load), noted_sweep(folder)
+    keys = differing([job.settings for job in found])
+    by = ranked_by(objective or note.objective, note.swept or keys, [job.results for job in found])
+    found = [job._replace(results=scored(job.results, by)) for job in found]
+    ranks = standings(found, by, note.defaults)
+    keys = [key for key in keys if key != SEED]
+    console().print(printed(folder, ranks, keys, by))
+    write_leaderboard(folder, found, ranks, by)
+    return not any(map(error, found))
 
 
-def write_leaderboard(folder: Path, jobs: Sequence[Job]) -> None:
-    """Write `leaderboard.csv` and `leaderboard/` into a folder; earlier ones are replaced.
-
-    Nothing is written if the folder is itself a run.
+def write_leaderboard(
+    folder: Path, jobs: Sequence[Job], ranks: Sequence[Standing] | None = None, measure: Measure | None = None
+) -> None:
+    """Write all files into a folder; earlier ones are replaced. Nothing is written if the folder is itself a run.
 
     Args:
         folder: of the sweep.
         jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.ranking.scored`.
+        ranks: see `usvlearn.sweeps.standings.standings`; by default those without known default values.
+        measure: what ranks them; None if each job's own output does.
 
     Raises:
         ConfigError: the folder cannot be written to.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as name:
-    ...     write_leaderboard(Path(name), [Job(Path(name, "0"), {"align.dt": "0.4"}, {"error": "bad"})])
-    ...     print(Path(name, "leaderboard.csv").read_text())
-    job,ranked_by,objective,seconds,error
-    0,,,,bad
-    <BLANKLINE>
+    ...     job = Job(Path(name, "0"), {"align.dt": "0.4"}, {"error": "bad"})
+    ...     write_leaderboard(Path(name), [job])
+    ...     print(Path(name, "leaderboard.csv").read_text().splitlines()[1])
+    1,0,,m/s,,,0,False,,,,,,,,bad
     """
     if any(job.folder == folder for job in jobs):
         return
+    keys = [key for key in differing([job.settings for job in jobs]) if key != SEED]
+    ranks = standings(jobs, measure, {}) if ranks is None else ranks
+    made = result_table(folder, ranks, keys)
     try:
-        write_atomically(folder / TABLE, _csv(folder, jobs).encode())
+        write_atomically(folder / TABLE, made.csv().encode())
+        write_atomically(folder / TEXT, made.markdown().encode())
+        figure = _figure(ranks, keys, measure)
+        if figure is None:
+            (folder / FIGURE).unlink(missing_ok=True)
+        else:
+            write_atomically(folder / FIGURE, figure)
         _write_hparams(folder / FOLDER, folder, jobs)
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot hold the leaderboard ({error}): make it writable") from error
+    except OSError as cause:
+        raise ConfigError(f"{folder}: cannot hold the leaderboard ({cause}): make it writable") from cause
 
 
-def _scored(jobs: Sequence[Job]) -> list[Job]:
-    """The jobs with the error that ranks them."""
-    settings, results = [job.settings for job in jobs], [job.results for job in jobs]
-    by = ranked_by(differing(settings), settings, results)
-    return [job._replace(results=scored(job.results, by)) for job in jobs]
-
-
-def _csv(folder: Path, jobs: Sequence[Job]) -> str:
-    """One row per job, the best first: the settings that differ, the ranking member, the MAE of each estimator.
-
-    An MAE is a mean over boats, m/s.
-    """
-    keys = differing([job.settings for job in jobs])
-    names = _estimators(jobs)
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["job", *keys, "ranked_by", "objective", *(f"mae/{name}" for name in names), "seconds", "error"])
-    for job in ranked(jobs):
-        maes = [_finite(_maes(job).get(name)) for name in names]
-        by = job.results.get("ranked_by"), job.results.get("objective")
-        numbers = [*by, *maes, job.results.get("seconds")]
-        writer.writerow([_label(folder, job), *(job.settings.get(key) for key in keys), *numbers, _error(job)])
-    return text.getvalue()
+def _figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> bytes | None:
+    """The figure as PNG; None, with a warning, without matplotlib."""
+    try:
+        return sweep_figure(ranks, keys, measure)
+    except MissingExtraError as cause:
+        warnings.warn(f"no figure of the sweep: {cause}", stacklevel=2)
+        return None
 
 
 def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
@@ -103,11 +111,10 @@ def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
     for name, job in zip(_names(folder, jobs, keys), jobs, strict=True):
         settings = {key: _number(job.settings.get(key, "")) for key in keys or job.settings}
         numbers = {"objective": job.results.get("objective"), "seconds": job.results.get("seconds")}
-        numbers |= {f"mae/{each}": _maes(job).get(each) for each in _estimators(jobs)}
         with TensorBoardWriter(board / name) as writer:
             # TensorBoard takes the columns from any of the rows, so all rows have the same ones
             writer.hparams(
-                settings | {"ranked_by": job.results.get("ranked_by", ""), "job": _error(job) or "finished"},
+                settings | {"measure": job.results.get("measure", ""), "job": error(job) or "finished"},
                 {key: float("nan") if value is None else value for key, value in numbers.items()},
             )
 
@@ -118,29 +125,8 @@ def _names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
     names = []
     for name, job in zip(full, jobs, strict=True):
         whole = name and len(name) <= LONGEST and full.count(name) == 1
-        names.append(name if whole else f"{name[:LONGEST]} {_label(folder, job).replace('/', '_')}".strip())
+        names.append(name if whole else f"{name[:LONGEST]} {label(folder, job).replace('/', '_')}".strip())
     return names
-
-
-def _label(folder: Path, job: Job) -> str:
-    """The path of a job below the sweep's folder."""
-    return job.folder.relative_to(folder).as_posix()
-
-
-def _maes(job: Job) -> dict[str, float]:
-    return mean_mae(job.results.get("boats", {}))
-
-
-def _estimators(jobs: Sequence[Job]) -> list[str]:
-    return list(dict.fromkeys(name for job in jobs for name in _maes(job)))
-
-
-def _finite(number: float | None) -> float | None:
-    return None if number != number else number
-
-
-def _error(job: Job) -> str:
-    return "" if "boats" in job.results else job.results.get("error", "did not finish")
 
 
 def _number(text: str) -> float | str:

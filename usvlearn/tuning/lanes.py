@@ -22,7 +22,8 @@ from usvlearn.estimators.ensemble.forecasts.layer import Forecasts
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.estimators.wrappers.bank import Bank
-from usvlearn.evaluation.measure import FORECAST, FREE, Measure, middle
+from usvlearn.evaluation.free_simulation import middle
+from usvlearn.evaluation.measure import FORECAST, FREE, Measure
 from usvlearn.hyper import Positive, UnitInterval, as_tensor
 from usvlearn.rollouts import rollout, simulate, tensors
 from usvlearn.signals import Fleet, tree_map
@@ -159,15 +160,29 @@ def check_one_estimator(name: str, value: Any) -> Estimator:
     return check_estimator(name, value)
 
 
-def fleet_mae(
+class LaneErrors(NamedTuple):
+    """Sums over the steps of each run, and the state at the end."""
+
+    errors: Tensor  # (runs, *settings, boats) of |error|, m/s
+    steps: Tensor  # (runs, *settings, boats) that counted
+    state: Any  # leaves (*settings, boats, …)
+
+    @property
+    def mae(self) -> Tensor:
+        """m/s, `(*settings, boats)`; infinite if a prediction was not finite, so that a lane cannot win by the rest."""
+        found = self.errors.sum(0) / self.steps.sum(0)
+        return torch.where(found.isfinite(), found, math.inf)
+
+
+def lane_errors(
     estimator: Estimator,
     fleet: Fleet,
     settings: Sequence[int] = (),
     advance: Callable[[float], None] = lambda share: None,
     at_run: Callable[[Any], None] = lambda state: None,
     measure: Measure = NEXT,
-) -> Tensor:
-    """MAE of each setting and boat, m/s, `(*settings, boats)`; the state is carried from run to run.
+) -> LaneErrors:
+    """Errors of each setting on each run and boat; the state is carried from run to run.
 
     Args:
         estimator: its hyperparameters broadcast against the batch `(*settings, boats)`.
@@ -176,22 +191,20 @@ def fleet_mae(
         advance: receives the fraction completed since the last call.
         at_run: receives the state at the start of each run.
         measure: which error counts.
-
-    Returns:
-        Infinite if a prediction was not finite, so that a lane cannot win by its remaining steps.
     """
     batch, first = (*settings, len(fleet.boats)), middle(fleet.runs) if measure.kind == FREE else 0
     if measure.kind == FORECAST:
-        made = Forecasts((measure.horizon,))
-        estimator = Ensemble({"member": estimator}, {"own": Average()}, watched=False, forecasts=made)
+        ahead = Forecasts((measure.horizon,))
+        estimator = Ensemble({"member": estimator}, {"own": Average()}, watched=False, forecasts=ahead)
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
     with torch.no_grad():
         state = estimator.init(batch)
         dtype = next(estimator.parameters(), torch.zeros((), dtype=torch.float64)).dtype
-        total, count = torch.zeros(batch, dtype=dtype), torch.zeros(batch, dtype=dtype)
+        errors, steps = [], []
         for index, run in enumerate(fleet.runs):
             free = measure.kind == FREE and index >= first
             own = state
+            total, count = torch.zeros(batch, dtype=dtype), torch.zeros(batch, dtype=dtype)
             at_run(state)
             samples = tensors(run.samples, dtype)
             for begin in range(0, len(run.time), length):
@@ -211,8 +224,22 @@ def fleet_mae(
                     total += torch.where(learns, (predicted - surge).abs(), 0.0).sum(0)
                     count += learns.expand(len(surge), *batch).sum(0)
                 advance(len(step.surge) / fleet.steps)
-    mae = total / count
-    return torch.where(mae.isfinite(), mae, math.inf)
+            errors.append(total)
+            steps.append(count)
+        made = torch.stack(errors), torch.stack(steps)
+    return LaneErrors(*made, state.members["member"] if measure.kind == FORECAST else state)
+
+
+def fleet_mae(
+    estimator: Estimator,
+    fleet: Fleet,
+    settings: Sequence[int] = (),
+    advance: Callable[[float], None] = lambda share: None,
+    at_run: Callable[[Any], None] = lambda state: None,
+    measure: Measure = NEXT,
+) -> Tensor:
+    """MAE of each setting and boat, m/s, `(*settings, boats)`; arguments as of `lane_errors`."""
+    return lane_errors(estimator, fleet, settings, advance, at_run, measure).mae
 
 
 class Objective:

@@ -17,7 +17,8 @@ from rich.progress import Progress
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.estimators.rnn.layer import RNN
-from usvlearn.evaluation.measure import FREE, ONE_STEP, Measure, check_halves, measure_of
+from usvlearn.evaluation.free_simulation import check_halves
+from usvlearn.evaluation.measure import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
 from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest
 from usvlearn.signals import Fleet
@@ -103,10 +104,7 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
     if not isinstance(member, str) or member not in members:
         raise ConfigError(f"{way}: found {member!r}, expected one of the members {', '.join(members)}")
 
-    def build(values: Mapping[str, Any]) -> Any:
-        with under(f"estimators.{member}", members[member]):
-            return instantiate(_changed(members[member], values))
-
+    build = builder(members, member, instantiate)
     estimator = check_one_estimator(f"{way}={member}", build({}))
     if explicit:
         values = {str(key).partition(".")[2]: _listed(key, each) for key, each in given.items()}
@@ -129,13 +127,28 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
             parameters.append(hyperparameter(estimator, path, low, high, key))
     if way != "learn" and any(each.kind is RNN for each in parameters):
         raise ConfigError(f"{way}={member}: initial weights are learned by gradient alone: use learn={member}")
-    measure = measure_of(configuration.get("output", "ensemble"))
+    measure = measure_of(configuration.get("objective"), member)
+    if measure.estimator != member:
+        raise ConfigError(f"objective: found {measure} with {way}={member}, expected {member} or {member}.KIND")
+    if measure.kind in (SKILL, COVERAGE):
+        raise ConfigError(f"objective: found {measure} with {way}={member}, expected one of its errors: {member}, "
+                          f"{member}.forecast.SECONDS or {member}.free")  # fmt: skip
     if way == "learn" and measure.kind != ONE_STEP:
         raise ConfigError(
-            f"output: found {configuration['output']} with learn={member}, which minimises the error one step ahead: "
-            "use grid or search"
+            f"objective: found {measure} with learn={member}, which minimises the error one step ahead: use grid or "
+            "search"
         )
     return Request(way, member, parameters, values, options["evaluations"], options, members[member], build, measure)
+
+
+def builder(members: Mapping[str, Any], member: str, instantiate: Callable[[Any], Any]) -> Build:
+    """Makes a member of a configuration with changed settings."""
+
+    def build(values: Mapping[str, Any]) -> Any:
+        with under(f"estimators.{member}", members[member]):
+            return instantiate(_changed(members[member], values))
+
+    return build
 
 
 def _changed(node: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
@@ -217,6 +230,7 @@ def tune(
     facts = {
         "member": asked_for.member,
         "way": asked_for.way,
+        "measure": str(asked_for.measure),
         "command": shlex.join(["python", "train.py", *overrides]),
         "evaluations": used,
         "ranges": asked_for.ranges,

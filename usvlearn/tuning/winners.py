@@ -91,7 +91,9 @@ def write(folder: str | Path, record: Mapping[str, Any], curve: Sequence[Mapping
             name: {"mae": mae, "skill": None if mae is None or not base else 1 - mae / base}
             for name, mae in maes.items()
         }
-    save_results(folder, {"boats": boats, "seconds": record["seconds"], "objective": record["best"]["mae"]})
+    best = record["best"]
+    found = {"boats": boats, "seconds": record["seconds"], "objective": best["mae"], "best": label(best["setting"])}
+    save_results(folder, found | {"measure": record.get("measure", record["member"])})
 
 
 def ranked(record: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -1,0 +1,106 @@
+"""Paired differences: the interval holds as often as it says, ties are ties, and the objective is the fleet's."""
+
+import numpy as np
+import pytest
+
+from usvlearn.evaluation.by_run import RunError, as_csv, from_csv
+from usvlearn.evaluation.comparison import cells, compare
+from usvlearn.evaluation.measure import Measure, measure_of
+
+RNN = Measure("rnn")
+
+
+def errors(made: dict[tuple[str, str], float], ahead: str = "step", steps: int = 100) -> list[RunError]:
+    return [RunError(boat, run, ahead, steps, {"rnn": e, "persistence": 0.2}) for (boat, run), e in made.items()]
+
+
+def season(rng, boats: int, runs: int, shift: float, spread: float = 0.02):
+    """Errors of two settings; a run's own difficulty is common, and the first is better by `shift` on average."""
+    own = {(f"b{i}", f"r{j}"): float(0.1 + 0.05 * rng.random()) for i in range(boats) for j in range(runs)}
+    other = {cell: float(e + shift + spread * rng.normal()) for cell, e in own.items()}
+    return cells({"": errors(own)}, RNN), cells({"": errors(other)}, RNN)
+
+
+def test_the_difference_is_that_of_the_objective():
+    """Mean over boats of the error over all steps, whatever the lengths of the runs."""
+    one = [RunError("a", "1", "step", 10, {"rnn": 0.1}), RunError("a", "2", "step", 30, {"rnn": 0.3}),
+           RunError("b", "1", "step", 5, {"rnn": 0.5})]  # fmt: skip
+    other = [each._replace(mae={"rnn": 0.2}) for each in one]
+    found = compare(cells({"": one}, RNN), cells({"": other}, RNN), RNN)
+    assert found.mean == pytest.approx(((10 * 0.1 + 30 * 0.3) / 40 + 0.5) / 2 - 0.2)
+    assert found.share == pytest.approx(found.mean / 0.2) and found.runs == 3
+
+
+def test_only_runs_that_both_have_are_compared():
+    one = cells({"": errors({("a", "1"): 0.1, ("a", "2"): 0.9, ("a", "3"): 0.1})}, RNN)
+    other = cells({"": errors({("a", "1"): 0.2, ("a", "3"): 0.2, ("b", "1"): 9.0})}, RNN)
+    assert compare(one, other, RNN).mean == pytest.approx(-0.1) and compare(one, other, RNN).runs == 2
+    assert compare(one, {}, RNN) is None
+
+
+def test_the_interval_contains_the_truth_about_as_often_as_it_says():
+    """95 % of 200 seasons of one boat and 20 runs: mean 190, deviation 3; a bootstrap of 20 is a little narrow."""
+    held = 0
+    for seed in range(200):
+        found = compare(*season(np.random.default_rng(seed), 1, 20, 0.01), RNN)
+        held += found.low <= -0.01 <= found.high
+    assert 176 <= held <= 199
+
+
+def test_small_differences_are_ties_and_large_ones_are_not():
+    rng = np.random.default_rng(1)
+    small, large = (compare(*season(rng, 3, 8, shift), RNN) for shift in (0.0005, 0.02))
+    assert small.tie is True and large.tie is False and large.high < 0
+
+
+def test_boats_are_drawn_too():
+    """Two settings that differ by boat, in the same way on each of its runs, are not told apart by many runs."""
+    base = {(f"b{i}", f"r{j}"): 0.1 for i in range(4) for j in range(50)}
+    shifted = {(boat, run): 0.1 + {"b0": 0.03, "b1": -0.02, "b2": 0.02, "b3": -0.01}[boat] for boat, run in base}
+    found = compare(cells({"": errors(base)}, RNN), cells({"": errors(shifted)}, RNN), RNN)
+    assert found.tie is True and found.high - found.low > 0.02
+
+
+def test_one_run_has_no_interval_and_several_seeds_of_it_have():
+    one = {"0": errors({("a", "1"): 0.1})}
+    found = compare(cells(one, RNN), cells({"0": errors({("a", "1"): 0.2})}, RNN), RNN)
+    assert found.mean == pytest.approx(-0.1) and found.low is None and found.tie is None
+    seeds = [{f"{k}": errors({("a", "1"): e + 0.001 * k}) for k in range(4)} for e in (0.1, 0.2)]
+    found = compare(*(cells(each, RNN) for each in seeds), RNN)
+    assert found.tie is False and found.runs == 4
+
+
+@pytest.mark.parametrize(
+    ("objective", "ahead"), [("rnn.forecast.10", "10"), ("rnn.free", "free"), ("rnn.skill", "step")]
+)
+def test_each_objective_has_its_own_errors(objective, ahead):
+    measure = measure_of(objective, "")
+    some = {("a", f"{k}"): 0.1 for k in range(3)}
+    noise = errors({("a", "0"): 9.0}, "other")
+    one, other = ({"": [*errors(some, ahead), *noise]}, {"": errors(dict.fromkeys(some, 0.15), ahead)})
+    found = compare(cells(one, measure), cells(other, measure), measure)
+    assert found.mean == pytest.approx(-0.25 if objective == "rnn.skill" else -0.05)  # persistence errs by 0.2
+
+
+def test_coverage_has_no_errors_by_run():
+    assert cells({"": errors({("a", "1"): 0.1})}, Measure("rnn", "coverage")) == {}
+
+
+def test_a_bank_is_compared_by_its_best_setting():
+    rows = [RunError("a", "1", "step", 10, {"wind_a": 0.3, "wind_b": 0.1})]
+    assert [e for _, e, _ in cells({"": rows}, Measure("wind")).values()] == [0.1]
+
+
+DAMAGED = ["", "a,b\n", "boat,run,ahead,steps,x\nh,r,step,0,0.1\n", "boat,run,ahead,steps,x\nh,r,step,9,nan\n",
+           "boat,run,ahead,steps,x\nh,r,step,9\n", "boat,run,ahead,steps,x\nh,r,step,x,1\n"]  # fmt: skip
+
+
+@pytest.mark.parametrize("text", DAMAGED)
+def test_a_damaged_table_of_errors_is_refused(text):
+    with pytest.raises(ValueError):
+        from_csv(text)
+
+
+def test_errors_survive_being_written():
+    rows = [RunError("a, b", 'x"y\nz', "0.4", 3, {"rnn": 1 / 3}), RunError("é", "2", "free", 1, {})]
+    assert from_csv(as_csv(rows, ["aid", "rnn"])) == rows

@@ -1,0 +1,142 @@
+"""Settings of a sweep: seeds are pooled, the default is found, ties are said to be ties, and the table fits."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from usvlearn.evaluation.by_run import RunError
+from usvlearn.evaluation.measure import Measure
+from usvlearn.evaluation.ranking import differing, scored
+from usvlearn.sweeps.jobs import Job
+from usvlearn.sweeps.leaderboard import write_leaderboard
+from usvlearn.sweeps.standings import standings
+from usvlearn.sweeps.table import printed
+
+RNN = Measure("rnn")
+SWEEP = Path("sweep")
+
+
+def job(k: int, mae: float | None, seconds: float = 2.0, network: dict | None = None, **settings: str) -> Job:
+    """One job over eight runs of a boat, whose errors scatter by a thousandth about the MAE."""
+    keys = {key if key == "seed" else f"estimators.rnn.{key}": x for key, x in settings.items()}
+    if mae is None:
+        return Job(SWEEP / f"{k}", keys, {"error": "bad: found -1"})
+    rng = np.random.default_rng([7, k])
+    maes = mae + 1e-3 * rng.normal(size=8)
+    runs = tuple(
+        RunError("heron", f"r{i}", "step", 100, {"rnn": float(e), "persistence": 0.2}) for i, e in enumerate(maes)
+    )
+    results = {"boats": {"heron": {"rnn": {"mae": float(maes.mean()), "skill": 0.1}}}, "output": "ensemble",
+               "measure": "ensemble.mae", "objective": 0.5, "seconds": seconds}  # fmt: skip
+    results |= {"network": {"heron": {"rnn": network}}} if network else {}
+    return Job(SWEEP / f"{k}", keys, scored(results, RNN), runs)
+
+
+def lines(jobs: list[Job], defaults: dict[str, str] | None = None, width: int = 80, measure=RNN) -> list[str]:
+    keys = [key for key in differing([each.settings for each in jobs]) if key != "seed"]
+    console = Console(width=width)
+    with console.capture() as caught:
+        console.print(printed(SWEEP, standings(jobs, measure, defaults or {}), keys, measure))
+    return caught.get().splitlines()
+
+
+SIZES = [job(0, 0.10, neurons="4"), job(1, 0.08, neurons="20"), job(2, 0.0801, neurons="40"), job(3, 0.05, neurons="9")]
+DEFAULT = {"estimators.rnn.neurons": "20"}
+
+
+def test_settings_are_compared_with_the_default():
+    found = standings(SIZES, RNN, DEFAULT)
+    assert [each.settings["estimators.rnn.neurons"] for each in found] == ["9", "20", "40", "4"]
+    assert [each.reference for each in found] == [False, True, False, False]
+    best, default, close, worst = found
+    assert default.difference is None and close.difference.tie is True
+    assert best.difference.high < 0 < worst.difference.low
+    assert best.difference.mean == pytest.approx(best.value - default.value)
+    text = "\n".join(lines(SIZES, DEFAULT))
+    assert "reference" in text and " tie " in text and "1 of 3 settings ties with it" in " ".join(text.split())
+    assert "Reference: the default, rnn.neurons=20." in text
+
+
+@pytest.mark.parametrize("defaults", [{}, {"estimators.rnn.neurons": "8"}])
+def test_without_the_default_they_are_compared_with_the_best(defaults):
+    found = standings(SIZES, RNN, defaults)
+    assert [each.reference for each in found] == [True, False, False, False]
+    assert "Reference: the best, rnn.neurons=9." in "\n".join(lines(SIZES, defaults))
+
+
+def test_a_default_that_diverged_is_no_reference():
+    diverged = SIZES[1]._replace(results=SIZES[1].results | {"objective": None})
+    found = standings([SIZES[0], diverged, SIZES[3]], RNN, DEFAULT)
+    assert found[0].reference and found[-1].value is None
+    assert any("diverged" in line for line in lines([SIZES[0], diverged, SIZES[3]], DEFAULT))
+
+
+def test_numbers_are_the_same_however_they_are_written():
+    rates = [job(0, 0.1, rate="1e-3"), job(1, 0.2, rate="0.01")]
+    assert standings(rates, RNN, {"estimators.rnn.rate": "0.001"})[0].reference
+
+
+def test_seeds_are_pooled():
+    jobs = [job(k, 0.1 + 0.01 * (k % 3) + 0.1 * (k // 3), neurons=f"{4 + k // 3}", seed=f"{k % 3}") for k in range(6)]
+    found = standings(jobs, RNN, {})
+    assert [len(each.jobs) for each in found] == [3, 3]
+    values = [each.results["objective"] for each in jobs[:3]]
+    assert found[0].value == pytest.approx(np.mean(values)) and found[0].deviation == pytest.approx(
+        np.std(values, ddof=1)
+    )
+    text = "\n".join(lines(jobs))
+    assert "0-2" in text and "3-5" in text and "±" in text and "3 seeds" in text
+    only = standings(jobs[:3], RNN, {})
+    assert len(only) == 1 and len(only[0].jobs) == 3
+
+
+def test_a_seed_that_failed_is_named_and_the_others_count():
+    jobs = [job(0, 0.1, neurons="4", seed="0"), job(1, None, neurons="4", seed="1"), job(2, 0.2, neurons="9", seed="0"),
+            job(3, 0.2, neurons="9", seed="1")]  # fmt: skip
+    (first, _) = standings(jobs, RNN, {})
+    assert first.value == jobs[0].results["objective"] and first.deviation is None and first.failed == [jobs[1]]
+    assert any(line.startswith("failed: job 1, rnn.neurons=4: bad: found -1") for line in lines(jobs))
+
+
+def test_equal_jobs_are_no_seeds_of_each_other():
+    assert len(standings([job(0, 0.1, neurons="4"), job(1, 0.2, neurons="4")], RNN, {})) == 2
+
+
+def test_the_verdict_of_the_networks_is_shown():
+    yes, no = ({"contracting": held, "condition": "tight" if held else None, "rate": rate} for held, rate in
+               ((True, 0.93125), (False, 1.5)))  # fmt: skip
+    jobs = [job(0, 0.1, network=yes, neurons="4"), job(1, 0.2, network=no, neurons="9"), job(2, 0.3, neurons="20")]
+    text = lines(jobs)
+    assert text[2].split()[-1] == "K" and [line.split()[-1] for line in text[4:7]] == [
+        "0.9313",
+        "no",
+        "–",
+    ]  # rounded up
+    assert not any(line.startswith("K:") for line in lines([job(0, 0.1, neurons="4"), job(1, 0.2, neurons="9")]))
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_the_table_fits(width):
+    network = {"contracting": True, "condition": "tight", "rate": 0.93125}
+    jobs = [
+        job(k, 0.1 + 0.001 * k, network=network, neurons=f"{k}", initial=("persistence", "random")[k % 2], unroll="1",
+            seed=f"{s}")
+        for k in range(4) for s in range(3)
+    ]  # fmt: skip
+    made = lines(jobs, width=width)
+    assert max(map(len, made)) <= width and "…" not in "".join(made[:2])
+    assert sum(line.startswith("job ") for line in made) == 1 or width < 80  # one block
+
+
+def test_the_files_say_what_the_terminal_says(tmp_path):
+    jobs = [each._replace(folder=tmp_path / each.folder.name) for each in SIZES]
+    write_leaderboard(tmp_path, jobs, standings(jobs, RNN, DEFAULT), RNN)
+    rows = [line.split(",") for line in (tmp_path / "leaderboard.csv").read_text().splitlines()]
+    table = [dict(zip(rows[0], row, strict=True)) for row in rows[1:]]
+    assert [row["job"] for row in table] == ["3", "1", "2", "0"] and [row["rank"] for row in table] == list("1234")
+    assert [row["tie"] for row in table] == ["False", "", "True", "False"] and table[1]["reference"] == "True"
+    assert float(table[0]["low"]) < float(table[0]["difference"]) < float(table[0]["high"]) < 0
+    assert (tmp_path / "leaderboard.md").read_text().startswith("| rank | job | estimators.rnn.neurons |")
+    assert (tmp_path / "leaderboard.png").read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,69 @@
+"""The content of `results.json` and of `errors.csv`: all that a run is judged by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.evaluation.by_run import as_csv, one_step_sums, run_errors
+from usvlearn.evaluation.free_simulation import FreeErrors, free_errors, has_halves, middle
+from usvlearn.evaluation.horizons import ensemble_sums, horizon_scores
+from usvlearn.evaluation.identification import Truth, as_results, identified_boats
+from usvlearn.evaluation.measure import measure_of
+from usvlearn.evaluation.metrics import alarms, fleet_scores
+from usvlearn.evaluation.networks import verdicts
+from usvlearn.runs.published import Published
+from usvlearn.signals import Fleet
+
+
+def judged(
+    ensemble: Ensemble,
+    fleet: Fleet,
+    state: EnsembleState,
+    published: Published,
+    halfway: Callable[[int], EnsembleState | None],
+    truth: Truth,
+    objective: Any = None,
+) -> tuple[dict[str, Any], str]:
+    """Scores, alarms, what was identified, the networks' verdicts, the objective; and the errors of each run, as CSV.
+
+    Args:
+        ensemble: that has learned.
+        fleet: what was replayed.
+        state: at the end, leaves `(boats, …)`.
+        published: what was predicted.
+        halfway: the state after the first so many runs; None if they were not all replayed.
+        truth: of simulated boats, to be written beside what was identified.
+        objective: of the configuration.
+    """
+    found: dict[str, Any] = {
+        "boats": fleet_scores(fleet, published, ensemble.names, ensemble.surge_limit),
+        "alarms": alarms(fleet, published.stretches(["thrusters"])),
+        "rejected": fleet.rejected,
+        **as_results(identified_boats(ensemble, state, fleet.boats), truth),
+    }
+    if (ahead := ensemble_sums(ensemble, fleet, published)) is not None:
+        found["forecast"] = horizon_scores(ahead, fleet.boats)
+    if (free := _free(ensemble, fleet, halfway)) is not None:
+        found["free"] = free.mae(fleet.boats, ensemble.names)
+    if networks := verdicts(ensemble, state, fleet.boats):
+        found["network"] = {
+            boat: {name: each.json() for name, each in members.items()} for boat, members in networks.items()
+        }
+    measure = measure_of(objective, ensemble.output)
+    one_step = one_step_sums(fleet, published.stretches(["predictions"]), len(ensemble.names), ensemble.surge_limit)
+    errors = as_csv(run_errors(fleet, ensemble.names, one_step, ahead, free), ensemble.names)
+    return found | {"output": ensemble.output, "measure": str(measure), "objective": measure.value(found)}, errors
+
+
+def _free(ensemble: Ensemble, fleet: Fleet, halfway: Callable[[int], EnsembleState | None]) -> FreeErrors | None:
+    """Errors of free runs of the boats that have runs in both halves; None if there are none."""
+    first = middle(fleet.runs)
+    lanes = [has_halves(fleet, lane) for lane in range(len(fleet.boats))]
+    if not any(lanes) or (state := halfway(first)) is None:
+        return None
+    found = free_errors(ensemble, state, fleet, first)
+    found.steps[:, [not each for each in lanes]] = 0
+    return found

@@ -1,0 +1,134 @@
+"""The settings of a sweep, ranked: the objective over seeds, the difference to the default, the networks' verdict."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from usvlearn.evaluation.by_run import RunError
+from usvlearn.evaluation.comparison import Difference, cells, compare
+from usvlearn.evaluation.measure import Measure, measure_of
+from usvlearn.evaluation.ranking import differing
+from usvlearn.sweeps.jobs import Job, errors_of
+from usvlearn.sweeps.seeds import SEED
+
+
+class Standing(NamedTuple):
+    """One setting and its jobs, which differ in the seed alone."""
+
+    settings: dict[str, str]  # the swept keys, without the seed
+    jobs: tuple[Job, ...]  # with results as of `usvlearn.evaluation.ranking.scored`
+    value: float | None  # of the objective, mean over seeds; None if a finished job has none, or none has finished
+    deviation: float | None  # over seeds; None for fewer than two
+    seconds: float | None  # of a job, mean
+    contracting: bool | None  # whether all networks of the ranking member, or of all, are certified; None without one
+    rate: float | None  # the largest contraction rate of them, a step
+    reference: bool  # whether the others are compared with this
+    difference: Difference | None  # to the reference
+
+    @property
+    def failed(self) -> list[Job]:
+        """The jobs that did not finish."""
+        return [job for job in self.jobs if "boats" not in job.results]
+
+
+def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[str, str]) -> list[Standing]:
+    """All settings, the best first; those without a value come last, in the order of their jobs.
+
+    The reference is the setting that has the values of `defaults`, else the best.
+
+    Args:
+        jobs: with results as of `usvlearn.evaluation.ranking.scored`.
+        measure: what ranks them; None if each job's own output does.
+        defaults: the values that the swept keys have without the sweep; empty if they are unknown.
+    """
+    keys = [key for key in differing([job.settings for job in jobs]) if key != SEED]
+    groups: dict[tuple[tuple[str | None, ...], int], list[Job]] = {}
+    seen: Counter[tuple[str | None, ...]] = Counter()
+    for job in jobs:
+        values = tuple(job.settings.get(key) for key in keys)
+        with_seed = (*values, job.settings.get(SEED))
+        groups.setdefault((values, seen[with_seed]), []).append(job)  # equal jobs, as of several runs, stay apart
+        seen[with_seed] += 1
+    found = [_standing({k: v for k, v in zip(keys, values, strict=True) if v is not None}, each, measure)
+             for (values, _), each in groups.items()]  # fmt: skip
+    found.sort(key=lambda each: _loss(each, measure))
+    if not found or not math.isfinite(_loss(found[0], measure)):
+        return found
+    own = {key: defaults.get(key) for key in keys}
+    is_default = [
+        each.value is not None and all(same(each.settings.get(key), own[key]) for key in keys) for each in found
+    ]
+    first = is_default.index(True) if True in is_default and None not in own.values() else 0
+    errors = [_cells(each, measure) for each in found]
+    return [
+        each._replace(
+            reference=k == first,
+            difference=None if k == first else _compared(each, errors[k], errors[first], measure),
+        )
+        for k, each in enumerate(found)
+    ]
+
+
+def same(one: str | None, other: str | None) -> bool:
+    """Whether two values of a command are the same: as numbers, if they are numbers.
+
+    >>> same("1e-3", "0.001"), same("mean", "last"), same(None, "1")
+    (True, False, False)
+    """
+    try:
+        return float(one or "") == float(other or "")
+    except ValueError:
+        return one == other and one is not None
+
+
+def _standing(settings: dict[str, str], jobs: Sequence[Job], measure: Measure | None) -> Standing:
+    done = [job.results for job in jobs if "boats" in job.results]
+    values = [each.get("objective") for each in done]
+    known = [x for x in values if x is not None and x == x]
+    whole = bool(known) and len(known) == len(values)
+    seconds = [each["seconds"] for each in done if isinstance(each.get("seconds"), int | float)]
+    networks = [network for each in done for network in _networks(each, measure)]
+    rates = [each["rate"] for each in networks if each["rate"] is not None]
+    return Standing(
+        settings,
+        tuple(jobs),
+        statistics.fmean(known) if whole else None,
+        statistics.stdev(known) if whole and len(known) > 1 else None,
+        statistics.fmean(seconds) if seconds else None,
+        all(each["contracting"] for each in networks) if networks else None,
+        max(rates) if rates and len(rates) == len(networks) else None,
+        False,
+        None,
+    )
+
+
+def _networks(results: Mapping[str, Any], measure: Measure | None) -> list[Mapping[str, Any]]:
+    """The verdicts of the ranking member's networks, or of all if it is no network."""
+    found = [members for members in (results.get("network") or {}).values()]
+    own = [members[measure.estimator] for members in found if measure and measure.estimator in members]
+    return own or [each for members in found for each in members.values()]
+
+
+def _loss(standing: Standing, measure: Measure | None) -> float:
+    return (measure or _own(standing)).loss(standing.value)
+
+
+def _own(standing: Standing) -> Measure:
+    """What a setting's own jobs minimise."""
+    names = [job.results["measure"] for job in standing.jobs if "measure" in job.results]
+    return measure_of(names[0] if names else None, "output")
+
+
+def _cells(standing: Standing, measure: Measure | None) -> dict:
+    errors: dict[str, Sequence[RunError]] = {
+        job.settings.get(SEED, ""): errors_of(job) for job in standing.jobs if "boats" in job.results
+    }
+    return cells(errors, measure or _own(standing))
+
+
+def _compared(standing: Standing, one: dict, other: dict, measure: Measure | None) -> Difference | None:
+    return compare(one, other, measure or _own(standing)) if standing.value is not None else None

@@ -1,0 +1,148 @@
+"""The figure of a sweep: the objective against each swept key, or a heat map over two."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from usvlearn.evaluation.measure import Measure
+from usvlearn.figures import INK, LINE, colours, themed
+from usvlearn.sweeps.standings import Standing
+
+MOST_PANELS = 6  # of keys
+LOGARITHMIC = 20.0  # a ratio of the greatest to the least value, from which on an axis is logarithmic
+WORST = 90  # percentile; values far beyond it are off the axis
+
+
+def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> bytes | None:
+    """A PNG; None if no setting has a value, or nothing is swept.
+
+    One panel per key: each point is a setting, a bar its deviation over seeds, the line joins the best of each value.
+    Two keys also have a heat map.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    shown = [each for each in ranks if each.value is not None]
+    keys = list(keys)[:MOST_PANELS]
+    if not shown or not keys:
+        return None
+    what = "MAE of each job's output, m/s"
+    if measure is not None:
+        what = f"{measure.title()}, {measure.unit}".removesuffix(", ")
+    with themed() as Figure:
+        panels = len(keys) + (len(keys) == 2)
+        figure = Figure(figsize=(min(4.4 * panels, 15) + 0.6, 4.2), dpi=90, layout="constrained")
+        axes = np.atleast_1d(figure.subplots(1, panels))
+        values = [each.value for each in shown if each.value is not None]
+        low, high = min(values), _top(values)
+        margin = 0.08 * (high - low) or 0.05 * abs(high) or 0.01
+        for panel, key in zip(axes, keys, strict=False):
+            _draw(panel, shown, key, measure)
+            panel.set_ylim(low - margin, high + margin)
+        axes[0].set_ylabel(what)
+        lines = {line.get_label(): line for panel in axes for line in panel.get_lines() if line.get_label()[0] != "_"}
+        figure.legend(lines.values(), lines, ncols=len(lines), fontsize="small", loc="outside upper left")
+        if len(keys) == 2:
+            _heat(figure, axes[2], shown, keys, what)
+        png = io.BytesIO()
+        figure.savefig(png, format="png", facecolor="white")
+        return png.getvalue()
+
+
+def _draw(panel: Any, shown: Sequence[Standing], key: str, measure: Measure | None) -> None:
+    """All settings over the values of one key."""
+    values = _ordered([each.settings.get(key, "") for each in shown])
+    places = _places(panel, values)
+    colour = colours([measure.estimator if measure else "ensemble"])[measure.estimator if measure else "ensemble"]
+    x = np.array([places[each.settings.get(key, "")] for each in shown])
+    y = np.array([each.value for each in shown], float)
+    error = np.array([each.deviation or 0.0 for each in shown])
+    panel.errorbar(x, y, error, fmt="o", color=colour, markersize=4.5, alpha=0.75, elinewidth=1, capsize=2)
+    best = [min((each for each in shown if each.settings.get(key, "") == v), key=shown.index) for v in values]
+    line = [each.value for each in best]
+    panel.plot([places[v] for v in values], line, color=colour, linewidth=1.6, zorder=1, label="best of each value")
+    winner = shown[0]
+    panel.plot(places[winner.settings.get(key, "")], winner.value, "*", color=INK, markersize=12, label="best of all")
+    for each in shown:
+        if each.reference and each is not winner:
+            place = places[each.settings.get(key, "")], each.value
+            panel.plot(*place, "s", color=INK, markersize=7, markerfacecolor="none", label="default")
+    panel.set_xlabel(shortened(key, 40))
+    panel.grid(color=LINE, alpha=0.6)
+
+
+def _heat(figure: Any, panel: Any, shown: Sequence[Standing], keys: Sequence[str], what: str) -> None:
+    """The objective over two keys; the number in each cell where there are few."""
+    rows, columns = (_ordered([each.settings.get(key, "") for each in shown]) for key in keys)
+    grid = np.full((len(rows), len(columns)), np.nan)
+    for each in shown:
+        grid[rows.index(each.settings.get(keys[0], "")), columns.index(each.settings.get(keys[1], ""))] = each.value
+    top = _top(grid[np.isfinite(grid)])
+    image = panel.imshow(grid, aspect="auto", cmap="viridis", origin="lower", vmax=top)
+    figure.colorbar(image, ax=panel, label=what)
+    panel.set_xticks(range(len(columns)), map(shortened, columns), rotation=45 if len(columns) > 6 else 0)
+    panel.set_yticks(range(len(rows)), map(shortened, rows))
+    panel.set(xlabel=shortened(keys[1], 40), ylabel=shortened(keys[0], 40))
+    if grid.size <= 64:
+        middle = (np.nanmin(grid) + top) / 2
+        for (i, j), value in np.ndenumerate(grid):
+            if np.isfinite(value):
+                ink = "black" if value > middle else "white"
+                panel.text(j, i, f"{value:.4f}", ha="center", va="center", fontsize=8, color=ink)
+
+
+def shortened(text: str, most: int = 16) -> str:
+    """A text that fits an axis; its end distinguishes values such as paths.
+
+    >>> shortened("mean"), shortened("/a/long/path/of/a.log")
+    ('mean', '…g/path/of/a.log')
+    """
+    return text if len(text) <= most else f"…{text[1 - most :]}"
+
+
+def _top(values: Any) -> float:
+    """The greatest value, or where the axis ends if that is far from the others.
+
+    >>> _top([1.0, 2.0, 3.0]), _top([1.0] * 99 + [1e9])
+    (3.0, 1.0)
+    """
+    most = float(np.percentile(values, WORST))
+    return float(np.max(values)) if np.max(values) <= most + 2 * (most - np.min(values)) else most
+
+
+def _ordered(values: Sequence[str]) -> list[str]:
+    """Distinct values: numbers in their order, else as they came, sorted.
+
+    >>> _ordered(["20", "4", "10", "4"]), _ordered(["last", "mean", "last"])
+    (['4', '10', '20'], ['last', 'mean'])
+    """
+    distinct = list(dict.fromkeys(values))
+    return sorted(distinct, key=float) if _numeric(distinct) else sorted(distinct)
+
+
+def _numeric(values: Sequence[str]) -> bool:
+    try:
+        return all(np.isfinite([float(value) for value in values]))
+    except ValueError:
+        return False
+
+
+def _places(panel: Any, values: Sequence[str]) -> dict[str, float]:
+    """Where each value is on the axis, which is made logarithmic for numbers of several sizes."""
+    if not _numeric(values):
+        names = [shortened(value) for value in values]
+        panel.set_xticks(range(len(values)), names, rotation=30 if sum(map(len, names)) > 30 else 0)
+        panel.set_xlim(-0.5, len(values) - 0.5)
+        return {value: float(k) for k, value in enumerate(values)}
+    numbers = {value: float(value) for value in values}
+    least, greatest = min(numbers.values()), max(numbers.values())
+    if least > 0 and greatest / least >= LOGARITHMIC:
+        panel.set_xscale("log")
+    if len(values) <= 8:
+        panel.set_xticks(list(numbers.values()), values)
+        panel.minorticks_off()
+    return numbers

@@ -1,0 +1,185 @@
+"""The leaderboard of a sweep as a table: for the terminal, as CSV and as Markdown."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+from rich.console import Group
+from rich.text import Text
+
+from certify.rounding import above
+from usvlearn.errors import printable
+from usvlearn.evaluation.measure import SKILL, Measure, measure_of
+from usvlearn.evaluation.metrics import mean, mean_mae
+from usvlearn.report.result_table import ResultTable
+from usvlearn.report.tables import short_settings
+from usvlearn.report.terminal import Blocks
+from usvlearn.sweeps.jobs import Job
+from usvlearn.sweeps.standings import Standing
+
+DASH = "–"
+CONTRACTION = "K: the largest rate of the networks, a step, certified as contracting; no: one of them is not."
+
+
+def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -> ResultTable:
+    """One row per setting, the best first, with all numbers.
+
+    Args:
+        folder: of the sweep.
+        found: of `usvlearn.sweeps.standings.standings`.
+        keys: the swept keys, without the seed.
+    """
+    names = list(dict.fromkeys(name for each in found for job in each.jobs for name in _maes(job)))
+    numbers = ("objective", "deviation", "seeds", "reference", "difference", "low", "high", "tie", "seconds")
+    maes = (f"mae/{name}" for name in names)
+    columns = ("rank", "job", *keys, "measure", "unit", *numbers, "contracting", "rate", *maes, "error")
+    rows = []
+    for rank, each in enumerate(found, 1):
+        done = [job for job in each.jobs if job not in each.failed]
+        measure = next((str(job.results.get("measure", "")) for job in done), "")
+        diff = each.difference
+        rows.append((
+            rank, " ".join(label(folder, job) for job in each.jobs), *(each.settings.get(key) for key in keys), measure,
+            measure_of(measure or None, "output").unit, each.value, each.deviation, len(done), each.reference,
+            *((None,) * 3 if diff is None else (diff.mean, diff.low, diff.high)), diff and diff.tie, each.seconds,
+            each.contracting, each.rate, *(mean(_maes(job).get(name) for job in done) for name in names),
+            "; ".join(dict.fromkeys(error(job) for job in each.failed)),
+        ))  # fmt: skip
+    return ResultTable("leaderboard", columns, rows)
+
+
+def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> Group:
+    """The table for the terminal: settings, objective ± deviation, difference, seconds, contraction rate; failures.
+
+    Args:
+        folder, found, keys: as of `result_table`.
+        measure: what ranks them; None if each job's own output does.
+    """
+    shown = [each for each in found if len(each.failed) < len(each.jobs)]
+    heads, values = _short(keys), [_value(each) for each in shown]
+    compared = [_difference(each, measure) for each in shown]
+    networks = _networks_differ(shown, measure)
+    what = measure.title() if measure else "MAE of each job's output"
+    unit = f", {measure.unit}" if measure and measure.unit else "" if measure else ", m/s"
+    columns = [measure.kind if measure and not measure.unit else "MAE", *(["difference"] if any(compared) else []), "s"]
+    columns += ["K"] if networks else []
+    table = Blocks(f"{what}{unit}, mean over boats{_deviation(shown)}", ["job", *heads], columns, folded=heads)
+    for each, value, difference in zip(shown, values, compared, strict=True):
+        cells = [
+            value,
+            *([difference] if any(compared) else []),
+            "–" if each.seconds is None else f"{each.seconds:.1f}",
+        ]
+        cells += [_network(each)] if networks else []
+        own = [each.settings.get(key, DASH) for key in keys]
+        table.add(_numbers(folder, each.jobs), *own, *cells, style="bold" if each is shown[0] else "")
+    lines = [*_sentences(shown, measure, keys), *([CONTRACTION] if networks else [])]
+    lines += [
+        f"failed: job {label(folder, job)}, {short_settings(job.settings, keys)}: {printable(error(job))}"
+        for each in found
+        for job in each.failed
+    ]
+    return Group(*([table] if shown else []), *map(Text, lines))
+
+
+def label(folder: Path, job: Job) -> str:
+    """The path of a job below the sweep's folder, which is its number."""
+    return job.folder.relative_to(folder).as_posix()
+
+
+def error(job: Job) -> str:
+    """Why a job has no results; "" if it has."""
+    return "" if "boats" in job.results else job.results.get("error", "did not finish")
+
+
+def _maes(job: Job) -> dict[str, float]:
+    return mean_mae(job.results.get("boats", {}))
+
+
+def _short(keys: Sequence[str]) -> list[str]:
+    """The last part of each key, or two parts where several end alike.
+
+    >>> _short(["estimators.rnn.neurons", "estimators.aid.gain", "estimators.rnn.gain"])
+    ['neurons', 'aid.gain', 'rnn.gain']
+    """
+    last = Counter(key.rpartition(".")[2] for key in keys)
+    return [
+        key.rpartition(".")[2] if last[key.rpartition(".")[2]] == 1 else ".".join(key.split(".")[-2:]) for key in keys
+    ]
+
+
+def _numbers(folder: Path, jobs: Sequence[Job]) -> str:
+    """The jobs' numbers, ranges in short form."""
+    names = [label(folder, job) for job in jobs]
+    if not all(name.isdecimal() for name in names):
+        return " ".join(names)
+    numbers = sorted(map(int, names))
+    runs = [[n for _, n in group] for _, group in groupby(enumerate(numbers), lambda pair: pair[1] - pair[0])]
+    return ",".join(f"{run[0]}" if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
+
+
+def _value(each: Standing) -> str:
+    if each.value is None:
+        return "diverged"
+    return f"{each.value:.5f}" + ("" if each.deviation is None else f" ± {each.deviation:.5f}")
+
+
+def _difference(each: Standing, measure: Measure | None) -> str:
+    """The interval of the difference to the reference, in percent of it; of skill in hundredths."""
+    if each.reference:
+        return "reference"
+    if (found := each.difference) is None:
+        return ""
+    scale = -100.0 if measure and measure.kind == SKILL else 100 * found.share / found.mean if found.mean else 0.0
+    sign = "" if measure and measure.kind == SKILL else " %"
+    if found.low is None or found.high is None:
+        return f"{scale * found.mean:+.1f}{sign}"
+    if found.tie:
+        return "tie"
+    low, high = sorted((scale * found.low, scale * found.high))
+    return f"{low:+.1f} … {high:+.1f}{sign}"
+
+
+def _deviation(shown: Sequence[Standing]) -> str:
+    seeds = {len(each.jobs) for each in shown if each.deviation is not None}
+    return f" and {max(seeds)} seeds, ± deviation over seeds" if seeds else ""
+
+
+def _network(each: Standing) -> str:
+    if each.contracting is None:
+        return DASH
+    return "no" if not each.contracting else "yes" if each.rate is None else above(each.rate, 4)
+
+
+def _sentences(shown: Sequence[Standing], measure: Measure | None, keys: Sequence[str]) -> list[str]:
+    """What the differences say, in words."""
+    reference = next((each for each in shown if each.reference), None)
+    if reference is None or len(shown) < 2:
+        return []
+    compared = [each for each in shown if each.difference is not None]
+    if not compared:
+        return ["No differences: the jobs have no errors by run that can be paired."]
+    first = "the best" if reference is shown[0] else "the default"
+    name = f"Reference: {first}, {short_settings(reference.settings, keys)}."
+    if any(each.difference.tie is None for each in compared if each.difference):
+        return [f"{name} One run: no interval, so that no difference is known to be more than chance."]
+    what = "in hundredths of skill" if measure and measure.kind == SKILL else "of its error"
+    ties = sum(bool(each.difference and each.difference.tie) for each in compared)
+    words = f"{ties} of {len(compared)} settings {'ties' if ties == 1 else 'tie'} with it (0 is in the interval)"
+    runs = max(each.difference.runs for each in compared if each.difference)
+    return [f"{name} Differences: {what}, 95 % interval of a bootstrap over {runs} paired runs; {words}."]
+
+
+def _networks_differ(shown: Sequence[Standing], measure: Measure | None) -> bool:
+    """Whether the networks are those of the ranking member, or are not the same in all settings."""
+    own = any(
+        measure.estimator in members
+        for each in shown
+        for job in each.jobs
+        for members in (job.results.get("network") or {}).values()
+        if measure
+    )
+    return own or len({(each.contracting, each.rate) for each in shown}) > 1

@@ -1,0 +1,169 @@
+"""The jobs of a sweep as lanes of one batch, in place of a replay each: numeric hyperparameters of one member.
+
+A member learns alone, whatever the ensemble is, so that its errors are those of a job, up to rounding. A lane saves no
+parameters and no predictions.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import Progress
+
+from usvlearn.errors import under
+from usvlearn.estimators.baselines.persistence.layer import Persistence
+from usvlearn.estimators.rnn.layer import RNN, lane_weights
+from usvlearn.evaluation.by_run import FREE as FREE_RUNS
+from usvlearn.evaluation.by_run import STEP, RunError
+from usvlearn.evaluation.free_simulation import check_halves
+from usvlearn.evaluation.measure import COVERAGE, FORECAST, FREE, Measure, measure_of
+from usvlearn.evaluation.metrics import PERSISTENCE
+from usvlearn.evaluation.networks import verdict
+from usvlearn.evaluation.ranking import named
+from usvlearn.signals import Fleet
+from usvlearn.sweeps.jobs import Lane, SweepNote
+from usvlearn.sweeps.seeds import SEED, seeded
+from usvlearn.tuning.lanes import LANES, LaneErrors, check_one_estimator, hyperparameters, lane_errors
+from usvlearn.tuning.tune import WAYS, builder
+
+Jobs = Sequence[Mapping[str, str]]  # the settings of each, by key
+
+
+def member_of(note: SweepNote) -> str | None:
+    """The member whose settings a sweep varies, beside the seed; None if there is not exactly one."""
+    names = {named(key) for key in note.swept if key != SEED}
+    return names.pop() if len(names) == 1 else None
+
+
+def paths_of(note: SweepNote, member: str) -> dict[str, str]:
+    """The swept keys of a member, and their paths in it."""
+    prefix = f"estimators.{member}."
+    return {key: key.removeprefix(prefix) for key in note.swept if key.startswith(prefix)}
+
+
+def why_not(configuration: Mapping[str, Any], note: SweepNote, jobs: Jobs, instantiate: Callable[[Any], Any]) -> str:
+    """Why the jobs of a sweep cannot be lanes, in words; "" if they can.
+
+    Args:
+        configuration: without the swept values.
+        note: of the sweep.
+        jobs: their settings.
+        instantiate: makes the object that a node of the configuration describes.
+    """
+    member = member_of(note)
+    if not jobs or member is None or member not in configuration["estimators"]:
+        return f"the keys {', '.join(note.swept) or '(none)'} are not those of one member"
+    paths = paths_of(note, member)
+    if other := [key for key in note.swept if key not in paths and key != SEED]:
+        return f"{other[0]} is no hyperparameter of a member"
+    if ways := [way for way in WAYS if configuration.get(way) is not None]:
+        return f"{ways[0]} is set"
+    measure = measure_of(note.objective, member)
+    if measure.estimator != member or measure.kind == COVERAGE:
+        return f"the objective is {measure}, no error of {member} alone"
+    known = hyperparameters(check_one_estimator(member, builder(configuration["estimators"], member, instantiate)({})))
+    for key, path in paths.items():
+        if path not in known or isinstance(known[path], RNN):
+            return f"{key} is no number that lanes can differ in; those of {member} are {', '.join(known)}"
+        for job in jobs:
+            try:
+                float(job[key])
+            except ValueError:
+                return f"{key}={job[key]} is no number"
+    return ""
+
+
+def run_lanes(
+    configuration: Mapping[str, Any],
+    note: SweepNote,
+    jobs: Jobs,
+    instantiate: Callable[[Any], Any],
+    align: Callable[..., Fleet],
+    console: Console,
+) -> list[Lane]:
+    """Run all jobs, those of a seed together; returns them in their order.
+
+    Args:
+        configuration, note, jobs, instantiate: as of `why_not`, which has found no reason.
+        align: makes a fleet of recordings, with the options of `align`.
+        console: shows the progress.
+
+    Raises:
+        ConfigError: a value is not legal, or the logs are too few for the objective.
+    """
+    member = member_of(note) or ""
+    measure, paths = measure_of(note.objective, member), paths_of(note, member)
+    found: dict[int, Lane] = {}
+    with Progress(console=console) as progress:
+        bar = progress.add_task(f"{len(jobs)} settings of {member} as lanes", total=len(jobs))
+        for seed in dict.fromkeys(job.get(SEED) for job in jobs):
+            own = seeded(configuration if seed is None else {**configuration, SEED: _whole(seed)})
+            with under("data", own["data"]):
+                fleet = align(instantiate(own["data"]), **own["align"])
+            if measure.kind == FREE:
+                check_halves(fleet)
+            build, base = (
+                builder(own["estimators"], member, instantiate),
+                lane_errors(Persistence(), fleet, measure=measure),
+            )
+            places = [k for k, job in enumerate(jobs) if job.get(SEED) == seed]
+            most = max(1, LANES // len(fleet.boats))
+            for begin in range(0, len(places), most):
+                part, began = places[begin : begin + most], time.perf_counter()
+                values = {path: [[float(jobs[k][key])] for k in part] for key, path in paths.items()}
+                estimator = build(values)
+                share = lambda done, part=part: progress.advance(bar, done * len(part))  # noqa: E731
+                made = lane_errors(estimator, fleet, (len(part),), share, measure=measure)
+                seconds = (time.perf_counter() - began) / len(part)
+                for place, k in enumerate(part):
+                    errors = list(_by_run(fleet, made, base, place, member, measure))
+                    results = _results(fleet, made, base, place, member, measure) | {"seconds": seconds}
+                    if isinstance(estimator, RNN):
+                        results["network"] = {
+                            boat: {member: verdict(lane_weights(made.state, (place, lane))).json()}
+                            for lane, boat in enumerate(fleet.boats)
+                        }
+                    found[k] = Lane([f"{key}={value}" for key, value in jobs[k].items()], results, errors)
+    return [found[k] for k in range(len(jobs))]
+
+
+def _whole(text: str) -> Any:
+    return int(text) if text.isdecimal() else text
+
+
+def _by_run(
+    fleet: Fleet, made: LaneErrors, base: LaneErrors, place: int, member: str, measure: Measure
+) -> Iterator[RunError]:
+    """The errors of one lane by run, beside persistence."""
+    ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE_RUNS}.get(measure.kind, STEP)
+    for lane, boat in enumerate(fleet.boats):
+        for index, run in enumerate(fleet.runs):
+            if steps := int(made.steps[index, place, lane]):
+                sums = {member: made.errors[index, place, lane], PERSISTENCE: base.errors[index, lane]}
+                maes = {name: float(x) / steps for name, x in sums.items()}
+                yield RunError(boat, run.names[lane], ahead, steps, {k: x for k, x in maes.items() if np.isfinite(x)})
+
+
+def _results(
+    fleet: Fleet, made: LaneErrors, base: LaneErrors, place: int, member: str, measure: Measure
+) -> dict[str, Any]:
+    """The results of one lane, in the form of a replay, as far as they were measured."""
+    rows: dict[str, dict[str, Any]] = {}
+    for lane, boat in enumerate(fleet.boats):
+        maes = {member: float(made.mae[place, lane]), PERSISTENCE: float(base.mae[lane])}
+        rows[boat] = {name: {"mae": mae if np.isfinite(mae) else None} for name, mae in maes.items()}
+        for row in rows[boat].values():
+            known = row["mae"] is not None and maes[PERSISTENCE] > 0
+            row |= {"skill": 1 - row["mae"] / maes[PERSISTENCE] if known else None}
+            row |= {"steps": int(made.steps[:, place, lane].sum())}
+    found: dict[str, Any] = {"boats": rows}
+    if measure.kind == FORECAST:
+        ahead = f"{measure.horizon:g}"
+        found = {"boats": {}, "forecast": {b: {n: {ahead: row} for n, row in each.items()} for b, each in rows.items()}}
+    if measure.kind == FREE:
+        found = {"boats": {}, "free": {b: {n: row["mae"] for n, row in each.items()} for b, each in rows.items()}}
+    return found | {"output": member, "measure": str(measure), "objective": measure.value(found)}
