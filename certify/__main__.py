@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify import certificate
+from certify import certificate, sweep_jobs
 from certify.certificate import CONDITIONS
 from certify.errors import CertifyError, quoted
 from certify.weights import SUFFIXES, Network, digest, find, load
@@ -27,6 +27,7 @@ exit code: 0 all certified by --condition, 1 not all, 2 bad input, 130 Ctrl-C
 
 python -m certify outputs/RUN                             the parameter sets of a run
 python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on the operating box
+python -m certify multirun/SWEEP --plot sweep.png         a table of its jobs: stability against accuracy
 python -m certify net.npz --certificate proofs            a JSON certificate each
 python -m certify --verify proofs/*.json                  check certificates, without solver and torch
 python -m certify compare                                 the conditions against the LMI, see compare --help
@@ -68,8 +69,9 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         "python -m certify", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, run folders, patterns")
+    parser.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs or sweeps, patterns")
     parser.add_argument("--condition", choices=CONDITIONS, default="tight", help="what is judged (default: tight)")
+    parser.add_argument("--all", action="store_true", help="of a sweep: every parameter set, not each boat's last one")
     parser.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (cvxpy)")
     parser.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
     parser.add_argument(
@@ -87,7 +89,9 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--json", action="store_true", help="a list of objects on standard output")
     parser.add_argument("--certificate", metavar="DIR", help="write a JSON certificate of each set that is certified")
     parser.add_argument(
-        "--plot", metavar="FILE", help="draw the map and its equilibria; FILE, FILE-2, … for several sets"
+        "--plot",
+        metavar="FILE",
+        help="draw the map and its equilibria; FILE, FILE-2, … for several sets; of a sweep: rates against errors",
     )
     parser.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
     parser.add_argument(
@@ -124,7 +128,12 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 def _run(options: argparse.Namespace) -> int:
     code, networks = CERTIFIED, []
-    for path in find(options.paths):
+    jobs = [] if options.verify else sweep_jobs.jobs(options.paths)
+    if jobs:
+        _refuse_options_of_single_sets(options)
+    for problem in (text for job in jobs for text in job.damaged):
+        code = _error(problem)
+    for path in sweep_jobs.chosen(jobs, options.all) if jobs else find(options.paths):
         try:
             networks += load(path)
         except CertifyError as error:  # the other files are still judged
@@ -144,17 +153,37 @@ def _run(options: argparse.Namespace) -> int:
     notes = []
     if options.certificate is not None:
         notes += _write_certificates(options, networks, rows, held)
-    if options.plot:
+    if options.plot and not jobs:
         notes += _plot(options, networks)
+    if jobs:
+        table = sweep_jobs.rows(jobs, networks, rows, held)
+        left = sweep_jobs.unjudged(jobs, table)
+        if options.plot:
+            notes += _plot_sweep(options, table)
+        code = max(code, NOT_ALL if left else CERTIFIED)
+        rows = [*table, *left]
     if options.json:
         _say(print, json.dumps(rows, indent=1, allow_nan=False))
         for note in notes:
             print(note, file=sys.stderr)
+    elif jobs:
+        from certify.printed import show_sweep
+
+        _say(show_sweep, table, left, options.condition, options.all, notes)
     else:
         from certify.printed import show
 
         _say(show, rows, options.condition, held, notes, options.dt)
     return max(code, CERTIFIED if all(held) else NOT_ALL)
+
+
+def _refuse_options_of_single_sets(options: argparse.Namespace) -> None:
+    given = {"--lmi": options.lmi, "--headings": options.headings, "--input": options.input, "--dt": options.dt}
+    if wrong := [name for name, value in given.items() if value not in (None, False)]:
+        raise CertifyError(
+            f"{wrong[0]}: is about single parameter sets, and {options.paths[0]} is the folder of a sweep: give the "
+            "folders of its jobs"
+        )
 
 
 def _say(write: Callable, *arguments: Any) -> None:
@@ -264,6 +293,14 @@ def _plot(options, networks: Sequence[Network]) -> list[str]:
         save(equilibria_figure(network.weights, u, network.path, headings=headings), path)
         written.append(str(path))
     return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]
+
+
+def _plot_sweep(options: argparse.Namespace, table: Sequence[dict[str, Any]]) -> list[str]:
+    from certify.figures import save
+    from certify.sweep_figure import sweep_figure
+
+    save(sweep_figure(table), options.plot)
+    return [f"picture: {options.plot}"]
 
 
 def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) -> int:

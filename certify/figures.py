@@ -39,7 +39,7 @@ INK, PALE = "#222222", "#8A8A8A"
 LISTED = 6  # equilibria of a class that the legend of one map lists one by one
 
 
-def _blank(purpose: str, **options: Any):
+def blank(purpose: str, **options: Any):
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -70,7 +70,7 @@ def equilibria_figure(
     >>> [text.get_text() for text in figure.axes[0].get_legend().get_texts()][3:]
     ['deadbeat\\nx = 0', 'unstable\\nx = 0.5']
     """
-    figure = _blank("the figure of equilibria", figsize=(8.4, 6.0), dpi=110)
+    figure = blank("the figure of equilibria", figsize=(8.4, 6.0), dpi=110)
     inputs = [u] if np.ndim(u) < 2 else u
     found = sweep(weights, inputs, lo, hi)
     if lo == hi:
@@ -193,7 +193,7 @@ def save(figure, path: str | Path) -> None:
 
 def comparison_figure(result: Mapping[str, Any]):
     """The results of `certify.compare.study`: shares certified, rates against the exact one, time constants, times."""
-    figure = _blank("the figure of the comparison", figsize=(12, 8.4), dpi=100, layout="constrained")
+    figure = blank("the figure of the comparison", figsize=(12, 8.4), dpi=100, layout="constrained")
     (shares, ratios), (constants, costs) = figure.subplots(2, 2)
     families = list(result["families"])
     trained = next((name for name in families if name.startswith("given")), families[2])

@@ -1,4 +1,4 @@
-"""The table that `python -m certify` prints."""
+"""The tables that `python -m certify` prints."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -180,6 +180,100 @@ def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]
             slope = ("−" if point["slope"] < 0 else "") + below(abs(point["slope"]))
             lines.append(f"witness: {refuted['path']}: slope {slope} at x = {point['x']:.4g}, u = ({u})")
     return lines
+
+
+def show_sweep(
+    rows: Sequence[dict[str, Any]],
+    left: Sequence[dict[str, Any]],
+    condition: str,
+    every: bool,
+    notes: Sequence[str],
+) -> None:
+    """One row per job and network, or per network over seeds; below it the jobs without one.
+
+    Args:
+        rows, left: see `certify.sweep_jobs.rows`, `certify.sweep_jobs.unjudged`.
+        condition: that was asked.
+        every: whether all parameter sets were judged, not the last of each boat.
+        notes: further lines.
+    """
+    console = _console()
+    free, seeds = any(row["free"] is not None for row in rows), any(len(row["jobs"]) > 1 for row in rows)
+    networks = len({row["network"] for row in rows}) > 1
+    names = ["gersh." if name == "gershgorin" else name for name in rows[0]["certified"]]
+    verdicts = [[f"{count}/{row['sets']}" for count in row["certified"].values()] for row in rows]
+    widths = [max(map(len, column)) for column in zip(names, *verdicts, strict=True)]  # one column, never torn apart
+    settings = ", ".join(short_keys(next((row["settings"] for row in rows if row["settings"]), {})))
+    headings = ["job", *[settings] * bool(settings), *["network"] * networks, "free", "MAE", "rate K"]
+    headings += ["  ".join(map(str.rjust, names, widths)), *["K on box"] * ("box_rate" in rows[0])]
+    lines: list[list[str | Text]] = []
+    for row, counts in zip(rows, verdicts, strict=True):
+        line: list[str | Text] = [", ".join(ranges(row["jobs"]))]
+        line += [short_values(row["settings"])] * bool(settings) + [row["network"]] * networks
+        line += [_error(row["free"], row["free_deviation"]), _error(row["mae"], row["mae_deviation"])]
+        colours = ["green" if count == row["sets"] else "red" for count in row["certified"].values()]
+        line += [above(row["rate"], 4), Text("  ").join(map(Text, map(str.rjust, counts, widths), colours))]
+        lines.append(line + [above(row["box_rate"], 4) for _ in headings[len(line) :]])
+    order = "the error of free runs" if free else "the MAE one step ahead"
+    _print(console, f"Jobs certified by {condition} first, then by {order}", headings, lines, [settings])
+    over = " ±: standard deviation over seeds." if seeds else ""
+    console.print(
+        f"free: MAE of free runs; MAE: one step ahead; both in m/s, mean over boats.{over} rate K: the largest of "
+        f"{'all parameter sets' if every else 'the last parameter sets of the boats'}. simple … tight: how many of "
+        "them are certified."
+    )
+    held = sum(row["holds"] for row in rows)
+    console.print(f"{held} of {len(rows)} rows certified contracting by {condition}, in rational arithmetic")
+    for row in left:
+        found = f" ({', '.join(f'{key}={value}' for key, value in row['settings'].items())})" if row["settings"] else ""
+        console.print(f"job {row['jobs'][0]}{found}: {row['error']}")
+    console.print(*notes, sep="\n", soft_wrap=True)
+
+
+def short_keys(keys: Iterable[str]) -> list[str]:
+    """The last part of each key; more of it where two end alike.
+
+    >>> short_keys(["estimators.rnn.rate", "estimators.aid.rate", "align.dt"])
+    ['rnn.rate', 'aid.rate', 'dt']
+    """
+    keys = list(keys)
+    ends = Counter(key.rpartition(".")[2] for key in keys)
+    return [".".join(key.split(".")[-(1 if ends[key.rpartition(".")[2]] == 1 else 2) :]) for key in keys]
+
+
+def short_values(settings: Mapping[str, str | None] | None) -> str:
+    """The values of a job's settings; "?" if they are not known.
+
+    >>> short_values({"estimators.rnn.stability": "project", "estimators.rnn.condition": None})
+    'project, –'
+    """
+    return "?" if settings is None else ", ".join("–" if value is None else value for value in settings.values())
+
+
+def ranges(names: Sequence[str]) -> list[str]:
+    """Names of jobs; consecutive numbers as a range.
+
+    >>> ranges(["0", "1", "2", "7"])
+    ['0–2', '7']
+    """
+    found: list[list[str]] = []
+    for name in names:
+        if found and name.isdecimal() and found[-1][-1].isdecimal() and int(name) == int(found[-1][-1]) + 1:
+            found[-1].append(name)
+        else:
+            found.append([name])
+    return [each[0] if len(each) == 1 else f"{each[0]}–{each[-1]}" for each in found]
+
+
+def _error(mean: float | None, deviation: float | None) -> str:
+    """An error in m/s, with its deviation.
+
+    >>> _error(None, None), _error(0.03125, None), _error(0.25, 0.0123)
+    ('–', '0.0312', '0.2500±0.0123')
+    """
+    if mean is None:
+        return "–"
+    return f"{mean:.4f}" if deviation is None else f"{mean:.4f}±{deviation:.4f}"
 
 
 def progress(items: Sequence, lines: str):

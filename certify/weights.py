@@ -41,6 +41,7 @@ class Network(NamedTuple):
 
     path: str  # of the file; with the tensors' prefix or the lane if a file contains more than one set
     weights: ShallowWeights  # float64 arrays, no batch
+    tensors: str = ""  # before the names of its tensors (`members.rnn.weights`), and the lane if there are several
 
     @property
     def inputs(self) -> int:
@@ -134,8 +135,8 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
         if not lanes:
             raise CertifyError(f"{label}: holds no network, found a of the shape {arrays.a.shape}")
         for lane in lanes:
-            own = label if len(lanes) == 1 else f"{label}[{','.join(map(str, lane))}]"
-            networks.append(Network(own, ShallowWeights(*(x[lane] for x in arrays))))
+            own = "" if len(lanes) == 1 else f"[{','.join(map(str, lane))}]"
+            networks.append(Network(label + own, ShallowWeights(*(x[lane] for x in arrays)), prefix + own))
     return networks
 
 
@@ -227,22 +228,31 @@ def find(paths: Iterable[str | Path]) -> list[Path]:
         CertifyError: one of them names nothing.
     """
     found: dict[Path, Path] = {}
-    for given in map(str, paths):
-        if not given:
-            raise CertifyError("found an empty PATH, expected checkpoints, a run's folder or a pattern")
-        matched = [Path(given)] if Path(given).exists() else sorted(map(Path, glob.glob(given, recursive=True)))
-        if not matched:
-            raise CertifyError(f"{given}: no such file, folder or pattern: give checkpoints, or a run's folder")
-        for path in matched:
-            files = [path] if not path.is_dir() else _below(path)
-            if not files:
-                raise CertifyError(f"{path}: holds no parameter sets, expected files {', '.join(SUFFIXES)}")
-            for file in files:
-                found.setdefault(file.resolve(), file)
+    for path in matched(paths):
+        files = [path] if not path.is_dir() else below(path)
+        if not files:
+            raise CertifyError(f"{path}: holds no parameter sets, expected files {', '.join(SUFFIXES)}")
+        for file in files:
+            found.setdefault(file.resolve(), file)
     return list(found.values())
 
 
-def _below(folder: Path) -> list[Path]:
+def matched(paths: Iterable[str | Path]) -> Iterator[Path]:
+    """The files and folders that paths and patterns name.
+
+    Raises:
+        CertifyError: one of them names nothing.
+    """
+    for given in map(str, paths):
+        if not given:
+            raise CertifyError("found an empty PATH, expected checkpoints, a run's folder or a pattern")
+        places = [Path(given)] if Path(given).exists() else sorted(map(Path, glob.glob(given, recursive=True)))
+        if not places:
+            raise CertifyError(f"{given}: no such file, folder or pattern: give checkpoints, or a run's folder")
+        yield from places
+
+
+def below(folder: Path) -> list[Path]:
     """The parameter sets below a folder. Of a run's folder only `checkpoints/` is read, not predictions or reports."""
     files = sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES and path.is_file())
     runs = {path.parent for path in [folder / "checkpoints", *folder.rglob("checkpoints")] if path.is_dir()}
