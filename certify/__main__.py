@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify import certificate, sweep_jobs
+from certify import certificate, sweep_jobs, sweep_rows
 from certify.certificate import CONDITIONS
 from certify.errors import CertifyError, quoted
 from certify.weights import SUFFIXES, Network, digest, find, load
@@ -156,8 +156,8 @@ def _run(options: argparse.Namespace) -> int:
     if options.plot and not jobs:
         notes += _plot(options, networks)
     if jobs:
-        table = sweep_jobs.rows(jobs, networks, rows, held)
-        left = sweep_jobs.unjudged(jobs, table)
+        table = sweep_rows.rows(jobs, networks, rows, held)
+        left = sweep_rows.unjudged(jobs, table)
         if options.plot:
             notes += _plot_sweep(options, table)
         code = max(code, NOT_ALL if left else CERTIFIED)

@@ -6,7 +6,7 @@ import math
 import os
 import sys
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -17,6 +17,7 @@ from rich.text import Text
 
 from certify.exact import CORNER
 from certify.rounding import above, below
+from certify.sweep_rows import ranges, short_keys, short_values
 
 MARGINS = tuple(CORNER)
 MARKS = {
@@ -192,7 +193,7 @@ def show_sweep(
     """One row per job and network, or per network over seeds; below it the jobs without one.
 
     Args:
-        rows, left: see `certify.sweep_jobs.rows`, `certify.sweep_jobs.unjudged`.
+        rows, left: see `certify.sweep_rows.rows`, `certify.sweep_rows.unjudged`.
         condition: that was asked.
         every: whether all parameter sets were judged, not the last of each boat.
         notes: further lines.
@@ -203,19 +204,20 @@ def show_sweep(
     names = ["gersh." if name == "gershgorin" else name for name in rows[0]["certified"]]
     verdicts = [[f"{count}/{row['sets']}" for count in row["certified"].values()] for row in rows]
     widths = [max(map(len, column)) for column in zip(names, *verdicts, strict=True)]  # one column, never torn apart
-    settings = ", ".join(short_keys(next((row["settings"] for row in rows if row["settings"]), {})))
-    headings = ["job", *[settings] * bool(settings), *["network"] * networks, "free", "MAE", "rate K"]
+    keys = ", ".join(short_keys(next((row["settings"] for row in rows if row["settings"]), {})))
+    headings = ["job", *[keys] * bool(keys), *["network"] * networks, "free", "MAE", "rate K"]
     headings += ["  ".join(map(str.rjust, names, widths)), *["K on box"] * ("box_rate" in rows[0])]
     lines: list[list[str | Text]] = []
     for row, counts in zip(rows, verdicts, strict=True):
         line: list[str | Text] = [", ".join(ranges(row["jobs"]))]
-        line += [short_values(row["settings"])] * bool(settings) + [row["network"]] * networks
+        line += [short_values(row["settings"])] * bool(keys) + [row["network"]] * networks
         line += [_error(row["free"], row["free_deviation"]), _error(row["mae"], row["mae_deviation"])]
         colours = ["green" if count == row["sets"] else "red" for count in row["certified"].values()]
         line += [above(row["rate"], 4), Text("  ").join(map(Text, map(str.rjust, counts, widths), colours))]
         lines.append(line + [above(row["box_rate"], 4) for _ in headings[len(line) :]])
     order = "the error of free runs" if free else "the MAE one step ahead"
-    _print(console, f"Jobs certified by {condition} first, then by {order}", headings, lines, [settings])
+    of = "" if networks else f"{rows[0]['network']}: "
+    _print(console, f"{of}jobs certified by {condition} first, then by {order}", headings, lines, [keys])
     over = " ±: standard deviation over seeds." if seeds else ""
     console.print(
         f"free: MAE of free runs; MAE: one step ahead; both in m/s, mean over boats.{over} rate K: the largest of "
@@ -224,45 +226,15 @@ def show_sweep(
     )
     held = sum(row["holds"] for row in rows)
     console.print(f"{held} of {len(rows)} rows certified contracting by {condition}, in rational arithmetic")
+    if begun := {name: None for row in rows for name in row["unfinished"]}:
+        console.print(f"not finished, judged by the sets saved so far: job {', '.join(ranges(list(begun)))}")
     for row in left:
-        found = f" ({', '.join(f'{key}={value}' for key, value in row['settings'].items())})" if row["settings"] else ""
-        console.print(f"job {row['jobs'][0]}{found}: {row['error']}")
-    console.print(*notes, sep="\n", soft_wrap=True)
-
-
-def short_keys(keys: Iterable[str]) -> list[str]:
-    """The last part of each key; more of it where two end alike.
-
-    >>> short_keys(["estimators.rnn.rate", "estimators.aid.rate", "align.dt"])
-    ['rnn.rate', 'aid.rate', 'dt']
-    """
-    keys = list(keys)
-    ends = Counter(key.rpartition(".")[2] for key in keys)
-    return [".".join(key.split(".")[-(1 if ends[key.rpartition(".")[2]] == 1 else 2) :]) for key in keys]
-
-
-def short_values(settings: Mapping[str, str | None] | None) -> str:
-    """The values of a job's settings; "?" if they are not known.
-
-    >>> short_values({"estimators.rnn.stability": "project", "estimators.rnn.condition": None})
-    'project, –'
-    """
-    return "?" if settings is None else ", ".join("–" if value is None else value for value in settings.values())
-
-
-def ranges(names: Sequence[str]) -> list[str]:
-    """Names of jobs; consecutive numbers as a range.
-
-    >>> ranges(["0", "1", "2", "7"])
-    ['0–2', '7']
-    """
-    found: list[list[str]] = []
-    for name in names:
-        if found and name.isdecimal() and found[-1][-1].isdecimal() and int(name) == int(found[-1][-1]) + 1:
-            found[-1].append(name)
-        else:
-            found.append([name])
-    return [each[0] if len(each) == 1 else f"{each[0]}–{each[-1]}" for each in found]
+        settings = row["settings"] or {}
+        values = zip(short_keys(settings), settings.values(), strict=True)
+        shown = ", ".join(f"{key}={value}" for key, value in values if value is not None)
+        console.print(f"job {row['jobs'][0]}{f' ({shown})' if shown else ''}: {row['error']}")
+    for note in notes:
+        console.print(note, soft_wrap=True)
 
 
 def _error(mean: float | None, deviation: float | None) -> str:

@@ -8,14 +8,13 @@ from typing import Any, NamedTuple
 
 from certify.errors import CertifyError
 from certify.figures import INK, TIER_COLOURS, blank
-from certify.printed import ranges, short_keys, short_values
 from certify.rounding import above
-from certify.sweep_jobs import narrowest
+from certify.sweep_rows import narrowest, ranges, short_keys, short_values
 
 MARKERS = {"simple": "o", "gershgorin": "s", "lmi": "D", "tight": "^", "interval": "v", "box": "P", None: "X"}
 LIMITS = {"simple": 0.25, "lmi": 0.5, "tight": 1.0}  # the rates that a condition cannot reach
 GREATEST = 1.3  # rate that is drawn to scale; greater ones lie at the right edge
-LABELLED, LISTED = 12, 7  # most places with a label, if all have one; most that are listed beside the axes
+LABELLED, LISTED = 12, 6  # most places with a label, if all have one; most that are listed beside the axes
 BAR = "#C4C4C4"
 NEAR = 9.0  # pixels within which marks are one place
 DPI = 110
@@ -38,7 +37,7 @@ def sweep_figure(rows: Sequence[Mapping[str, Any]]):
     largest rate of the seeds, and the deviation of their errors. The line: the least error at a rate up to K.
 
     Args:
-        rows: see `certify.sweep_jobs.rows`; those without the error have no mark, and are counted.
+        rows: see `certify.sweep_rows.rows`; those without the error have no mark, and are counted.
 
     Returns:
         A matplotlib figure.
@@ -76,7 +75,9 @@ def sweep_figure(rows: Sequence[Mapping[str, Any]]):
         where="post", color=INK, linewidth=0.9, zorder=3, label="least error at a rate up to K",
     )  # fmt: skip
     names = sorted({row["network"] for row in rows})
-    axes.set_title(f"Stability against accuracy: {', '.join(names)}", loc="left", color=INK, fontsize=11, pad=22)
+    axes.set_title(
+        _plain(f"Stability against accuracy: {', '.join(names)}"), loc="left", color=INK, fontsize=11, pad=22
+    )
     axes.legend(loc="upper left", bbox_to_anchor=(1.03, 1.0), frameon=False, fontsize=POINT + 0.5, borderaxespad=0,
                 title="all its sets are certified by", alignment="left", title_fontsize=POINT + 0.5)  # fmt: skip
     _label(axes, places if len(places) <= LABELLED else front, places)
@@ -183,14 +184,20 @@ def _label(axes, labelled: Sequence[Place], places: Sequence[Place]) -> None:
             own = math.hypot(dx, dy) <= min(math.dist(middle, mark) for mark in marks) + 1e-9
             if inside and own and not any(_overlap(box, other) for other in taken):
                 taken.append(box)
-                axes.text(*axes.transData.inverted().transform(middle), text, ha="center", va="center", fontsize=POINT,
-                          color=INK, zorder=4, bbox={"color": "white", "alpha": 0.7, "pad": 0.3})  # fmt: skip
+                at = axes.transData.inverted().transform(middle)
+                axes.text(*at, _plain(text), ha="center", va="center", fontsize=POINT, color=INK, zorder=4,
+                          bbox={"color": "white", "alpha": 0.7, "pad": 0.3})  # fmt: skip
                 break
 
 
 def _jobs(place: Place) -> str:
     names = [", ".join(ranges(row["jobs"])) for row in place.rows]
     return names[0] if len(names) == 1 else f"{names[0]} +{len(names) - 1}"
+
+
+def _plain(text: str) -> str:
+    """Text from a file, which matplotlib shall not read as a formula."""
+    return text.replace("$", r"\$")
 
 
 def _directions(width: float, height: float) -> Iterator[tuple[float, float]]:
@@ -221,5 +228,6 @@ def _list(axes, front: Sequence[Place], kind: str, several: bool, notes: Sequenc
         text = f"{', '.join(ranges(row['jobs']))}: {', '.join(what)}"
         lines.append(f"{text if len(text) <= WIDTH else text[: WIDTH - 1] + '…'}{more}")
         lines.append(f"      {row[kind]:.3g} m/s, K = {above(row['rate'], 4)}")
-    axes.text(1.03, 0.0, "\n".join([*lines, *notes]), transform=axes.transAxes, ha="left", va="bottom", fontsize=POINT,
-              color=INK, linespacing=1.35)  # fmt: skip
+    text = _plain("\n".join([*lines, *notes]))
+    axes.text(1.03, 0.0, text, transform=axes.transAxes, ha="left", va="bottom", fontsize=POINT, color=INK,
+              linespacing=1.35)  # fmt: skip
