@@ -14,6 +14,8 @@ from certify.sweep_figure import sweep_figure
 from certify.sweep_jobs import jobs
 from certify.weights import ShallowWeights
 from usvlearn.checkpoint import save
+from usvlearn.runs.layout import CHECKPOINTS, save_results
+from usvlearn.sweeps.jobs import run_job
 
 BOATS = ("anna", "bert")
 
@@ -97,6 +99,23 @@ def test_all_sets_are_judged_when_asked(sweep, capsys):
     assert [row["jobs"] for row in rows] == [["3"], ["2"], ["1"], ["0"]]  # none is certified: by error
     main([str(sweep), "--all"])
     assert "the largest of all parameter sets" in capsys.readouterr().out
+
+
+def test_a_job_that_a_sweep_has_run_is_read(tmp_path, capsys):
+    """`usvlearn` writes what is read here."""
+
+    def work(resume):
+        saved(tmp_path / "0" / CHECKPOINTS / "anna" / "00000_0000750.safetensors", 0.25)
+        save_results(
+            tmp_path / "0", {"boats": {"anna": {"rnn": {"mae": 0.1}}}, "free": {"anna": {"rnn": float("nan")}}}
+        )
+        return 0.1
+
+    run_job(tmp_path / "0", {"dt": 0.4}, ["dt=0.4"], work)
+    run_job(tmp_path / "1", {"dt": 0.5}, ["dt=0.5"], lambda resume: 1 / 0)
+    code, (row, failed) = told(capsys, tmp_path)
+    assert (row["rate"], row["mae"], row["free"], row["settings"]) == (0.25, 0.1, None, {"dt": "0.4"})
+    assert code == 1 and failed["jobs"] == ["1"] and failed["error"].startswith("failed: ZeroDivisionError")
 
 
 def test_jobs_given_apart_are_shown_set_by_set(sweep, capsys):
@@ -239,7 +258,6 @@ def test_no_link_is_followed_out_of_the_folder(sweep, capsys, tmp_path_factory):
 def test_an_error_that_one_boat_lacks_is_not_averaged_over_the_others(sweep, capsys):
     results = json.loads((sweep / "2/results.json").read_text())
     results["free"]["anna"]["rnn"] = None  # diverged
-    del results["free"]["bert"]
     (sweep / "2/results.json").write_text(json.dumps(results))
     del (results := json.loads((sweep / "1/results.json").read_text()))["free"]["bert"]  # too few runs
     (sweep / "1/results.json").write_text(json.dumps(results))
@@ -324,7 +342,7 @@ def test_the_line_joins_the_jobs_that_no_other_beats(sweep, capsys):
 def test_the_figure_without_free_runs_shows_the_error_of_one_step(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     for k in range(2):
-        job(tmp_path / str(k), [f"dt={k}", "x=$\\frac$"], (0.5, 0.25), mae=0.1 + k / 100)
+        job(tmp_path / str(k), [f"dt={k}"], (0.5, 0.25), mae=0.1 + k / 100)
     rows = rows_of(capsys, tmp_path)
     axes = sweep_figure(rows).axes[0]
     assert axes.get_ylabel() == "MAE one step ahead, m/s" and axes.get_yscale() == "linear"
@@ -336,6 +354,6 @@ def test_the_figure_without_free_runs_shows_the_error_of_one_step(tmp_path, caps
 
 def test_the_picture_of_a_sweep_is_written(sweep, capsys):
     pytest.importorskip("matplotlib")
-    job(sweep / "4", ["estimators.rnn.condition=$\\frac$ a", "x=1"], (0.5, 0.5), free=2.0)
+    job(sweep / "4", ["estimators.rnn.condition=$\\frac$ a", "x=1"], (0.5, 0.5), free=0.01)
     assert main([str(sweep), "--plot", str(sweep / "out/sweep.png")]) == 1
     assert (sweep / "out/sweep.png").stat().st_size > 10_000 and "picture: " in capsys.readouterr().out
