@@ -40,6 +40,11 @@ LISTED = 6  # equilibria of a class that the legend of one map lists one by one
 
 
 def blank(purpose: str, **options: Any):
+    """An empty matplotlib figure.
+
+    Raises:
+        CertifyError: matplotlib is not installed; the message names the purpose.
+    """
     try:
         from matplotlib.figure import Figure
     except ImportError as error:

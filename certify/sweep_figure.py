@@ -16,6 +16,7 @@ LIMITS = {"simple": 0.25, "lmi": 0.5, "tight": 1.0}  # the rates that a conditio
 GREATEST = 1.3  # rate that is drawn to scale; greater ones lie at the right edge
 LABELLED, LISTED = 12, 6  # most places with a label, if all have one; most that are listed beside the axes
 BAR = "#C4C4C4"
+LEAST = 1e-6  # m/s; less is not shown on a logarithmic axis
 NEAR = 9.0  # pixels within which marks are one place
 DPI = 110
 POINT = 8  # size of text
@@ -92,10 +93,11 @@ def _scale(axes, rows: Sequence[Mapping[str, Any]], kind: str) -> None:
     """The error axis: logarithmic where the errors differ by more than a factor of three."""
     errors = [row[kind] for row in rows]
     low, high = (pick(end for row in rows for end in _bar(row, kind)) for pick in (min, max))
-    if min(errors) > 0 and high > 3 * min(errors):
+    if high > 3 * min(errors) > LEAST:
         bottom, top = max(low, min(errors) / 2) / 1.2, high * 1.2
         decades = range(math.floor(math.log10(bottom)), math.ceil(math.log10(top)) + 1)
-        ticks = [m * 10.0**k for k in decades for m in (1, 2, 3, 5) if bottom <= m * 10.0**k <= top]
+        digits = (1, 2, 3, 5) if top < 100 * bottom else (1,)
+        ticks = [m * 10.0**k for k in decades for m in digits if bottom <= m * 10.0**k <= top]
         axes.set(yscale="log", ylim=(bottom, top))
         axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
         axes.minorticks_off()

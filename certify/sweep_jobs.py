@@ -11,7 +11,6 @@ may come from anybody: what is damaged is reported, and the rest is used.
 from __future__ import annotations
 
 import json
-import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -23,6 +22,7 @@ from certify.weights import below, matched
 
 JOB, RESULTS, CHECKPOINTS = "job.json", "results.json", "checkpoints"
 LARGEST_FILE = 2**26  # bytes of a JSON file that is read
+LARGEST_ERROR = 1e6  # m/s
 LONGEST = 400  # characters of a reason
 
 
@@ -58,7 +58,7 @@ def jobs(paths: Iterable[str | Path]) -> list[Job]:
     []
     """
     sweeps = list(dict.fromkeys(matched(paths)))
-    if not all(map(_is_sweep, sweeps)):
+    if not sweeps or not all(map(_is_sweep, sweeps)):
         return []
     shared = os.path.commonpath(list(map(os.path.abspath, sweeps)))
     found = []
@@ -162,10 +162,7 @@ def _problem(table: Any, key: str) -> str:
 
 
 def _is_error(value: Any) -> bool:
-    try:
-        return type(value) in (int, float) and 0 <= value and math.isfinite(value)
-    except OverflowError:  # an integer that no float can hold
-        return False
+    return type(value) in (int, float) and 0 <= value <= LARGEST_ERROR
 
 
 def printable(text: str) -> str:
