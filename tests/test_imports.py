@@ -46,7 +46,7 @@ OURS = {
     "usvlearn.runs": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.lock", "usvlearn.tensorboard",
                                "usvlearn.engine"},
     "usvlearn.tuning": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.tuning", "usvlearn.sweeps",
-                                 "usvlearn.tensorboard", "usvlearn.report"},
+                                 "usvlearn.tensorboard", "usvlearn.report", "usvlearn.lock"},
     "usvlearn.sweeps": LIGHT | {"usvlearn.checkpoint", "usvlearn.evaluation", "usvlearn.figures", "usvlearn.lock",
                                 "usvlearn.report", "usvlearn.runs", "usvlearn.sweeps", "usvlearn.tensorboard",
                                 "certify"},

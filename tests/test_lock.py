@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -66,6 +67,16 @@ def test_a_lock_that_is_no_file_is_refused_and_no_link_is_followed(tmp_path, wha
     with pytest.raises(ConfigError, match=r"run/\.lock: found a link, a folder or the like"):
         Lock(path.parent, "report")
     assert other.read_text() == "kept" if what == "link" else not other.exists()
+
+
+def test_a_lock_is_waited_for_until_its_process_is_killed(tmp_path):
+    process = holder(tmp_path)
+    killer = threading.Timer(0.3, process.kill)
+    killer.start()
+    began = time.monotonic()
+    Lock(tmp_path, "x", wait=True).release()
+    assert 0.2 < time.monotonic() - began < 30
+    ended(process)
 
 
 def test_a_shared_lock_is_held_by_several(tmp_path):

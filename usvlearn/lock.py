@@ -10,6 +10,7 @@ import atexit
 import os
 import stat
 import sys
+import time
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -22,6 +23,7 @@ else:
     import fcntl
 
 NAME = ".lock"
+PERIOD = 0.002  # s between two attempts to lock
 
 
 class Lock:
@@ -31,9 +33,10 @@ class Lock:
         folder: the folder to write to; it is created.
         other: the setting by which the user can choose another folder, for the error.
         shared: whether other processes that share it may hold it at the same time.
+        wait: whether to wait until another process releases it.
 
     Raises:
-        ConfigError: another process holds it.
+        ConfigError: another process holds it, and `wait` is false.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
@@ -44,7 +47,7 @@ class Lock:
     []
     """
 
-    def __init__(self, folder: Path, other: str, shared: bool = False):
+    def __init__(self, folder: Path, other: str, shared: bool = False, wait: bool = False):
         self.path, self._process = folder / NAME, os.getpid()
         folder.mkdir(parents=True, exist_ok=True)
         while True:
@@ -52,6 +55,10 @@ class Lock:
             try:
                 _lock(file, shared)
             except (BlockingIOError, PermissionError):
+                if wait:
+                    os.close(file)
+                    time.sleep(PERIOD)
+                    continue
                 holder = os.read(file, 20).decode(errors="replace").strip()
                 os.close(file)
                 holder = f"process {holder}" if holder else "another process"

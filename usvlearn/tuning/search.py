@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from usvlearn.errors import ConfigError, MissingExtraError
+from usvlearn.lock import Lock
 from usvlearn.runs.layout import JOURNAL
 from usvlearn.runs.trust import check_setting
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective
@@ -54,6 +55,32 @@ class _Worker:
         os.utime(self.folder / str(self.number), (0, 0))
 
 
+class _JournalLock:
+    """The lock under which a process adds lines to the journal.
+
+    The system releases it when the process is killed, so no other process waits for a dead one. A line that a killed
+    process, or a full disk, has left unfinished is removed before another follows: Optuna could not read on after it.
+    """
+
+    def __init__(self, journal: Path):
+        self.journal = journal
+        self.acquire()  # an unfinished line is removed before the journal is first read
+        self.release()
+
+    def acquire(self) -> bool:
+        self._lock = Lock(self.journal.parent / WORKERS, "hydra.run.dir", wait=True)
+        with self.journal.open("a+b") as file:
+            size = file.tell()
+            file.seek(max(0, size - 1))
+            if file.read(1) not in (b"", b"\n"):
+                file.seek(0)
+                file.truncate(file.read().rfind(b"\n") + 1)
+        return True
+
+    def release(self) -> None:
+        self._lock.release()
+
+
 def search(
     objective: Objective,
     parameters: Sequence[Hyperparameter],
@@ -86,8 +113,8 @@ def search(
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     journal = optuna.storages.journal
-    _cut_unfinished(folder / JOURNAL, journal.JournalFileSymlinkLock(str(folder / JOURNAL)))
-    storage = optuna.storages.JournalStorage(journal.JournalFileBackend(str(folder / JOURNAL)))
+    backend = journal.JournalFileBackend(str(folder / JOURNAL), _JournalLock(folder / JOURNAL))
+    storage = optuna.storages.JournalStorage(backend)
     study = optuna.create_study(storage=storage, study_name=STUDY, load_if_exists=True)
     identity = json.dumps(dict(facts), sort_keys=True)
     if study.user_attrs.get("facts", identity) != identity:
@@ -135,35 +162,29 @@ def search(
     return found, len(found) - 1
 
 
-def _cut_unfinished(path: Path, lock: Any) -> None:
-    """Remove an incomplete last line, left by a full disk: Optuna would read nothing after it."""
-    lock.acquire()
-    try:
-        content = path.read_bytes() if path.exists() else b""
-        if (whole := content.rfind(b"\n") + 1) < len(content):
-            os.truncate(path, whole)
-    finally:
-        lock.release()
-
-
 def _taken(
     study: Any, parameters: Sequence[Hyperparameter], worker: _Worker, evaluations: int, most: int
 ) -> Iterator[Any]:
     """Trials within the budget, even if other processes take some at the same time."""
+    from optuna.exceptions import UpdateFinishedTrialError
     from optuna.trial import TrialState
 
     for _ in range(most):
         if _counted(study) >= evaluations:
             return
+        worker.live()
         trial = study.ask()
-        trial.set_user_attr("worker", worker.number)
-        if _counted(study, trial.number) >= evaluations:
-            study.tell(trial.number, state=TrialState.FAIL)
-            return
-        places = {each.path: trial.suggest_float(f"{each.kind.__name__}({each.path})", *each.span)
-                  for each in parameters}  # fmt: skip
-        setting = {each.path: each.from_scale(places[each.path]) for each in parameters}
-        trial.set_user_attr("setting", setting)
+        try:
+            trial.set_user_attr("worker", worker.number)
+            if _counted(study, trial.number) >= evaluations:
+                study.tell(trial.number, state=TrialState.FAIL, skip_if_finished=True)
+                return
+            places = {each.path: trial.suggest_float(f"{each.kind.__name__}({each.path})", *each.span)
+                      for each in parameters}  # fmt: skip
+            setting = {each.path: each.from_scale(places[each.path]) for each in parameters}
+            trial.set_user_attr("setting", setting)
+        except UpdateFinishedTrialError:  # this process stood still, and another has given the trial back
+            continue
         yield trial
 
 
