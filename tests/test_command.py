@@ -11,7 +11,7 @@ import pytest
 import usvlearn
 from tests.support import ROOT
 from usvlearn.__main__ import COMMANDS, main
-from usvlearn.cli import command
+from usvlearn.cli.again import again
 
 
 def usv(*arguments: str, folder: Path) -> subprocess.CompletedProcess:
@@ -55,6 +55,6 @@ def test_every_command_gets_its_arguments(tmp_path):
 def test_the_command_that_goes_on_is_the_one_that_was_given(program, said, tmp_path, monkeypatch):
     (tmp_path / "runs.json").write_text("{}")
     monkeypatch.setattr(sys, "argv", [program, "--config-dir", "mine", "data=my_boat"])
-    again = command._again(None, tmp_path)
-    assert again.startswith(f"{said} --config-dir mine data=my_boat hydra.run.dir=")
-    assert shlex.split(again)[-1] == "resume=latest"
+    told = again(None, tmp_path)
+    assert told.startswith(f"{said} --config-dir mine data=my_boat hydra.run.dir=")
+    assert shlex.split(told)[-1] == "resume=latest"

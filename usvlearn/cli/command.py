@@ -11,7 +11,6 @@ import functools
 import logging
 import os
 import re
-import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -23,12 +22,12 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from usvlearn.cli.again import again
 from usvlearn.cli.composition import configs_folder
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.stopping import Stopped, in_program, stoppable, stoppable_worker, was_stopped
 from usvlearn.cli.sweep import LanesDone, Sweep, cut_short, end_progress, load
 from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, exit_on_user_error
-from usvlearn.runs.layout import JOURNAL, RUNS
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import leaderboard
 from usvlearn.sweeps.seeds import with_seeds
@@ -84,7 +83,7 @@ def _in_worker(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
 
 def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> None:
     """Run Hydra; if anything ends it early, print one sentence."""
-    Sweep.folder, Sweep.lock = None, None
+    Sweep.folder, Sweep.lock, Sweep.lost = None, None, []
     try:
         with _raising(), in_one_sentence(names):
             start()
@@ -97,7 +96,7 @@ def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> No
         if Sweep.folder is None or (sentence := cut_short(error)) is None:
             raise
         _show_sweep()
-        raise ConfigError(f"{sentence}; continue with: {_again(Sweep.folder, None)}") from error
+        raise ConfigError(f"{sentence}; continue with: {again(Sweep.folder, None)}") from error
     finally:
         if Sweep.lock is not None:
             Sweep.lock.release()
@@ -125,7 +124,7 @@ def _end(stopped: Stopped) -> NoReturn:
     """Print the command that continues, and exit."""
     logging.getLogger("torch").setLevel(logging.ERROR)  # a half-imported torch would log at exit
     _show_sweep()
-    print(f"{stopped}; continue with: {_again(Sweep.folder, stopped.folder)}", file=sys.stderr)
+    print(f"{stopped}; continue with: {again(Sweep.folder, stopped.folder)}", file=sys.stderr)
     sys.exit(stopped.code)
 
 
@@ -134,23 +133,6 @@ def _show_sweep() -> None:
     if Sweep.folder is not None:
         with suppress(UsvlearnError, OSError):
             leaderboard(Sweep.folder, load)
-
-
-def _again(sweep: Path | None, run: Path | None) -> str:
-    """The command that continues in the same folder, or starts anew if nothing was saved."""
-    more = []
-    if sweep is not None:
-        more = [f"hydra.sweep.dir={sweep}"]
-    elif run is not None and (run / RUNS).exists():
-        more = [f"hydra.run.dir={run}", "resume=latest"]
-    elif run is not None and (run / JOURNAL).exists():
-        more = [f"hydra.run.dir={run}"]
-    keys, script, *arguments = [each.partition("=")[0] for each in more], *sys.argv
-    overrides = [each for each in arguments if each.startswith("~") or ("=" in each and not each.startswith("-"))]
-    flags = [each for each in arguments if each not in overrides]  # flags must not stand between overrides
-    kept = [each for each in overrides if each.partition("=")[0] not in keys]
-    program = ["python", script] if script.endswith(".py") else script.split(" ")  # else the command `usvlearn train`
-    return shlex.join([*program, *flags, *kept, *more])
 
 
 def parse(arguments: Sequence[str]) -> argparse.Namespace:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -18,10 +18,12 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
+from usvlearn.cli.again import again
 from usvlearn.cli.composition import plain
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.cli.settings import check_settings, instantiate
 from usvlearn.cli.stopping import defer_signals, end_deferral
+from usvlearn.cli.submitted import wait_for_all
 from usvlearn.errors import ConfigError, check_choice, exit_on_user_error
 from usvlearn.lock import Lock
 from usvlearn.logs.recordings import align_fleet
@@ -111,6 +113,7 @@ class Sweep(Callback):
     folder: Path | None = None  # of the sweep that this process has started
     lock: Lock | None = None  # of the run
     progress: Progress | None = None
+    lost: ClassVar[list[int]] = []  # jobs of the sweep whose process was killed
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         with exit_on_user_error(), in_one_sentence():  # a search is made by several processes together
@@ -136,13 +139,21 @@ class Sweep(Callback):
         if own["sweep"]["subdir"] == "${hydra.job.num}":
             Sweep.progress = Progress(folder, jobs, note, partial(print, flush=True))
             Sweep.progress.start()
+        if "submitit" in config.hydra.launcher._target_:
+            wait_for_all(Sweep.lost)
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         end_progress()
         end_deferral()
+        folder = Path(config.hydra.sweep.dir)
         with exit_on_user_error():
-            if not leaderboard(Path(config.hydra.sweep.dir), load):
-                sys.exit(2)
+            if leaderboard(folder, load):
+                return
+            if Sweep.lost:
+                raise ConfigError(
+                    f"hydra/launcher: jobs {Sweep.lost} were killed; continue with: {again(folder, None)}"
+                )
+            sys.exit(2)
 
 
 def end_progress() -> None:
