@@ -21,9 +21,9 @@ from usvlearn.evaluation.ranking import differing, ranked_by, scored
 from usvlearn.report.tables import short_settings
 from usvlearn.report.terminal import console
 from usvlearn.sweeps.jobs import Job, jobs, noted_sweep
+from usvlearn.sweeps.panels import sweep_figure
 from usvlearn.sweeps.seeds import SEED
 from usvlearn.sweeps.standings import Standing, standings
-from usvlearn.sweeps.sweep_figure import sweep_figure
 from usvlearn.sweeps.table import error, label, printed, result_table
 from usvlearn.tensorboard import TensorBoardWriter
 

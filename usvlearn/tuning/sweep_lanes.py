@@ -35,7 +35,7 @@ Jobs = Sequence[Mapping[str, str]]  # the settings of each, by key
 
 def member_of(note: SweepNote) -> str | None:
     """The member whose settings a sweep varies, beside the seed; None if there is not exactly one."""
-    names = {named(key) for key in note.swept if key != SEED}
+    names = {name for key in note.swept if (name := named(key)) is not None}
     return names.pop() if len(names) == 1 else None
 
 
