@@ -1,13 +1,6 @@
 """Paired differences between two settings, with a bootstrap interval over seeds, boats and runs.
 
-Both settings made the same runs, so that a run's own difficulty cancels in the difference. With the errors e of seed s,
-boat b and run r over n steps, the loss of a setting is the objective of a fleet,
-
-    L = mean_b (Σ_{s,r} w n e)/(Σ_{s,r} w n)                                                                    (1)
-
-with w = 1. The bootstrap draws seeds, boats, and each boat's runs anew with replacement, independently (Owen, *The
-pigeonhole bootstrap*, 2007): w is the product of how often each was drawn. The interval is that of L_a − L_b over the
-draws. A factor with one value is not drawn; without any that has two, no interval is stated.
+The mathematics is in `docs/theory.md`, section 23; equation (1) is from there.
 """
 
 from __future__ import annotations

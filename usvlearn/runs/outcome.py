@@ -17,6 +17,8 @@ from usvlearn.evaluation.networks import verdicts
 from usvlearn.runs.published import Published
 from usvlearn.signals import Fleet
 
+FORECASTS = ("forecasts", "forecast_halfwidths")  # published
+
 
 def judged(
     ensemble: Ensemble,
@@ -44,7 +46,7 @@ def judged(
         "rejected": fleet.rejected,
         **as_results(identified_boats(ensemble, state, fleet.boats), truth),
     }
-    if (ahead := ensemble_sums(ensemble, fleet, published)) is not None:
+    if (ahead := ensemble_sums(ensemble, fleet, published.stretches(FORECASTS))) is not None:
         found["forecast"] = horizon_scores(ahead, fleet.boats)
     if (free := _free(ensemble, fleet, halfway)) is not None:
         found["free"] = free.mae(fleet.boats, ensemble.names)

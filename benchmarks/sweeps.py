@@ -1,0 +1,97 @@
+"""What a sweep costs: lanes in place of jobs, and jobs in two processes in place of plain replays.
+
+python benchmarks/sweeps.py        writes sweeps.md; needs the extra sweep; minutes, on an idle machine with two cores
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from accuracy import publish
+from timing import machine, table
+
+ROOT = Path(__file__).resolve().parents[1]
+SETTINGS, HOURS, JOBS = 512, 30, 3  # lanes; of the season; jobs that are timed
+NEURONS, UNROLLS, SEEDS = (4, 8, 10, 12, 16, 20, 30, 40), (1, 2), 3
+LENGTHS = (1, 5, 20)  # h of the sweep of 48 jobs
+
+
+def sweep(folder: Path, *arguments: str) -> tuple[float, list[float]]:
+    """Seconds of a sweep's command, and of each of its jobs, as its results say."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(ROOT / "train.py"), "-m", *arguments, f"hydra.sweep.dir={folder}"]
+    began = time.perf_counter()
+    subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
+    seconds = time.perf_counter() - began
+    return seconds, [json.loads(path.read_text())["seconds"] for path in folder.glob("*/results.json")]
+
+
+def lanes(folder: Path) -> list[str]:
+    """Lanes against jobs, of AID."""
+    gains = ",".join(f"{10 ** (-2 + 4 * k / (SETTINGS - 1)):.4g}" for k in range(SETTINGS))
+    few = ",".join(gains.split(",")[:: SETTINGS // JOBS][:JOBS])
+    data = (f"data.hours={HOURS}", "data.mission_minutes=15")
+    batch, _ = sweep(folder / "lanes", f"estimators.aid.gain={gains}", *data, "sweep.lanes=auto")
+    lane = json.loads((folder / "lanes" / "lanes.json").read_text())["jobs"]
+    own = sum(each["results"]["seconds"] for each in lane)
+    _, jobs = sweep(folder / "jobs", f"estimators.aid.gain={few}", *data)
+    job = sum(jobs[1:]) / len(jobs[1:])  # the first one loads what was compiled
+    rows = [
+        ["lanes, the whole command", f"{batch:.1f}", "1"],
+        ["lanes, the batch alone", f"{own:.1f}", f"{own / batch:.2f}"],
+        [f"a job, mean of {len(jobs) - 1}", f"{job:.1f}", f"{job / batch:.2f}"],
+        [f"{SETTINGS} jobs, extrapolated", f"{SETTINGS * job:.0f}", f"{SETTINGS * job / batch:.0f}"],
+    ]
+    return [
+        f"## {SETTINGS} settings of AID over {HOURS} h as lanes",
+        "",
+        "A job replays the default ensemble, and saves its parameters and predictions; a lane is AID alone, and saves",
+        "errors.",
+        "",
+        *table(["", "s", "over the lanes' command"], rows),
+        "",
+    ]
+
+
+def jobs(folder: Path) -> list[str]:
+    """A sweep of 48 jobs in two processes against the same jobs' own time."""
+    settings = (
+        f"estimators.rnn.neurons={','.join(map(str, NEURONS))}",
+        f"estimators.rnn.unroll={','.join(map(str, UNROLLS))}",
+    )
+    rows = []
+    for hours in LENGTHS:
+        whole, spent = sweep(
+            folder / f"{hours}", *settings, f"seeds={SEEDS}", f"data.hours={hours}", "hydra/launcher=joblib",
+            "hydra.launcher.n_jobs=2",
+        )  # fmt: skip
+        rows.append(
+            [f"{hours} h", f"{whole:.0f}", f"{sum(spent) / 2:.0f}", f"{100 * (2 * whole / sum(spent) - 1):.0f} %"]
+        )
+    count = len(NEURONS) * len(UNROLLS) * SEEDS
+    return [
+        f"## A sweep of {count} jobs in two processes",
+        "",
+        f"`{' '.join(settings)} seeds={SEEDS}` with joblib. A job's own time is from reading to the last saved set,",
+        "`seconds` in its results; the rest is the start of the processes, the composition of each job's settings by",
+        "Hydra (twice), scores, figures and the leaderboard.",
+        "",
+        *table(["season", "the command, s", "jobs' own time over two, s", "overhead"], rows),
+        "",
+    ]
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory() as name:
+        text = ["# Sweeps", "", f"Measured by `python benchmarks/sweeps.py` on: {machine()}.", ""]
+        publish(__file__, [*text, *lanes(Path(name)), *jobs(Path(name))])
+
+
+if __name__ == "__main__":
+    main()
