@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 
 from tests.support.commands import hparams, load, never, table
 from usvlearn.cli.sweep import jobs_of
+from usvlearn.errors import ConfigError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import ranked_by
 from usvlearn.sweeps.jobs import SweepNote, run_job
@@ -84,6 +85,8 @@ def test_another_objective_ranks_a_finished_sweep_anew(tmp_path, capsys):
     assert leaderboard(tmp_path, load, "weighted")
     assert [int(row["job"]) for row in table(tmp_path)] == [2, 0, 1, 3]
     assert capsys.readouterr().out.startswith("MAE of weighted, m/s")
+    with pytest.raises(ConfigError, match=r"objective: found rnn.free, which no finished job of .* has measured"):
+        leaderboard(tmp_path, load, "rnn.free")
 
 
 def test_the_swept_keys_are_those_with_several_values():

@@ -35,7 +35,7 @@ from usvlearn.errors import ConfigError, MissingExtraError, bad_input
 from usvlearn.evaluation.metrics import scores
 from usvlearn.sweeps.jobs import Job, digest, jobs, run_job
 from usvlearn.sweeps.launchers import check_launcher
-from usvlearn.sweeps.leaderboard import LONGEST, write_leaderboard
+from usvlearn.sweeps.leaderboard import LONGEST, leaderboard, write_leaderboard
 
 SWEEPS = sorted(p.stem for p in (ROOT / "configs" / "sweep").glob("*.yaml"))
 LAUNCHED = {**ENVIRONMENT, "PYTHONPATH": str(ROOT)}
@@ -269,6 +269,31 @@ def test_damaged_and_missing_results_are_told(tmp_path):
     assert table(tmp_path)[1]["error"] == "did not finish"
     with pytest.raises(ConfigError, match="found no run"):
         jobs(tmp_path / "none", load)
+
+
+MALFORMED = [
+    {"boats": {"a": {"rnn": {"mae": "x"}}}}, {"boats": [1]}, {"boats": {"a": [1]}}, {"boats": {"a": {"rnn": 3}}},
+    {"boats": {}, "forecast": {"a": {"rnn": {"10": 0.1}}}}, {"boats": {}, "free": {"a": 0.1}}, {"boats": {}, "free": 3},
+    {"boats": {}, "seconds": "1"}, {"boats": {}, "objective": [0.1]}, {"boats": {}, "measure": "rnn.loud"},
+    {"boats": {}, "measure": 3.5}, {"boats": {}, "network": {"a": 3}}, {"boats": {}, "network": {"a": {"rnn": {}}}},
+    {"boats": {}, "network": {"a": {"rnn": {"contracting": "yes", "rate": 0.5}}}}, {"boats": {}, "network": []},
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("k", range(len(MALFORMED)))
+def test_results_of_others_may_be_of_any_form(k, tmp_path, capsys):
+    """A job with results of another form is named; the other one is ranked."""
+    good = {"boats": {"a": {"rnn": {"mae": 0.1}}}, "output": "rnn", "objective": 0.1, "seconds": 1.0}
+    for name, found in (("0", MALFORMED[k]), ("1", good)):
+        (tmp_path / name / ".hydra").mkdir(parents=True)
+        (tmp_path / name / ".hydra" / "overrides.yaml").write_text(f"[estimators.rnn.neurons={name}]")
+        (tmp_path / name / "results.json").write_text(json.dumps(found))
+    (tmp_path / "sweep.json").write_text('{"jobs": "x", "swept": 3, "defaults": [], "objective": {}}')
+    (tmp_path / "1" / "errors.csv").write_text("boat,run\n\0")
+    assert not leaderboard(tmp_path, load)
+    rows = {row["job"]: row["error"] for row in table(tmp_path)}
+    assert "0/results.json is damaged" in rows["0"] and rows["1"] == ""
+    assert "0/results.json is damaged" in capsys.readouterr().out
 
 
 def test_rows_of_the_hparams_page_have_short_safe_names_and_are_replaced(tmp_path):

@@ -71,6 +71,18 @@ class Measure(NamedTuple):
             return math.inf
         return {SKILL: -value, COVERAGE: abs(value - NOMINAL)}.get(self.kind, value)
 
+    def known(self, results: Mapping[str, Any]) -> bool:
+        """Whether `results.json` has a number of it, or says that there is none: the estimator was measured so.
+
+        >>> Measure("rnn", "free").known({"boats": {"heron": {"rnn": {"mae": 0.1}}}})
+        False
+        """
+        rows: Mapping[str, Any] = next(iter(self._tables(results).values()), {})
+        columns = own_columns(self.estimator, rows)
+        if self.kind == FORECAST:
+            return any(f"{self.horizon:g}" in rows[column] for column in columns)
+        return any(self.kind == FREE or self.kind in rows[column] for column in columns)
+
     def value(self, results: Mapping[str, Any]) -> float | None:
         """What `results.json` says of it, mean over boats; None where it is unknown of a boat, or diverged.
 
@@ -79,10 +91,14 @@ class Measure(NamedTuple):
         >>> Measure("rnn").value({"boats": {"heron": {"rnn": {"mae": 0.1}}}})
         0.1
         """
-        tables = results.get(self.kind if self.kind in (FORECAST, FREE) else "boats") or {}
+        tables = self._tables(results)
         columns = own_columns(self.estimator, next(iter(tables.values()), {}))
         found = [mean(self._of(rows.get(column)) for rows in tables.values()) for column in columns]
         return min(found, key=self.loss, default=None)
+
+    def _tables(self, results: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The errors by boat and estimator among which it is."""
+        return results.get(self.kind if self.kind in (FORECAST, FREE) else "boats") or {}
 
     def _of(self, row: Any) -> float | None:
         """The number in an estimator's row of its table."""

@@ -38,10 +38,19 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
         folder: of a sweep, or any other folder with runs.
         load: see `usvlearn.sweeps.jobs.jobs`.
         objective: that ranks; by default that of the sweep (`usvlearn.evaluation.ranking.ranked_by`).
+
+    Raises:
+        ConfigError: there is no run, none has measured the objective, or the folder cannot be written to.
     """
     found, note = jobs(folder, load), noted_sweep(folder)
     keys = differing([job.settings for job in found])
-    by = ranked_by(objective or note.objective, note.swept or keys, [job.results for job in found])
+    done = [job.results for job in found if "boats" in job.results]
+    by = ranked_by(objective or note.objective, note.swept or keys, done)
+    if objective is not None and by is not None and not any(map(by.known, done)):
+        raise ConfigError(
+            f"objective: found {objective}, which no finished job of {folder} has measured: see boats, forecast and "
+            "free in their results.json"
+        )
     found = [job._replace(results=scored(job.results, by)) for job in found]
     ranks = standings(found, by, note.defaults)
     keys = [key for key in keys if key != SEED]
