@@ -200,6 +200,24 @@ def test_handlers_of_others_are_left_alone():
         signal.signal(signal.SIGTERM, before)
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGUSR2"), reason="this system has no SIGUSR2")
+def test_the_command_that_queues_a_job_again_outlives_the_signal_to_all_its_processes():
+    ended = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGTERM)"]
+
+    def queue_again(number, frame):  # what submitit does at a time limit
+        subprocess.check_call(ended)
+        sys.exit(3)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGUSR2, signal.SIGTERM)}
+    signal.signal(signal.SIGUSR2, queue_again)
+    try:
+        with pytest.raises(SystemExit), stoppable_worker():
+            signal.raise_signal(signal.SIGUSR2)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 JOBLIB = ["-m", "estimators.sift_map.memory=5,9", *QUICK, "data.hours=40", "hydra.sweep.dir=sweep"]
 JOBLIB += ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
 

@@ -16,6 +16,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
 from types import FrameType
 from typing import Any, TypeVar
@@ -115,6 +116,7 @@ def stoppable_worker() -> Iterator[None]:
     A worker ignores Ctrl-C, because the program receives it, too. After the block no signal ends the worker. If the
     launcher has its own handler, as Slurm's has, the launcher handles both signals.
     """
+    _shield_requeue()
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         _install(_receive, signal.SIG_IGN)
     _Process.at_once = True
@@ -123,6 +125,25 @@ def stoppable_worker() -> Iterator[None]:
         yield
     finally:
         _Process.at_once = False
+
+
+def _shield_requeue() -> None:
+    """Let the command with which submitit queues this job again outlive SIGTERM.
+
+    Slurm sends SIGTERM to all processes of a job that is queued again, so to that command, too. When it died of it, an
+    error was raised here, and the job counted as failed.
+    """
+    number = getattr(signal, "SIGUSR2", None)
+    handler = signal.getsignal(number) if number else None
+    if number is None or not callable(handler) or getattr(handler, "__wrapped__", None):
+        return
+
+    @wraps(handler)
+    def shielded(number: int, frame: FrameType | None) -> None:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # a command that is started now inherits this
+        handler(number, frame)
+
+    signal.signal(number, shielded)
 
 
 def _install(on_terminate: Any, on_interrupt: Any = None) -> dict[int, Any]:
