@@ -98,11 +98,15 @@ class Slurm:
             self.stop()
             raise Unavailable(f"Slurm does not start here: {said}") from error
 
+    def end_jobs(self) -> None:
+        """End all jobs."""
+        self.call("scancel", "--user", getpass.getuser())
+        self.wait(lambda: not self.jobs(), "jobs do not end", 20)
+
     def stop(self) -> None:
         """End the jobs, and each daemon by its own number."""
         with suppress(OSError, subprocess.SubprocessError, AssertionError):
-            self.call("scancel", "--user", getpass.getuser())
-            self.wait(lambda: not self.call("squeue", "--noheader"), "jobs do not end", 20)
+            self.end_jobs()
         for name in DAEMONS:
             with suppress(OSError, ValueError):
                 number = int((self.folder / f"{name}.pid").read_text())

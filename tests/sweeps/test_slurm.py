@@ -7,8 +7,10 @@ import os
 import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
@@ -45,14 +47,31 @@ def expected(tmp_path_factory) -> Path:
     return folder / "sweep"
 
 
+@pytest.fixture(autouse=True)
+def nothing_left(slurm) -> Iterator[None]:
+    """No job or command of a test that failed disturbs the next."""
+    yield
+    for process in Sweeping.started:
+        process.kill()
+        process.wait()
+        if process.stderr is not None:
+            process.stderr.close()
+    Sweeping.started.clear()
+    slurm.end_jobs()
+
+
 class Sweeping:
     """A sweep on the cluster, started as a user starts it."""
+
+    started: ClassVar[list[subprocess.Popen]] = []
 
     def __init__(self, slurm: Slurm, folder: Path, *arguments: str, sweep: list[str] = THREE):
         self.slurm, self.sweep = slurm, folder / "sweep"
         self.process = subprocess.Popen(command(*sweep, *ON_SLURM, *arguments), cwd=folder, text=True,
                                         env=ENVIRONMENT | slurm.environment,
                                         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)  # fmt: skip
+
+        self.started.append(self.process)
 
     def queued(self) -> list[str]:
         """The numbers of its jobs in Slurm, once they are there."""
@@ -123,6 +142,7 @@ def test_a_job_that_reaches_its_time_limit_is_queued_again_and_finishes(slurm, t
     """Slurm sends the signal of the limit, 20 to 50 s before one minute is over, to a job that takes about a minute."""
     (whole := tmp_path / "whole").mkdir()
     uninterrupted = subprocess.Popen(command(*ONE), cwd=whole, env=ENVIRONMENT, stdout=subprocess.DEVNULL)
+    Sweeping.started.append(uninterrupted)
     sweep = Sweeping(slurm, tmp_path, "hydra.launcher.timeout_min=1", "hydra.launcher.signal_delay_s=20", sweep=ONE)
     (number,) = sweep.queued()
     first, written = sweep.saves(0, 3)
@@ -142,3 +162,12 @@ def test_a_job_that_slurm_queues_again_continues(slurm, expected, tmp_path):
     sweep.ends(0)
     assert int(slurm.job(number)["Restarts"]) == 1 and first.stat().st_mtime_ns == written
     assert_complete(sweep.sweep, expected)
+
+
+def test_a_command_that_is_stopped_leaves_its_jobs_and_says_so(slurm, tmp_path):
+    sweep = Sweeping(slurm, tmp_path, "hydra.launcher.name=boats", sweep=ONE)
+    numbers = sweep.queued()
+    time.sleep(1)  # the command waits for its jobs
+    sweep.process.send_signal(signal.SIGINT)
+    error = sweep.ends(130)
+    assert "scancel --name=boats ends; continue with: python" in error and slurm.jobs() == numbers

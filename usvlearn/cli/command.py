@@ -83,7 +83,7 @@ def _in_worker(task: Callable[[DictConfig], Any], cfg: DictConfig) -> Any:
 
 def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> None:
     """Run Hydra; if anything ends it early, print one sentence."""
-    Sweep.folder, Sweep.lock, Sweep.lost = None, None, []
+    Sweep.folder, Sweep.lock, Sweep.lost, Sweep.outlived = None, None, [], ""
     try:
         with _raising(), in_one_sentence(names):
             start()
@@ -124,7 +124,7 @@ def _end(stopped: Stopped) -> NoReturn:
     """Print the command that continues, and exit."""
     logging.getLogger("torch").setLevel(logging.ERROR)  # a half-imported torch would log at exit
     _show_sweep()
-    print(f"{stopped}; continue with: {again(Sweep.folder, stopped.folder)}", file=sys.stderr)
+    print(f"{stopped}{Sweep.outlived}; continue with: {again(Sweep.folder, stopped.folder)}", file=sys.stderr)
     sys.exit(stopped.code)
 
 

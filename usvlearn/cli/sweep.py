@@ -114,6 +114,7 @@ class Sweep(Callback):
     lock: Lock | None = None  # of the run
     progress: Progress | None = None
     lost: ClassVar[list[int]] = []  # jobs of the sweep whose process was killed
+    outlived = ""  # what a signal does not end
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         with exit_on_user_error(), in_one_sentence():  # a search is made by several processes together
@@ -141,6 +142,8 @@ class Sweep(Callback):
             Sweep.progress.start()
         if "submitit" in config.hydra.launcher._target_:
             wait_for_all(Sweep.lost)
+        if "Slurm" in config.hydra.launcher._target_:
+            Sweep.outlived = f", but not its jobs in Slurm, which scancel --name={config.hydra.launcher.name} ends"
 
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         end_progress()
