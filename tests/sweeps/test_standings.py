@@ -64,6 +64,8 @@ def test_without_the_default_they_are_compared_with_the_best(defaults):
     found = standings(SIZES, RNN, defaults)
     assert [each.reference for each in found] == [True, False, False, False]
     assert "Reference: the best, rnn.neurons=9." in "\n".join(lines(SIZES, defaults))
+    best = {"estimators.rnn.neurons": "9"}
+    assert "Reference: the default, rnn.neurons=9." in "\n".join(lines(SIZES, best))
 
 
 def test_a_default_that_diverged_is_no_reference():

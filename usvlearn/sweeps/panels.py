@@ -68,7 +68,7 @@ def _draw(panel: Any, shown: Sequence[Standing], key: str, measure: Measure | No
     winner = shown[0]
     panel.plot(places[winner.settings.get(key, "")], winner.value, "*", color=INK, markersize=12, label="best of all")
     for each in shown:
-        if each.reference and each is not winner:
+        if each.default:
             place = places[each.settings.get(key, "")], each.value
             panel.plot(*place, "s", color=INK, markersize=7, markerfacecolor="none", label="default")
     panel.set_xlabel(shortened(key, 40))

@@ -26,7 +26,8 @@ class Standing(NamedTuple):
     seconds: float | None  # of a job, mean
     contracting: bool | None  # whether all networks of the ranking member, or of all, are certified; None without one
     rate: float | None  # the largest contraction rate of them, a step
-    reference: bool  # whether the others are compared with this
+    default: bool  # whether its values are those without the sweep
+    reference: bool  # whether the others are compared with this: the default, else the best
     difference: Difference | None  # to the reference
 
     @property
@@ -66,6 +67,7 @@ def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[st
     errors = [_cells(each, measure) for each in found]
     return [
         each._replace(
+            default=is_default[k] and None not in own.values(),
             reference=k == first,
             difference=None if k == first else _compared(each, errors[k], errors[first], measure),
         )
@@ -101,6 +103,7 @@ def _standing(settings: dict[str, str], jobs: Sequence[Job], measure: Measure | 
         statistics.fmean(seconds) if seconds else None,
         all(each["contracting"] for each in networks) if networks else None,
         max(rates) if rates and len(rates) == len(networks) else None,
+        False,
         False,
         None,
     )

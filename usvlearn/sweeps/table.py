@@ -162,7 +162,7 @@ def _sentences(shown: Sequence[Standing], measure: Measure | None, keys: Sequenc
     compared = [each for each in shown if each.difference is not None]
     if not compared:
         return ["No differences: the jobs have no errors by run that can be paired."]
-    first = "the best" if reference is shown[0] else "the default"
+    first = "the default" if reference.default else "the best"
     name = f"Reference: {first}, {short_settings(reference.settings, keys)}."
     if any(each.difference.tie is None for each in compared if each.difference):
         return [f"{name} One run: no interval, so that no difference is known to be more than chance."]
