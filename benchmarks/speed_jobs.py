@@ -195,7 +195,8 @@ def logging(fleet: Fleet, effort: Effort) -> str:
                 spent += once(partial(archive.save, chunk)) + once(partial(watch.show, chunk))
             boats = fleet_scores(fleet, archive.published, model.names)
             quiet = {boat: [] for boat in fleet.boats}
-            spent += once(partial(watch.finish, SETTINGS, boats, archive.published, quiet))
+            results = {"boats": boats, "alarms": quiet}
+            spent += once(partial(watch.finish, SETTINGS, results, archive.published))
             seconds.append(spent)
             shares.append(spent / (time.perf_counter() - began - spent))
     boats = counted(len(fleet.boats), "boat")

@@ -10,11 +10,14 @@ import numpy as np
 
 from usvlearn.errors import MissingExtraError
 
+WORST = 60.0  # s, the stretch that is enlarged
 INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report replaces them by the colours of its theme
-KNOWN = {  # Okabe & Ito; then hues between them that are visible on white and on black
-    "aid": "#0072B2", "rls": "#E69F00", "sift_map": "#E69F00", "rnn": "#009E73", "average": "#CC79A7",
-    "weighted": "#56B4E9", "ensemble": "#D55E00", "persistence": "#999999",
-    "joint": "#6A5ACD", "joint_quick": "#B0417A", "arx": "#44AA99", "reader": "#999933",
+SEVEN = {  # the colours of TensorBoard's runs, in its order, and who has them: estimators that are never compared share
+    ("persistence",): "#425066", ("aid",): "#12b5cb", ("ensemble",): "#e52592", ("sift_map", "rls"): "#f9ab00",
+    ("joint",): "#9334e6", ("rnn",): "#7cb342", ("arx",): "#e8710a",
+}  # fmt: skip
+KNOWN = {name: colour for names, colour in SEVEN.items() for name in names} | {  # visible on white and on black
+    "average": "#5C6BC0", "weighted": "#1E88E5", "joint_quick": "#BA68C8", "reader": "#00897B",
 }  # fmt: skip
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")
@@ -27,7 +30,7 @@ def colours(names: Sequence[str]) -> dict[str, str]:
     NAME+ has the colour of NAME.
 
     >>> colours(["aid", "my_rls", "ensemble", "ensemble+"])
-    {'aid': '#0072B2', 'my_rls': '#CC6677', 'ensemble': '#D55E00', 'ensemble+': '#D55E00'}
+    {'aid': '#12b5cb', 'my_rls': '#CC6677', 'ensemble': '#e52592', 'ensemble+': '#e52592'}
     """
     rest = iter(OTHERS * (1 + len(names) // len(OTHERS)))
     found = dict(KNOWN)
@@ -65,7 +68,7 @@ def prediction_figure(
     title: str,
     halfwidth: np.ndarray | None = None,
 ):
-    """Measured and predicted surge over time, above the errors' distributions.
+    """Measured and predicted surge over a run; below, its worst minute: where the last estimator errs most on average.
 
     Args:
         time: s, `(time,)`.
@@ -78,29 +81,50 @@ def prediction_figure(
     Raises:
         MissingExtraError: matplotlib is not installed.
     """
+    palette = colours(names)
+    worst = worst_stretch(time, np.abs(predictions[:, -1] - surge))
     with themed() as Figure:
-        figure = Figure(figsize=(9, 6.3), dpi=80)
-        figure.subplots_adjust(left=0.07, right=0.98, top=0.95, bottom=0.07, hspace=0.25)
-        above, below = figure.subplots(2, 1, height_ratios=(2, 1))
-        above.plot(time, surge, color=INK, linewidth=2.5, label="measured")
-        palette = colours(names)
-        if halfwidth is not None:
-            low, high = predictions[:, -1] - halfwidth, predictions[:, -1] + halfwidth
-            style = {"color": palette[names[-1]], "alpha": 0.25, "linewidth": 0}
-            above.fill_between(time, low, high, label=f"{names[-1]}, 90 %", **style)
-        error = predictions - surge[:, None]
-        limit = np.nanpercentile(np.abs(error), 98) if np.isfinite(error).any() else 1.0
-        bins = np.linspace(-limit, limit, 61)
-        for k, name in enumerate(names):
-            style = {"color": palette[name], "label": name, "linewidth": 1.2}
-            above.plot(time, predictions[:, k], **style)
-            finite = error[np.isfinite(error[:, k]), k]
-            if len(finite):
-                below.hist(finite.clip(-limit, limit), bins=bins, histtype="step", **style)
-        seen = surge[np.isfinite(surge)]
-        low, high = (seen.min(), seen.max()) if len(seen) else (0.0, 1.0)
-        margin = 0.15 * (high - low) + 0.05
-        above.set(xlabel="time in the run, s", ylabel="surge, m/s", title=title, ylim=(low - margin, high + margin))
-        below.set(xlabel="predicted − measured, m/s (beyond the edge: in the last bin)", ylabel="steps")
-        above.legend(ncols=4, fontsize="small")
+        figure = Figure(figsize=(7, 4.6), dpi=100)
+        figure.subplots_adjust(left=0.09, right=0.985, top=0.94, bottom=0.1, hspace=0.2)
+        above, below = figure.subplots(2, 1, height_ratios=(2, 3))
+        for panel, part, thin in ((above, slice(None), 0.8), (below, worst, 1.4)):
+            panel.plot(time[part], surge[part], color=INK, linewidth=2.2 * thin, label="measured")
+            if halfwidth is not None:
+                low, high = predictions[part, -1] - halfwidth[part], predictions[part, -1] + halfwidth[part]
+                style = {"color": palette[names[-1]], "alpha": 0.22, "linewidth": 0}
+                panel.fill_between(time[part], low, high, label=f"{names[-1]}, 90 %", **style)
+            for k, name in enumerate(names):
+                panel.plot(time[part], predictions[part, k], color=palette[name], label=name, linewidth=thin)
+            seen = surge[part][np.isfinite(surge[part])]
+            low, high = (seen.min(), seen.max()) if len(seen) else (0.0, 1.0)
+            margin = 0.15 * (high - low) + 0.05
+            panel.set(ylabel="surge, m/s", ylim=(low - margin, high + margin))
+            panel.margins(x=0)
+        above.set(title=title)
+        if len(time[worst]):
+            above.axvspan(time[worst][0], time[worst][-1], color=INK, alpha=0.12, linewidth=0)
+        below.set(xlabel=f"time in the run, s; here the worst {WORST:g} s of {names[-1]}")
+        below.legend(ncols=3, fontsize="small")
         return figure
+
+
+def worst_stretch(time: np.ndarray, error: np.ndarray) -> slice:
+    """The steps of the WORST seconds with the largest mean error; all steps of a shorter run.
+
+    Args:
+        time: s, `(time,)`.
+        error: `(time,)`; NaN where unknown.
+
+    >>> worst_stretch(np.arange(200.0), np.where(np.arange(200) == 100, 1.0, 0.0))
+    slice(40, 101, None)
+    """
+    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.nan_to_num(error), np.isfinite(error)))
+    ends = np.searchsorted(time, time + WORST, side="right")  # of the stretch that begins at each step
+    begins = np.arange(len(time))
+    known = counts[ends] - counts[begins]
+    full = (time + WORST <= time[-1]) & (known > 0) if len(time) else np.array([], bool)
+    if not full.any():
+        return slice(0, len(time))
+    mean = np.where(full, (sums[ends] - sums[begins]) / np.where(known > 0, known, 1.0), -1.0)
+    k = int(mean.argmax())
+    return slice(k, int(ends[k]))

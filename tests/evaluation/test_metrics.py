@@ -114,6 +114,6 @@ def test_figure_of_predictions():
     time = np.arange(5.0)
     figure = prediction_figure(time, SURGE, PREDICTIONS, ["aid", "persistence"], "heron, run 1")
     above, below = figure.axes
-    assert "m/s" in above.get_ylabel() and "s" in above.get_xlabel() and "m/s" in below.get_xlabel()
+    assert "m/s" in above.get_ylabel() and "m/s" in below.get_ylabel() and "time in the run, s" in below.get_xlabel()
     assert [line.get_label() for line in above.lines] == ["measured", "aid", "persistence"]
     np.testing.assert_array_equal(above.lines[1].get_ydata(), PREDICTIONS[:, 0])

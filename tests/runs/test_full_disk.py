@@ -13,7 +13,7 @@ import pytest
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, complaints
 from tests.support.runs import assert_same, session
-from usvlearn import checkpoint
+from usvlearn import checkpoint, tensorboard
 from usvlearn.cli import train
 from usvlearn.errors import bad_input
 from usvlearn.tensorboard import TensorBoardWriter
@@ -78,22 +78,22 @@ def test_whatever_write_fails_what_was_saved_before_is_whole(tmp_path, fleet):
     assert last > 20
 
 
-def test_tensorboard_raises_what_its_thread_met_and_prints_nothing(tmp_path, monkeypatch):
-    from tensorboard.compat.tensorflow_stub.io.gfile import LocalFileSystem
-
+def test_tensorboard_raises_that_there_is_no_room_and_has_no_thread(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    printed = []
-    monkeypatch.setattr(threading, "excepthook", printed.append)
-    hook = threading.excepthook
-    with pytest.raises(OSError, match="No space left") as caught, TensorBoardWriter(tmp_path) as board:
-        monkeypatch.setattr(LocalFileSystem, "append", full)
-        for step in range(5000):
-            board.scalars("a", {"b": 1.0}, step)
-    assert bad_input(caught.value) is not None and threading.excepthook is hook
+    threads = threading.active_count()
+    with pytest.raises(OSError, match="No space left") as caught, TensorBoardWriter(tmp_path, ["a", "b"]) as board:
+        board.scalars({"b": 1.0}, 0, "a")
+        assert threading.active_count() == threads
+        monkeypatch.setattr(tensorboard, "open", full, raising=False)
+        monkeypatch.setattr(tensorboard, "SECONDS", 0.0)
+        board.scalars({"b": 1.0}, 1, "a")
+    assert bad_input(caught.value) is not None
     monkeypatch.undo()
-    assert printed == []
+    with TensorBoardWriter(tmp_path) as board:  # room again
+        board.scalars({"b": 2.0}, 2, "a")
+    assert len(list((tmp_path / "a").iterdir())) == 2
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="files have no limit there")

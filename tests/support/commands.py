@@ -114,6 +114,8 @@ def hparams(folder: Path) -> dict[str, tuple[dict, dict]]:
     for path in filter(Path.is_dir, folder.iterdir()):
         events = EventAccumulator(str(path))
         events.Reload()
+        if "_hparams_/session_start_info" not in events.Tags()["tensors"]:
+            continue
         data = HParamsPluginData.FromString(events.SummaryMetadata("_hparams_/session_start_info").plugin_data.content)
         settings = {
             key: getattr(value, value.WhichOneof("kind")) for key, value in data.session_start_info.hparams.items()

@@ -3,6 +3,7 @@
 What needs torch is imported where it is used: --help must not wait for it.
 """
 
+import shlex
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ from usvlearn.errors import check_positive
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report import terminal
 from usvlearn.report.tables import identified_table, report, summary_lines
+from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
 
@@ -32,23 +34,25 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
 
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     if not tuning.asked(cfg):
-        return train(cfg, folder, console, resume or cfg.resume)
+        return train(cfg, folder, console, resume or cfg.resume, overrides)
     return tuning.tune(plain(cfg), folder, instantiate, align_fleet, overrides, console)
 
 
-def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -> float:
-    """Replay what the configuration names into the run's folder; returns the ensemble's MAE, m/s."""
+def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, overrides: Sequence[str] = ()) -> float:
+    """Replay what the configuration names into the run's folder; returns the objective."""
     from usvlearn.evaluation.identification import identified_boats
     from usvlearn.evaluation.measure import check_measure, measure_of
     from usvlearn.evaluation.members import explained, remarks
     from usvlearn.report.stability import stability
-    from usvlearn.runs.logger import TensorBoardLogger
+    from usvlearn.runs.board_tags import what_differs
+    from usvlearn.runs.logger import TensorBoardLogger, check_log
     from usvlearn.runs.replay import replay
     from usvlearn.runs.run_folder import RunFolder
     from usvlearn.simulate.truth import quantities_of
 
     began, settings = time.perf_counter(), {**plain(cfg), "resume": None}
     set_threads(cfg.threads)
+    check_log(log := cfg.get("log", "main"))
     save_minutes = check_positive("save_minutes", cfg.save_minutes, "of min")
     save_every = max(1, round(60 * save_minutes / check_positive("align.dt", cfg.align.dt)))
     ensemble = ensemble_of(cfg)
@@ -59,7 +63,11 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts
     )
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
-    logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble)
+    truth = quantities_of([settings["data"]], cfg.vehicle.mass)
+    logger = TensorBoardLogger(
+        folder / TENSORBOARD, fleet, ensemble, start.position, what_differs(overrides), truth, log,
+        described(cfg, overrides), alone=not console.quiet,
+    )  # fmt: skip
     with run, logger, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
         chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every)
@@ -67,19 +75,29 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None) -
             run.save(chunk)
             logger.show(chunk)
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
-        truth = quantities_of([settings["data"]], cfg.vehicle.mass)
         found = run.finish(ensemble, time.perf_counter() - began, truth)
-        logger.finish(settings, found["boats"], run.published, found["alarms"])
+        networks = stability(ensemble, run.state, fleet.boats)
+        logger.finish(settings, found, run.published, networks)
     judged = found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)
     console.print(report(*judged, found.get("forecast")))
     console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
     console.print(
-        *stability(ensemble, run.state, fleet.boats),
+        *networks,
         *summary_lines(found, folder),
         sep="\n",
         soft_wrap=True,
     )
     return found["objective"]
+
+
+def described(cfg: DictConfig, overrides: Sequence[str]) -> dict[str, str]:
+    """The configuration as Markdown by title, and the command that makes the run again."""
+    blocks = {
+        "command": ("sh", shlex.join(["python", "train.py", *overrides])),
+        "settings that differ": ("", "\n".join(overrides) or "none"),
+        "configuration": ("yaml", OmegaConf.to_yaml(cfg)),
+    }
+    return {title: f"```{kind}\n{text}\n```" for title, (kind, text) in blocks.items()}
 
 
 @command("train")

@@ -17,6 +17,8 @@ from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean_mae
 from usvlearn.identified import sentences
 from usvlearn.report.terminal import Blocks
+from usvlearn.runs.board_tags import label
+from usvlearn.runs.layout import TENSORBOARD
 
 COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",
            "steps": "steps"}  # fmt: skip
@@ -166,23 +168,20 @@ def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
     >>> short_settings({"estimators.aid.gain": "3", "align.dt": "0.4"}, ["estimators.aid.gain"])
     'aid.gain=3'
     """
-    shown = {key: settings[key] for key in keys if key in settings} or settings
-    return " ".join(f"{_short(key)}={value}" if value else _short(key) for key, value in shown.items())
-
-
-def _short(key: str) -> str:
-    return ".".join(key.split(".")[-2:])
+    return label({key: settings[key] for key in keys if key in settings} or settings)
 
 
 def summary_lines(results: Mapping, folder: Path) -> list[str]:
     """The last lines of a run: its result, and the command that shows it.
 
     >>> summary_lines({"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}, Path("run"))[1]
-    'To look at the run: tensorboard --logdir run'
+    'To look at the run: tensorboard --logdir run/tensorboard and http://localhost:6006/?smoothing=0#timeseries'
     """
     measure, value = measure_of(results["measure"], ""), results["objective"]
     found = f"{results['seconds']:.1f} s; {measure.title()}: {measure.shown(value)}"
-    look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder))}"
+    fleet = "&runFilter=fleet%2F" if len(results.get("boats", {})) > 1 else ""  # at first the means over boats
+    address = f"http://localhost:6006/?smoothing=0{fleet}#timeseries"
+    look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder / TENSORBOARD))} and {address}"
     return [f"{found}; results and parameter sets: {folder}", look]
 
 

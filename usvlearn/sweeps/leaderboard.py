@@ -7,10 +7,8 @@ leaderboard/      one row per job on TensorBoard's HPARAMS page
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +16,15 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, ranked_by, scored
-from usvlearn.report.tables import short_settings
 from usvlearn.report.terminal import console
+from usvlearn.sweeps.board import write_board
 from usvlearn.sweeps.jobs import Job, jobs, noted_sweep
 from usvlearn.sweeps.panels import sweep_figure
 from usvlearn.sweeps.seeds import SEED
 from usvlearn.sweeps.standings import Standing, standings
-from usvlearn.sweeps.table import error, label, printed, result_table
-from usvlearn.tensorboard import TensorBoardWriter
+from usvlearn.sweeps.table import error, printed, result_table
 
 FOLDER, TABLE, TEXT, FIGURE = "leaderboard", "leaderboard.csv", "leaderboard.md", "leaderboard.png"
-LONGEST = 120  # characters of a row's name, which is a folder's
 
 
 def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None) -> bool:
@@ -93,7 +89,7 @@ def write_leaderboard(
             (folder / FIGURE).unlink(missing_ok=True)
         else:
             write_atomically(folder / FIGURE, figure)
-        _write_hparams(folder / FOLDER, folder, jobs)
+        write_board(folder / FOLDER, folder, jobs, figure)
     except OSError as cause:
         raise ConfigError(f"{folder}: cannot hold the leaderboard ({cause}): make it writable") from cause
 
@@ -105,41 +101,3 @@ def _figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | N
     except MissingExtraError as cause:
         warnings.warn(f"no figure of the sweep: {cause}", stacklevel=2)
         return None
-
-
-def _write_hparams(board: Path, folder: Path, jobs: Sequence[Job]) -> None:
-    if board.is_symlink():  # a sweep may come from anybody
-        raise ConfigError(f"{board} is a link to another folder: remove it")
-    for old in board.glob("*/events.out.tfevents.*"):
-        if not old.parent.is_symlink():
-            old.unlink()
-    for row in board.glob("*"):
-        with suppress(OSError):  # other people's files stay
-            row.rmdir()
-    keys = differing([job.settings for job in jobs])
-    for name, job in zip(_names(folder, jobs, keys), jobs, strict=True):
-        settings = {key: _number(job.settings.get(key, "")) for key in keys or job.settings}
-        numbers = {"objective": job.results.get("objective"), "seconds": job.results.get("seconds")}
-        with TensorBoardWriter(board / name) as writer:
-            # TensorBoard takes the columns from any of the rows, so all rows have the same ones
-            writer.hparams(
-                settings | {"measure": job.results.get("measure", ""), "job": error(job) or "finished"},
-                {key: float("nan") if value is None else value for key, value in numbers.items()},
-            )
-
-
-def _names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
-    """A readable name per job that can name a folder; equal or shortened ones end in the job's own name."""
-    full = [re.sub(r"[^\w.,=+ -]+", "_", short_settings(job.settings, keys)).strip(" .") for job in jobs]
-    names = []
-    for name, job in zip(full, jobs, strict=True):
-        whole = name and len(name) <= LONGEST and full.count(name) == 1
-        names.append(name if whole else f"{name[:LONGEST]} {label(folder, job).replace('/', '_')}".strip())
-    return names
-
-
-def _number(text: str) -> float | str:
-    try:
-        return float(text)
-    except ValueError:
-        return text

@@ -21,11 +21,11 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.report.tables import tuning_table
 from usvlearn.report.terminal import Blocks
-from usvlearn.runs.layout import TUNING, save_results
-from usvlearn.tensorboard import TensorBoardWriter
+from usvlearn.runs.layout import TENSORBOARD, TUNING, save_results
+from usvlearn.tensorboard import TensorBoardWriter, folder_name
 from usvlearn.tuning.lanes import Evaluation
 
-LEADERBOARD, EXPERIMENT, TENSORBOARD = "leaderboard.csv", "experiment.yaml", "tensorboard"
+LEADERBOARD, EXPERIMENT = "leaderboard.csv", "experiment.yaml"
 SHOWN, MOST_RECORDS = 10, 20  # settings in the terminal, and on the HPARAMS page
 
 
@@ -80,10 +80,16 @@ def write(folder: str | Path, record: Mapping[str, Any], curve: Sequence[Mapping
     write_atomically(folder / EXPERIMENT, experiment(record).encode())
     with TensorBoardWriter(folder / TENSORBOARD) as board:
         for k, numbers in enumerate(curve):
-            board.scalars("learn", numbers, k)
-        for each in ranked(record)[:MOST_RECORDS]:
-            if each["mae"] is not None:
-                board.hparams(each["setting"], {f"total/mae/{record['member']}": each["mae"]}, label(each["setting"]))
+            board.scalars({f"learn/{name}": x for name, x in numbers.items()}, k)
+        best = [each for each in ranked(record)[:MOST_RECORDS] if each["mae"] is not None]
+        tag = f"MAE of {record['member']} (m/s)"
+        if best:
+            paths = dict.fromkeys(path for each in best for path in each["setting"])
+            values = {path: [each["setting"][path] for each in best if path in each["setting"]] for path in paths}
+            board.columns(values, {tag: tag})
+        for each in best:
+            board.session(each["setting"], run := folder_name(label(each["setting"])))
+            board.scalars({tag: each["mae"]}, 0, run)
     boats = {}
     for boat, base in record[PERSISTENCE]["boats"].items():
         maes = {"default": record["default"]["boats"][boat], "tuned": record["best"]["boats"][boat], PERSISTENCE: base}

@@ -1,0 +1,159 @@
+"""The page of a sweep in TensorBoard: a row per job on HPARAMS, and each job's learning curve."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from usvlearn.errors import ConfigError
+from usvlearn.evaluation.ranking import differing
+from usvlearn.report.tables import short_settings
+from usvlearn.runs.board_tags import MAE, number, results_of
+from usvlearn.runs.layout import TENSORBOARD
+from usvlearn.sweeps.jobs import Job
+from usvlearn.tensorboard import EVENTS, Setting, TensorBoardWriter, folder_name, folder_names
+
+MOST_KEYS = 5  # columns of settings that the page shows at first
+MOST_POINTS = 100  # of a learning curve
+OBJECTIVE, REST = "objective", "other settings"
+
+
+def write_board(board: Path, folder: Path, jobs: Sequence[Job], figure: bytes | None = None) -> None:
+    """Write the page; an earlier one is replaced.
+
+    The columns are the settings that differ, then the results that are known, of the ranking member where it has them,
+    else of the output. The page shows five settings at first, so of more than five the rest share the last column.
+
+    Args:
+        board: folder of the page.
+        folder: of the sweep.
+        jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.ranking.scored`.
+        figure: a PNG for the IMAGES page.
+
+    Raises:
+        ConfigError: the folder is a link.
+        OSError: it cannot be written to.
+    """
+    _clear(board)
+    keys = differing([job.settings for job in jobs])
+    rows = [_row(job.settings, keys) for job in jobs]
+    columns = {
+        key: _alike({k: row[key] for k, row in enumerate(rows) if key in row}) for key in dict.fromkeys(chain(*rows))
+    }
+    results = [_results(job) for job in jobs]
+    titles = _titles(results, {_ranked_by(job) for job in jobs if "boats" in job.results})
+    names = job_names(folder, jobs, keys)
+    with TensorBoardWriter(board, names) as writer:
+        writer.columns({key: list(values.values()) for key, values in columns.items()}, dict(titles.values()))
+        for k, (name, job, found) in enumerate(zip(names, jobs, results, strict=True)):
+            settings = {key: values[k] for key, values in columns.items() if k in values}
+            writer.session(settings, name, found.get("seconds"), failed="boats" not in job.results)
+            writer.scalars({titles[title][0]: x for title, x in found.items() if title in titles}, 0, name)
+            for step, mae in learning_curve(job):
+                writer.scalars({f"1 overview/{MAE}": mae}, step, name)
+        failed = [job for job in jobs if "boats" not in job.results]
+        if failed:
+            told = (
+                f"- {short_settings(job.settings, keys)}: {job.results.get('error', 'did not finish')}"
+                for job in failed
+            )
+            writer.text("failed jobs", "\n".join(told))
+        if figure is not None:
+            writer.image("leaderboard", figure)
+
+
+def job_names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
+    """A name per job that can name a folder: its path below the sweep's folder, and its settings.
+
+    Numbers have equal lengths, because TensorBoard sorts the rows by their names.
+    """
+    paths = [job.folder.relative_to(folder).as_posix() for job in jobs]
+    width = max((len(path) for path in paths if path.isdecimal()), default=0)
+    paths = [path.zfill(width) if path.isdecimal() else path for path in paths]
+    return folder_names([f"{path} {short_settings(job.settings, keys)}" for path, job in zip(paths, jobs, strict=True)])
+
+
+def learning_curve(job: Job) -> list[tuple[int, float]]:
+    """Run time, s, and the rolling MAE, m/s, of the job's ranking member or else its output, of its first boat.
+
+    There are at most MOST_POINTS. A job that failed, or whose files are damaged, has those that can be read.
+    """
+    from tensorboard.backend.event_processing.event_file_loader import RawEventFileLoader
+    from tensorboard.compat.proto.event_pb2 import Event  # pyright: ignore[reportAttributeAccessIssue]  # generated
+
+    boat = folder_name(next(iter(job.results.get("boats", {})), "_"))
+    run = f"{boat}/{folder_name(_ranked_by(job).partition('.')[0])}"
+    paths = (job.folder / TENSORBOARD).glob(f"**/{glob.escape(run)}/{EVENTS}.*")
+    found: dict[int, float] = {}
+    for path in sorted(paths):
+        for raw in RawEventFileLoader(str(path)).Load():
+            event = Event.FromString(raw)
+            found.update((event.step, x.simple_value) for x in event.summary.value if x.tag == f"1 overview/{MAE}")
+    steps = sorted(found)
+    shown = np.unique(np.linspace(0, len(steps) - 1, min(MOST_POINTS, len(steps))).astype(int))
+    return [(steps[k], found[steps[k]]) for k in shown]
+
+
+def _clear(board: Path) -> None:
+    """Remove an earlier page."""
+    if board.is_symlink():  # a sweep may come from anybody
+        raise ConfigError(f"{board} is a link to another folder: remove it")
+    for pattern in (f"{EVENTS}.*", f"*/{EVENTS}.*"):
+        for old in board.glob(pattern):
+            if not old.parent.is_symlink():
+                old.unlink()
+    for row in board.glob("*"):
+        with suppress(OSError):  # other people's files stay
+            row.rmdir()
+
+
+def _row(settings: Mapping[str, str], keys: Sequence[str]) -> dict[str, str]:
+    """The settings of a job in its columns; all of them if no job differs."""
+    shown = list(keys or settings)
+    if len(shown) <= MOST_KEYS:
+        return {key: settings[key] for key in shown if key in settings}
+    first, rest = shown[: MOST_KEYS - 1], shown[MOST_KEYS - 1 :]
+    more = {key: settings[key] for key in rest if key in settings}
+    return {key: settings[key] for key in first if key in settings} | (
+        {REST: short_settings(more, rest)} if more else {}
+    )
+
+
+def _alike(texts: dict[int, str]) -> dict[int, Setting]:
+    """The values of a column by job: numbers if all are, else texts."""
+    numbers = {k: number(text) for k, text in texts.items()}
+    return {**texts} if any(isinstance(x, str) for x in numbers.values()) else numbers
+
+
+def _ranked_by(job: Job) -> str:
+    return str(job.results.get("measure") or job.results.get("output", ""))
+
+
+def _results(job: Job) -> dict[str, float]:
+    """The results of a job by title, the objective first; {} of one that failed."""
+    if "boats" not in job.results:
+        return {}
+    found, objective = results_of(job.results, _ranked_by(job).partition(".")[0]), job.results.get("objective")
+    return ({} if objective is None or objective != objective else {OBJECTIVE: float(objective)}) | found
+
+
+def _titles(results: Sequence[Mapping[str, float]], by: Collection[str]) -> dict[str, tuple[str, str]]:
+    """The tag and the head of the column of each result that some job has.
+
+    The result that is the objective is not shown twice. What is the same for all jobs comes last.
+
+    Args:
+        results: of the jobs, by title.
+        by: whose error the objective is.
+    """
+    titles = list(dict.fromkeys(chain(*sorted(results, key=len, reverse=True))))
+    columns = {title: [row.get(title) for row in results] for title in titles}
+    same = next((title for title in titles[1:] if titles[0] == OBJECTIVE and columns[title] == columns[OBJECTIVE]), "")
+    shown = sorted((each for each in titles if each != same), key=lambda each: len({*columns[each]} - {None}) < 2)
+    heads = {OBJECTIVE: f"{OBJECTIVE}: {same or ', '.join(sorted(by))}"}
+    return {each: (f"8 results/{k} {each}", heads.get(each, each)) for k, each in enumerate(shown, 1)}
