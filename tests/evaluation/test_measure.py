@@ -132,7 +132,7 @@ def test_tuning_minimises_an_error_of_its_member():
     assert request("search=aid").measure == Measure("aid")
 
 
-@pytest.mark.parametrize("objective", ["aid.forecast.2", "ensemble.free"])
+@pytest.mark.parametrize("objective", ["aid.forecast.2", pytest.param("ensemble.free", marks=pytest.mark.slow)])
 def test_a_run_ends_with_what_it_measures(objective, tmp_path):
     arguments = [*QUICK, "data.mission_minutes=1", f"objective={objective}", "hydra.run.dir=run"]
     done = subprocess.run(command(*arguments), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True)

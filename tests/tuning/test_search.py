@@ -73,6 +73,7 @@ def test_what_a_killed_process_left_is_given_back(fleet, tmp_path):
     assert study.trials[left.number].state.name == "FAIL"
 
 
+@pytest.mark.slow
 def test_two_processes_share_the_budget(tmp_path):
     arguments = command(*TWO_BOATS, "search=aid", "tuning.evaluations=24", "tuning.trials=2", "hydra.run.dir=run")
     both = [subprocess.Popen(arguments, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL) for _ in range(2)]

@@ -18,7 +18,7 @@ from usvlearn.tuning.sweep_lanes import run_lanes, why_not
 GAINS = ["-m", "estimators.aid.gain=0.3,1,3", "data.n=2", *QUICK, "data.mission_minutes=1", "hydra.sweep.dir=sweep"]
 
 
-@pytest.mark.parametrize("objective", [None, "aid.free"])
+@pytest.mark.parametrize("objective", [None, pytest.param("aid.free", marks=pytest.mark.slow)])
 def test_lanes_have_the_leaderboard_of_jobs(tmp_path, objective):
     more = [] if objective is None else [f"objective={objective}"]
     more += ["seeds=2"] if objective is None else []

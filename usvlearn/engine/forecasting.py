@@ -64,13 +64,14 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
     for slot in range(slots):
         before = s[node[AT.elapsed] + slot]
         if not before >= 0:
+            s[node[AT.elapsed] + slot] = EMPTY
             continue
         step_frozen(program, node, s[begin + slot * block : begin + (slot + 1) * block], q, row, limit, x, rest)
         after = before + row[DT]
         for k in range(H):
             if before + half < horizons[k] <= after + half:
                 publish(node, s, q, slot, k, x)
-        end = horizons[int(s[node[AT.reach] + slot])]
+        end = horizons[int(min(max(s[node[AT.reach] + slot], 0.0), H - 1.0))]
         s[node[AT.elapsed] + slot] = EMPTY if after + half >= end else after
     for k in range(H):
         s[node[AT.since] + k] += row[DT]

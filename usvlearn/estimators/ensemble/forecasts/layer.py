@@ -161,7 +161,7 @@ class Forecasts(nn.Module):
             predictions = torch.where(due[..., slot, :, None], rows[..., slot, :, :], predictions)
             halfwidths = torch.where(due[..., slot, :], state.widths[..., slot, :], halfwidths)
         elapsed = torch.where(under_way, after[..., 0], at.EMPTY)
-        ends = horizons[state.reach.long()]
+        ends = horizons[state.reach.clamp(0, len(horizons) - 1).long()]
         elapsed = torch.where(elapsed + half[..., 0] >= ends, at.EMPTY, elapsed)
         state = state._replace(
             frozen=frozen, elapsed=elapsed, predictions=predictions, halfwidths=halfwidths,
