@@ -172,7 +172,10 @@ def test_a_run_has_one_row_on_the_hparams_page_and_a_job_of_a_sweep_none(whole, 
     settings, numbers = rows["results"]
     assert settings["estimators.rnn.neurons"] == 4.0 and settings["boats"] == 2.0
     mae = np.mean([row["ensemble"]["mae"] for row in found["boats"].values()])
-    assert numbers["8 results/1 MAE (m/s)"] == pytest.approx(mae) and next(x for tag, x in numbers.items() if tag.endswith(" seconds")) == 1.5
+    assert (
+        numbers["8 results/1 MAE (m/s)"] == pytest.approx(mae)
+        and next(x for tag, x in numbers.items() if tag.endswith(" seconds")) == 1.5
+    )
     log(tmp_path, fleet, model(), alone=False)
     assert hparams(tmp_path / "tensorboard") == {}
     assert not any(events.Tags()["images"] for events in boards(tmp_path / "tensorboard").values())

@@ -29,8 +29,8 @@ from usvlearn.tensorboard import TensorBoardWriter, folder_name, folder_names
 
 WINDOW = 750  # steps over which errors are averaged
 STEPS_PER_POINT = 100  # and boat: one point of all curves costs about as much as 100 compiled steps
-MOST_POINTS = 300  # of a curve
-MOST_IDENTIFIED, IDENTIFIED = 100, 300  # points of a curve of what is identified, and least s between two: a point
+MOST_POINTS = 200  # of a curve
+MOST_IDENTIFIED, IDENTIFIED = 60, 300  # points of a curve of what is identified, and least s between two: a point
 # costs a millisecond a boat
 FAR = 4.0  # times the value: ends of intervals beyond it would hide everything else in a chart
 BATCH = 32  # points that are written together: monitoring many states costs little more than monitoring one

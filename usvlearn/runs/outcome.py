@@ -17,8 +17,6 @@ from usvlearn.evaluation.networks import verdicts
 from usvlearn.runs.published import Published
 from usvlearn.signals import Fleet
 
-FORECASTS = ("forecasts", "forecast_halfwidths")  # published
-
 
 def judged(
     ensemble: Ensemble,
@@ -41,12 +39,12 @@ def judged(
         objective: of the configuration.
     """
     found: dict[str, Any] = {
-        "boats": fleet_scores(fleet, published, ensemble.names, ensemble.surge_limit),
-        "alarms": alarms(fleet, published.stretches(["thrusters"])),
+        "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), ensemble.names, ensemble.surge_limit),
+        "alarms": alarms(fleet, published.only("thrusters")),
         "rejected": fleet.rejected,
         **as_results(identified_boats(ensemble, state, fleet.boats), truth),
     }
-    if (ahead := ensemble_sums(ensemble, fleet, published.stretches(FORECASTS))) is not None:
+    if (ahead := ensemble_sums(ensemble, fleet, published.only("forecasts", "forecast_halfwidths"))) is not None:
         found["forecast"] = horizon_scores(ahead, fleet.boats)
     if (free := _free(ensemble, fleet, halfway)) is not None:
         found["free"] = free.mae(fleet.boats, ensemble.names)
@@ -55,7 +53,7 @@ def judged(
             boat: {name: each.json() for name, each in members.items()} for boat, members in networks.items()
         }
     measure = measure_of(objective, ensemble.output)
-    one_step = one_step_sums(fleet, published.stretches(["predictions"]), len(ensemble.names), ensemble.surge_limit)
+    one_step = one_step_sums(fleet, published.only("predictions"), len(ensemble.names), ensemble.surge_limit)
     errors = as_csv(run_errors(fleet, ensemble.names, one_step, ahead, free), ensemble.names)
     return found | {"output": ensemble.output, "measure": str(measure), "objective": measure.value(found)}, errors
 

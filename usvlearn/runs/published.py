@@ -74,10 +74,14 @@ class Published:
         lengths: steps of each run.
         boats: how many there are.
         widths: see `widths_of`.
+        names: of the arrays that are read.
     """
 
-    def __init__(self, folder: Path, lengths: Sequence[int], boats: int, widths: Widths):
+    def __init__(
+        self, folder: Path, lengths: Sequence[int], boats: int, widths: Widths, names: Sequence[str] = PUBLISHED
+    ):
         self._folder, self._lengths, self._boats, self._widths = folder / PREDICTIONS, lengths, boats, widths
+        self._names = names
 
     def places(self) -> list[tuple[int, int, int]]:
         """Index of the run, first step and end of each stretch, from the names of the files."""
@@ -102,11 +106,13 @@ class Published:
             raise CheckpointError(f"{path}: is damaged ({error})") from error
         return Stretch(run, step, arrays)
 
-    def stretches(self, names: Sequence[str] = PUBLISHED) -> Iterator[Stretch]:
-        """All of them, one after the other."""
-        return (self.read(*place, names) for place in self.places())
+    def only(self, *names: str) -> Published:
+        """The same stretches with these arrays alone, which saves unpacking the others."""
+        return Published(self._folder.parent, self._lengths, self._boats, self._widths, names)
 
-    __iter__ = stretches
+    def __iter__(self) -> Iterator[Stretch]:
+        """All stretches, one after the other."""
+        return (self.read(*place, self._names) for place in self.places())
 
     def lane(self, run: int, lane: int, first: int = 0) -> dict[str, np.ndarray]:
         """One boat's arrays, `(time, …)`, of a run from a step on."""
