@@ -19,7 +19,7 @@ from timing import machine, table
 ROOT = Path(__file__).resolve().parents[1]
 SETTINGS, HOURS, JOBS = 512, 30, 3  # lanes; of the season; jobs that are timed
 NEURONS, UNROLLS, SEEDS = (4, 8, 10, 12, 16, 20, 30, 40), (1, 2), 3
-LENGTHS = (1, 5, 20)  # h of the sweep of 48 jobs
+LENGTHS = (1, 10)  # h of the sweep of 48 jobs
 
 
 def sweep(folder: Path, *arguments: str) -> tuple[float, list[float]]:
@@ -78,9 +78,9 @@ def jobs(folder: Path) -> list[str]:
     return [
         f"## A sweep of {count} jobs in two processes",
         "",
-        f"`{' '.join(settings)} seeds={SEEDS}` with joblib. A job's own time is from reading to the last saved set,",
-        "`seconds` in its results; the rest is the start of the processes, the composition of each job's settings by",
-        "Hydra (twice), scores, figures and the leaderboard.",
+        f"`{' '.join(settings)} seeds={SEEDS}` with joblib. A job's own time is from reading to scoring, `seconds`",
+        "in its results; the rest is the start of the processes, the composition of each job's settings by Hydra (twice), and",
+        "the leaderboard.",
         "",
         *table(["season", "the command, s", "jobs' own time over two, s", "overhead"], rows),
         "",

@@ -1,5 +1,7 @@
 """What TensorBoard shows of a replay: runs, tags, units, steps, figures, text, and the row of the HPARAMS page."""
 
+import time
+
 import numpy as np
 import pytest
 
@@ -39,7 +41,7 @@ def log(folder, fleet, ensemble, stop=None, resume=None, **more):
                 return None
             run.save(chunk)
             logger.show(chunk)
-        found = run.finish(ensemble, 1.5)
+        found = run.finish(ensemble, time.perf_counter() - 60.0)
         logger.finish(SETTINGS, found, run.published, ["rnn: fine"])
     return found
 
@@ -174,7 +176,7 @@ def test_a_run_has_one_row_on_the_hparams_page_and_a_job_of_a_sweep_none(whole, 
     mae = np.mean([row["ensemble"]["mae"] for row in found["boats"].values()])
     assert (
         numbers["8 results/1 MAE (m/s)"] == pytest.approx(mae)
-        and next(x for tag, x in numbers.items() if tag.endswith(" seconds")) == 1.5
+        and next(x for tag, x in numbers.items() if tag.endswith(" seconds")) >= 60
     )
     log(tmp_path, fleet, model(), alone=False)
     assert hparams(tmp_path / "tensorboard") == {}

@@ -23,7 +23,7 @@ def session(path, fleet, resume=None) -> tuple[RunFolder, dict]:
     with folder:
         for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=10):
             folder.save(chunk)
-        return folder, folder.finish(ensemble, 1.0)
+        return folder, folder.finish(ensemble, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +63,7 @@ def test_a_folder_of_an_older_version_is_gone_on_from(tmp_path, fleet):
     for path in sorted((tmp_path / "run" / "predictions").glob("*.npz"))[3:]:
         path.unlink()
     _, again = session(tmp_path / "run", fleet, "latest")
-    assert again == found
+    assert again | {"seconds": 0.0} == found | {"seconds": 0.0}
 
 
 def test_scores_do_not_depend_on_how_many_boats_are_judged_at_a_time(tmp_path, fleet, monkeypatch):

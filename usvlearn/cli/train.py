@@ -71,11 +71,11 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     with run, logger, Progress(console=console) as progress:
         bar = progress.add_task("replaying", total=fleet.steps)
         chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every)
-        for chunk in until_stopped(chunks, lambda: run.stop(ensemble, time.perf_counter() - began)):
+        for chunk in until_stopped(chunks, lambda: run.stop(ensemble, began)):
             run.save(chunk)
             logger.show(chunk)
             progress.update(bar, completed=fleet.steps_before(*chunk.end))
-        found = run.finish(ensemble, time.perf_counter() - began, truth)
+        found = run.finish(ensemble, began, truth)
         networks = stability(ensemble, run.state, fleet.boats)
         logger.finish(settings, found, run.published, networks)
     judged = found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)

@@ -169,32 +169,32 @@ class RunFolder:
     def __exit__(self, *_: object) -> None:
         self._wait()
 
-    def finish(self, ensemble: Ensemble, seconds: float, truth: Truth | None = None) -> dict[str, Any]:
+    def finish(self, ensemble: Ensemble, began: float, truth: Truth | None = None) -> dict[str, Any]:
         """Score all predictions, and write `errors.csv` and `results.json`; returns the content of the latter.
 
         Args:
             ensemble: that has learned.
-            seconds: that the run took.
+            began: `time.perf_counter()` at the start of the run.
             truth: of simulated boats, to be written beside what was identified.
         """
-        found, errors = self._judged(ensemble, seconds, truth or {})
+        found, errors = self._judged(ensemble, began, truth or {})
         write_atomically(self.path / ERRORS, errors.encode())
         save_results(self.path, found)
         return found
 
-    def stop(self, ensemble: Ensemble, seconds: float) -> None:
+    def stop(self, ensemble: Ensemble, began: float) -> None:
         """Save a replay that ends early, so that it can resume; its results so far are marked as partial."""
         if self._pending:
             self._hand_on()
         steps = {"steps": self.fleet.steps_before(*self._reached), "of": self.fleet.steps}
-        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, seconds, {})[0]}})
+        save_results(self.path, {"partial": {**steps, **self._judged(ensemble, began, {})[0]}})
 
-    def _judged(self, ensemble: Ensemble, seconds: float, truth: Truth) -> tuple[dict[str, Any], str]:
+    def _judged(self, ensemble: Ensemble, began: float, truth: Truth) -> tuple[dict[str, Any], str]:
         """The content of `results.json` and of `errors.csv`."""
         self._wait()
         objective = self.metadata.get("configuration", {}).get("objective")
         found, errors = judged(ensemble, self.fleet, self.state, self.published, self._after, truth, objective)
-        return found | {"seconds": seconds}, errors
+        return found | {"seconds": time.perf_counter() - began}, errors
 
     def _after(self, runs: int) -> EnsembleState | None:
         """The state of every boat after the first `runs` runs, from its parameter sets; None if they are not done.

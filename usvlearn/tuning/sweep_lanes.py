@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress
+from rich.progress import Progress, TaskID
 
 from usvlearn.errors import under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
@@ -26,6 +26,7 @@ from usvlearn.evaluation.networks import verdict
 from usvlearn.evaluation.ranking import named
 from usvlearn.signals import Fleet
 from usvlearn.sweeps.jobs import Lane, SweepNote
+from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import SEED, seeded
 from usvlearn.tuning.lanes import LANES, LaneErrors, check_one_estimator, hyperparameters, lane_errors
 from usvlearn.tuning.tune import WAYS, builder
@@ -95,6 +96,7 @@ def run_lanes(
     Raises:
         ConfigError: a value is not legal, or the logs are too few for the objective.
     """
+    set_threads(configuration["threads"])
     member = member_of(note) or ""
     measure, paths = measure_of(note.objective, member), paths_of(note, member)
     found: dict[int, Lane] = {}
@@ -106,64 +108,81 @@ def run_lanes(
                 fleet = align(instantiate(own["data"]), **own["align"])
             if measure.kind == FREE:
                 check_halves(fleet)
-            build, base = (
-                builder(own["estimators"], member, instantiate),
-                lane_errors(Persistence(), fleet, measure=measure),
-            )
+            build = builder(own["estimators"], member, instantiate)
+            base = lane_errors(Persistence(), fleet, measure=measure)
             places = [k for k, job in enumerate(jobs) if job.get(SEED) == seed]
             most = max(1, LANES // len(fleet.boats))
             for begin in range(0, len(places), most):
                 part, began = places[begin : begin + most], time.perf_counter()
-                values = {path: [[float(jobs[k][key])] for k in part] for key, path in paths.items()}
-                estimator = build(values)
-                share = lambda done, part=part: progress.advance(bar, done * len(part))  # noqa: E731
-                made = lane_errors(estimator, fleet, (len(part),), share, measure=measure)
+                estimator = build({path: [[float(jobs[k][key])] for k in part] for key, path in paths.items()})
+                made = lane_errors(estimator, fleet, (len(part),), _advance(progress, bar, len(part)), measure=measure)
                 seconds = (time.perf_counter() - began) / len(part)
-                for place, k in enumerate(part):
-                    errors = list(_by_run(fleet, made, base, place, member, measure))
-                    results = _results(fleet, made, base, place, member, measure) | {"seconds": seconds}
-                    if isinstance(estimator, RNN):
-                        results["network"] = {
+                for k, (results, errors) in zip(part, _judged(fleet, made, base, member, measure), strict=True):
+                    found[k] = Lane(
+                        [f"{key}={x}" for key, x in jobs[k].items()], results | {"seconds": seconds}, errors
+                    )
+                if isinstance(estimator, RNN):
+                    for place, k in enumerate(part):
+                        found[k].results["network"] = {
                             boat: {member: verdict(lane_weights(made.state, (place, lane))).json()}
                             for lane, boat in enumerate(fleet.boats)
                         }
-                    found[k] = Lane([f"{key}={value}" for key, value in jobs[k].items()], results, errors)
     return [found[k] for k in range(len(jobs))]
+
+
+def _advance(progress: Progress, bar: TaskID, settings: int) -> Callable[[float], None]:
+    return lambda share: progress.advance(bar, share * settings)
 
 
 def _whole(text: str) -> Any:
     return int(text) if text.isdecimal() else text
 
 
-def _by_run(
-    fleet: Fleet, made: LaneErrors, base: LaneErrors, place: int, member: str, measure: Measure
-) -> Iterator[RunError]:
-    """The errors of one lane by run, beside persistence."""
+def _judged(
+    fleet: Fleet, made: LaneErrors, base: LaneErrors, member: str, measure: Measure
+) -> Iterator[tuple[dict[str, Any], list[RunError]]]:
+    """The results of each lane, in the form of a replay, as far as they were measured; and its errors by run.
+
+    Args:
+        fleet: what was run.
+        made: of the member, `(runs, settings, boats)`.
+        base: of persistence, `(runs, boats)`.
+        member: its name.
+        measure: what was measured.
+    """
     ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE_RUNS}.get(measure.kind, STEP)
-    for lane, boat in enumerate(fleet.boats):
-        for index, run in enumerate(fleet.runs):
-            if steps := int(made.steps[index, place, lane]):
-                sums = {member: made.errors[index, place, lane], PERSISTENCE: base.errors[index, lane]}
-                maes = {name: float(x) / steps for name, x in sums.items()}
-                yield RunError(boat, run.names[lane], ahead, steps, {k: x for k, x in maes.items() if np.isfinite(x)})
+    steps = made.steps.numpy().astype(int)
+    sums = {member: made.errors.numpy(), PERSISTENCE: np.broadcast_to(base.errors.numpy()[:, None], steps.shape)}
+    with np.errstate(invalid="ignore", divide="ignore"):
+        runs = {name: x / steps for name, x in sums.items()}
+        whole = {name: x.sum(0) / steps.sum(0) for name, x in sums.items()}
+        skill = {name: 1 - x / whole[PERSISTENCE] for name, x in whole.items()}
+    for place in range(steps.shape[1]):
+        errors = [
+            RunError(boat, run.names[lane], ahead, int(steps[index, place, lane]), {
+                name: float(x[index, place, lane]) for name, x in runs.items() if np.isfinite(x[index, place, lane])
+            })
+            for lane, boat in enumerate(fleet.boats)
+            for index, run in enumerate(fleet.runs)
+            if steps[index, place, lane]
+        ]  # fmt: skip
+        rows = {
+            boat: {
+                name: {"mae": _known(whole[name][place, lane]), "skill": _known(skill[name][place, lane])}
+                | {"steps": int(steps[:, place, lane].sum())}
+                for name in whole
+            }
+            for lane, boat in enumerate(fleet.boats)
+        }
+        found: dict[str, Any] = {"boats": rows}
+        if measure.kind == FORECAST:
+            later = {b: {name: {ahead: row} for name, row in each.items()} for b, each in rows.items()}
+            found = {"boats": {}, "forecast": later}
+        if measure.kind == FREE:
+            free = {b: {name: row["mae"] for name, row in each.items()} for b, each in rows.items()}
+            found = {"boats": {}, "free": free}
+        yield found | {"output": member, "measure": str(measure), "objective": measure.value(found)}, errors
 
 
-def _results(
-    fleet: Fleet, made: LaneErrors, base: LaneErrors, place: int, member: str, measure: Measure
-) -> dict[str, Any]:
-    """The results of one lane, in the form of a replay, as far as they were measured."""
-    rows: dict[str, dict[str, Any]] = {}
-    for lane, boat in enumerate(fleet.boats):
-        maes = {member: float(made.mae[place, lane]), PERSISTENCE: float(base.mae[lane])}
-        rows[boat] = {name: {"mae": mae if np.isfinite(mae) else None} for name, mae in maes.items()}
-        for row in rows[boat].values():
-            known = row["mae"] is not None and maes[PERSISTENCE] > 0
-            row |= {"skill": 1 - row["mae"] / maes[PERSISTENCE] if known else None}
-            row |= {"steps": int(made.steps[:, place, lane].sum())}
-    found: dict[str, Any] = {"boats": rows}
-    if measure.kind == FORECAST:
-        ahead = f"{measure.horizon:g}"
-        found = {"boats": {}, "forecast": {b: {n: {ahead: row} for n, row in each.items()} for b, each in rows.items()}}
-    if measure.kind == FREE:
-        found = {"boats": {}, "free": {b: {n: row["mae"] for n, row in each.items()} for b, each in rows.items()}}
-    return found | {"output": member, "measure": str(measure), "objective": measure.value(found)}
+def _known(x: Any) -> float | None:
+    return float(x) if np.isfinite(x) else None
