@@ -14,22 +14,23 @@ steps of its boats, and that of the first alarm of each boat. `log: all` draws a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
+from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
+from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.joint.curves import curves
+from usvlearn.estimators.joint.reading import Identified
+from usvlearn.evaluation.identification import Truth
 from usvlearn.figures import PAPER, prediction_figure
 from usvlearn.rollouts import simulate, tensors
 from usvlearn.runs.fault_figure import fault_figure
 from usvlearn.runs.published import PUBLISHED, Published, joined
 from usvlearn.runs.run_figures import Traces, forecast_figure, free_figure, identified_figure, runs_figure
-from usvlearn.signals import Run, masks
-
-if TYPE_CHECKING:
-    from usvlearn.runs.logger import TensorBoardLogger
+from usvlearn.signals import Fleet, Run, masks
 
 LEAST_FIGURES, STEPS_PER_FIGURE = 4, 100_000
 RUNS = 24  # in a figure
@@ -45,13 +46,25 @@ class Figure(NamedTuple):
     draw: Callable[[], Any]
 
 
+class Replayed(NamedTuple):
+    """What is drawn of a replay, beside what it published."""
+
+    fleet: Fleet
+    ensemble: Ensemble
+    clocks: np.ndarray  # (runs + 1, boats) whole seconds of run time before each run, and at the end
+    seasons: Sequence[tuple[np.ndarray, Mapping[str, Identified]]]  # clock of the boats, and what was identified then
+    before_last: EnsembleState | None  # the state before the last run
+    truth: Truth  # quantities of simulated boats
+    everything: bool  # whether all figures are drawn
+
+
 def figures(
-    logger: TensorBoardLogger, data: Mapping[str, Any], alarms: Mapping[str, Sequence[Mapping]], published: Published
+    replayed: Replayed, data: Mapping[str, Any], alarms: Mapping[str, Sequence[Mapping]], published: Published
 ) -> Iterator[Figure]:
     """The figures of a replay, the most important first.
 
     Args:
-        logger: of the replay.
+        replayed: the replay.
         data: section of the configuration, which says when a simulated thruster fails.
         alarms: per boat; see `usvlearn.evaluation.metrics.alarms`.
         published: of the run.
@@ -59,21 +72,21 @@ def figures(
     Raises:
         MissingExtraError: matplotlib is not installed; while it is gone through.
     """
-    drawing = _Drawing(logger, data, alarms, published)
-    for lane, boat in enumerate(logger.fleet.boats):
+    drawing = _Drawing(replayed, data, alarms, published)
+    for lane, boat in enumerate(replayed.fleet.boats):
         if alarms.get(boat):
             yield drawing.thrusters(drawing.index_of(lane, alarms[boat][0]["run"]), lane)
-    allowed = LEAST_FIGURES + logger.fleet.steps * len(logger.fleet.boats) // STEPS_PER_FIGURE
+    allowed = LEAST_FIGURES + replayed.fleet.steps * len(replayed.fleet.boats) // STEPS_PER_FIGURE
     wanted = list(drawing.every())
-    yield from wanted if logger.everything else wanted[:allowed]
+    yield from wanted if replayed.everything else wanted[:allowed]
 
 
 class _Drawing:
     """Makes the figures of a replay."""
 
-    def __init__(self, logger: TensorBoardLogger, data: Mapping, alarms: Mapping, published: Published):
-        self.logger, self.data, self.alarms, self.published = logger, data, alarms, published
-        self.fleet, self.ensemble = logger.fleet, logger.ensemble
+    def __init__(self, replayed: Replayed, data: Mapping, alarms: Mapping, published: Published):
+        self.replayed, self.data, self.alarms, self.published = replayed, data, alarms, published
+        self.fleet, self.ensemble = replayed.fleet, replayed.ensemble
         self._held: tuple[Any, dict[str, np.ndarray]] = None, {}  # what was read last
         self._places: dict[int, list[tuple[int, int, int]]] = {}  # of the stretches of each run
         for place in published.places():
@@ -86,17 +99,17 @@ class _Drawing:
         ends = [max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane]) for lane in lanes]
         *earlier, last = range(len(self.fleet.runs) % RUNS or RUNS, len(self.fleet.runs) + 1, RUNS)
         yield from (self.runs(last, lane) for lane in lanes if any(self._lengths(last, lane)))
-        if self.logger.seasons:
+        if self.replayed.seasons:
             yield from (self.identified(ends[lane], lane) for lane in lanes)
-        if self.logger.far:
+        if self.ensemble.forecasts is not None:
             yield from (self.forecast(ends[lane], lane) for lane in lanes)
-        if self.logger.before_last is not None:
+        if self.replayed.before_last is not None:
             final = len(self.fleet.runs) - 1
             yield from (self.free(final, lane) for lane in lanes if ends[lane] == final)
         for stop in reversed(earlier):
             yield from (self.runs(stop, lane) for lane in lanes if any(self._lengths(stop, lane)))
         yield from (self.prediction(ends[lane], lane) for lane in lanes)
-        if self.logger.everything:
+        if self.replayed.everything:
             for index, run in enumerate(self.fleet.runs):
                 yield from (self.prediction(index, lane) for lane in lanes if run.lengths[lane] and index < ends[lane])
             if self.ensemble.watched:
@@ -142,7 +155,7 @@ class _Drawing:
             time, surge, _ = self._of(index, lane)
             names, places = self._shown()
             if index not in self._free:
-                run, state = self.fleet.runs[index], self.logger.before_last
+                run, state = self.fleet.runs[index], self.replayed.before_last
                 assert state is not None
                 samples = tensors(run.samples, state.predictions.dtype)
                 with torch.no_grad():
@@ -173,7 +186,7 @@ class _Drawing:
 
     def identified(self, index: int, lane: int) -> Figure:
         """Curves of forces at some times of the season."""
-        boat, seasons = self.fleet.boats[lane], self.logger.seasons
+        boat, seasons = self.fleet.boats[lane], self.replayed.seasons
 
         def draw():
             chosen = np.unique(np.linspace(0, len(seasons) - 1, SEASONS + 1).astype(int)[1:])
@@ -182,7 +195,7 @@ class _Drawing:
                 return None
             hours = seasons[-1][0][lane] / 3600
             title = f"{boat} after {hours:.2g} h" + (" (fainter: earlier)" if len(shown) > 1 else "")
-            return identified_figure(shown, seasons[-1][1][boat], self.logger.truth.get(boat, {}), title)
+            return identified_figure(shown, seasons[-1][1][boat], self.replayed.truth.get(boat, {}), title)
 
         return self._figure(index, lane, "identified curves", draw)
 
@@ -210,7 +223,7 @@ class _Drawing:
         return self._figure(index, lane, "thrusters", draw)
 
     def _figure(self, index: int, lane: int, tag: str, draw: Callable[[], Any]) -> Figure:
-        return Figure(self.fleet.boats[lane], f"7 figures/{tag}", int(self.logger.clocks[index + 1, lane]) - 1, draw)
+        return Figure(self.fleet.boats[lane], f"7 figures/{tag}", int(self.replayed.clocks[index + 1, lane]) - 1, draw)
 
     def _title(self, index: int, lane: int) -> str:
         return f"{self.fleet.boats[lane]}, {self.fleet.runs[index].names[lane]}"

@@ -21,7 +21,7 @@ from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.rollouts import stack
 from usvlearn.runs import board_tags
-from usvlearn.runs.drawing import figures
+from usvlearn.runs.drawing import Replayed, figures
 from usvlearn.runs.published import BEGIN, Position, Published
 from usvlearn.runs.replay import Chunk
 from usvlearn.signals import Fleet, Run, masks, tree_map
@@ -305,7 +305,10 @@ class TensorBoardLogger:
 
     def _draw(self, data: Mapping[str, Any], alarms: Mapping[str, Any], published: Published) -> None:
         try:
-            for figure in figures(self, data, alarms, published):
+            replayed = Replayed(
+                self.fleet, self.ensemble, self.clocks, self.seasons, self.before_last, self.truth, self.everything
+            )
+            for figure in figures(replayed, data, alarms, published):
                 if (drawn := figure.draw()) is not None:
                     run = f"{self.folders[figure.boat]}/{self._names[self.ensemble.output]}"
                     self.board.figure(figure.tag, drawn, figure.step, run)
