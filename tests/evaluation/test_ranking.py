@@ -5,10 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from tests.support.commands import hparams, load, never, table
-from usvlearn.cli.sweep import jobs_of
+from tests.support import ROOT
+from tests.support.commands import hparams, load, never, run, table
+from usvlearn.cli.sweep import jobs_of, note_of
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import ranked_by
@@ -100,3 +102,30 @@ def test_the_swept_keys_are_those_with_several_values():
     assert swept == ["estimators.rnn.neurons", "+estimator@estimators.x", "align.dt"]
     assert len(made) == 8 and made[0]["estimators.rnn.neurons"] == "4" and made[-1]["align.dt"] == "2"
     assert {job["data.hours"] for job in made} == {"0.3"} and {job["estimators.rnn.unroll"] for job in made} == {"1"}
+
+
+def test_the_default_of_a_swept_group_is_its_choice():
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        config = compose("train", [], return_hydra_config=True)
+    keys = ["combiner@combiners.ensemble", "align.inputs", "combiners.ensemble.members", "output", "+new", "data"]
+    note = note_of(config, keys)
+    assert note.defaults["combiner@combiners.ensemble"] == "boa" and note.defaults["data"] == "simulated"
+    assert note.defaults["align.inputs"] == "mean" and "+new" not in note.defaults
+    assert note.defaults["combiners.ensemble.members"] == "[joint,joint_quick,arx,reader]"
+
+
+@pytest.mark.parametrize("objective", ["rnn.loud", "[aid,rnn]", "aid,rnn"])
+def test_a_bad_objective_ends_a_sweep_before_its_jobs(objective, tmp_path):
+    done = run("-m", "align.inputs=mean,last", f"objective={objective}", "hydra.sweep.dir=sweep", folder=tmp_path)
+    assert done.returncode == 2 and done.stderr.startswith("error: objective: found"), done.stderr
+    assert len(done.stderr.splitlines()) == 1 and not (tmp_path / "sweep" / "0").exists()
+
+
+def test_single_runs_are_ranked_by_their_own_objective(tmp_path, capsys):
+    """As a sweep whose note is gone."""
+    write_sweep(tmp_path, "estimators.rnn.neurons", {})
+    for path in tmp_path.glob("*/results.json"):
+        found = json.loads(path.read_text())
+        path.write_text(json.dumps(found | {"measure": "weighted.mae"}))
+    assert leaderboard(tmp_path, load)
+    assert capsys.readouterr().out.startswith("MAE of weighted, m/s")

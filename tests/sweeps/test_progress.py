@@ -8,7 +8,7 @@ from pathlib import Path
 from usvlearn.sweeps.jobs import SweepNote
 from usvlearn.sweeps.progress import Progress
 
-NOTE = SweepNote(4, ("estimators.rnn.neurons",))
+NOTE = SweepNote(("estimators.rnn.neurons",))
 JOBS = [{"estimators.rnn.neurons": f"{k}", "data.hours": "1"} for k in (4, 9, 20, 40)]
 
 
@@ -45,6 +45,16 @@ def test_what_happens_is_told_once(tmp_path):
     watched.stop()
     assert len(said) == 3 and said[2].startswith("job 3 (rnn.neurons=40): failed: estimators.rnn.neurons: found 40")
     assert "\x1b" not in said[2] and "2 of 4 done, 1 failed" in said[2]
+
+
+def test_a_job_is_named_by_its_own_note(tmp_path):
+    """Hydra shuffles values anew when it starts the jobs."""
+    write(tmp_path, 1, good(0.1))
+    (tmp_path / "1" / "job.json").write_text('{"settings": "x", "overrides": ["estimators.rnn.neurons=77"]}')
+    said: list[str] = []
+    watched = Progress(tmp_path, JOBS, NOTE, said.append)
+    watched._tell(1, good(0.1))
+    assert said[0].startswith("job 1 (rnn.neurons=77): 0.1000 m/s")
 
 
 def test_damaged_results_are_no_news(tmp_path):

@@ -26,8 +26,9 @@ def test_bad_seeds(value):
 
 
 def test_seed_and_seeds():
-    with pytest.raises(ConfigError, match="found seed=… too"):
-        with_seeds(["seed=3", "seeds=2"])
+    for other in ("seed=3", "++seed=7", "+seed=1"):
+        with pytest.raises(ConfigError, match="found seed=… too"):
+            with_seeds([other, "seeds=2"])
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, "1", True, None])

@@ -72,7 +72,7 @@ def test_a_default_that_diverged_is_no_reference():
     diverged = SIZES[1]._replace(results=SIZES[1].results | {"objective": None})
     found = standings([SIZES[0], diverged, SIZES[3]], RNN, DEFAULT)
     assert found[0].reference and found[-1].value is None
-    assert any("diverged" in line for line in lines([SIZES[0], diverged, SIZES[3]], DEFAULT))
+    assert any("no value" in line for line in lines([SIZES[0], diverged, SIZES[3]], DEFAULT))
 
 
 def test_numbers_are_the_same_however_they_are_written():
@@ -94,12 +94,35 @@ def test_seeds_are_pooled():
     assert len(only) == 1 and len(only[0].jobs) == 3
 
 
-def test_a_seed_that_failed_is_named_and_the_others_count():
+def test_a_setting_with_fewer_seeds_is_named_and_ranked_last():
+    """Its season may be an easier one."""
     jobs = [job(0, 0.1, neurons="4", seed="0"), job(1, None, neurons="4", seed="1"), job(2, 0.2, neurons="9", seed="0"),
             job(3, 0.2, neurons="9", seed="1")]  # fmt: skip
-    (first, _) = standings(jobs, RNN, {})
-    assert first.value == jobs[0].results["objective"] and first.deviation is None and first.failed == [jobs[1]]
-    assert any(line.startswith("failed: job 1, rnn.neurons=4: bad: found -1") for line in lines(jobs))
+    first, last = standings(jobs, RNN, {"estimators.rnn.neurons": "4"})
+    assert first.settings["estimators.rnn.neurons"] == "9" and first.reference and first.done == 2
+    assert last.value == jobs[0].results["objective"] and last.deviation is None and last.failed == [jobs[1]]
+    text = lines(jobs)
+    assert any("(1 of 2 seeds)" in line for line in text)
+    assert any(line.startswith("failed: job 1, rnn.neurons=4: bad: found -1") for line in text)
+    jobs[1] = jobs[1]._replace(results={})
+    assert any(line.startswith("not finished: job 1, rnn.neurons=4: did not finish") for line in lines(jobs))
+
+
+def test_large_differences_are_short_and_skill_is_better_where_it_is_greater(tmp_path):
+    jobs = [job(0, 0.02, neurons="4"), job(1, 0.2, neurons="9"), job(2, 0.03, neurons="20")]
+    text = "\n".join(lines(jobs))
+    assert "> +200 %" in text
+    skill = Measure("rnn", "skill")
+    jobs = [each._replace(results=scored(each.results, skill)) for each in jobs]
+    for each, value in zip(jobs, (0.9, 0.0, 0.85), strict=True):
+        each.results["objective"] = value
+    found = standings(jobs, skill, {"estimators.rnn.neurons": "20"})
+    assert [each.settings["estimators.rnn.neurons"] for each in found] == ["4", "20", "9"]
+    best, _, worst = found
+    assert best.difference.low > 0 > worst.difference.high  # as the objective
+    assert "+" in next(
+        line for line in lines(jobs, {"estimators.rnn.neurons": "20"}, measure=skill) if line[:2] == "0 "
+    )
 
 
 def test_equal_jobs_are_no_seeds_of_each_other():

@@ -54,5 +54,7 @@ def main(cfg: DictConfig) -> None:
         study(cfg, tools)
     elif is_sweep(Path(cfg.runs)):
         leaderboard(Path(cfg.runs), load, cfg.objective)
+    elif cfg.objective is not None:
+        raise ConfigError(f"objective: ranks the jobs of a sweep, and {cfg.runs} is none: leave it out")
     else:
         evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))

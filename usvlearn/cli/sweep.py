@@ -21,10 +21,11 @@ import usvlearn
 from usvlearn.cli.again import again
 from usvlearn.cli.composition import plain
 from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.cli.settings import check_settings, instantiate
+from usvlearn.cli.settings import check_lanes, check_settings, instantiate
 from usvlearn.cli.stopping import defer_signals, end_deferral
 from usvlearn.cli.submitted import wait_for_all
-from usvlearn.errors import ConfigError, check_choice, exit_on_user_error
+from usvlearn.errors import ConfigError, exit_on_user_error
+from usvlearn.evaluation.measure import measure_of
 from usvlearn.lock import Lock
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.terminal import console
@@ -75,21 +76,29 @@ def jobs_of(hydra: DictConfig) -> tuple[list[str], list[dict[str, str]]]:
     return swept, [{key: value for key, _, value in (each.partition("=") for each in overrides)} for overrides in batch]
 
 
-def note_of(config: DictConfig, swept: Sequence[str], jobs: int) -> SweepNote:
+def note_of(config: DictConfig, swept: Sequence[str]) -> SweepNote:
     """What is noted of a sweep before it starts.
 
     Args:
         config: composed without the swept values.
         swept: the keys with several values.
-        jobs: how many there are.
     """
     choices, defaults = config.hydra.runtime.choices, {}
     for key in swept:
-        name = key.partition("@")[0]
-        value = OmegaConf.select(config, key) if key not in choices else choices[key]
-        if value is not None and not key.startswith(("+", "~")) and not isinstance(value, DictConfig):
-            defaults[name if key in choices else key] = as_value(value)
-    return SweepNote(jobs, tuple(swept), defaults, config.get("objective"))
+        if key.startswith(("+", "~")):
+            continue
+        value = choices[key] if key in choices else OmegaConf.select(config, key)
+        if value is not None and not isinstance(value, DictConfig):
+            defaults[key] = as_value(value)
+    return SweepNote(tuple(swept), defaults, config.get("objective"))
+
+
+def check_objective(config: DictConfig, swept: Sequence[str]) -> None:
+    """Raise a ConfigError before any job starts if the objective has another form, or is swept itself."""
+    if "objective" in swept:
+        raise ConfigError("objective: found several, expected one that ranks all jobs: evaluate.py ranks them anew")
+    if (given := config.get("objective")) is not None:
+        measure_of(given, "")
 
 
 def as_value(value: Any) -> str:
@@ -129,7 +138,8 @@ class Sweep(Callback):
             check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
             check_sweep(folder, load, own)
             swept, jobs = jobs_of(config.hydra)
-            note = note_of(config, swept, len(jobs))
+            check_objective(config, swept)
+            note = note_of(config, swept)
             if as_lanes(config, folder, note, jobs):
                 raise LanesDone
             note_sweep(folder, note)
@@ -168,11 +178,11 @@ def end_progress() -> None:
 
 def as_lanes(config: DictConfig, folder: Path, note: SweepNote, jobs: Sequence[Mapping[str, str]]) -> bool:
     """Run the jobs as lanes of one batch if `sweep.lanes=auto` asks for it, and it is possible; whether it was."""
-    if check_choice("sweep.lanes", OmegaConf.select(config, "sweep.lanes", default="off"), ("off", "auto")) == "off":
+    if check_lanes(OmegaConf.select(config, "sweep.lanes")) == "off":
         return False
     from usvlearn.tuning.sweep_lanes import run_lanes, why_not
 
-    check_settings(own := OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"]))
+    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
     settings = plain(own)
     if (folder / LANES).exists():
         print(f"finished before: {folder}")
@@ -180,6 +190,7 @@ def as_lanes(config: DictConfig, folder: Path, note: SweepNote, jobs: Sequence[M
         print(f"sweep.lanes=auto: one job each, because {reason}", flush=True)
         return False
     else:
+        check_settings(own)
         with Lock(folder, "hydra.sweep.dir"):
             OmegaConf.save(config, folder / "multirun.yaml")
             made = run_lanes(settings, note, jobs, instantiate, align_fleet, console())

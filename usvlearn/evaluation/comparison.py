@@ -1,10 +1,11 @@
-"""Paired differences between two settings, with a bootstrap interval over seeds, boats and runs.
+"""Paired differences between two settings, with a bootstrap interval over boats and runs.
 
-The mathematics is in `docs/theory.md`, section 23; equation (1) is from there.
+The mathematics is in `docs/theory.md`, section 23; equation (1) and (2) are from there.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -16,17 +17,27 @@ from usvlearn.evaluation.measure import COVERAGE, FORECAST, FREE, SKILL, Measure
 from usvlearn.evaluation.metrics import PERSISTENCE
 
 DRAWS, LEVEL, SEED = 1000, 0.95, 0
-Cell = tuple[str, str, str]  # seed, boat, run
+FLEET = 3  # boats, from which on they are a sample of others, and are drawn, too
+ALIKE = 0.02  # relative, of steps and of persistence's errors: the samples are the same, but for some that are rejected
+Place = tuple[str, str, str]  # seed, boat, run
+
+
+class Cell(NamedTuple):
+    """One run of a setting."""
+
+    steps: float
+    error: float  # m/s
+    base: float  # m/s, persistence's; NaN if it was not run
 
 
 class Difference(NamedTuple):
-    """L_a − L_b; negative if a is better."""
+    """The objective of a setting minus that of the reference, in the objective's unit."""
 
-    mean: float  # m/s; of skill: in skill
-    low: float | None  # of the 95 % interval; None without one
+    mean: float
+    low: float | None  # of the 95 % interval; None with a single run
     high: float | None
-    share: float  # of L_b
-    runs: int  # pairs
+    share: float  # of the reference's
+    runs: int  # different ones, each made by both
 
     @property
     def tie(self) -> bool | None:
@@ -34,8 +45,8 @@ class Difference(NamedTuple):
         return None if self.low is None or self.high is None else self.low <= 0 <= self.high
 
 
-def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Cell, tuple[float, float, float]]:
-    """Steps, errors and errors of persistence, m/s, of each run of a setting; of a bank those of its best column.
+def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Place, Cell]:
+    """The runs of a setting; of a bank those of its best column.
 
     Args:
         errors: by seed.
@@ -46,11 +57,11 @@ def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Ce
     ahead = {FORECAST: f"{measure.horizon:g}", FREE: FREE_RUNS}.get(measure.kind, STEP)
     rows = [(seed, each) for seed, found in errors.items() for each in found if each.ahead == ahead]
     names = dict.fromkeys(name for _, each in rows for name in each.mae)
-    best: dict[Cell, tuple[float, float, float]] = {}
-    least = np.inf
+    best: dict[Place, Cell] = {}
+    least = math.inf
     for column in own_columns(measure.estimator, names):
         made = {
-            (seed, each.boat, each.run): (float(each.steps), each.mae[column], each.mae.get(PERSISTENCE, np.nan))
+            (seed, each.boat, each.run): Cell(each.steps, each.mae[column], each.mae.get(PERSISTENCE, math.nan))
             for seed, each in rows
             if column in each.mae
         }
@@ -59,42 +70,71 @@ def cells(errors: Mapping[str, Sequence[RunError]], measure: Measure) -> dict[Ce
     return best
 
 
-def compare(
-    one: Mapping[Cell, tuple[float, float, float]], other: Mapping[Cell, tuple[float, float, float]], measure: Measure
-) -> Difference | None:
-    """The difference of two settings over the runs that both have; None if they share none, or nothing is known.
+def compare(one: Mapping[Place, Cell], other: Mapping[Place, Cell], measure: Measure) -> Difference | None:
+    """The difference of two settings over the seeds that both have.
 
-    >>> a = {("", "heron", f"{k}"): (10.0, 0.1 + 0.01 * k, 0.2) for k in range(9)}
-    >>> b = {cell: (n, e + 0.02, base) for cell, (n, e, base) in a.items()}
+    None if they have no seed in common, or did not make the same runs over the same samples with it.
+
+    >>> a = {("", "heron", f"{k}"): Cell(10.0, 0.1 + 0.01 * k, 0.2) for k in range(9)}
+    >>> b = {place: cell._replace(error=cell.error + 0.02) for place, cell in a.items()}
     >>> found = compare(a, b, Measure("rnn"))
     >>> round(found.mean, 9), round(found.high, 9), found.tie, compare(a, a, Measure("rnn")).tie
     (-0.02, -0.02, False, True)
     """
-    shared = sorted(one.keys() & other.keys())
-    if not shared:
+    seeds = {place[0] for place in one} & {place[0] for place in other}
+    shared = sorted(place for place in one if place[0] in seeds)
+    if not shared or shared != sorted(place for place in other if place[0] in seeds):
         return None
-    seeds, boats = (sorted({cell[k] for cell in shared}) for k in (0, 1))
-    runs = {boat: sorted({run for _, each, run in shared if each == boat}) for boat in boats}
-    shape = (len(seeds), len(boats), max(map(len, runs.values())))
-    values = np.zeros((2, 3, *shape))  # settings; steps, sums of errors, sums of persistence's errors
-    for seed, boat, run in shared:
-        place = (seeds.index(seed), boats.index(boat), runs[boat].index(run))
+    if not all(_same_samples(one[place], other[place]) for place in shared):
+        return None
+    boats = sorted({boat for _, boat, _ in shared})
+    # A unit is one boat's run over its own samples: seeds that share samples are one unit.
+    units = {place: (place[2], one[place].steps, _rounded(one[place].base)) for place in shared}
+    own = {boat: list(dict.fromkeys(units[place] for place in shared if place[1] == boat)) for boat in boats}
+    most, count = max(map(len, own.values())), sum(map(len, own.values()))
+    values = np.zeros((2, 3, len(boats), most))  # settings; steps, sums of errors, sums of persistence's errors
+    for place in shared:
+        boat = boats.index(place[1])
+        unit = own[place[1]].index(units[place])
         for k, found in enumerate((one, other)):
-            steps, error, base = found[seed, boat, run]
-            values[(k, slice(None), *place)] = steps, steps * error, steps * base
-    whole = _losses(values, (np.ones((1, shape[0])), np.ones((1, shape[1])), np.ones((1, *shape[1:]))), measure)[0]
+            steps, error, base = found[place]
+            values[k, :, boat, unit] += steps, steps * error, steps * base
+    weights = np.ones((1, len(boats))), np.ones((1, len(boats), most))
+    whole = _objectives(values, weights, measure)[0]
     if not np.isfinite(whole).all():
         return None
-    low = high = None
-    if len(seeds) > 1 or len(boats) > 1 or max(map(len, runs.values())) > 1:
+    mean, low, high = float(whole[0] - whole[1]), None, None
+    if count > 1:
         rng = np.random.default_rng(SEED)
-        drawn = _drawn(rng, len(seeds)), _drawn(rng, len(boats)), np.zeros((DRAWS, *shape[1:]))
-        for k, boat in enumerate(boats):
-            drawn[2][:, k, : len(runs[boat])] = _drawn(rng, len(runs[boat]))
-        ends = np.nanquantile(_losses(values, drawn, measure)[:, 2], [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-        low, high = (float(x) for x in ends)
-    share = whole[2] / abs(whole[1]) if whole[1] else 0.0
-    return Difference(float(whole[2]), low, high, float(share), len(shared))
+        fleet = len(boats) >= FLEET
+        drawn = (
+            _drawn(rng, len(boats)) if fleet else np.ones((DRAWS, len(boats))),
+            np.zeros((DRAWS, len(boats), most)),
+        )
+        for k, name in enumerate(boats):
+            drawn[1][:, k, : len(own[name])] = _drawn(rng, len(own[name]))
+        made = _objectives(values, drawn, measure)
+        half = _factor(len(boats) if fleet else count) * float(np.nanstd(made[:, 0] - made[:, 1]))  # (2)
+        low, high = mean - half, mean + half
+    return Difference(mean, low, high, mean / abs(float(whole[1])) if whole[1] else 0.0, count)
+
+
+def _same_samples(one: Cell, other: Cell) -> bool:
+    """Whether two runs have about the same steps, and errors of persistence, if they are known."""
+    same = all(map(math.isnan, (one.base, other.base))) or math.isclose(one.base, other.base, rel_tol=ALIKE)
+    return math.isclose(one.steps, other.steps, rel_tol=ALIKE) and same
+
+
+def _rounded(base: float) -> float | None:
+    """Persistence's error, so that equal samples have equal numbers."""
+    return None if math.isnan(base) else float(f"{base:.9e}")
+
+
+def _factor(count: int) -> float:
+    """The factor of (2) for so many boats, or runs."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(count - 1, (1 + LEVEL) / 2)) * math.sqrt(count / (count - 1))
 
 
 def _drawn(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -102,18 +142,18 @@ def _drawn(rng: np.random.Generator, count: int) -> np.ndarray:
     return rng.multinomial(count, np.full(count, 1 / count), DRAWS).astype(float)
 
 
-def _losses(values: np.ndarray, weights: tuple[np.ndarray, np.ndarray, np.ndarray], measure: Measure) -> np.ndarray:
-    """Equation (1) of both settings, and their difference, for each draw, `(draws, 3)`; NaN if a draw has no step.
+def _objectives(values: np.ndarray, weights: tuple[np.ndarray, np.ndarray], measure: Measure) -> np.ndarray:
+    """Equation (1) of both settings for each draw, `(draws, 2)`; NaN if a draw has no step.
 
     Args:
-        values: steps, sums of errors and sums of persistence's errors, `(settings, 3, seeds, boats, runs)`.
-        weights: of seeds `(draws, seeds)`, boats `(draws, boats)` and runs `(draws, boats, runs)`.
+        values: steps, sums of errors and sums of persistence's errors, `(settings, 3, boats, units)`.
+        weights: of boats `(draws, boats)`, and of units `(draws, boats, units)`.
         measure: what is compared.
     """
-    seeds, boats, runs = weights
-    sums = np.einsum("ds,dbr,kxsbr->kxdb", seeds, runs, values, optimize=True)  # settings, numbers, draws, boats
+    boats, units = weights
+    sums = np.einsum("dbu,kxbu->kxdb", units, values, optimize=True)  # settings, numbers, draws, boats
     with np.errstate(invalid="ignore", divide="ignore"):
-        loss = sums[:, 1] / (sums[:, 2] if measure.kind == SKILL else sums[:, 0])  # settings, draws, boats
-        weight = np.where(np.isfinite(loss), boats, 0.0)
-        made = (weight * np.nan_to_num(loss)).sum(-1) / weight.sum(-1)  # settings, draws
-    return np.stack([*made, made[0] - made[1]], -1)
+        found = sums[:, 1] / (sums[:, 2] if measure.kind == SKILL else sums[:, 0])  # settings, draws, boats
+        found = 1 - found if measure.kind == SKILL else found
+        weight = np.where(np.isfinite(found), boats, 0.0)
+        return ((weight * np.nan_to_num(found)).sum(-1) / weight.sum(-1)).T

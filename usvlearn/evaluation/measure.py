@@ -12,6 +12,7 @@ objective=rnn.free              the MAE of its free runs: the second half of eac
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -128,10 +129,11 @@ def measure_of(objective: Any, default: str) -> Measure:
     """
     name, _, kind = str(default if objective is None else objective).partition(".")
     kind, _, horizon = kind.partition(".")
+    named = re.fullmatch(r"[\w-]+", name) is not None
     try:
-        if name and kind in ("", ONE_STEP, SKILL, COVERAGE, FREE) and not horizon:
+        if named and kind in ("", ONE_STEP, SKILL, COVERAGE, FREE) and not horizon:
             return Measure(name, kind or ONE_STEP)
-        if name and kind == FORECAST and 0 < float(horizon) < math.inf:
+        if named and kind == FORECAST and 0 < float(horizon) < math.inf:
             return Measure(name, FORECAST, float(horizon))
     except ValueError:
         pass

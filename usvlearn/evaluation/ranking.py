@@ -58,6 +58,16 @@ def ranked_by(objective: Any, swept: Iterable[str], results: Iterable[Mapping]) 
     return Measure(name) if found else None
 
 
+def own_objective(results: Iterable[Mapping]) -> str | None:
+    """The objective that all jobs were given; None if they differ, or if it is the default, the MAE of their output.
+
+    >>> own_objective([{"output": "average", "measure": "rnn.skill"}])
+    'rnn.skill'
+    """
+    found = {each.get("measure") if each.get("measure") != f"{each.get('output')}.mae" else None for each in results}
+    return found.pop() if len(found) == 1 else None
+
+
 def scored(result: Mapping[str, Any], by: Measure | None) -> dict[str, Any]:
     """The results of a job, with what ranks it as `objective`, and its name as `measure`.
 

@@ -8,8 +8,8 @@ traceback.txt    of an unexpected error
 
 In the sweep's folder:
 
-sweep.json       the number of jobs, the keys with several values, their values without the sweep, the objective
-lanes.json       the jobs that were run as lanes of one batch (`usvlearn.sweeps.lanes`); they have no folders
+sweep.json       the keys with several values, their values without the sweep, the objective
+lanes.json       the jobs that were run as lanes of one batch (`usvlearn.tuning.sweep_lanes`); they have no folders
 """
 
 from __future__ import annotations
@@ -58,7 +58,6 @@ class Lane(NamedTuple):
 class SweepNote(NamedTuple):
     """The content of `sweep.json`."""
 
-    jobs: int = 0
     swept: tuple[str, ...] = ()  # keys with several values
     defaults: Mapping[str, str] = {}  # their values without the sweep, those that are known
     objective: str | None = None
@@ -78,8 +77,11 @@ def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, A
     held = folder / "multirun.yaml"
     if not (held.exists() and (any(folder.glob(f"*/{JOB}")) or (folder / LANES).exists())):
         return
-    old = load(held)["hydra"]
-    asked = [[sorted(each["overrides"]["task"]), each["sweeper"].get("params")] for each in (old, hydra)]
+    try:
+        old = load(held)["hydra"]
+        asked = [[sorted(each["overrides"]["task"]), each["sweeper"].get("params")] for each in (old, hydra)]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ConfigError(f"{held}: is damaged ({error!r}): choose another hydra.sweep.dir") from error
     if asked[0] != asked[1]:
         raise ConfigError(
             f"{folder}: holds the jobs of another sweep, {shlex.join(old['overrides']['task'])}: repeat that command, "
@@ -188,12 +190,11 @@ def noted_sweep(folder: Path) -> SweepNote:
     """What `sweep.json` says; an empty note where it is missing or damaged.
 
     >>> noted_sweep(Path("nowhere"))
-    SweepNote(jobs=0, swept=(), defaults={}, objective=None)
+    SweepNote(swept=(), defaults={}, objective=None)
     """
     found = _read(folder / SWEEP)
-    count, swept, defaults, objective = (found.get(key) for key in SweepNote._fields)
+    swept, defaults, objective = (found.get(key) for key in SweepNote._fields)
     return SweepNote(
-        count if isinstance(count, int) else 0,
         tuple(map(str, swept)) if isinstance(swept, list) else (),
         {str(key): str(value) for key, value in defaults.items()} if isinstance(defaults, dict) else {},
         objective if isinstance(objective, str) else None,
@@ -235,7 +236,7 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
         results, held = _read(path / RESULTS), _read(path / JOB)
         if "settings" in held and held["settings"] != digest(load(path / ".hydra" / "config.yaml")):
             results = {"error": _foreign(path, held, overrides)}  # Hydra has already written its records there
-        found.append(Job(path, _by_key(overrides), results))
+        found.append(Job(path, by_key(overrides), results))
     return found
 
 
@@ -259,20 +260,21 @@ def _lanes(path: Path) -> list[Job]:
                 RunError(str(boat), str(run), str(ahead), int(steps), {str(name): float(x) for name, x in mae.items()})
                 for boat, run, ahead, steps, mae in row["errors"]
             )
-            found.append(Job(path.parent / str(k), _by_key(row["overrides"]), dict(row["results"]), errors))
+            found.append(Job(path.parent / str(k), by_key(row["overrides"]), dict(row["results"]), errors))
         return found
     except (OSError, ValueError, KeyError, TypeError, AttributeError, UsvlearnError, RecursionError) as error:
         raise ConfigError(f"{path}: is damaged ({error}): run the same command in another hydra.sweep.dir") from error
 
 
-def _by_key(overrides: Sequence[str]) -> dict[str, str]:
+def by_key(overrides: Sequence[str]) -> dict[str, str]:
+    """The settings of a command line by key."""
     parts = (printable(str(text)).partition("=") for text in overrides)
     return {key: value for key, _, value in parts}
 
 
 def _foreign(folder: Path, held: Mapping, overrides: Sequence[str]) -> str:
     """The message that a folder holds another job, and the settings that differ."""
-    old, new = _by_key(held["overrides"]), _by_key(overrides)
+    old, new = by_key(held["overrides"]), by_key(overrides)
     keys = differing([old, new])
     other = short_settings(old, keys) if keys else "of configuration files that were another then"
     return f"{folder} holds another job, {other}: repeat the command that made it, or choose another hydra.sweep.dir"

@@ -15,7 +15,7 @@ from typing import Any
 from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.measure import Measure
-from usvlearn.evaluation.ranking import differing, ranked_by, scored
+from usvlearn.evaluation.ranking import differing, own_objective, ranked_by, scored
 from usvlearn.report.terminal import console
 from usvlearn.sweeps.board import write_board
 from usvlearn.sweeps.jobs import Job, jobs, noted_sweep
@@ -41,7 +41,7 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
     found, note = jobs(folder, load), noted_sweep(folder)
     keys = differing([job.settings for job in found])
     done = [job.results for job in found if "boats" in job.results]
-    by = ranked_by(objective or note.objective, note.swept or keys, done)
+    by = ranked_by(objective or note.objective or own_objective(done), note.swept or keys, done)
     if objective is not None and by is not None and not any(map(by.known, done)):
         raise ConfigError(
             f"objective: found {objective}, which no finished job of {folder} has measured: see boats, forecast and "

@@ -12,7 +12,7 @@ from usvlearn.evaluation.measure import Measure
 from usvlearn.figures import INK, LINE, colours, themed
 from usvlearn.sweeps.standings import Standing
 
-MOST_PANELS = 6  # of keys
+MOST_PANELS, MOST_TICKS = 6, 20  # of keys; named values of an axis of a heat map
 LOGARITHMIC = 20.0  # a ratio of the greatest to the least value, from which on an axis is logarithmic
 WORST = 90  # percentile; values far beyond it are off the axis
 
@@ -37,8 +37,13 @@ def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measur
         panels = len(keys) + (len(keys) == 2)
         figure = Figure(figsize=(min(4.4 * panels, 15) + 0.6, 4.2), dpi=90, layout="constrained")
         axes = np.atleast_1d(figure.subplots(1, panels))
-        values = [each.value for each in shown if each.value is not None]
-        low, high = min(values), _top(values)
+        ends = [
+            (each.value + sign * (each.deviation or 0.0))
+            for each in shown
+            if each.value is not None
+            for sign in (-1, 1)
+        ]
+        low, high = -_top([-x for x in ends]), _top(ends)
         margin = 0.08 * (high - low) or 0.05 * abs(high) or 0.01
         for panel, key in zip(axes, keys, strict=False):
             _draw(panel, shown, key, measure)
@@ -70,7 +75,7 @@ def _draw(panel: Any, shown: Sequence[Standing], key: str, measure: Measure | No
     for each in shown:
         if each.default:
             place = places[each.settings.get(key, "")], each.value
-            panel.plot(*place, "s", color=INK, markersize=7, markerfacecolor="none", label="default")
+            panel.plot(*place, "s", color=INK, markersize=14, markerfacecolor="none", label="default")
     panel.set_xlabel(shortened(key, 40))
     panel.grid(color=LINE, alpha=0.6)
 
@@ -81,14 +86,18 @@ def _heat(figure: Any, panel: Any, shown: Sequence[Standing], keys: Sequence[str
     grid = np.full((len(rows), len(columns)), np.nan)
     for each in shown:
         grid[rows.index(each.settings.get(keys[0], "")), columns.index(each.settings.get(keys[1], ""))] = each.value
-    top = _top(grid[np.isfinite(grid)])
-    image = panel.imshow(grid, aspect="auto", cmap="viridis", origin="lower", vmax=top)
+    known = grid[np.isfinite(grid)]
+    bottom, top = -_top(-known), _top(known)
+    image = panel.imshow(grid, aspect="auto", cmap="viridis", origin="lower", vmin=bottom, vmax=top)
     figure.colorbar(image, ax=panel, label=what)
-    panel.set_xticks(range(len(columns)), map(shortened, columns), rotation=45 if len(columns) > 6 else 0)
-    panel.set_yticks(range(len(rows)), map(shortened, rows))
+    for ticks, texts in ((panel.set_xticks, columns), (panel.set_yticks, rows)):
+        some = range(0, len(texts), -(-len(texts) // MOST_TICKS))
+        ticks(some, [shortened(texts[k]) for k in some])
+    if len(columns) > 6:
+        panel.tick_params(axis="x", rotation=45)
     panel.set(xlabel=shortened(keys[1], 40), ylabel=shortened(keys[0], 40))
     if grid.size <= 64:
-        middle = (np.nanmin(grid) + top) / 2
+        middle = (bottom + top) / 2
         for (i, j), value in np.ndenumerate(grid):
             if np.isfinite(value):
                 ink = "black" if value > middle else "white"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.ranking import ranked_by, scored
 from usvlearn.report.tables import short_settings
 from usvlearn.runs.layout import RESULTS
-from usvlearn.sweeps.jobs import JOB, SweepNote
+from usvlearn.sweeps.jobs import JOB, SweepNote, by_key
 
 PERIOD = 0.5  # s between two looks
 
@@ -41,7 +41,7 @@ class Progress:
     def start(self) -> None:
         """Say how many jobs there are, and watch."""
         before = f", {len(self._done)} of them finished before" if self._done else ""
-        self.say(f"{len(self.settings)} jobs{before}: {self.folder}")
+        self.say(f"{len(self.settings)} job{'s' * (len(self.settings) != 1)}{before}: {self.folder}")
         self._thread.start()
 
     def stop(self) -> None:
@@ -63,7 +63,7 @@ class Progress:
 
     def _tell(self, k: int, results: dict[str, Any]) -> None:
         """One line of one job."""
-        shown = short_settings(self.settings[k], self.note.swept) if self.note.swept else ""
+        shown = short_settings(self._own(k), self.note.swept) if self.note.swept else ""
         if "error" in results:
             self._failed += 1
             what = f"failed: {printable(str(results['error']))}"
@@ -74,7 +74,7 @@ class Progress:
             measure = measure_of(found.get("measure"), "output")
             best = f"best {printable(str(found['best']))}: " if "best" in found else ""  # of a tuning
             what = f"{best}{measure.shown(found.get('objective'))}, {found.get('seconds') or 0:.1f} s"
-        self.say(f"job {k} ({shown}): {what}; {self._rest()}")
+        self.say(f"job {k}{f' ({shown})' * bool(shown)}: {what}; {self._rest()}")
 
     def _rest(self) -> str:
         """How many jobs are done, have failed and run, and the time that is left."""
@@ -90,6 +90,14 @@ class Progress:
         if left > 0 and (made := self._finished + self._failed):
             parts.append(f"{duration((time.monotonic() - self._began) * left / made)} left")
         return ", ".join(parts)
+
+    def _own(self, k: int) -> Mapping[str, str]:
+        """The settings of a job as it noted them: Hydra may have shuffled the values since the command was read."""
+        try:
+            noted = json.loads((self.folder / str(k) / JOB).read_text())["overrides"]
+            return by_key(noted)
+        except (OSError, ValueError, TypeError, KeyError, RecursionError):
+            return self.settings[k]
 
     def _stamp(self, k: int) -> int | None:
         """When the results of a job were written, in ns."""

@@ -57,6 +57,6 @@ def with_seeds(arguments: Sequence[str]) -> list[str]:
         found.append(argument)
     if not several:
         return found
-    if sum(each.partition("=")[0] == SEED for each in found) > 1:
+    if sum(each.partition("=")[0].lstrip("+") == SEED for each in found) > 1:
         raise ConfigError("seeds: found seed=… too, expected one of them: seeds=N stands for seed=0,1, … N-1")
     return found if {"-m", "--multirun"} & set(found) else ["-m", *found]

@@ -31,15 +31,21 @@ class Standing(NamedTuple):
     difference: Difference | None  # to the reference
 
     @property
+    def done(self) -> int:
+        """How many jobs finished."""
+        return len(self.jobs) - len(self.failed)
+
+    @property
     def failed(self) -> list[Job]:
         """The jobs that did not finish."""
         return [job for job in self.jobs if "boats" not in job.results]
 
 
 def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[str, str]) -> list[Standing]:
-    """All settings, the best first; those without a value come last, in the order of their jobs.
+    """All settings, the best first; then those of which fewer seeds finished; those without a value come last.
 
-    The reference is the setting that has the values of `defaults`, else the best.
+    Fewer seeds are other data, so that such a setting may seem better than it is. The reference is the setting that has
+    the values of `defaults`, else the best.
 
     Args:
         jobs: with results as of `usvlearn.evaluation.ranking.scored`.
@@ -56,12 +62,14 @@ def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[st
         seen[with_seed] += 1
     found = [_standing({k: v for k, v in zip(keys, values, strict=True) if v is not None}, each, measure)
              for (values, _), each in groups.items()]  # fmt: skip
-    found.sort(key=lambda each: _loss(each, measure))
+    most = max((each.done for each in found), default=0)
+    found.sort(key=lambda each: (each.value is None, each.done < most, _loss(each, measure)))
     if not found or not math.isfinite(_loss(found[0], measure)):
         return found
     own = {key: defaults.get(key) for key in keys}
     is_default = [
-        each.value is not None and all(same(each.settings.get(key), own[key]) for key in keys) for each in found
+        each.value is not None and each.done == most and all(same(each.settings.get(key), own[key]) for key in keys)
+        for each in found
     ]
     first = is_default.index(True) if True in is_default and None not in own.values() else 0
     errors = [_cells(each, measure) for each in found]

@@ -20,7 +20,7 @@ from usvlearn.report.terminal import Blocks
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.standings import Standing
 
-DASH = "–"
+DASH, LARGE = "–", 200.0  # percent, from which on a difference is not stated more exactly
 CONTRACTION = "K: the largest rate of the networks, a step, certified as contracting; no: one of them is not."
 
 
@@ -38,7 +38,7 @@ def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -
     columns = ("rank", "job", *keys, "measure", "unit", *numbers, "contracting", "rate", *maes, "error")
     rows = []
     for rank, each in enumerate(found, 1):
-        done = [job for job in each.jobs if job not in each.failed]
+        done = [job for job in each.jobs if not error(job)]
         measure = next((str(job.results.get("measure", "")) for job in done), "")
         diff = each.difference
         rows.append((
@@ -58,30 +58,30 @@ def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measur
         folder, found, keys: as of `result_table`.
         measure: what ranks them; None if each job's own output does.
     """
-    shown = [each for each in found if len(each.failed) < len(each.jobs)]
-    heads, values = _short(keys), [_value(each) for each in shown]
+    shown = [each for each in found if each.done]
+    most = max((each.done for each in shown), default=0)
+    heads, values = _short(keys), [_value(each, most) for each in shown]
+    differ = any(each.difference is not None for each in shown)
     compared = [_difference(each, measure) for each in shown]
     networks = _networks_differ(shown, measure)
     what = measure.title() if measure else "MAE of each job's output"
     unit = f", {measure.unit}" if measure and measure.unit else "" if measure else ", m/s"
-    columns = [measure.kind if measure and not measure.unit else "MAE", *(["difference"] if any(compared) else []), "s"]
+    columns = [measure.kind if measure and not measure.unit else "MAE", *(["difference"] if differ else []), "s"]
     columns += ["K"] if networks else []
     table = Blocks(f"{what}{unit}, mean over boats{_deviation(shown)}", ["job", *heads], columns, folded=heads)
     for each, value, difference in zip(shown, values, compared, strict=True):
         cells = [
             value,
-            *([difference] if any(compared) else []),
+            *([difference] if differ else []),
             "–" if each.seconds is None else f"{each.seconds:.1f}",
         ]
         cells += [_network(each)] if networks else []
         own = [each.settings.get(key, DASH) for key in keys]
         table.add(_numbers(folder, each.jobs), *own, *cells, style="bold" if each is shown[0] else "")
     lines = [*_sentences(shown, measure, keys), *([CONTRACTION] if networks else [])]
-    lines += [
-        f"failed: job {label(folder, job)}, {short_settings(job.settings, keys)}: {printable(error(job))}"
-        for each in found
-        for job in each.failed
-    ]
+    for job in (job for each in found for job in each.failed):
+        what = "failed" if "error" in job.results else "not finished"
+        lines.append(f"{what}: job {label(folder, job)}, {short_settings(job.settings, keys)}: {printable(error(job))}")
     return Group(*([table] if shown else []), *map(Text, lines))
 
 
@@ -121,10 +121,12 @@ def _numbers(folder: Path, jobs: Sequence[Job]) -> str:
     return ",".join(f"{run[0]}" if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)
 
 
-def _value(each: Standing) -> str:
+def _value(each: Standing, most: int) -> str:
+    """The objective ± deviation; if fewer seeds finished than of other settings, how many."""
     if each.value is None:
-        return "diverged"
-    return f"{each.value:.5f}" + ("" if each.deviation is None else f" ± {each.deviation:.5f}")
+        return "no value"
+    seeds = f" ({each.done} of {most} seeds)" if each.done < most else ""
+    return f"{each.value:.5f}" + ("" if each.deviation is None else f" ± {each.deviation:.5f}") + seeds
 
 
 def _difference(each: Standing, measure: Measure | None) -> str:
@@ -133,18 +135,21 @@ def _difference(each: Standing, measure: Measure | None) -> str:
         return "reference"
     if (found := each.difference) is None:
         return ""
-    scale = -100.0 if measure and measure.kind == SKILL else 100 * found.share / found.mean if found.mean else 0.0
-    sign = "" if measure and measure.kind == SKILL else " %"
+    skill = measure is not None and measure.kind == SKILL
+    scale = 100.0 if skill else 100 * found.share / found.mean if found.mean else 0.0
+    sign = "" if skill else " %"
     if found.low is None or found.high is None:
         return f"{scale * found.mean:+.1f}{sign}"
+    low, high = scale * found.low, scale * found.high
     if found.tie:
         return "tie"
-    low, high = sorted((scale * found.low, scale * found.high))
-    return f"{low:+.1f} … {high:+.1f}{sign}"
+    if min(abs(low), abs(high)) > LARGE:
+        return f"{'>' if low > 0 else '<'} {LARGE if low > 0 else -LARGE:+.0f}{sign}"
+    return " … ".join(f"{x:+.1f}" if abs(x) < 100 else f"{x:+.0f}" for x in (low, high)) + sign
 
 
 def _deviation(shown: Sequence[Standing]) -> str:
-    seeds = {len(each.jobs) for each in shown if each.deviation is not None}
+    seeds = {each.done for each in shown if each.deviation is not None}
     return f" and {max(seeds)} seeds, ± deviation over seeds" if seeds else ""
 
 
@@ -161,16 +166,18 @@ def _sentences(shown: Sequence[Standing], measure: Measure | None, keys: Sequenc
         return []
     compared = [each for each in shown if each.difference is not None]
     if not compared:
-        return ["No differences: the jobs have no errors by run that can be paired."]
+        return ["No differences: no other setting has errors over the same samples."]
     first = "the default" if reference.default else "the best"
     name = f"Reference: {first}, {short_settings(reference.settings, keys)}."
     if any(each.difference.tie is None for each in compared if each.difference):
-        return [f"{name} One run: no interval, so that no difference is known to be more than chance."]
+        return [f"{name} One run: no interval, so that a difference may be chance."]
     what = "in hundredths of skill" if measure and measure.kind == SKILL else "of its error"
+    others = len(shown) - 1 - len(compared)
+    alone = f" {others} not compared: other samples, or no value." if others else ""
     ties = sum(bool(each.difference and each.difference.tie) for each in compared)
     words = f"{ties} of {len(compared)} settings {'ties' if ties == 1 else 'tie'} with it (0 is in the interval)"
     runs = max(each.difference.runs for each in compared if each.difference)
-    return [f"{name} Differences: {what}, 95 % interval of a bootstrap over {runs} paired runs; {words}."]
+    return [f"{name} Differences: {what}, 95 % interval of a bootstrap over {runs} paired runs; {words}.{alone}"]
 
 
 def _networks_differ(shown: Sequence[Standing], measure: Measure | None) -> bool:

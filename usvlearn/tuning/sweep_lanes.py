@@ -54,6 +54,9 @@ def why_not(configuration: Mapping[str, Any], note: SweepNote, jobs: Jobs, insta
         note: of the sweep.
         jobs: their settings.
         instantiate: makes the object that a node of the configuration describes.
+
+    Raises:
+        ConfigError: a value is not legal.
     """
     member = member_of(note)
     if not jobs or member is None or member not in configuration["estimators"]:
@@ -66,15 +69,18 @@ def why_not(configuration: Mapping[str, Any], note: SweepNote, jobs: Jobs, insta
     measure = measure_of(note.objective, member)
     if measure.estimator != member or measure.kind == COVERAGE:
         return f"the objective is {measure}, no error of {member} alone"
-    known = hyperparameters(check_one_estimator(member, builder(configuration["estimators"], member, instantiate)({})))
+    build = builder(configuration["estimators"], member, instantiate)
+    known = hyperparameters(check_one_estimator(member, build({})))
+    known = {path: part for path, part in known.items() if not isinstance(part, RNN)}
     for key, path in paths.items():
-        if path not in known or isinstance(known[path], RNN):
+        if path not in known:
             return f"{key} is no number that lanes can differ in; those of {member} are {', '.join(known)}"
-        for job in jobs:
+        for text in dict.fromkeys(job[key] for job in jobs):
             try:
-                float(job[key])
+                value = float(text)
             except ValueError:
-                return f"{key}={job[key]} is no number"
+                return f"{key}={text} is no number"
+            build({path: value})  # an illegal one is told alone
     return ""
 
 
