@@ -86,7 +86,7 @@ def test_parameter_sets(whole):
 def test_tensorboard(whole):
     """A run for each estimator of each boat; tags, steps and the HPARAMS row are in tests/runs/test_logger.py."""
     (top,) = (whole / "tensorboard").iterdir()  # named after the settings that differ
-    assert top.name == "data.mission_minutes=2 rnn.neurons=4"
+    assert top.name == "rnn.neurons=4"
     assert {path.name for path in top.iterdir()} == {"heron1", "heron2", "fleet", "results"}
     assert {path.name for path in (top / "fleet").iterdir()} == NAMES
     beside = {"identified", "identified low", "identified high", "truth"}

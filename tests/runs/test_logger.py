@@ -16,7 +16,7 @@ from usvlearn.errors import ConfigError
 from usvlearn.evaluation.free_simulation import free_errors
 from usvlearn.figures import KNOWN, SEVEN
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.runs.board_tags import MAE, in_order
+from usvlearn.runs.board_tags import MAE, in_order, label, what_differs
 from usvlearn.runs.drawing import LEAST_FIGURES
 from usvlearn.runs.logger import FAR, TensorBoardLogger
 from usvlearn.runs.published import BEGIN, Position
@@ -262,3 +262,25 @@ def test_the_free_run_is_that_of_the_results(tmp_path, fleet, monkeypatch):
     for boat, (_, surge, predictions, names, _) in zip(fleet.boats, drawn, strict=True):
         for k, name in enumerate(names):
             assert np.nanmean(np.abs(predictions[:, k] - surge)) == pytest.approx(expected[boat][name])
+
+
+def test_a_run_is_named_after_how_it_learns_not_after_its_data():
+    channels = ["surge.name=speed", "command_left.name=pwm_l", "command_left.zero=1500", "command_right.span=-400"]
+    csv = ["data=csv", "data.path=log.csv", "data.reader.time=t", *(f"data.channels.{each}" for each in channels)]
+    beside = [
+        "vehicle.mass=20",
+        "vehicle.surge_max=3",
+        "data.n=8",
+        "data.hours=1",
+        "+data.extra=1",
+        "hydra/launcher=slurm",
+    ]
+    neurons = "estimators.rnn.neurons=20"
+    assert label(what_differs([*csv, *beside, "sweep=rnn_size", "sweep.lanes=auto", neurons])) == "rnn.neurons=20"
+    assert label(what_differs(["data.path={anna: logs/anna, bert: logs/bert}", neurons])) == "rnn.neurons=20"
+    tree = "estimators.mine={_target_: a/b, gain: [1/2, 3]}"
+    assert what_differs([tree, "database=x", "data.seed=3"]) == {
+        "estimators.mine": "{_target_: a/b, gain: [1/2, 3]}",
+        "database": "x",
+        "data.seed": "3",
+    }

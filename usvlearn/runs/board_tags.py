@@ -8,6 +8,7 @@ that the rest keep their colours; where there is no other run, the colours after
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
@@ -21,8 +22,9 @@ from usvlearn.figures import SEVEN
 IDENTIFIED, LOW, HIGH, TRUTH = "identified", "identified low", "identified high", "truth"
 SECOND = ((TRUTH,), (LOW,), (IDENTIFIED,), ("weighted",), ("joint_quick",), ("reader",), (HIGH,))
 FLEET, RESULTS = "fleet", "results"
-# keys that do not change what is learned
-BESIDE = ("save_minutes", "threads", "resume", "log", "objective", "sweep.lanes", "data.n", "data.hours")
+# settings that do not say how it is learned, with all below them, and those below them that are named
+BESIDE = ("data", "vehicle", "hydra", "sweep", "save_minutes", "threads", "resume", "log", "objective")
+NAMED = ("data.plant", "data.seed")
 NEAR = 10.0  # s: the horizon that is shown, or else the longest below
 
 MAE, SKILL, INSIDE = "MAE, next step (m/s)", "skill, next step", "coverage of 90 %, next step"
@@ -159,17 +161,24 @@ def _rows(runs: Sequence[str]) -> list[list[str]]:
 
 
 def what_differs(overrides: Sequence[str]) -> dict[str, str]:
-    """The settings of a command line that change what is learned; of a path its last part.
+    """The settings of a command line that say how it is learned, not from what; of a path its last part.
 
-    >>> what_differs(["estimators.rnn.neurons=20", "hydra.run.dir=x", "data.path=logs/day1.csv", "threads=2"])
-    {'estimators.rnn.neurons': '20', 'data.path': 'day1.csv'}
+    >>> what_differs(["data=csv", "data.path=logs/day1.csv", "vehicle.mass=20", "threads=2", "estimators.rnn.neurons=20"])
+    {'estimators.rnn.neurons': '20'}
+    >>> what_differs(["data.plant=otter", "estimators.rnn.start=runs/1", "forecasts.horizons=[1,2]"])
+    {'data.plant': 'otter', 'estimators.rnn.start': '1', 'forecasts.horizons': '[1,2]'}
     """
     found = (text.lstrip("+").partition("=") for text in overrides)
     return {
-        key: value.rstrip("/").rpartition("/")[2]
+        key: value if value.startswith(("{", "[", "(", '"', "'")) else value.rstrip("/").rpartition("/")[2]
         for key, _, value in found
-        if not key.startswith("hydra") and key not in BESIDE
+        if _below(key, NAMED) or not _below(key, BESIDE)
     }
+
+
+def _below(key: str, heads: Sequence[str]) -> bool:
+    """Whether a key is one of some, or below one of them."""
+    return any(re.match(rf"~?{re.escape(head)}([./@]|$)", key) for head in heads)
 
 
 def label(settings: Mapping[str, str]) -> str:
