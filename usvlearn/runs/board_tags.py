@@ -163,7 +163,7 @@ def _rows(runs: Sequence[str]) -> list[list[str]]:
 def what_differs(overrides: Sequence[str]) -> dict[str, str]:
     """The settings of a command line that say how it is learned, not from what; of a path its last part.
 
-    >>> what_differs(["data=csv", "data.path=logs/day1.csv", "vehicle.mass=20", "threads=2", "estimators.rnn.neurons=20"])
+    >>> what_differs(["data=csv", "data.path=logs/day1.csv", "vehicle.mass=20", "estimators.rnn.neurons=20"])
     {'estimators.rnn.neurons': '20'}
     >>> what_differs(["data.plant=otter", "estimators.rnn.start=runs/1", "forecasts.horizons=[1,2]"])
     {'data.plant': 'otter', 'estimators.rnn.start': '1', 'forecasts.horizons': '[1,2]'}
