@@ -25,7 +25,11 @@ A tag is the same for all boats and estimators. What concerns the boat is in the
 Other commands write `report/FIGURE` and `report/SECTION` of a report, and `learn/loss`, `learn/PATH` of learning by
 gradient: MAE of a window, m/s, and the hyperparameters. The runs of a tuning are named after their settings.
 
-A step is a second of run time of the boat: the time in the present run, and the lengths of those before.
+A step is a second of run time of the boat: the time in the present run, and the lengths of those before. Figures stand
+after the last one. A run that is resumed into another folder has its curves from there on only.
+
+The page of a sweep, DIR/leaderboard, has a run for each job, with its row on HPARAMS and its learning curve, and
+`failed jobs` as text. The pages IMAGES and TEXT open with all runs unticked if there are more than 40: TOGGLE ALL RUNS.
 
 TensorBoard gives its seven colours to runs by the times of their first events, which are therefore written in a fixed
 order (`usvlearn.runs.board_tags`). A resumed run goes on in further files of the same runs. These begin with a mark by

@@ -16,7 +16,7 @@ from usvlearn.errors import ConfigError
 from usvlearn.evaluation.free_simulation import free_errors
 from usvlearn.figures import KNOWN, SEVEN
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.runs.board_tags import MAE, in_order, label, what_differs
+from usvlearn.runs.board_tags import MAE, in_order, result_tag, results_of, label, what_differs
 from usvlearn.runs.drawing import LEAST_FIGURES
 from usvlearn.runs.logger import FAR, TensorBoardLogger
 from usvlearn.runs.published import BEGIN, Position
@@ -284,3 +284,20 @@ def test_a_run_is_named_after_how_it_learns_not_after_its_data():
         "database": "x",
         "data.seed": "3",
     }
+
+
+def test_figures_rise_in_steps_and_every_boat_has_one(whole):
+    """Their steps are distinct within a tag, after all points of the boat."""
+    read, _, _ = whole
+    for run, events in read.items():
+        for tag in events.Tags()["images"]:
+            found = [image.step for image in events.Images(tag)]
+            points = [point.step for each in events.Tags()["scalars"] for point in events.Scalars(each)]
+            assert found == sorted(set(found)) and found[0] > max(points), (run, tag)
+
+
+def test_results_of_several_runs_have_one_column_each():
+    without = {"boats": {"heron": {"rnn": {"mae": 0.1, "skill": 0.5}}}, "seconds": 3.0}
+    whole = without | {"free": {"heron": {"rnn": 0.2}}, "network": {"heron": {"rnn": {"rate": 0.9}}}}
+    tags = [{result_tag(title) for title in results_of(each, "rnn")} for each in (without, whole)]
+    assert tags[0] < tags[1] and len({tag.split()[1] for tag in tags[1]}) == len(tags[1])

@@ -59,8 +59,8 @@ def test_columns_are_the_swept_keys_and_the_results_in_order(sweep, tmp_path):
     settings, results = columns(tmp_path / "board")
     assert settings == {"estimators.rnn.neurons": [4.0, 20.0], "seed": [0.0, 1.0]}
     assert list(results) == [
-        "objective: MAE (m/s)", "skill", "MAE free (m/s)", "contraction rate", "MAE 10 s ahead (m/s)",
-        "coverage of 90 %", "seconds",
+        "objective: rnn.mae (m/s)", "skill", "MAE free (m/s)", "contraction rate",
+        "MAE 10 s ahead of ensemble (m/s)", "coverage of 90 %", "seconds",
     ]  # fmt: skip  # those that are the same for all jobs come last
     rows = hparams(tmp_path / "board")
     assert len(rows) == len(sweep)
@@ -68,10 +68,10 @@ def test_columns_are_the_swept_keys_and_the_results_in_order(sweep, tmp_path):
     assert "2 rnn.neurons=20 seed=0" in rows
     assert by_number["1"][0] == {"estimators.rnn.neurons": 4.0, "seed": 1.0}
     numbers = by_number["1"][1]
-    assert numbers[results["objective: MAE (m/s)"]] == pytest.approx(0.05)
+    assert numbers[results["objective: rnn.mae (m/s)"]] == pytest.approx(0.05)
     assert numbers[results["MAE free (m/s)"]] == pytest.approx(0.15)
     assert numbers[results["contraction rate"]] == pytest.approx(0.95)
-    assert numbers[results["MAE 10 s ahead (m/s)"]] == pytest.approx(0.05)  # the network makes no forecasts
+    assert numbers[results["MAE 10 s ahead of ensemble (m/s)"]] == pytest.approx(0.05)  # the network makes no forecasts
 
 
 def test_a_job_that_failed_has_a_row_and_its_reason(sweep, tmp_path):

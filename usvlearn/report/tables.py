@@ -20,6 +20,7 @@ from usvlearn.report.terminal import Blocks
 from usvlearn.runs.board_tags import label
 from usvlearn.runs.layout import TENSORBOARD
 
+TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",
            "steps": "steps"}  # fmt: skip
 
@@ -182,7 +183,8 @@ def summary_lines(results: Mapping, folder: Path) -> list[str]:
     fleet = "&runFilter=fleet%2F" if len(results.get("boats", {})) > 1 else ""  # at first the means over boats
     address = f"http://localhost:6006/?smoothing=0{fleet}#timeseries"
     look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder / TENSORBOARD))} and {address}"
-    return [f"{found}; results and parameter sets: {folder}", look]
+    many = [TOGGLE] if fleet else []
+    return [f"{found}; results and parameter sets: {folder}", look, *many]
 
 
 def tuning_table(title: str, rows: Sequence[tuple[str, str, Mapping]]) -> Blocks:

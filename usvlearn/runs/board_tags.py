@@ -25,6 +25,11 @@ FLEET, RESULTS = "fleet", "results"
 # settings that do not say how it is learned, with all below them, and those below them that are named
 BESIDE = ("data", "vehicle", "hydra", "sweep", "save_minutes", "threads", "resume", "log", "objective")
 NAMED = ("data.plant", "data.seed")
+# of tags; AHEAD: of the MAE over a horizon
+RESULT_NUMBERS = {
+    "MAE (m/s)": 1, "skill": 2, "MAE free (m/s)": 3, "contraction rate": 4, "coverage of 90 %": 6, "seconds": 7,
+}  # fmt: skip
+AHEAD = 5
 NEAR = 10.0  # s: the horizon that is shown, or else the longest below
 
 MAE, SKILL, INSIDE = "MAE, next step (m/s)", "skill, next step", "coverage of 90 %, next step"
@@ -41,8 +46,8 @@ REPORTED = {
     "mass": "mass (kg)", "least_excitation": "least excitation (0 to 1)",
 }  # fmt: skip
 WORDS = {  # of a tag: what TensorBoard shows beside it
-    "1 overview/": "Over the last 750 steps. Skill: 1 - MAE/MAE(persistence) over the same steps. Coverage: share of "
-    "the measurements in the 90 % intervals.",
+    "1 overview/": "Over the last 750 steps, or those since the point before. Skill: 1 - MAE/MAE(persistence) over the "
+    "same steps. Coverage: share of the measurements in the 90 % intervals.",
     f"1 overview/{ALARMS}": "Alarms of a lost thruster so far.",
     "2 identified/": "Value, 90 % interval and, of simulated boats, truth are runs beside each other. An end of the "
     "interval that is farther from the value than 4 times the value is left out.",
@@ -202,9 +207,13 @@ def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
     """
     output = str(results.get("output", name)).partition(".")[0]
 
-    def value(kind: str, horizon: float = 0.0) -> float | None:
-        both = (Measure(one, kind, horizon).value(results) for one in dict.fromkeys((name, output)))
-        return next((x for x in both if x is not None), None)
+    def value(title: str, kind: str, horizon: float = 0.0) -> tuple[str, float | None]:
+        """The title, with the estimator's name if it is not the one that is asked for, and the value."""
+        for one in dict.fromkeys((name, output)):
+            if (x := Measure(one, kind, horizon).value(results)) is not None:
+                head, space, unit = title.partition(" (")
+                return title if one == name else f"{head} of {one}{space}{unit}", x
+        return title, None
 
     networks = [
         list(row.values()) if name not in row else [row[name]] for row in (results.get("network") or {}).values()
@@ -212,16 +221,25 @@ def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
     rates = [x for row in networks if row and (x := _inside(row[0], "rate")) is not None]
     horizons = next((list(next(iter(rows.values()), {})) for rows in (results.get("forecast") or {}).values()), [])
     near = horizons[shown_horizon([float(h) for h in horizons])] if horizons else ""
-    found = {
-        "MAE (m/s)": value(measure.ONE_STEP),
-        "skill": value(measure.SKILL),
-        "MAE free (m/s)": value(measure.FREE),
-        f"MAE {near} s ahead (m/s)": value(measure.FORECAST, float(near or 0)),
-        "coverage of 90 %": value(measure.COVERAGE),
-        "contraction rate": max(rates, default=None),
-        "seconds": _inside(results, "seconds"),
-    }
-    return {title: value for title, value in found.items() if value is not None}
+    found = [
+        value("MAE (m/s)", measure.ONE_STEP),
+        value("skill", measure.SKILL),
+        value("MAE free (m/s)", measure.FREE),
+        ("contraction rate", max(rates, default=None)),
+        value(f"MAE {near} s ahead (m/s)", measure.FORECAST, float(near or 0)),
+        value("coverage of 90 %", measure.COVERAGE),
+        ("seconds", _inside(results, "seconds")),
+    ]
+    return {title: value for title, value in found if value is not None}
+
+
+def result_tag(title: str) -> str:
+    """The tag of a result: its number is the same in all runs, so that they have one column.
+
+    >>> result_tag("skill"), result_tag("MAE 10 s ahead (m/s)")
+    ('8 results/2 skill', '8 results/5 MAE 10 s ahead (m/s)')
+    """
+    return f"8 results/{RESULT_NUMBERS.get(title, AHEAD)} {title}"
 
 
 def _inside(tree: Any, *path: str) -> float | None:

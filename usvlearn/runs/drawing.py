@@ -7,8 +7,8 @@
     prediction          a run, with intervals and some members
     thrusters           a run with an alarm
 
-A figure takes as long as ten thousand compiled steps. A replay gets LEAST_FIGURES, one more for each STEPS_PER_FIGURE
-steps of its boats, and that of the first alarm of each boat. `log: all` draws all, of every run.
+A figure takes as long as ten thousand compiled steps. A replay gets LEAST_FIGURES, or one for each boat; one more for
+each STEPS_PER_FIGURE steps of its boats; and that of the first alarm of each boat. `log: all` draws all, of every run.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Figure(NamedTuple):
 
     boat: str
     tag: str
-    step: int  # s of run time
+    step: int  # s of run time at the end, and the number of the run
     draw: Callable[[], Any]
 
 
@@ -76,9 +76,13 @@ def figures(
     for lane, boat in enumerate(replayed.fleet.boats):
         if alarms.get(boat):
             yield drawing.thrusters(drawing.index_of(lane, alarms[boat][0]["run"]), lane)
-    allowed = LEAST_FIGURES + replayed.fleet.steps * len(replayed.fleet.boats) // STEPS_PER_FIGURE
+    allowed = (
+        max(LEAST_FIGURES, len(replayed.fleet.boats))
+        + replayed.fleet.steps * len(replayed.fleet.boats) // STEPS_PER_FIGURE
+    )
     wanted = list(drawing.every())
-    yield from wanted if replayed.everything else wanted[:allowed]
+    chosen = wanted if replayed.everything else wanted[:allowed]
+    yield from sorted(chosen, key=lambda figure: (replayed.fleet.boats.index(figure.boat), figure.step))
 
 
 class _Drawing:
@@ -205,9 +209,10 @@ class _Drawing:
         def draw():
             time, surge, found = self._of(index, lane)
             names = self.ensemble.names
-            shown = [name for name in (self.ensemble.output, "aid") if name in names]
+            shown = [name for name in ("aid", self.ensemble.output) if name in names]  # the ensemble is drawn last
             health, fault = found["thrusters"], self.data.get("fault")
             run = self.fleet.runs[index]
+            began = None if fault is None else 60 * (fault["minute"] - index * self.data["mission_minutes"])
             return fault_figure(
                 time,
                 health[:, :2],
@@ -215,7 +220,7 @@ class _Drawing:
                 {name: found["predictions"][:, names.index(name)] for name in shown},
                 health[:, 2:4],
                 THRESHOLD,
-                None if fault is None else 60 * (fault["minute"] - index * self.data["mission_minutes"]),
+                began if began is not None and time[0] <= began <= time[-1] else None,
                 [each["time"] for each in self.alarms[self.fleet.boats[lane]] if each["run"] == run.names[lane]],
                 self._title(index, lane),
             )
@@ -223,7 +228,8 @@ class _Drawing:
         return self._figure(index, lane, "thrusters", draw)
 
     def _figure(self, index: int, lane: int, tag: str, draw: Callable[[], Any]) -> Figure:
-        return Figure(self.fleet.boats[lane], f"7 figures/{tag}", int(self.replayed.clocks[index + 1, lane]) - 1, draw)
+        step = int(self.replayed.clocks[-1, lane]) + index  # after all points, so that a resumed run replaces it
+        return Figure(self.fleet.boats[lane], f"7 figures/{tag}", step, draw)
 
     def _title(self, index: int, lane: int) -> str:
         return f"{self.fleet.boats[lane]}, {self.fleet.runs[index].names[lane]}"

@@ -98,18 +98,19 @@ class TensorBoardLogger:
         self._plan: list[tuple[str, tuple[str, ...], np.ndarray]] = []  # run of a boat, tags, columns of numbers
         self.folders = dict(zip(fleet.boats, folder_names(fleet.boats), strict=True))
         self._names = dict(zip(ensemble.names, folder_names(ensemble.names), strict=True))
-        self.fleet_run = next(
-            name for k in range(9) if (name := board_tags.FLEET + "_" * k) not in self.folders.values()
+        self.fleet_run, self.results_run = (
+            next(free for k in range(9) if (free := name + "_" * k) not in self.folders.values())
+            for name in (board_tags.FLEET, board_tags.RESULTS)
         )
         runs = self._runs()
         first = {self.folders[boat]: int(clock) + 1 for boat, clock in zip(fleet.boats, self._last, strict=True)}
-        first |= {self.fleet_run: max(first.values()), board_tags.RESULTS: 0}
+        first |= {self.fleet_run: max(first.values()), self.results_run: 0}
         marks = {run: first[run.partition("/")[0]] for run in runs}  # earlier files may hold points from there on
         self.differs = differs or {}
         where = Path(folder) / folder_name(board_tags.label(self.differs)) if self.differs else Path(folder)
         self.board = TensorBoardWriter(where, runs, marks, board_tags.about)
         for title, text in {**(texts or {}), "data": _data(fleet)}.items():
-            self.board.text(f"run/{title}", text, run=board_tags.RESULTS)
+            self.board.text(f"run/{title}", text, run=self.results_run)
 
     def _runs(self) -> list[str]:
         """All runs, in the order of their colours."""
@@ -119,7 +120,7 @@ class TensorBoardLogger:
             every[folder] = [*own, *read, *([board_tags.TRUTH] if read and boat in self.truth else [])]
         if len(self.folders) > 1:
             every[self.fleet_run] = own
-        return [*board_tags.in_order(every), board_tags.RESULTS]
+        return [*board_tags.in_order(every), self.results_run]
 
     def __enter__(self) -> TensorBoardLogger:
         return self
@@ -290,16 +291,14 @@ class TensorBoardLogger:
             if counts and boat in self.folders:
                 self.board.scalars(counts, ends[boat], f"{self.folders[boat]}/{output}")
         if networks:
-            self.board.text("run/networks", "\n".join(f"- {sentence}" for sentence in networks), run=board_tags.RESULTS)
+            self.board.text("run/networks", "\n".join(f"- {sentence}" for sentence in networks), run=self.results_run)
         row = board_tags.results_of(results, self.ensemble.output)
-        self.board.scalars(
-            {f"8 results/{k} {title}": x for k, (title, x) in enumerate(row.items(), 1)}, 0, board_tags.RESULTS
-        )
+        self.board.scalars({board_tags.result_tag(title): x for title, x in row.items()}, 0, self.results_run)
         if self.alone:
             hours = round(float(self.clocks[-1].sum() / 3600), 2)
             compared = {"boats": len(self.fleet.boats), "hours": hours, **self.differs}
             shown = {key: board_tags.number(value) for key, value in compared.items()}
-            self.board.session(shown, board_tags.RESULTS, results.get("seconds"))
+            self.board.session(shown, self.results_run, results.get("seconds"))
         if self.alone or self.everything:
             self._draw(settings["data"], results["alarms"], published)
 

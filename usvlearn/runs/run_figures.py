@@ -173,15 +173,16 @@ def forecast_figure(
         figure.subplots_adjust(left=0.09, right=0.985, top=0.91, bottom=0.15)
         panel = figure.subplots()
         panel.plot(time, surge, color=INK, linewidth=1.8, label="measured")
-        ends = np.flatnonzero(np.isfinite(forecasts[:, -1]))
+        ends = np.flatnonzero(np.isfinite(forecasts[:, -1]) & (time - horizons[-1] >= time[0]))
         for end in ends[:: max(1, -(-len(ends) // ORIGINS))]:
             fan = fan_at(time, forecasts, halfwidths, horizons, float(time[end]) - horizons[-1])
             start = int(np.searchsorted(time, time[end] - horizons[-1] - 1e-6))
             at, value, width = (
                 np.append(first, x) for first, x in zip((time[start], surge[start], 0.0), fan, strict=True)
             )
-            panel.plot(at, value, color=colour, linewidth=1.2, marker="o", markersize=2.5)
-            panel.fill_between(at, value - width, value + width, color=colour, alpha=0.22, linewidth=0, label=label)
+            panel.plot(at, value, color=colour, linewidth=0.8, alpha=0.6)  # between the horizons nothing is forecast
+            style = {"fmt": "o", "markersize": 2.5, "elinewidth": 1.4, "capsize": 2, "label": label}
+            panel.errorbar(at[1:], value[1:], np.where(np.isfinite(width[1:]), width[1:], 0.0), color=colour, **style)
             label = ""
         _frame(panel, surge, title)
         panel.legend(ncols=3, fontsize="small")

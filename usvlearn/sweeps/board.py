@@ -155,5 +155,5 @@ def _titles(results: Sequence[Mapping[str, float]], by: Collection[str]) -> dict
     columns = {title: [row.get(title) for row in results] for title in titles}
     same = next((title for title in titles[1:] if titles[0] == OBJECTIVE and columns[title] == columns[OBJECTIVE]), "")
     shown = sorted((each for each in titles if each != same), key=lambda each: len({*columns[each]} - {None}) < 2)
-    heads = {OBJECTIVE: f"{OBJECTIVE}: {same or ', '.join(sorted(by))}"}
+    heads = {OBJECTIVE: f"{OBJECTIVE}: {', '.join(sorted(by))}" + (" (m/s)" if "m/s" in same else "")}
     return {each: (f"8 results/{k} {each}", heads.get(each, each)) for k, each in enumerate(shown, 1)}
