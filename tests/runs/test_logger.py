@@ -16,7 +16,7 @@ from usvlearn.errors import ConfigError
 from usvlearn.evaluation.free_simulation import free_errors
 from usvlearn.figures import KNOWN, SEVEN
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.runs.board_tags import MAE, in_order, result_tag, results_of, label, what_differs
+from usvlearn.runs.board_tags import MAE, in_order, label, result_tag, results_of, what_differs
 from usvlearn.runs.drawing import LEAST_FIGURES
 from usvlearn.runs.logger import FAR, TensorBoardLogger
 from usvlearn.runs.published import BEGIN, Position
