@@ -104,12 +104,12 @@ def prediction_figure(
         if len(time[worst]):
             above.axvspan(time[worst][0], time[worst][-1], color=INK, alpha=0.12, linewidth=0)
         below.set(xlabel=f"time in the run, s; here the worst {WORST:g} s of {names[-1]}")
-        below.legend(ncols=3, fontsize="small")
+        below.legend(ncols=3, fontsize=8)
         return figure
 
 
 def worst_stretch(time: np.ndarray, error: np.ndarray) -> slice:
-    """The steps of the WORST seconds with the largest mean error; all steps of a shorter run.
+    """The steps of the WORST seconds with the largest mean error, of which half are known; all of a shorter run.
 
     Args:
         time: s, `(time,)`.
@@ -122,7 +122,7 @@ def worst_stretch(time: np.ndarray, error: np.ndarray) -> slice:
     ends = np.searchsorted(time, time + WORST, side="right")  # of the stretch that begins at each step
     begins = np.arange(len(time))
     known = counts[ends] - counts[begins]
-    full = (time + WORST <= time[-1]) & (known > 0) if len(time) else np.array([], bool)
+    full = (time + WORST <= time[-1]) & (2 * known > ends - begins) if len(time) else np.array([], bool)
     if not full.any():
         return slice(0, len(time))
     mean = np.where(full, (sums[ends] - sums[begins]) / np.where(known > 0, known, 1.0), -1.0)

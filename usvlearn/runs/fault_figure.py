@@ -73,14 +73,14 @@ def fault_figure(
         for panel in axes:
             low, high = panel.get_ylim()
             panel.set_ylim(low, high + 0.22 * (high - low))  # room for the legend
-            panel.legend(loc="upper left", ncols=6, fontsize="small")
+            panel.legend(loc="upper left", ncols=6, fontsize=8)
         figure.suptitle(title)
         return figure
 
 
 def _mark(panel, fault: float | None, alarms: Sequence[float]) -> None:
     """Label the vertical lines above the panel. Only the first alarm gets a label, on the right of the fault's."""
-    style = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": "small"}
+    style = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "fontsize": 8}
     if fault is not None:
         panel.annotate("fault ", (fault / 60, 1), (0, 4), ha="right", color=FAULT, **style)
     if len(alarms):

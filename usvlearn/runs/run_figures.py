@@ -10,7 +10,7 @@ import numpy as np
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.joint.reading import Identified
-from usvlearn.figures import INK, KNOWN, LINE, colours, themed, worst_stretch
+from usvlearn.figures import INK, KNOWN, LINE, WORST, colours, themed, worst_stretch
 
 LEFT, RIGHT = KNOWN["aid"], KNOWN["sift_map"]  # colours
 SPAN, ORIGINS = 240.0, 6  # s of a figure of forecasts, and how many forecasts it shows
@@ -26,49 +26,68 @@ class Traces(NamedTuple):
 
 
 def runs_figure(runs: Sequence[Traces], name: str, title: str):
-    """Measured and predicted speed of runs above each other; beside each its worst minute, enlarged.
+    """Measured and predicted speed of runs above each other, with their MAE; beside each the error of its worst minute.
 
     Args:
         runs: of one boat.
         name: of the estimator.
         title: of the figure.
     """
-    known = [x[np.isfinite(x)] for run in runs for x in (run.surge,)]
-    span = max((float(np.ptp(x)) for x in known if len(x)), default=0.0) + 0.1  # m/s, between two runs
-    parts = [worst_stretch(run.time, np.abs(run.predicted - run.surge)) for run in runs]
+    known = [run.surge[np.isfinite(run.surge)] for run in runs]
+    errors = [run.predicted - run.surge for run in runs]
+    parts = [worst_stretch(run.time, np.abs(error)) for run, error in zip(runs, errors, strict=True)]
+    worst = np.concatenate([np.abs(error[part]) for error, part in zip(errors, parts, strict=True)])
+    floor = min((float(x.min()) for x in known if len(x)), default=0.0)
+    span = max((float(x.max()) for x in known if len(x)), default=0.0) - floor + 0.1  # m/s, between two runs
+    scale = 2 * float(np.nanmax(worst)) + 0.02 if np.isfinite(worst).any() else 1.0  # m/s, between two errors
     with themed() as Figure:
-        height = 1.0 + 0.42 * max(len(runs), 4)
-        figure = Figure(figsize=(8, height), dpi=90)
-        figure.subplots_adjust(left=0.17, right=0.985, top=1 - 0.4 / height, bottom=0.45 / height, wspace=0.04)
-        left, right = figure.subplots(1, 2, width_ratios=(3, 2), sharey=True)
-        style = {"linewidth": 0.9, "color": colours([name])[name], "label": name}
-        for panel, chosen in ((left, [slice(None)] * len(runs)), (right, parts)):
-            rows = [
-                _row(run, part, -k * span, panel is right)
-                for k, (run, part) in enumerate(zip(runs, chosen, strict=True))
-            ]
-            time, surge, predicted = (np.concatenate(column) for column in zip(*rows, strict=True))
-            panel.plot(time, surge, color=INK, linewidth=1.6, label="measured")
-            panel.plot(time, predicted, **style)
-            panel.margins(x=0)
-            panel.grid(color=LINE, axis="x")
+        height = 1.2 + 0.42 * max(len(runs), 4)
+        figure = Figure(figsize=(9, height), dpi=90)
+        figure.subplots_adjust(left=0.25, right=0.985, top=1 - 0.6 / height, bottom=0.45 / height, wspace=0.06)
+        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        colour, whole = colours([name])[name], [slice(None)] * len(runs)
+        measured, predicted = [run.surge - floor for run in runs], [run.predicted - floor for run in runs]
+        left.plot(*_rows(runs, measured, whole, span), color=INK, linewidth=1.6, label="measured")
+        left.plot(*_rows(runs, predicted, whole, span), color=colour, linewidth=0.9, label=name)
+        right.plot(*_rows(runs, errors, parts, scale), color=colour, linewidth=1.0)
+        right.hlines([-k * scale for k in range(len(runs))], 0, WORST, color=INK, linewidth=0.5)
         for k, (run, part) in enumerate(zip(runs, parts, strict=True)):
             if len(run.time[part]):
                 ends = run.time[part][[0, -1]]
                 left.fill_between(ends, -k * span, (0.9 - k) * span, color=INK, alpha=0.12, linewidth=0)
-        left.set_yticks([-k * span for k in range(len(runs))], [run.name[-18:] for run in runs], fontsize=7)
-        left.set(xlabel="time in the run, s", title=title, ylim=((0.5 - len(runs)) * span, span))
-        right.set(xlabel=f"s; {span:.1f} m/s between two runs", title="its worst minute")
-        right.tick_params(left=False)
-        right.legend(ncols=2, fontsize=7, loc="upper right")
+        labels = [f"{_short(run.name)}  {_mae(error)}" for run, error in zip(runs, errors, strict=True)]
+        left.set_yticks([-k * span for k in range(len(runs))], labels, fontsize=8)
+        left.set(xlabel=f"time in the run, s; {span:.1f} m/s between two runs", ylim=((0.5 - len(runs)) * span, span))
+        right.set_yticks([])
+        right.set(xlabel=f"s; {scale:.2f} m/s between two runs", title="predicted − measured, worst minute")
+        right.set_ylim((0.5 - len(runs)) * scale, 0.6 * scale)
+        for panel in (left, right):
+            panel.margins(x=0)
+            panel.grid(color=LINE, axis="x")
+            panel.title.set_fontsize(9)
+        figure.suptitle(f"{title}, MAE in m/s", x=0.01, ha="left", fontsize=9)
+        left.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1)
         return figure
 
 
-def _row(run: Traces, part: slice, offset: float, own: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, measured and predicted speed of a run at its height, with a gap at the end."""
-    time = run.time[part] - (run.time[part][0] if own and len(run.time[part]) else 0.0)
-    heights = run.surge[part] + offset, run.predicted[part] + offset
-    return np.append(time, np.nan), np.append(heights[0], np.nan), np.append(heights[1], np.nan)
+def _rows(
+    runs: Sequence[Traces], lines: Sequence[np.ndarray], parts: Sequence[slice], span: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Time and height of a part of each run, one below the other, with gaps between; a part begins at 0 s."""
+    times, heights = [], []
+    for k, (run, line, part) in enumerate(zip(runs, lines, parts, strict=True)):
+        time = run.time[part]
+        times.append(np.append(time - (time[0] if part.start and len(time) else 0.0), np.nan))
+        heights.append(np.append(line[part] - k * span, np.nan))
+    return np.concatenate(times), np.concatenate(heights)
+
+
+def _short(name: str) -> str:
+    return name if len(name) <= 18 else f"{name[:17]}…"
+
+
+def _mae(error: np.ndarray) -> str:
+    return f"{np.nanmean(np.abs(error)):.3f}" if np.isfinite(error).any() else "–"
 
 
 def identified_figure(
@@ -142,7 +161,7 @@ def free_figure(time: np.ndarray, surge: np.ndarray, predictions: np.ndarray, na
             mae = f", MAE {known.mean():.3f} m/s" if len(known) else ""
             panel.plot(time, predictions[:, k], color=palette[name], linewidth=1.0, label=f"{name}{mae}")
         _frame(panel, surge, title)
-        panel.legend(ncols=3, fontsize="small")
+        panel.legend(ncols=3, fontsize=8)
         return figure
 
 
@@ -185,7 +204,7 @@ def forecast_figure(
             panel.errorbar(at[1:], value[1:], np.where(np.isfinite(width[1:]), width[1:], 0.0), color=colour, **style)
             label = ""
         _frame(panel, surge, title)
-        panel.legend(ncols=3, fontsize="small")
+        panel.legend(ncols=3, fontsize=8)
         return figure
 
 
