@@ -68,6 +68,15 @@ def own_objective(results: Iterable[Mapping]) -> str | None:
     return found.pop() if len(found) == 1 else None
 
 
+def own_measure(result: Mapping[str, Any]) -> Measure:
+    """What ranks a job whose results are `scored`.
+
+    >>> own_measure({"measure": "rnn.skill"})
+    Measure(estimator='rnn', kind='skill', horizon=0.0)
+    """
+    return measure_of(result.get("measure"), "output")
+
+
 def scored(result: Mapping[str, Any], by: Measure | None) -> dict[str, Any]:
     """The results of a job, with what ranks it as `objective`, and its name as `measure`.
 

@@ -30,7 +30,7 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, UsvlearnError, bad_input, printable
 from usvlearn.evaluation.by_run import RunError, from_csv
 from usvlearn.evaluation.measure import Measure, measure_of
-from usvlearn.evaluation.ranking import differing, ranked_by, scored
+from usvlearn.evaluation.ranking import differing, own_measure, ranked_by, scored
 from usvlearn.lock import Lock
 from usvlearn.report.tables import short_settings
 from usvlearn.runs.layout import ERRORS, RESULTS, RUNS, save_results
@@ -169,15 +169,16 @@ def _run_job(
         return float("nan")
 
 
-def _loss(results: Mapping[str, Any], note: SweepNote) -> float:
+def ranked_alone(results: Mapping[str, Any], note: SweepNote) -> tuple[Measure, float | None]:
+    """What ranks a job, and its value, before the other jobs are known."""
     found = scored(results, ranked_by(note.objective, note.swept, [results]))
-    loss = _measure(found).loss(found.get("objective"))
+    return own_measure(found), found.get("objective")
+
+
+def _loss(results: Mapping[str, Any], note: SweepNote) -> float:
+    measure, value = ranked_alone(results, note)
+    loss = measure.loss(value)
     return loss if math.isfinite(loss) else float("nan")
-
-
-def _measure(results: Mapping[str, Any]) -> Measure:
-    """What ranks a job whose results are `scored`."""
-    return measure_of(results.get("measure"), "output")
 
 
 def note_sweep(folder: Path, note: SweepNote) -> None:

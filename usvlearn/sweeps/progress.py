@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from usvlearn.errors import printable
-from usvlearn.evaluation.measure import measure_of
-from usvlearn.evaluation.ranking import ranked_by, scored
 from usvlearn.report.tables import short_settings
 from usvlearn.runs.layout import RESULTS
-from usvlearn.sweeps.jobs import JOB, SweepNote, by_key
+from usvlearn.sweeps.jobs import JOB, SweepNote, by_key, ranked_alone
 
 PERIOD = 0.5  # s between two looks
 
@@ -70,10 +68,9 @@ class Progress:
         else:
             self._done.add(k)
             self._finished += 1
-            found = scored(results, ranked_by(self.note.objective, self.note.swept, [results]))
-            measure = measure_of(found.get("measure"), "output")
-            best = f"best {printable(str(found['best']))}: " if "best" in found else ""  # of a tuning
-            what = f"{best}{measure.shown(found.get('objective'))}, {found.get('seconds') or 0:.1f} s"
+            measure, value = ranked_alone(results, self.note)
+            best = f"best {printable(str(results['best']))}: " if "best" in results else ""  # of a tuning
+            what = f"{best}{measure.shown(value)}, {results.get('seconds') or 0:.1f} s"
         self.say(f"job {k}{f' ({shown})' * bool(shown)}: {what}; {self._rest()}")
 
     def _rest(self) -> str:

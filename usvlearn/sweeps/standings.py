@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from usvlearn.evaluation.by_run import RunError
 from usvlearn.evaluation.comparison import Difference, cells, compare
-from usvlearn.evaluation.measure import Measure, measure_of
-from usvlearn.evaluation.ranking import differing
+from usvlearn.evaluation.measure import Measure
+from usvlearn.evaluation.ranking import differing, own_measure
 from usvlearn.sweeps.jobs import Job, errors_of
 from usvlearn.sweeps.seeds import SEED
 
@@ -66,16 +66,17 @@ def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[st
     found.sort(key=lambda each: (each.value is None, each.done < most, _loss(each, measure)))
     if not found or not math.isfinite(_loss(found[0], measure)):
         return found
-    own = {key: defaults.get(key) for key in keys}
     is_default = [
-        each.value is not None and each.done == most and all(same(each.settings.get(key), own[key]) for key in keys)
+        each.value is not None
+        and each.done == most
+        and all(same(each.settings.get(key), defaults.get(key)) for key in keys)
         for each in found
     ]
-    first = is_default.index(True) if True in is_default and None not in own.values() else 0
+    first = is_default.index(True) if True in is_default else 0
     errors = [_cells(each, measure) for each in found]
     return [
         each._replace(
-            default=is_default[k] and None not in own.values(),
+            default=is_default[k],
             reference=k == first,
             difference=None if k == first else _compared(each, errors[k], errors[first], measure),
         )
@@ -130,8 +131,7 @@ def _loss(standing: Standing, measure: Measure | None) -> float:
 
 def _own(standing: Standing) -> Measure:
     """What a setting's own jobs minimise."""
-    names = [job.results["measure"] for job in standing.jobs if "measure" in job.results]
-    return measure_of(names[0] if names else None, "output")
+    return own_measure(next((job.results for job in standing.jobs if "measure" in job.results), {}))
 
 
 def _cells(standing: Standing, measure: Measure | None) -> dict:
