@@ -31,7 +31,7 @@ from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.signals import Fleet, Sample, named_leaves, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
-from usvlearn.tuning.lanes import fleet_mae
+from usvlearn.tuning.lanes import lane_errors
 
 MASS, MISSION = 28.0, 15.0  # kg, minutes
 LEAST_STEPS = 50  # of a rollout through many lanes
@@ -101,9 +101,9 @@ def jobs(effort: Effort) -> Section:
         row(title, partial(replayed, ensemble, fleet), fleet.steps * boats)
     for kind in ("aid", "sift"):
         estimator = grid_of(kind, effort.settings)
-        fleet_mae(estimator, season(1, short), (effort.settings,))
+        lane_errors(estimator, season(1, short), (effort.settings,))
         title = f"{effort.settings} settings of one {kind} × {long:g} h"
-        row(title, partial(fleet_mae, estimator, one, (effort.settings,)), effort.settings * one.steps)
+        row(title, partial(lane_errors, estimator, one, (effort.settings,)), effort.settings * one.steps)
     runs = [tree_map(lambda x, n=run.lengths[0]: x[:n, 0], run.samples) for run in one.runs]
     cross_validate(ensemble, ensemble.init((1,)), runs[:1])
     title = f"cross-validation, {effort.sets} sets × {long:g} h"
@@ -158,7 +158,7 @@ def measured_memory(kind: str, count: int, file: str) -> int:
         if kind == "ensemble":
             replayed(ensemble, fleet)
         else:
-            fleet_mae(grid_of(kind, count), fleet, (count,))
+            lane_errors(grid_of(kind, count), fleet, (count,))
 
     work(first, 1)
     gc.collect()

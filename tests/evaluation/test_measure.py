@@ -19,7 +19,7 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.rollouts import simulate, tensors
 from usvlearn.signals import masks
 from usvlearn.simulate.fleet import fleet as simulated
-from usvlearn.tuning.lanes import Objective, fleet_mae
+from usvlearn.tuning.lanes import Objective, lane_errors
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +103,7 @@ def test_lanes_measure_forecasts_as_an_ensemble_makes_them(fleet):
 
 def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
     aid, half = AID(28.0), middle(fleet.runs)
-    found = fleet_mae(aid, fleet, measure=Measure("", "free"))
+    found = lane_errors(aid, fleet, measure=Measure("", "free")).mae
     ensemble = Ensemble({"aid": AID(28.0), "persistence": Persistence()}, {"own": Average(["aid"])})
     state, lone = ensemble.init((2,)), aid.init((2,))
     total, count = np.zeros(2), np.zeros(2)

@@ -22,7 +22,7 @@ from usvlearn.tuning import backprop as fit
 from usvlearn.tuning import lanes, winners
 from usvlearn.tuning import tune as tuning
 from usvlearn.tuning.grid import counts, grid
-from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae, hyperparameter
+from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, hyperparameter, lane_errors
 
 GAIN = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
 
@@ -136,7 +136,7 @@ def test_counts():
 def epoch(fleet, estimator, window):
     """The losses of an epoch's windows, from the starts of the pass in order; and that pass's MAE."""
     starts = []
-    mae = fleet_mae(estimator, fleet, at_run=starts.append).mean()
+    mae = lane_errors(estimator, fleet, at_run=starts.append).mae.mean()
     side = fit.run_lanes(fleet, torch.float64)
     return list(fit.window_losses(estimator, side, starts, len(fleet.boats), window)), mae
 
@@ -167,7 +167,7 @@ def test_the_gradient_is_the_finite_difference(fleet, member, paths):
         for h in (1e-5, -1e-5):
             with torch.no_grad():
                 leaf += h
-                sides.append(float(fleet_mae(estimator, one).mean()))
+                sides.append(float(lane_errors(estimator, one).mae.mean()))
                 leaf -= h
         assert float(found) == pytest.approx((sides[0] - sides[1]) / 2e-5, rel=1e-3, abs=1e-7), path
         assert abs(float(found)) > 1e-7

@@ -46,22 +46,19 @@ def write_board(board: Path, folder: Path, jobs: Sequence[Job], figure: bytes | 
         key: _alike({k: row[key] for k, row in enumerate(rows) if key in row}) for key in dict.fromkeys(chain(*rows))
     }
     results = [_results(job) for job in jobs]
-    titles = _titles(results, {_ranked_by(job) for job in jobs if "boats" in job.results})
+    titles = _titles(results, {_ranked_by(job) for job in jobs if job.finished})
     names = job_names(folder, jobs, keys)
     with TensorBoardWriter(board, names) as writer:
         writer.columns({key: list(values.values()) for key, values in columns.items()}, dict(titles.values()))
         for k, (name, job, found) in enumerate(zip(names, jobs, results, strict=True)):
             settings = {key: values[k] for key, values in columns.items() if k in values}
-            writer.session(settings, name, found.get("seconds"), failed="boats" not in job.results)
+            writer.session(settings, name, found.get("seconds"), failed=not job.finished)
             writer.scalars({titles[title][0]: x for title, x in found.items() if title in titles}, 0, name)
             for step, mae in learning_curve(job):
                 writer.scalars({f"1 overview/{MAE}": mae}, step, name)
-        failed = [job for job in jobs if "boats" not in job.results]
+        failed = [job for job in jobs if not job.finished]
         if failed:
-            told = (
-                f"- {short_settings(job.settings, keys)}: {job.results.get('error', 'did not finish')}"
-                for job in failed
-            )
+            told = (f"- {short_settings(job.settings, keys)}: {job.failure}" for job in failed)
             writer.text("failed jobs", "\n".join(told))
         if figure is not None:
             writer.image("leaderboard", figure)
@@ -136,7 +133,7 @@ def _ranked_by(job: Job) -> str:
 
 def _results(job: Job) -> dict[str, float]:
     """The results of a job by title, the objective first; {} of one that failed."""
-    if "boats" not in job.results:
+    if not job.finished:
         return {}
     found, objective = results_of(job.results, _ranked_by(job).partition(".")[0]), job.results.get("objective")
     return ({} if objective is None or objective != objective else {OBJECTIVE: float(objective)}) | found

@@ -46,6 +46,15 @@ class Job(NamedTuple):
     results: dict[str, Any]  # of results.json; {"error": reason} if it failed, {} if it did not finish
     errors: tuple[RunError, ...] | None = None  # by run; None: in its folder
 
+    @property
+    def finished(self) -> bool:
+        return "boats" in self.results
+
+    @property
+    def failure(self) -> str:
+        """Why it has no results; "" if it has."""
+        return "" if self.finished else self.results.get("error", "did not finish")
+
 
 class Lane(NamedTuple):
     """A job that was run as a lane."""

@@ -22,7 +22,7 @@ from usvlearn.sweeps.jobs import Job, jobs, noted_sweep
 from usvlearn.sweeps.panels import sweep_figure
 from usvlearn.sweeps.seeds import SEED
 from usvlearn.sweeps.standings import Standing, standings
-from usvlearn.sweeps.table import error, printed, result_table
+from usvlearn.sweeps.table import printed, result_table
 
 FOLDER, TABLE, TEXT, FIGURE = "leaderboard", "leaderboard.csv", "leaderboard.md", "leaderboard.png"
 
@@ -40,7 +40,7 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
     """
     found, note = jobs(folder, load), noted_sweep(folder)
     keys = differing([job.settings for job in found])
-    done = [job.results for job in found if "boats" in job.results]
+    done = [job.results for job in found if job.finished]
     by = ranked_by(objective or note.objective or own_objective(done), note.swept or keys, done)
     if objective is not None and by is not None and not any(map(by.known, done)):
         raise ConfigError(
@@ -52,7 +52,7 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
     keys = [key for key in keys if key != SEED]
     console().print(printed(folder, ranks, keys, by))
     write_leaderboard(folder, found, ranks, by)
-    return not any(map(error, found))
+    return all(job.finished for job in found)
 
 
 def write_leaderboard(

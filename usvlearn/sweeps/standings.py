@@ -38,7 +38,7 @@ class Standing(NamedTuple):
     @property
     def failed(self) -> list[Job]:
         """The jobs that did not finish."""
-        return [job for job in self.jobs if "boats" not in job.results]
+        return [job for job in self.jobs if not job.finished]
 
 
 def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[str, str]) -> list[Standing]:
@@ -97,7 +97,7 @@ def same(one: str | None, other: str | None) -> bool:
 
 
 def _standing(settings: dict[str, str], jobs: Sequence[Job], measure: Measure | None) -> Standing:
-    done = [job.results for job in jobs if "boats" in job.results]
+    done = [job.results for job in jobs if job.finished]
     values = [each.get("objective") for each in done]
     known = [x for x in values if x is not None and x == x]
     whole = bool(known) and len(known) == len(values)
@@ -136,7 +136,7 @@ def _own(standing: Standing) -> Measure:
 
 def _cells(standing: Standing, measure: Measure | None) -> dict:
     errors: dict[str, Sequence[RunError]] = {
-        job.settings.get(SEED, ""): errors_of(job) for job in standing.jobs if "boats" in job.results
+        job.settings.get(SEED, ""): errors_of(job) for job in standing.jobs if job.finished
     }
     return cells(errors, measure or _own(standing))
 

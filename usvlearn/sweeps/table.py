@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
@@ -11,6 +10,7 @@ from rich.console import Group
 from rich.text import Text
 
 from certify.rounding import above
+from certify.sweep_rows import short_keys
 from usvlearn.errors import printable
 from usvlearn.evaluation.measure import SKILL, Measure, measure_of
 from usvlearn.evaluation.metrics import mean, mean_mae
@@ -38,7 +38,7 @@ def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -
     columns = ("rank", "job", *keys, "measure", "unit", *numbers, "contracting", "rate", *maes, "error")
     rows = []
     for rank, each in enumerate(found, 1):
-        done = [job for job in each.jobs if not error(job)]
+        done = [job for job in each.jobs if job.finished]
         measure = next((str(job.results.get("measure", "")) for job in done), "")
         diff = each.difference
         rows.append((
@@ -46,7 +46,7 @@ def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -
             measure_of(measure or None, "output").unit, each.value, each.deviation, len(done), each.reference,
             *((None,) * 3 if diff is None else (diff.mean, diff.low, diff.high)), diff and diff.tie, each.seconds,
             each.contracting, each.rate, *(mean(_maes(job).get(name) for job in done) for name in names),
-            "; ".join(dict.fromkeys(error(job) for job in each.failed)),
+            "; ".join(dict.fromkeys(job.failure for job in each.failed)),
         ))  # fmt: skip
     return ResultTable("leaderboard", columns, rows)
 
@@ -60,7 +60,7 @@ def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measur
     """
     shown = [each for each in found if each.done]
     most = max((each.done for each in shown), default=0)
-    heads, values = _short(keys), [_value(each, most) for each in shown]
+    heads, values = short_keys(keys), [_value(each, most) for each in shown]
     differ = any(each.difference is not None for each in shown)
     compared = [_difference(each, measure) for each in shown]
     networks = _networks_differ(shown, measure)
@@ -81,7 +81,9 @@ def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measur
     lines = [*_sentences(shown, measure, keys), *([CONTRACTION] if networks else [])]
     for job in (job for each in found for job in each.failed):
         what = "failed" if "error" in job.results else "not finished"
-        lines.append(f"{what}: job {label(folder, job)}, {short_settings(job.settings, keys)}: {printable(error(job))}")
+        lines.append(
+            f"{what}: job {label(folder, job)}, {short_settings(job.settings, keys)}: {printable(job.failure)}"
+        )
     return Group(*([table] if shown else []), *map(Text, lines))
 
 
@@ -90,25 +92,8 @@ def label(folder: Path, job: Job) -> str:
     return job.folder.relative_to(folder).as_posix()
 
 
-def error(job: Job) -> str:
-    """Why a job has no results; "" if it has."""
-    return "" if "boats" in job.results else job.results.get("error", "did not finish")
-
-
 def _maes(job: Job) -> dict[str, float]:
     return mean_mae(job.results.get("boats", {}))
-
-
-def _short(keys: Sequence[str]) -> list[str]:
-    """The last part of each key, or two parts where several end alike.
-
-    >>> _short(["estimators.rnn.neurons", "estimators.aid.gain", "estimators.rnn.gain"])
-    ['neurons', 'aid.gain', 'rnn.gain']
-    """
-    last = Counter(key.rpartition(".")[2] for key in keys)
-    return [
-        key.rpartition(".")[2] if last[key.rpartition(".")[2]] == 1 else ".".join(key.split(".")[-2:]) for key in keys
-    ]
 
 
 def _numbers(folder: Path, jobs: Sequence[Job]) -> str:

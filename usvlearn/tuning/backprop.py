@@ -31,7 +31,7 @@ from usvlearn.estimator import Estimator, clean
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.rollouts import rollout, tensors
 from usvlearn.signals import PLAUSIBLE, Fleet, Sample, masks, tree_map
-from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, fleet_mae
+from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, lane_errors
 
 EPOCH_COST, PASS_COST = 3, 1  # evaluations: forward and backward through all samples; forward alone
 RATE, WEIGHT_RATE = 0.1, 0.003  # Adam's, on the scale, and for initial weights; they fall to 0 at the last window
@@ -250,7 +250,8 @@ class _Learner:
                   for each, leaf in zip(self.numbers, self.leaves, strict=False)])  # fmt: skip
         starts: list[Any] = []
         advance = self.objective.advance
-        maes = fleet_mae(self.estimator, self.objective.fleet, (), lambda share: advance(cost * share), starts.append)
+        fleet = self.objective.fleet
+        maes = lane_errors(self.estimator, fleet, (), lambda share: advance(cost * share), starts.append).mae
         for each in self.networks:
             setting[pretrained(each.path)] = self._save(each, self._weights(each))
         return _Evaluated(

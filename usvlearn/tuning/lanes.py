@@ -230,18 +230,6 @@ def lane_errors(
     return LaneErrors(*made, state.members["member"] if measure.kind == FORECAST else state)
 
 
-def fleet_mae(
-    estimator: Estimator,
-    fleet: Fleet,
-    settings: Sequence[int] = (),
-    advance: Callable[[float], None] = lambda share: None,
-    at_run: Callable[[Any], None] = lambda state: None,
-    measure: Measure = NEXT,
-) -> Tensor:
-    """MAE of each setting and boat, m/s, `(*settings, boats)`; arguments as of `lane_errors`."""
-    return lane_errors(estimator, fleet, settings, advance, at_run, measure).mae
-
-
 class Objective:
     """Evaluates settings of one estimator over a fleet, as lanes.
 
@@ -271,7 +259,7 @@ class Objective:
             part = settings[begin : begin + self.batch]
             estimator = self.build({path: [[setting[path]] for setting in part] for path in part[0]})
             advance = partial(self._advance, len(part))
-            maes = fleet_mae(estimator, self.fleet, (len(part),), advance, measure=self.measure)
+            maes = lane_errors(estimator, self.fleet, (len(part),), advance, measure=self.measure).mae
             found += [Evaluation(setting, tuple(row)) for setting, row in zip(part, maes.tolist(), strict=True)]
         return found
 

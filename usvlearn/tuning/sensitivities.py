@@ -33,7 +33,7 @@ from usvlearn.errors import ConfigError, check_choice
 from usvlearn.estimator import Estimator
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.tuning.backprop import STARTS, Fitted
-from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting, fleet_mae
+from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting, lane_errors
 
 COST = 3  # evaluations for each hyperparameter and pass
 FIRST = 1.0  # length of the first step, along each scale
@@ -47,14 +47,14 @@ MIXING |= {name for each in ("add", "sub", "mul", "div", "truediv") for name in 
 
 
 class _FleetMae(nn.Module):
-    """`fleet_mae` as a module's forward, so that dual numbers can replace its parameters."""
+    """The MAE of `lane_errors` as a module's forward, so that dual numbers can replace its parameters."""
 
     def __init__(self, estimator: Estimator):
         super().__init__()
         self.estimator = estimator
 
     def forward(self, *arguments) -> Tensor:
-        return fleet_mae(self.estimator, *arguments)
+        return lane_errors(self.estimator, *arguments).mae
 
 
 class _AllDual(TorchFunctionMode):
