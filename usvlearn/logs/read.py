@@ -16,6 +16,7 @@ from typing import Protocol
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, under
 from usvlearn.logs.channel import AUTO, CHANNELS, REQUIRED, Channel, Recording, Source
 from usvlearn.logs.copies import settle_period
+from usvlearn.logs.series import Series
 
 SOURCE_KEYS = tuple(field.name for field in fields(Source))
 
@@ -26,6 +27,8 @@ class Reader(Protocol):
     suffixes: tuple[str, ...]
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]: ...
+
+    def survey(self, path: Path) -> list[Series]: ...
 
 
 def read_recordings(
