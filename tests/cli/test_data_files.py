@@ -1,0 +1,70 @@
+"""`data=FILE.yaml`: a configuration of one's own boat, wherever it lies."""
+
+import json
+
+import pytest
+
+import usvlearn
+from tests.support.commands import GOOD, run, sentence
+from usvlearn.cli import train
+
+BOAT = """\
+# @package _global_
+vehicle: {mass: 20.0, surge_max: 3.0}
+data:
+  _target_: usvlearn.logs.read.read_recordings
+  _convert_: all
+  path: log.csv
+  boat: null
+  reader: {_target_: usvlearn.logs.csv_table.Table, time: time}
+  channels:
+    command_left: {name: L}
+    command_right: {name: R}
+    heading: {name: heading, unit: deg}
+    surge: {name: speed, unit: m/s}
+"""
+
+
+@pytest.fixture
+def mine(tmp_path):
+    (tmp_path / "log.csv").write_text(GOOD)
+    (tmp_path / "boats" / "of mine").mkdir(parents=True)
+    for name in ("my_boat.yaml", "boats/of mine/my_boat.yaml"):
+        (tmp_path / name).write_text(BOAT)
+    return tmp_path
+
+
+@pytest.mark.parametrize("place", ["my_boat.yaml", "./my_boat.yaml", "{}/my_boat.yaml", "'boats/of mine/my_boat.yaml'"])
+def test_a_file_anywhere_configures_the_data(mine, monkeypatch, place):
+    monkeypatch.chdir(mine)
+    logs = usvlearn.read(data=place.format(mine))
+    assert logs.boats == ("log",) and logs.settings["vehicle"]["mass"] == 20.0
+
+
+def test_a_run_and_a_sweep_use_it(mine):
+    done = run("data=my_boat.yaml", "hydra.run.dir=run", folder=mine)
+    assert done.returncode == 0, done.stderr
+    assert "log" in json.loads((mine / "run" / "results.json").read_text())["boats"]
+    done = run("-m", "data=my_boat.yaml", "estimators.aid.gain=1,2", "hydra.sweep.dir=sweep", folder=mine)
+    assert done.returncode == 0, done.stderr
+    assert (mine / "sweep" / "1" / "results.json").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (None, ["data: found 'here/other.yaml', but there is no such file"]),
+        ("data: [\n", ["other.yaml, line 2: is not legal YAML"]),
+        ("- 1\n", ["other.yaml: expected keys such as data"]),
+        ("\x80", ["other.yaml", "is no text in UTF-8"]),
+        ("data: {_target_: os.system, command: ls}", ["data._target_: found 'os.system'", "--config-dir"]),
+        ("data: {path: '${oc.env:HOME}'}", ["data.path: found '${oc.env:HOME}'", "--config-dir"]),
+    ],
+)
+def test_a_bad_file_is_told_in_one_sentence(tmp_path, monkeypatch, capsys, text, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "here").mkdir()
+    if text is not None:
+        (tmp_path / "here" / "other.yaml").write_text(text, encoding="latin-1")
+    told = sentence(train.main, ["data=here/other.yaml"], monkeypatch, capsys)
+    assert all(word in told for word in words), told
