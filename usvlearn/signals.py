@@ -91,6 +91,7 @@ class Run(NamedTuple):
     samples: Sample  # leaves (time, *batch)
     names: tuple[str, ...]  # the run's name per boat; "" for a boat that had no such run
     lengths: tuple[int, ...]  # steps per boat; the steps after them are padding, never fresh
+    position: np.ndarray | None = None  # (time, boats, 2) m north and east of the first; NaN where unknown
 
 
 class Fleet(NamedTuple):

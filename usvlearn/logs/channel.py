@@ -15,10 +15,14 @@ import numpy as np
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 
 LISTED, QUOTED = 60, 60  # names in an error, and characters of one
-CHANNELS = ("command_left", "command_right", "heading", "yaw_rate", "surge")
+COMMANDS, SURGE = ("command_left", "command_right"), "surge"
+CHANNELS = (*COMMANDS, "heading", "yaw_rate", SURGE)
 SLOWEST = 10.0  # s, the longest period
 AUTO = "auto"  # a period that is found from the logs
 REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be computed from the heading
+VELOCITIES, COURSES = ("velocity_north", "velocity_east"), ("ground_speed", "course")
+DEGREES, METRES = ("latitude", "longitude"), ("north", "east")
+AUXILIARY = (*VELOCITIES, *COURSES, *DEGREES, *METRES)  # the surge can be computed from a pair, and a track drawn
 
 # unit -> (factor, offset): SI value = factor * value + offset
 UNITS = {
@@ -27,6 +31,9 @@ UNITS = {
     "m/s": (1.0, 0.0),
     "km/h": (1 / 3.6, 0.0),
     "knots": (1852 / 3600, 0.0),
+    "cm/s": (0.01, 0.0),
+    "mm/s": (0.001, 0.0),
+    "m": (1.0, 0.0),
     "rad": (1.0, 0.0),
     "deg": (math.pi / 180, 0.0),
     "rad/s": (1.0, 0.0),
@@ -38,6 +45,17 @@ UNITS = {
 }
 
 
+SPEEDS, ANGLES = ("m/s", "km/h", "knots", "cm/s", "mm/s"), ("rad", "deg", "enu_rad", "enu_deg")
+OWN_UNITS = {  # channel -> the units that it may have, beside "1" for SI
+    **dict.fromkeys(("command_left", "command_right"), ("percent",)),
+    **dict.fromkeys(("heading", "course"), ANGLES),
+    "yaw_rate": ("rad/s", "deg/s", "enu_rad/s", "enu_deg/s"),
+    **dict.fromkeys(("surge", "ground_speed", *VELOCITIES), SPEEDS),
+    **dict.fromkeys(DEGREES, ("deg", "rad")),
+    **dict.fromkeys(METRES, ("m",)),
+}
+
+
 @dataclass(frozen=True)
 class Source:
     """The place of a channel in a log, and the conversion of its numbers to SI units.
@@ -45,8 +63,8 @@ class Source:
     value_SI = factor(unit) * (value - zero) / span, plus the unit's offset.
 
     Args:
-        name: column (CSV), variable (MOOS) or topic (ROS); `*` matches anything, as in `*left_thruster`.
-        field: field of a ROS message, dotted; several, comma-separated, give their Euclidean norm.
+        name: column (CSV), variable (MOOS), topic (ROS) or message; `*` matches anything, as in `*left_thruster`.
+        field: field of a message, dotted; several, comma-separated, give their Euclidean norm.
         unit: one of `UNITS`.
         zero: raw value that means zero.
         span: raw distance from zero to full scale (commands) or 1; a negative one reverses a side.

@@ -9,16 +9,26 @@ import os
 import re
 import warnings
 from collections.abc import Mapping
-from dataclasses import fields
 from pathlib import Path
 from typing import Protocol
 
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, under
-from usvlearn.logs.channel import AUTO, CHANNELS, REQUIRED, Channel, Recording, Source
+from usvlearn.logs.channel import (
+    AUTO,
+    AUXILIARY,
+    CHANNELS,
+    COMMANDS,
+    OWN_UNITS,
+    REQUIRED,
+    SURGE,
+    Channel,
+    Recording,
+    Source,
+)
 from usvlearn.logs.copies import settle_period
+from usvlearn.logs.derived_surge import PAIRS_TOLD, derived_surge, pair_of
+from usvlearn.logs.mixing import PER_NAME, SOURCE_KEYS, Mix, listed, mixed, parts_of
 from usvlearn.logs.series import Series
-
-SOURCE_KEYS = tuple(field.name for field in fields(Source))
 
 
 class Reader(Protocol):
@@ -34,7 +44,7 @@ class Reader(Protocol):
 def read_recordings(
     path: str | os.PathLike | Mapping[str, str | os.PathLike],
     reader: Reader,
-    channels: Mapping[str, Source | Mapping | None],
+    channels: Mapping[str, Source | Mix | Mapping | None],
     boat: str | None = None,
 ) -> list[Recording]:
     """Read all logs of one boat, or of several.
@@ -45,7 +55,9 @@ def read_recordings(
     Args:
         path: a log; a folder, with all logs below it; a pattern such as `logs/*/run_?.csv`; or boat -> path.
         reader: reads one log.
-        channels: channel -> a Source or its arguments; None, or a name of None, means not logged.
+        channels: channel -> a Source or its arguments; None, or a name of None, means not logged. A command may have
+            several names (`usvlearn.logs.mixing`). Without a surge, it is computed from other channels
+            (`usvlearn.logs.ground_speed`).
         boat: the boat's name; default the name of the log or folder, without suffix.
 
     Raises:
@@ -88,14 +100,19 @@ def read_recordings(
         raise unread[0]
     for each in unread:
         warnings.warn(f"log left out: {each}", stacklevel=2)
+    if SURGE not in sources:
+        pair = " and ".join(pair_of(sources) or ())
+        warnings.warn(f"{boat}: no speed is configured: the surge is computed from {pair}", stacklevel=2)
     return settle_period(str(boat), recordings)
 
 
-def _read(file: Path, root: Path, reader: Reader, sources: dict[str, Source], boat: str) -> Recording:
+def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str) -> Recording:
     try:
         if file.stat().st_size == 0:
             raise LogFormatError(f"{file}: expected a log, found an empty file: remove it")
-        channels, dropped = reader.read(file, sources)
+        channels, dropped = mixed(sources, *reader.read(file, parts_of(sources)))
+        if SURGE not in channels:
+            channels[SURGE], dropped[SURGE] = derived_surge(str(file), channels)
     except OSError as error:
         raise LogFormatError(
             f"{file}: expected a readable file, found: {error.strerror or error}: fix its permissions"
@@ -149,42 +166,62 @@ def _natural(path: Path) -> list[list]:
     return [[int(piece) if place % 2 else piece for place, piece in enumerate(part)] for part in parts]
 
 
-def _sources(channels: Mapping[str, Source | Mapping | None]) -> dict[str, Source]:
+def _sources(channels: Mapping[str, Source | Mix | Mapping | None]) -> dict[str, Source | Mix]:
     """The channels that are logged, checked."""
+    known = (*CHANNELS, *AUXILIARY)
     for name in channels:
-        if name not in CHANNELS:
-            hint = did_you_mean(name, CHANNELS)
-            raise ConfigError(f"data.channels: found {name!r}, expected channels among {', '.join(CHANNELS)}{hint}")
+        if name not in known:
+            hint = did_you_mean(name, known)
+            raise ConfigError(f"data.channels: found {name!r}, expected channels among {', '.join(known)}{hint}")
     sources = {
         name: source
-        for name in CHANNELS
+        for name in known
         if (source := _source(name, channels[name] if name in channels else None)) is not None
     }
     for name in REQUIRED:
-        if name not in sources:
+        if name not in sources and (name != SURGE or pair_of(sources) is None):
+            more = f", or {PAIRS_TOLD}" if name == SURGE else ""
             raise ConfigError(
-                f"data.channels: found no {name}, expected {', '.join(REQUIRED)}: set data.channels.{name}.name"
+                f"data.channels: found no {name}, expected {', '.join(REQUIRED)}: set data.channels.{name}.name{more}"
             )
     return sources
 
 
-def _source(channel: str, given: Source | Mapping | None) -> Source | None:
+def _source(channel: str, given: Source | Mix | Mapping | None) -> Source | Mix | None:
     key = f"data.channels.{channel}"
-    if given is None or isinstance(given, Source):
-        return given
-    if not isinstance(given, Mapping):
+    if isinstance(given, Mapping):
+        given = _described(channel, given, key)
+    elif given is not None and not isinstance(given, Source | Mix):
         raise ConfigError(f"{key}: found {given!r}, expected {{name: ..., unit: ...}}")
+    own = ("1", *OWN_UNITS[channel])
+    for part in given.parts if isinstance(given, Mix) else [given] if given else []:
+        if part.unit not in own:
+            raise ConfigError(f"{key}.unit: found {part.unit!r}, expected one of {', '.join(own)}, where 1 means SI")
+    return given
+
+
+def _described(channel: str, given: Mapping, key: str) -> Source | Mix | None:
+    """A source from its arguments."""
+    names = listed(given.get("name"))
+    if names is not None and channel not in COMMANDS:
+        raise ConfigError(f"{key}.name: found a list, expected one name: several are for {' and '.join(COMMANDS)}")
     for name, value in given.items():
         if name not in SOURCE_KEYS:
             hint = did_you_mean(name, SOURCE_KEYS)
             raise ConfigError(f"{key}: found {name!r}, expected keys among {', '.join(SOURCE_KEYS)}{hint}")
         numeric = name in ("zero", "span", "window", "delay") or (name == "period" and value != AUTO)
-        if numeric and (isinstance(value, bool) or not isinstance(value, int | float)):
-            expected = f"a time in s, or {AUTO}" if name == "period" else "a number"
-            raise ConfigError(f"{key}.{name}: found {value!r}, expected {expected}")
+        values = listed(value) if names and name in PER_NAME else None
+        for each in [value] if values is None else values:
+            if numeric and (isinstance(each, bool) or not isinstance(each, int | float)):
+                expected = f"a time in s, or {AUTO}" if name == "period" else "a number"
+                raise ConfigError(f"{key}.{name}: found {each!r}, expected {expected}")
         if name == "held" and not isinstance(value, bool):
             raise ConfigError(f"{key}.held: found {value!r}, expected true or false")
-    if given.get("name") in (None, "", "???"):
+    if given.get("name") in (None, "", "???", []):
         return None
     with under(key, given):
-        return Source(**{**given, "name": str(given["name"])})
+        if names is not None:
+            return Mix.of({**given, "name": [str(name) for name in names]})
+        if given.get("weight") is not None:
+            raise ConfigError(f"weight: found {given['weight']!r}, expected none, since there is one name")
+        return Source(**{**{k: v for k, v in given.items() if k != "weight"}, "name": str(given["name"])})

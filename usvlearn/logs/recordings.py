@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, under
 from usvlearn.logs.align import Aligned, align
-from usvlearn.logs.channel import Recording
+from usvlearn.logs.channel import CHANNELS, Recording
+from usvlearn.logs.positions import track
 from usvlearn.signals import Fleet, Inputs, Run, Sample, tree_map
 
 SHORTEST = 3  # least number of samples in a run
@@ -25,14 +27,15 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     Raises:
         LogFormatError: no run has three samples. A shorter run beside longer ones is left out with a warning.
     """
-    boats: dict[str, list[tuple[str, Aligned]]] = {}
+    boats: dict[str, list[Lane]] = {}
     rejected: dict[str, dict[str, dict[str, int]]] = {}
     short = []
     for recording in recordings:
         if recording.boat in ("", ".", "..") or set(recording.boat) & set("/\\"):
             raise ConfigError(f"data.boat: found the name {recording.boat!r}, expected one that can name a folder")
         with under("align", options):
-            aligned = align(recording.channels, **options)
+            used = {name: recording.channels[name] for name in CHANNELS if name in recording.channels}
+            aligned = align(used, **options)
         counts = rejected.setdefault(recording.boat, {})
         found = [
             (channel, cause, count)
@@ -48,7 +51,8 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
         if steps < SHORTEST:
             short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
         else:
-            boats.setdefault(recording.boat, []).append((recording.run, aligned))
+            position = track(recording.channels, aligned.time)
+            boats.setdefault(recording.boat, []).append(Lane(recording.run, aligned, position))
     if not boats:
         raise LogFormatError(
             f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
@@ -61,10 +65,18 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     return Fleet(tuple(boats), tuple(runs), rejected)
 
 
-def _side_by_side(lanes: list[tuple[str, Aligned] | None]) -> Run:
+class Lane(NamedTuple):
+    """A run of one boat."""
+
+    name: str
+    aligned: Aligned
+    position: np.ndarray | None  # (time, 2) m
+
+
+def _side_by_side(lanes: list[Lane | None]) -> Run:
     """One run per boat, padded to the longest with samples that are neither fresh nor measured."""
-    lengths = [0 if lane is None else len(lane[1].time) for lane in lanes]
-    longest = max((lane[1] for lane in lanes if lane is not None), key=lambda aligned: len(aligned.time))
+    lengths = [0 if lane is None else len(lane.aligned.time) for lane in lanes]
+    longest = max((lane.aligned for lane in lanes if lane is not None), key=lambda aligned: len(aligned.time))
     shape = (max(lengths), len(lanes))
 
     def empty(fill) -> np.ndarray:
@@ -77,13 +89,17 @@ def _side_by_side(lanes: list[tuple[str, Aligned] | None]) -> Run:
         empty(False),
         empty(False),
     )
-    time = empty(np.nan)
+    time, position = empty(np.nan), np.full((*shape, 2), np.nan)
     for lane, one in enumerate(lanes):
         if one is not None:
-            (_, aligned), part = one, (slice(lengths[lane]), lane)
-            time[part] = aligned.time - aligned.time[0]
-            tree_map(lambda whole, x, part=part: whole.__setitem__(part, x), padded, aligned.samples)
-    return Run(time, padded, tuple("" if lane is None else lane[0] for lane in lanes), tuple(lengths))
+            part = slice(lengths[lane]), lane
+            time[part] = one.aligned.time - one.aligned.time[0]
+            tree_map(lambda whole, x, part=part: whole.__setitem__(part, x), padded, one.aligned.samples)
+            if one.position is not None:
+                position[part] = one.position
+    names = tuple("" if lane is None else lane.name for lane in lanes)
+    known = any(lane is not None and lane.position is not None for lane in lanes)
+    return Run(time, padded, names, tuple(lengths), position if known else None)
 
 
 def _causes(rejected: dict[str, dict[str, int]]) -> str:
