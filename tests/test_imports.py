@@ -12,13 +12,14 @@ import pytest
 from tests.support import ROOT
 
 # module prefix -> what of ours, and which heavy packages, it may import (anywhere, or at its top level)
-LIGHT = {"usvlearn.signals", "usvlearn.errors"}
+LIGHT = {"usvlearn.signals", "usvlearn.errors", "usvlearn.activity"}
 KERNELS = {"usvlearn.jit", "usvlearn.family", "usvlearn.arrays", "usvlearn.rows"}
 LEARNS = LIGHT | {"usvlearn.estimator", "usvlearn.estimators", "usvlearn.hyper", "usvlearn.rollouts",
                   "usvlearn.checkpoint", "usvlearn.figures"}  # fmt: skip
 OURS = {
     "certify": {"certify"},
     "usvlearn.errors": set(),
+    "usvlearn.activity": set(),
     "usvlearn.signals": {"usvlearn.errors"},
     "usvlearn.checkpoint": LIGHT,
     "usvlearn.lock": LIGHT,

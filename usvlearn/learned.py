@@ -224,10 +224,10 @@ class Learned:
 
     def __repr__(self) -> str:
         from usvlearn.evaluation.members import explained, remarks
-        from usvlearn.report.tables import report
+        from usvlearn.report.tables import alarm_lines, error_tables, rejection_table
 
-        judged = self.scores, self.logs.rejected, self.alarms, remarks(self.ensemble), explained(self.ensemble)
-        return _printed(report(*judged, self.forecast))
+        tables = error_tables(self.scores, remarks(self.ensemble), explained(self.ensemble), self.forecast)
+        return _printed(rejection_table(self.logs.rejected), tables, "\n".join(alarm_lines(self.alarms)))
 
 
 def check_logs(logs: AlignedLogs) -> AlignedLogs:

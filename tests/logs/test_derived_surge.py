@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.logs.test_readers import refused, write
+from tests.support.files import refused, write
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.csv_table import Table
 from usvlearn.logs.derived_surge import filtered

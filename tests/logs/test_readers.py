@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support import ROOT
+from tests.support.files import refused, write
 from usvlearn.errors import ConfigError, LogFormatError, MissingExtraError
 from usvlearn.logs.alog import Alog
 from usvlearn.logs.channel import Source
@@ -15,25 +16,10 @@ from usvlearn.logs.csv_table import Table
 from usvlearn.logs.rosbag import Rosbag, yaw
 
 
-def write(path: Path, text: str, encoding: str = "utf-8") -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(text.encode(encoding, "surrogateescape"))
-    return path
-
-
 def one(reader, path, **source):
     """The channel `surge` of a log, and what was dropped of it."""
     channels, dropped = reader.read(path, {"surge": Source(**source)})
     return channels["surge"], dropped["surge"]
-
-
-def refused(error, function, *args, **kwargs) -> str:
-    """The one-line message with which a call fails."""
-    with pytest.raises(error) as caught:
-        function(*args, **kwargs)
-    message = str(caught.value)
-    assert "\n" not in message and len(message) < 600
-    return message
 
 
 # ---------------------------------------------------------------- CSV

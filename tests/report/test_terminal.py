@@ -6,16 +6,19 @@ import pty
 import re
 import subprocess
 import sys
+import time
 from collections import Counter
 
 import numpy as np
 import pytest
-from rich.console import Console
+from rich.console import Console, Group
 
 from tests.support import ROOT, over
+from usvlearn.activity import doing
 from usvlearn.estimators.joint.reading import Identified, Quantity
 from usvlearn.evaluation.metrics import scores
-from usvlearn.report.tables import identified_table, report, tuning_table
+from usvlearn.report.activity_bar import Activity
+from usvlearn.report.tables import error_tables, identified_table, rejection_table, tuning_table
 from usvlearn.report.terminal import Blocks, console
 
 WIDTHS = [60, 80, 100, 160]
@@ -51,9 +54,9 @@ def test_the_tables_of_a_run_are_whole(count, name, width):
         "heading": {"lost": 3},
     }
     rejected = dict.fromkeys(boats, channels)
-    lines = printed(report(boats, rejected, {}, REMARKS), width)
+    lines = printed(Group(rejection_table(rejected), error_tables(boats, REMARKS)), width)
     assert max(map(len, lines)) <= width and "…" not in "".join(lines)
-    whole = printed(report(boats, rejected, {}, REMARKS), 10_000)
+    whole = printed(Group(rejection_table(rejected), error_tables(boats, REMARKS)), 10_000)
     assert max(map(len, whole)) > width or width >= 100 or count == 1
     for text in (lines, whole):
         words = " ".join(text).split()
@@ -144,3 +147,22 @@ def test_what_eight_boats_are_fits_the_terminal(width):
     one = "\n".join(printed(identified_table({"heron1": boats["heron1"]}, {"heron1": {"time_constant": 1.5}}), width))
     assert "truth" in one and "1.50" in one
     assert "".join(printed(identified_table({}), width)) == ""
+
+
+def test_the_line_of_activity_shows_what_is_done_and_leaves_nothing():
+    shown = io.StringIO()
+    with Activity(Console(file=shown, force_terminal=True, width=80, legacy_windows=False)) as activity:
+        doing("reading a\x1b[2J.csv, 1 of 3")
+        time.sleep(0.5)  # it is drawn ten times a second
+        activity.begin("replaying", total=4)
+        activity.advance(1)
+        activity.completed(4)
+        assert activity.done == 4
+    text = shown.getvalue()
+    assert "reading a\\x1b[2J.csv, 1 of 3" in text and "100%" in text
+    assert text.endswith("\x1b[1A\x1b[2K")  # the line is erased
+    file = io.StringIO()
+    with Activity(Console(file=file)):
+        doing("reading")
+    assert file.getvalue() == ""
+    doing("nobody shows this")

@@ -10,7 +10,6 @@ from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
-from rich.progress import Progress
 
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
@@ -20,7 +19,8 @@ from usvlearn.cli.sweep import do_job
 from usvlearn.errors import check_positive
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report import terminal
-from usvlearn.report.tables import identified_table, report, summary_lines
+from usvlearn.report.activity_bar import Activity
+from usvlearn.report.tables import alarm_lines, error_tables, identified_table, rejection_table, summary_lines
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
@@ -56,8 +56,10 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     save_minutes = check_positive("save_minutes", cfg.save_minutes, "of min")
     save_every = max(1, round(60 * save_minutes / check_positive("align.dt", cfg.align.dt)))
     ensemble = ensemble_of(cfg)
-    with console.status("reading and aligning"):
+    with Activity(console):
         fleet = align_fleet(instantiate(cfg.data), **cfg.align)
+    if (rejected := rejection_table(fleet.rejected)) is not None:
+        console.print(rejected)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
     run = RunFolder(
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts
@@ -68,25 +70,22 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         folder / TENSORBOARD, fleet, ensemble, start.position, what_differs(overrides), truth, log,
         described(cfg, overrides), alone=not console.quiet,
     )  # fmt: skip
-    with run, logger, Progress(console=console) as progress:
-        bar = progress.add_task("replaying", total=fleet.steps)
+    with run, logger, Activity(console) as activity:
+        activity.begin("replaying", total=fleet.steps)
         chunks = replay(ensemble, fleet, start.state, start.position, logger.every, save_every)
         for chunk in until_stopped(chunks, lambda: run.stop(ensemble, began)):
             run.save(chunk)
             logger.show(chunk)
-            progress.update(bar, completed=fleet.steps_before(*chunk.end))
+            activity.tell(f"replaying run {chunk.end.run + 1} of {len(fleet.runs)}")
+            activity.completed(fleet.steps_before(*chunk.end))
+        activity.begin("scoring")
         found = run.finish(ensemble, began, truth)
         networks = stability(ensemble, run.state, fleet.boats)
         logger.finish(settings, found, run.published, networks)
-    judged = found["boats"], fleet.rejected, found["alarms"], remarks(ensemble), explained(ensemble)
-    console.print(report(*judged, found.get("forecast")))
+    console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast")))
     console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
-    console.print(
-        *networks,
-        *summary_lines(found, folder),
-        sep="\n",
-        soft_wrap=True,
-    )
+    console.print(*alarm_lines(found["alarms"]), *networks, "", sep="\n")
+    console.print(*summary_lines(found, folder), sep="\n", soft_wrap=True)
     return found["objective"]
 
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
+from usvlearn.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, under
 from usvlearn.logs.channel import (
     AUTO,
@@ -91,7 +92,8 @@ def read_recordings(
     if boat is None:
         boat = files[0].stem if len(files) == 1 and Path(path).expanduser().is_file() else root.resolve().name
     recordings, unread = [], []
-    for file in files:
+    for number, file in enumerate(files, 1):
+        doing(f"reading {file.name}" + (f", {number} of {len(files)}" if len(files) > 1 else ""))
         try:
             recordings.append(_read(file, root, reader, sources, str(boat)))
         except LogFormatError as error:

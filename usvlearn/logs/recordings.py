@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, under
 from usvlearn.logs.align import Aligned, align
 from usvlearn.logs.channel import CHANNELS, Recording
@@ -34,6 +35,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
         if recording.boat in ("", ".", "..") or set(recording.boat) & set("/\\"):
             raise ConfigError(f"data.boat: found the name {recording.boat!r}, expected one that can name a folder")
         with under("align", options):
+            doing(f"aligning {recording.boat}, run {recording.run}")
             used = {name: recording.channels[name] for name in CHANNELS if name in recording.channels}
             aligned = align(used, **options)
         counts = rejected.setdefault(recording.boat, {})

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.console import Console
-from rich.progress import Progress
 
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
 from usvlearn.lock import Lock
+from usvlearn.report.activity_bar import Activity
 from usvlearn.report.assembly import assemble, best_start, facts, simulations
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.section import Section
@@ -61,7 +61,7 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
         forecasts = last.get("forecasts") and tools.instantiate(last["forecasts"])
         output = str(last["output"]).partition(".")[0] if last.get("output") else None  # older ones named a measure
         ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, output, forecasts=forecasts)
-        with tools.console.status("reading and aligning"):
+        with Activity(tools.console):
             fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
     except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:
         what = f"{type(error).__name__}: {error}"
@@ -94,12 +94,10 @@ def evaluate(
             if not results(folder)
         ]
         ensemble, seasons, truth = read(folders, tools, data)
-        with Progress(console=tools.console) as progress:
-            bar = progress.add_task("simulating", total=simulations(ensemble, seasons))
+        with Activity(tools.console) as activity:
+            activity.begin("simulating each set on each run", total=simulations(ensemble, seasons))
             known = known_quantities(results(folders[-1])) if data is None else {}
-            sections, errors = assemble(
-                ensemble, seasons, truth, lambda steps: progress.update(bar, advance=steps), known
-            )
+            sections, errors = assemble(ensemble, seasons, truth, activity.advance, known)
         page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
     tools.say(f"report: {page}")
     return page

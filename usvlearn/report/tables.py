@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean_mae
 from usvlearn.identified import sentences
 from usvlearn.report.terminal import Blocks
 from usvlearn.runs.board_tags import label
-from usvlearn.runs.layout import TENSORBOARD
+from usvlearn.runs.layout import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",
@@ -116,23 +117,30 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
     return table
 
 
-def report(
+def error_tables(
     boats: Mapping[str, Mapping[str, Mapping]],
-    rejected: Mapping,
-    alarms: Mapping[str, Sequence],
     remarks: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
     forecast: Mapping[str, Any] | None = None,
 ) -> Group:
-    """All tables of a run for the console, with notes, and a line for each alarm."""
+    """The errors of a run, one step and further ahead, and notes on them."""
     fleet = fleet_table(boats, remarks) if len(boats) > 1 else None
-    tables = [rejection_table(rejected), score_table(boats, remarks), fleet, forecast_table(forecast or {})]
+    tables = [score_table(boats, remarks), fleet, forecast_table(forecast or {})]
+    return Group(*filter(None, tables), *map(Text, notes))
+
+
+def alarm_lines(alarms: Mapping[str, Sequence[Mapping]]) -> list[str]:
+    """A line for each alarm, below an empty one.
+
+    >>> alarm_lines({"heron": [{"run": "7", "time": 12.0, "side": "left"}], "otter": []})
+    ['', 'ALARM: heron, run 7, 12 s: the left thruster has lost thrust']
+    """
     lines = [
-        Text(f"alarm: {boat}, run {each['run']}, {each['time']:.0f} s: the {each['side']} thruster has lost thrust")
+        f"ALARM: {boat}, run {each['run']}, {each['time']:.0f} s: the {each['side']} thruster has lost thrust"
         for boat, raised in alarms.items()
         for each in raised
     ]
-    return Group(*filter(None, tables), *map(Text, notes), *lines)
+    return ["", *lines]
 
 
 def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mapping[str, float]] | None = None) -> Group:
@@ -173,18 +181,31 @@ def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
 
 
 def summary_lines(results: Mapping, folder: Path) -> list[str]:
-    """The last lines of a run: its result, and the command that shows it.
+    """The last lines of a run: its result, its folder, and the commands that show more.
 
-    >>> summary_lines({"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}, Path("run"))[1]
-    'To look at the run: tensorboard --logdir run/tensorboard and http://localhost:6006/?smoothing=0#timeseries'
+    >>> print(*summary_lines({"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}, Path("run")), sep="\\n")
+    MAE of ensemble: 0.0500 m/s; 2.0 s
+    files        run: results.json, errors.csv, predictions, checkpoints
+    report       python evaluate.py runs=run
+    TensorBoard  tensorboard --logdir run/tensorboard
+                 then http://localhost:6006/?smoothing=0#timeseries
     """
     measure, value = measure_of(results["measure"], ""), results["objective"]
-    found = f"{results['seconds']:.1f} s; {measure.title()}: {measure.shown(value)}"
     fleet = "&runFilter=fleet%2F" if len(results.get("boats", {})) > 1 else ""  # at first the means over boats
-    address = f"http://localhost:6006/?smoothing=0{fleet}#timeseries"
-    look = f"To look at the run: tensorboard --logdir {shlex.quote(str(folder / TENSORBOARD))} and {address}"
-    many = [TOGGLE] if fleet else []
-    return [f"{found}; results and parameter sets: {folder}", look, *many]
+    return [
+        f"{measure.title()}: {measure.shown(value)}; {results['seconds']:.1f} s",
+        f"files        {folder}: {RESULTS}, {ERRORS}, {PREDICTIONS}, {CHECKPOINTS}",
+        f"report       {program('evaluate')} runs={shlex.quote(str(folder))}",
+        f"TensorBoard  tensorboard --logdir {shlex.quote(str(folder / TENSORBOARD))}",
+        f"             then http://localhost:6006/?smoothing=0{fleet}#timeseries",
+        *([TOGGLE] if fleet else []),
+    ]
+
+
+def program(name: str) -> str:
+    """How another command is called, in the way in which this one was: `python evaluate.py` or `usvlearn evaluate`."""
+    installed = sys.argv[0].startswith("usvlearn ") and not sys.argv[0].endswith(".py")
+    return f"usvlearn {name}" if installed else f"python {name}.py"
 
 
 def tuning_table(title: str, rows: Sequence[tuple[str, str, Mapping]]) -> Blocks:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
+from usvlearn.activity import doing
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
@@ -308,6 +309,7 @@ class TensorBoardLogger:
                 self.fleet, self.ensemble, self.clocks, self.seasons, self.before_last, self.truth, self.everything
             )
             for figure in figures(replayed, data, alarms, published):
+                doing(f"drawing {figure.tag.partition('/')[2]} of {figure.boat}")
                 if (drawn := figure.draw()) is not None:
                     run = f"{self.folders[figure.boat]}/{self._names[self.ensemble.output]}"
                     self.board.figure(figure.tag, drawn, figure.step, run)

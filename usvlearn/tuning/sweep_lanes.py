@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.progress import Progress, TaskID
 
 from usvlearn.errors import under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
@@ -24,6 +23,7 @@ from usvlearn.evaluation.measure import COVERAGE, FORECAST, FREE, Measure, measu
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.networks import verdict
 from usvlearn.evaluation.ranking import named
+from usvlearn.report.activity_bar import Activity
 from usvlearn.signals import Fleet
 from usvlearn.sweeps.jobs import Lane, SweepNote
 from usvlearn.sweeps.launchers import set_threads
@@ -106,12 +106,13 @@ def run_lanes(
     member = member_of(note) or ""
     measure, paths = measure_of(note.objective, member), paths_of(note, member)
     found: dict[int, Lane] = {}
-    with Progress(console=console) as progress:
-        bar = progress.add_task(f"{len(jobs)} settings of {member} as lanes", total=len(jobs))
+    with Activity(console) as activity:
+        activity.begin(what := f"{len(jobs)} settings of {member} as lanes", total=len(jobs))
         for seed in dict.fromkeys(job.get(SEED) for job in jobs):
             own = seeded(configuration if seed is None else {**configuration, SEED: _whole(seed)})
             with under("data", own["data"]):
                 fleet = align(instantiate(own["data"]), **own["align"])
+            activity.tell(what)
             if measure.kind == FREE:
                 check_halves(fleet)
             build = builder(own["estimators"], member, instantiate)
@@ -121,7 +122,7 @@ def run_lanes(
             for begin in range(0, len(places), most):
                 part, began = places[begin : begin + most], time.perf_counter()
                 estimator = build({path: [[float(jobs[k][key])] for k in part] for key, path in paths.items()})
-                made = lane_errors(estimator, fleet, (len(part),), _advance(progress, bar, len(part)), measure=measure)
+                made = lane_errors(estimator, fleet, (len(part),), _advance(activity, len(part)), measure=measure)
                 seconds = (time.perf_counter() - began) / len(part)
                 for k, (results, errors) in zip(part, _judged(fleet, made, base, member, measure), strict=True):
                     found[k] = Lane(
@@ -136,8 +137,8 @@ def run_lanes(
     return [found[k] for k in range(len(jobs))]
 
 
-def _advance(progress: Progress, bar: TaskID, settings: int) -> Callable[[float], None]:
-    return lambda share: progress.advance(bar, share * settings)
+def _advance(activity: Activity, settings: int) -> Callable[[float], None]:
+    return lambda share: activity.advance(share * settings)
 
 
 def _whole(text: str) -> Any:

@@ -12,13 +12,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.console import Console
-from rich.progress import Progress
 
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.evaluation.free_simulation import check_halves
 from usvlearn.evaluation.measure import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
+from usvlearn.report.activity_bar import Activity
 from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest
 from usvlearn.signals import Fleet
@@ -217,15 +217,14 @@ def tune(
         found = configuration["resume"]
         raise ConfigError(f"resume: found {found!r} with {asked_for.way}, which cannot resume: leave it out")
     check_folder(folder, asked_for.way, asked_for.member)
-    with console.status("reading and aligning"), under("data", configuration["data"]):
+    with Activity(console), under("data", configuration["data"]):
         fleet = align(instantiate(configuration["data"]), **configuration["align"])
     if asked_for.measure.kind == FREE:
         check_halves(fleet)
     began = time.perf_counter()
-    with Progress(console=console) as progress:
-        bar = progress.add_task(f"{asked_for.way}={asked_for.member}", total=asked_for.evaluations)
-        found, used, curve = run(asked_for, fleet, folder, lambda done: progress.advance(bar, done))
-        progress.update(bar, completed=asked_for.evaluations)
+    with Activity(console) as activity:
+        activity.begin(f"{asked_for.way}={asked_for.member}", total=asked_for.evaluations)
+        found, used, curve = run(asked_for, fleet, folder, activity.advance)
     (persistence,) = Objective(lambda _: Persistence(), fleet, measure=asked_for.measure)([{}])
     facts = {
         "member": asked_for.member,
