@@ -36,7 +36,8 @@ class Activity:
         self._task = self._progress.add_task("starting", total=None)
 
     def __enter__(self) -> Activity:
-        self._stack.enter_context(self._progress)
+        if self._progress.console.is_terminal:  # else an empty line would be left
+            self._stack.enter_context(self._progress)
         self._stack.enter_context(shown_by(self.tell))
         return self
 
