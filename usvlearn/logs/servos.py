@@ -1,0 +1,121 @@
+"""Which servo of an ArduPilot drives what, and its pulse width as a share of full scale.
+
+The parameter SERVOn_FUNCTION names the function of servo n. ArduPilot turns a share x of full scale into a pulse width,
+
+    p = TRIM + x (MAX - TRIM)  for x > 0,    p = TRIM + x (TRIM - MIN)  else,
+
+after a change of the sign of x if REVERSED is 1 (SRV_Channel::pwm_from_angle). A width of 0 means no pulses, and no
+thrust.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError
+
+FUNCTIONS = {"throttle_left": 73, "throttle_right": 74, "throttle": 70, "steering": 26}
+DEFAULTS = {"MIN": 1100.0, "TRIM": 1500.0, "MAX": 1900.0, "REVERSED": 0.0}  # of ArduPilot, us
+FUNCTION = re.compile(r"SERVO(\d{1,3})_FUNCTION")
+
+
+class Limits(NamedTuple):
+    """The pulse widths of a servo, us."""
+
+    low: float
+    trim: float
+    high: float
+    reversed: bool = False
+
+    def share(self, pwm: np.ndarray) -> np.ndarray:
+        """Pulse widths as shares of full scale.
+
+        >>> Limits(1100, 1500, 2000, reversed=True).share(np.array([1100.0, 1500.0, 1750.0, 0.0]))
+        array([ 1. , -0. , -0.5,  0. ])
+        """
+        offset = pwm - self.trim
+        span = np.where(offset > 0, self.high - self.trim, self.trim - self.low)
+        found = np.divide(offset, span, out=np.zeros_like(offset), where=span > 0)
+        return np.where(pwm == 0, 0.0, -found if self.reversed else found)
+
+
+@dataclass(frozen=True)
+class Servos:
+    """How a format names the pulse widths.
+
+    Args:
+        outputs: the messages that hold them.
+        columns: pattern of the field of servo `{n}`.
+
+    >>> parameters = {"SERVO1_FUNCTION": 74.0, "SERVO3_FUNCTION": 73.0}
+    >>> servos = Servos(("RCOU",), "C(?:h|han)?{n}")
+    >>> servos.find("throttle_left", parameters, "a.BIN"), servos.column(3, ["TimeUS", "C1", "C3"])
+    (3, 'C3')
+    """
+
+    outputs: tuple[str, ...]
+    columns: str
+
+    def find(self, name: str, parameters: Mapping[str, float], where: str) -> int:
+        """The number of the servo that drives `throttle_left` or another of `FUNCTIONS`.
+
+        ArduPilot gives the same command to all servos of one function, so that the first of them stands for all.
+
+        Raises:
+            LogFormatError: there is none; the message says which functions there are.
+        """
+        found: dict[int, list[int]] = {}  # function -> servos
+        for parameter, value in parameters.items():
+            if (match := FUNCTION.fullmatch(parameter)) and math.isfinite(value):
+                found.setdefault(int(value), []).append(int(match[1]))
+        if servos := found.get(FUNCTIONS[name]):
+            return min(servos)
+        raise LogFormatError(f"{where}: {_no_servo(name, found)}")
+
+    def column(self, number: int, fields: Collection[str]) -> str | None:
+        """The field that holds the pulse width of a servo; None if there is none."""
+        pattern = re.compile(self.columns.format(n=number))
+        return next((field for field in fields if pattern.fullmatch(field)), None)
+
+    def limits(self, number: int, parameters: Mapping[str, float], where: str) -> Limits:
+        """The pulse widths of a servo; ArduPilot's defaults, with a warning, for what the log does not hold.
+
+        Raises:
+            LogFormatError: they are no limits.
+        """
+        names = {each: f"SERVO{number}_{each}" for each in DEFAULTS}
+        if missing := [name for each, name in names.items() if name not in parameters]:
+            assumed = ", ".join(f"{name} {DEFAULTS[name.split('_')[1]]:g}" for name in missing)
+            warnings.warn(
+                f"{where}: found no parameter for {assumed}: assumed these defaults of ArduPilot", stacklevel=6
+            )
+        low, trim, high, backward = (parameters.get(name, DEFAULTS[each]) for each, name in names.items())
+        if not low <= trim <= high or not low < high:  # also if one is NaN
+            raise LogFormatError(
+                f"{where}: found SERVO{number}_MIN {low:g}, SERVO{number}_TRIM {trim:g}, SERVO{number}_MAX {high:g}, "
+                "expected them to rise: name the servo's column in place of its function, with its zero and span"
+            )
+        return Limits(low, trim, high, backward == 1)
+
+
+def _no_servo(name: str, found: Mapping[int, list[int]]) -> str:
+    expected = f"expected a servo with SERVOn_FUNCTION {FUNCTIONS[name]} ({name.replace('_', ' ')}), found"
+    advice = "name the servo's column, with its zero and span (1500 and 400)"
+    if not found:
+        return f"{expected} no such parameters in this log: {advice}"
+    if FUNCTIONS["throttle"] in found and name in ("throttle_left", "throttle_right"):
+        throttle, steering = found[FUNCTIONS["throttle"]][0], found.get(FUNCTIONS["steering"], [None])[0]
+        rudder = f" and steering at servo {steering} (26)" if steering is not None else ""
+        return (
+            f"{expected} one throttle at servo {throttle} (70){rudder}: set field: throttle for command_left and for "
+            "command_right"
+        )
+    listed = ", ".join(f"servo {servos[0]}: {function}" for function, servos in sorted(found.items()) if function)
+    return f"{expected} {listed[:200] or 'no function at all'}: {advice}"
