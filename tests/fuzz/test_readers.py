@@ -13,13 +13,16 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pytest
 
+from tests.support.ardupilot import dataflash, tlog
 from tests.support.bags import NS, START, STEPS, unindexed, write_bag
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.alog import Alog
 from usvlearn.logs.csv_table import Table
+from usvlearn.logs.dataflash import DataFlash
 from usvlearn.logs.read import read_recordings
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.logs.rosbag import Rosbag
+from usvlearn.logs.tlog import Tlog
 
 SECONDS, MEGABYTES = 20, 400  # of one log of some kB: a bag whose message types are large compiles them for a while
 TOKENS = [
@@ -44,6 +47,19 @@ ROS1 = {
     "surge": {"name": "*velocity", "field": "x, y", "span": 5 * STEPS},
 }
 ROS2 = {name: {"name": each["name"]} for name, each in CHANNELS.items()}
+ARDUPILOT = {
+    "command_left": {"name": "RCOU", "field": "throttle_left"},
+    "command_right": {"name": "RCOU", "field": "throttle_right"},
+    "heading": {"name": "A*", "field": "Yaw", "unit": "deg"},
+    "yaw_rate": {"name": "IMU[1]", "field": "GyrZ"},
+    "surge": {"name": "XKF1", "field": "VN,VE"},
+}
+MAVLINK = {
+    "command_left": {"name": "SERVO*", "field": "throttle_left"},
+    "command_right": {"name": "SERVO_OUTPUT_RAW", "field": "servo3_raw", "zero": 1500, "span": -400},
+    "heading": {"name": "ATTITUDE@1.1", "field": "yaw"},
+    "surge": {"name": "VFR_HUD", "field": "groundspeed"},
+}
 
 
 def rows() -> np.ndarray:
@@ -106,6 +122,8 @@ FORMATS = {  # what makes a whole log, its name, its reader and channels
     **{f"bag {kind}": (bag(kind), "a.bag", Rosbag(), ROS1) for kind in ("none", "bz2", "lz4")},
     **{f"scan {kind}": (scanned(kind), "a.bag.active", Rosbag(), ROS1) for kind in ("none", "bz2", "lz4")},
     "mcap": (ros2("MCAP"), "a.mcap", Rosbag(), ROS2),
+    "dataflash": (lambda _: dataflash(), "a.BIN", DataFlash(), ARDUPILOT),
+    "tlog": (lambda _: tlog(), "a.tlog", Tlog(), MAVLINK),
     "db3": (ros2("SQLITE3"), "a.db3", Rosbag(), ROS2),
 }
 
@@ -199,3 +217,26 @@ def test_a_log_is_read_or_refused(tmp_path, rng, cases, name):
     assert grown < MEGABYTES * 1024
     assert 0.02 * cases < read < cases  # the mutations are neither harmless nor all deadly
     print(f"{name}: {read} of {cases} read, the others refused; {grown / 1024:.0f} MB")
+
+
+@pytest.mark.fuzz(cases=60, slow=10_000)
+@pytest.mark.parametrize("name", ["dataflash", "tlog"])
+def test_a_log_is_surveyed_or_refused(tmp_path, rng, cases, name):
+    make, file, reader, _ = FORMATS[name]
+    path, whole, read = tmp_path / file, make(tmp_path), 0
+    for _ in range(cases):
+        path.write_bytes(mutated(rng, whole))
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            try:
+                with in_time(SECONDS):
+                    found = reader.survey(path)
+            except LogFormatError as error:
+                assert_one_sentence(str(error))
+            else:
+                read += 1
+                assert all(len(each.time) == len(each.value) == len(each.order) > 0 for each in found)
+        for warning in told:
+            assert warning.category is UserWarning, warning
+            assert_one_sentence(str(warning.message))
+    assert 0.3 * cases < read

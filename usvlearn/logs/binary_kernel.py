@@ -133,7 +133,7 @@ def dataflash_stamps(data, places, layouts, offsets, widths, factors):
 @jit(memory=True)
 def _little(data, place, width):
     """An unsigned number, as int64."""
-    found = 0
+    found = np.int64(0)
     for k in range(width):
         found |= np.int64(data[place + k]) << (8 * k)
     return found
@@ -214,7 +214,7 @@ def _frame(data, place):
 @jit(memory=True)
 def _big(data, place):
     """A stamp, whose first byte is the highest."""
-    found = 0
+    found = np.int64(0)
     for k in range(STAMP):
         found = found << 8 | np.int64(data[place + k])
     return found

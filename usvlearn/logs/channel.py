@@ -181,7 +181,7 @@ def build_channel(
     source: Source,
     time: np.ndarray,  # (n,) s since the log's start, NaN where the stamp was unreadable
     raw: np.ndarray,  # (n,) values as logged, NaN where there was no number
-    order: Sequence[int],  # (n,) place in the log
+    order: Sequence[int] | np.ndarray,  # (n,) place in the log
     cells: Sequence | None = None,  # (n,) cells as logged, to find empty ones and to quote in an error
 ) -> tuple[Channel, dict[str, int]]:
     """A channel in SI units from the values of a reader, and the counts of dropped values, by cause.

@@ -28,6 +28,7 @@ LETTERS = {  # of a format: the type, and what it is divided by
 }  # fmt: skip
 PREFIXES = {1e-1: "d", 1e-2: "c", 1e-3: "m", 1e-6: "µ", 1e-9: "n"}  # of a unit
 STAMPS = ("TimeUS", "TimeMS")  # since boot; logs before 2015 have the latter
+PLAIN = {"degheading": "deg", "deglatitude": "deg", "deglongitude": "deg", "UNKNOWN": ""}  # units of UNIT messages
 DESCRIPTIONS = ("FMT", "FMTU", "UNIT", "MULT", "PARM")
 ARMING = {"ARM": ("ArmState", {1: True, 0: False}), "EV": ("Id", {10: True, 11: False})}  # messages, field, values
 NAME = re.compile(r"\w+", re.ASCII)
@@ -202,10 +203,10 @@ def _instance(layout: Layout, units: bytes) -> str | None:
 def _unit(label: str, factor: float) -> str:
     """A unit with the prefix of its factor.
 
-    >>> _unit("m/s", 0.01), _unit("A", 3600.0), _unit("deg", 0.0)
+    >>> _unit("m/s", 0.01), _unit("A", 3600.0), _unit("degheading", 0.0)
     ('cm/s', '3600 A', 'deg')
     """
-    factor = float(f"{factor:.6g}")  # the log's doubles were computed as floats
+    label, factor = PLAIN.get(label, label), float(f"{factor:.6g}")  # the log's doubles were computed as floats
     if not label or factor in (0.0, 1.0):
         return label
     return f"{PREFIXES[factor]}{label}" if factor in PREFIXES else f"{factor:.4g} {label}"

@@ -155,7 +155,8 @@ class MessageLog:
         Raises:
             LogFormatError: none, or those of several senders.
         """
-        plain, number, sender = NAME.fullmatch(name).groups() if name else ("", None, None)
+        parts = NAME.fullmatch(name)
+        plain, number, sender = parts.groups() if parts else (name, None, None)
         plain = match_name(plain, {key.name for key in self.messages}, where)
         keys = [key for key in self.messages if key.name == plain]
         senders = self._senders(keys, sender)
@@ -256,9 +257,9 @@ def warn_of_damage(path: Path, data: np.ndarray, skipped: np.ndarray, what: str)
         what: the name of the format.
     """
     count, gaps, end = (int(each) for each in skipped[:3])
-    tail = data[end:]
-    if len(tail) > SHORT and (tail != tail[0]).any():
-        count, gaps = count + len(tail), gaps + 1
+    tail = data[end + SHORT :]
+    if (tail != tail[:1]).any():
+        count, gaps = count + len(data) - end, gaps + 1
     if gaps:
         warnings.warn(
             f"{printable(str(path))}: the log is damaged: skipped {count} of {len(data)} bytes, in {gaps} places, "
