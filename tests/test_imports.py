@@ -189,7 +189,7 @@ def test_the_package_is_imported_at_no_cost():
 def test_package_logs_and_checkpoints_import_without_torch():
     code = (
         "import usvlearn, usvlearn.checkpoint, usvlearn.logs.recordings, usvlearn.logs.read, usvlearn.logs.alog\n"
-        "import usvlearn.logs.csv_table, usvlearn.logs.rosbag\n"
+        "import usvlearn.logs.csv_table, usvlearn.logs.rosbag, usvlearn.logs.dataflash, usvlearn.logs.tlog\n"
         "usvlearn.Sample, usvlearn.Aligner"
     )
     assert not loaded(code) & {*HEAVY, "hydra", "rich"}

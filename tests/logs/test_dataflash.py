@@ -148,7 +148,7 @@ def test_parameters_are_the_last_in_the_log(tmp_path):
         ({"SERVO1_FUNCTION": 70.0, "SERVO3_FUNCTION": 26.0},
          "one throttle at servo 1 (70) and steering at servo 3 (26): set field: throttle for command_left and for "),
         ({"SERVO2_FUNCTION": 33.0, "SERVO3_FUNCTION": 0.0}, "found servo 2: 33: name the servo's column"),
-        ({"SERVO9_FUNCTION": 73.0}, "found throttle_left at servo 9, which RCOU has no field of"),
+        ({"SERVO9_FUNCTION": 73.0}, "the throttle left is servo 9, which RCOU does not hold"),
         ({**PARAMETERS, "SERVO1_MAX": 1400.0}, "SERVO1_TRIM 1500, SERVO1_MAX 1400, expected them to rise"),
         ({**PARAMETERS, "SERVO1_MIN": float("nan")}, "SERVO1_MIN nan"),
     ],

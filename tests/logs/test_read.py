@@ -9,7 +9,7 @@ import pytest
 from tests.support import REAL_LOGS, ROOT
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.alog import Alog
-from usvlearn.logs.channel import Source
+from usvlearn.logs.channel import AUXILIARY, Source
 from usvlearn.logs.csv_table import Table
 from usvlearn.logs.read import read_recordings
 from usvlearn.logs.rosbag import Rosbag
@@ -157,14 +157,15 @@ def configured(name: str, path: Path) -> list:
     return hydra.instantiate(config)
 
 
-@pytest.mark.parametrize("name", ["alog", "csv", "rosbag"])
-def test_generic_configs_list_every_option_of_every_channel(name):
+@pytest.mark.parametrize(("name", "count"), [("alog", 5), ("ardupilot", 9), ("csv", 5), ("rosbag", 5), ("tlog", 9)])
+def test_generic_configs_list_every_option_of_every_channel(name, count):
     omegaconf = pytest.importorskip("omegaconf", reason="needs the package omegaconf")
     channels = omegaconf.OmegaConf.load(CONFIGS / f"{name}.yaml").data.channels
-    options = set(Source.__dataclass_fields__) - (set() if name == "rosbag" else {"field"})
-    assert len(channels) == 5
+    options = set(Source.__dataclass_fields__) - ({"field"} if name in ("alog", "csv") else set())
+    assert len(channels) == count
     for name, source in channels.items():
-        assert set(source) == options - {"delay" if name == "surge" else "period"}, name
+        measured = name == "surge" or name in AUXILIARY
+        assert set(source) == options - {"delay" if measured else "period"}, name
 
 
 def test_csv_config_reads_a_plain_table(tmp_path):

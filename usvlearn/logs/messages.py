@@ -18,7 +18,7 @@ from usvlearn.logs.channel import LISTED, Channel, Source, build_channel, match_
 from usvlearn.logs.series import Series
 from usvlearn.logs.servos import FUNCTIONS, Servos
 
-NAME = re.compile(r"(.+?)(?:\[(\d+)\])?(?:@([^@]*))?")  # NAME, NAME[instance], NAME@sender, NAME[instance]@sender
+NAME = re.compile(r"(.+?)(?:\[(\d{1,3})\])?(?:@([^@]*))?")  # NAME, NAME[instance], NAME@sender, NAME[instance]@sender
 DISARMED = "drop", "keep"  # what a reader may do with servo outputs while the vehicle is disarmed
 SHORT = 300  # bytes; less than that at the end of a log is the message that was being written
 
@@ -57,7 +57,8 @@ class Messages(NamedTuple):
 
     def numbers(self, data: np.ndarray, name: str) -> np.ndarray:
         """A field in its unit, `(n,)` float64."""
-        return self.column(data, name).astype(np.float64) / self.fields[name].divisor
+        with np.errstate(all="ignore"):  # damaged numbers may be anything
+            return self.column(data, name).astype(np.float64) / self.fields[name].divisor
 
     def split(self, data: np.ndarray, name: str | None) -> Iterator[tuple[int | None, Messages]]:
         """The messages of each value of a field that numbers equal sensors; None: all, with no number."""
@@ -190,7 +191,8 @@ class MessageLog:
             column = self.servos.column(number, self._fields(key))
             if column is None:
                 raise LogFormatError(
-                    f"{where}: found {name} at servo {number}, which {key} has no field of: name the messages that have"
+                    f"{where}: the {name.replace('_', ' ')} is servo {number}, which {key} does not hold: name another "
+                    f"of {', '.join(self.servos.outputs)}, or the servo's own column"
                 )
             limits = self.servos.limits(number, parameters, where)
             time, pwm, order = self._joined(key, [column])
@@ -215,7 +217,8 @@ class MessageLog:
         values = []
         for part in parts:
             columns = [part.numbers(self.data, name) for name in names]
-            values.append(columns[0] if len(columns) == 1 else np.sqrt(sum(column**2 for column in columns)))
+            with np.errstate(all="ignore"):
+                values.append(columns[0] if len(columns) == 1 else np.hypot.reduce(columns))
         if len(parts) == 1:
             return parts[0].time, values[0], parts[0].order
         if not parts:
