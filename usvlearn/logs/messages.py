@@ -159,22 +159,20 @@ class MessageLog:
         parts = NAME.fullmatch(name)
         plain, number, sender = parts.groups() if parts else (name, None, None)
         plain = match_name(plain, {key.name for key in self.messages}, where)
-        keys = [key for key in self.messages if key.name == plain]
-        senders = self._senders(keys, sender)
+        senders = self._senders(plain, sender)
         if len(senders) > 1:
             listed = " or ".join(f"{plain}@{each}" for each in senders[:LISTED])
             raise LogFormatError(f"{where}: {plain!r} comes from {len(senders)} senders: name {listed}")
-        keys = [key for key in keys if key.sender in senders]
-        if number is None and keys:
-            return min(keys, key=lambda key: key.instance or 0)
-        for key in keys:
-            if key.instance == int(number or 0):
-                return key
-        listed = ", ".join(str(key) for key in self.messages if key.name == plain)
-        raise LogFormatError(f"{where}: no channel {name!r}. The log has: {listed}: name one of them")
+        keys = [key for key in self.messages if key.name == plain]
+        found = [key for key in keys if key.sender in senders and (number is None or key.instance == int(number))]
+        if not found:
+            listed = ", ".join(map(str, keys[:LISTED]))
+            raise LogFormatError(f"{where}: no channel {name!r}. The log has: {listed}: name one of them")
+        return min(found, key=lambda key: key.instance or 0)
 
-    def _senders(self, keys: Iterable[Key], pattern: str | None) -> list[str]:
-        found = list(dict.fromkeys(key.sender for key in keys))
+    def _senders(self, name: str, pattern: str | None = None) -> list[str]:
+        """Who sends messages of this name: those of the pattern, or else the preferred ones, or else all."""
+        found = list(dict.fromkeys(key.sender for key in self.messages if key.name == name))
         if pattern is not None:
             return [each for each in found if fnmatchcase(each, pattern)]
         return [each for each in found if each in self.preferred] or found
@@ -233,7 +231,7 @@ class MessageLog:
         for key in sorted(self.messages, key=lambda key: min(part.order[0] for part in self.messages[key])):
             if key.name in left_out:
                 continue
-            plain = key._replace(sender="") if [key.sender] == self._senders(self._same(key), None) else key
+            plain = key._replace(sender="") if self._senders(key.name) == [key.sender] else key
             units = {name: where.unit for part in self.messages[key] for name, where in part.fields.items()}
             for name in self._fields(key):
                 found.append(Series(str(plain), name, *self.values(key, name, str(self.path)), units[name], key.sender))
@@ -244,9 +242,6 @@ class MessageLog:
                     continue
                 found.append(Series(str(plain), name, *values, "1", key.sender))
         return found
-
-    def _same(self, key: Key) -> list[Key]:
-        return [each for each in self.messages if each.name == key.name]
 
 
 def warn_of_damage(path: Path, data: np.ndarray, skipped: np.ndarray, what: str) -> None:
