@@ -18,7 +18,7 @@ from tests.support.ardupilot import (
 )
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.channel import Source
-from usvlearn.logs.dataflash import DataFlash
+from usvlearn.logs.dataflash import PLAIN, DataFlash
 
 STEPS = np.arange(60)
 LIMITS_ALONE = {name: value for name, value in PARAMETERS.items() if not name.endswith("_FUNCTION")}
@@ -103,9 +103,8 @@ def test_old_logs_are_stamped_in_milliseconds_and_their_gps_apart(tmp_path):
     path = write(tmp_path, content)
     np.testing.assert_allclose(one(path, "ATT", "Yaw")[0].time, 0.1 * np.arange(5), atol=1e-12)
     np.testing.assert_allclose(one(path, "GPS", "Spd")[0].time, 0.05 + 0.1 * np.arange(5), atol=1e-12)
-    np.testing.assert_allclose(
-        one(path, "EV", "Id")[0].time, 0.05 + 0.1 * np.arange(5), atol=1e-12
-    )  # of the one before
+    before = 0.05 + 0.1 * np.arange(5)  # the stamp of the message before
+    np.testing.assert_allclose(one(path, "EV", "Id")[0].time, before, atol=1e-12)
 
 
 def test_a_message_that_is_described_anew_goes_on(tmp_path):
@@ -250,30 +249,45 @@ def test_an_unknown_choice_is_refused():
 # ---------------------------------------------------------------- real logs
 
 
-@pytest.mark.parametrize("name", ["log171.bin", "synthetic_boat_30s.BIN"])
-def test_real_logs_equal_pymavlink_in_every_column(real_logs, name):
+def assert_equals_pymavlink(path) -> set[tuple[str, str]]:
+    """Our columns and units are those of pymavlink; returns the columns that only pymavlink has."""
     reference = pytest.importorskip("pymavlink.DFReader", reason="needs the package pymavlink")
-    path = real_logs / "formats" / "ardupilot" / name
-    if not path.is_file():
-        pytest.skip(f"needs shared/data/formats/ardupilot/{name}, which is not part of the repository")
     expected = defaultdict(list)
     log = reference.DFReader_binary(str(path))
     while (message := log.recv_msg()) is not None:
         for field in message.get_fieldnames():
             expected[message.get_type(), field].append(getattr(message, field))
+    formats = {layout.name: layout for layout in log.formats.values()}
     log.close()
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "surge: found no parameter|.*assumed these defaults", UserWarning)
-        found = DataFlash().survey(path)
-    seen = set()
-    for series in found:
-        key = series.name.partition("[")[0], series.field
-        if not series.field.startswith("throttle"):
-            np.testing.assert_array_equal(series.value, np.array(expected[key], float), err_msg=str(key))
-            seen.add(key)
-    for kind in ("GPS", "IMU", "RCOU", "ATT"):
-        missing = {field for message, field in expected if message == kind} - {field for k, field in seen if k == kind}
-        assert missing <= {"TimeUS", "TimeMS", "T", "I"}, kind  # the stamp and the number of the sensor
+        warnings.filterwarnings("ignore", ".*assumed these defaults", UserWarning)
+        found = defaultdict(list)
+        for series in DataFlash().survey(path):
+            if not series.field.startswith("throttle"):
+                found[series.name.partition("[")[0], series.field].append(series)
+    for (kind, field), parts in found.items():  # several sensors: in the order of the log
+        place = np.argsort(np.concatenate([series.order for series in parts]))
+        value = np.concatenate([series.value for series in parts])[place]
+        np.testing.assert_array_equal(value, np.array(expected[kind, field], float), err_msg=f"{kind}.{field}")
+        assert parts[0].unit == PLAIN.get(unit := formats[kind].get_unit(field), unit)
+    return set(expected) - set(found)
+
+
+def test_a_small_log_equals_pymavlink_in_every_column(tmp_path):
+    assert_equals_pymavlink(write(tmp_path, dataflash()))
+
+
+@pytest.mark.parametrize("name", ["log171.bin", "synthetic_boat_30s.BIN"])
+def test_real_logs_equal_pymavlink_in_every_column(real_logs, name):
+    path = real_logs / "formats" / "ardupilot" / name
+    if not path.is_file():
+        pytest.skip(f"needs shared/data/formats/ardupilot/{name}, which is not part of the repository")
+    missing = {name for name in assert_equals_pymavlink(path) if name[0] in ("GPS", "IMU", "RCOU", "ATT")}
+    assert {field for _, field in missing - {("GPS", "T")}} <= {
+        "TimeUS",
+        "TimeMS",
+        "I",
+    }  # the stamp, the sensor's number
 
 
 def test_the_configuration_needs_nothing_else(tmp_path):
