@@ -115,6 +115,23 @@ def test_a_reboot_and_the_end_of_a_counter_do_not_move_the_time(tmp_path):
     np.testing.assert_allclose(one(path, "GPS_RAW_INT", "vel")[0].time, received, atol=2e-6)
 
 
+def test_an_old_measurement_that_is_sent_again_keeps_its_time(tmp_path):
+    content = b""
+    for k in range(200):
+        fixed = 100 * min(k, 120)  # ms; the receiver is lost after 12 s
+        content += frame("ATTITUDE", 0.1 * k, time_boot_ms=100 * k)
+        content += frame("GPS_RAW_INT", 0.1 * k, time_usec=1000 * fixed, vel=k)
+    channel, _ = one(write(tmp_path, content), "GPS_RAW_INT", "vel")
+    np.testing.assert_allclose(channel.time, 0.1 * np.minimum(np.arange(200), 120), atol=2e-6)
+
+
+def test_a_clock_of_another_rate_stays_near_the_receipt(tmp_path):
+    content = b"".join(frame("ATTITUDE", 0.1 * k, time_boot_ms=99 * k) for k in range(9000))  # 9 s slow after 15 min
+    channel, _ = one(write(tmp_path, content), "ATTITUDE", "roll")
+    assert np.abs(channel.time - 0.1 * np.arange(9000)).max() < 5.1
+    assert (np.diff(channel.time) > 0).all() and (np.diff(channel.time) > 0.2).sum() == 1
+
+
 # ---------------------------------------------------------------- commands
 
 

@@ -127,18 +127,37 @@ def _timed(data: np.ndarray, sent: dict[int, Messages]) -> dict[int, Messages]:
     delay = np.concatenate([one.time - 1e-3 * one.numbers(data, "time_boot_ms") for one in clocked])
     place = np.argsort(order)
     order, delay = order[place], delay[place]
-    boots = np.flatnonzero(np.abs(np.diff(delay, prepend=np.inf)) > CLOCK_LIMIT)
+    boots = _boots(delay)
     offsets = np.minimum.reduceat(delay, boots)
     timed = {}
     for number, one in sent.items():
         if (stamp := MESSAGES[number].stamp) is not None:
             offset = offsets[np.maximum(np.searchsorted(order[boots], one.order, side="right") - 1, 0)]
             time = one.numbers(data, stamp) * (1e-3 if stamp == "time_boot_ms" else 1e-6) + offset
-            if stamp == "time_usec" and one.fields[stamp].dtype == "<u4":
+            kind = one.fields[stamp].dtype
+            if stamp == "time_usec" and kind == "<u4":
                 time += WRAP * np.round((one.time - time) / WRAP)
-            one = one._replace(time=np.where(np.abs(time - one.time) <= CLOCK_LIMIT, time, one.time))
+            age = np.abs(time - one.time)
+            if kind == "<u8":  # since boot or since 1970; of a measurement, which may be old
+                age = np.full_like(age, np.median(age))
+            one = one._replace(time=np.where(age <= CLOCK_LIMIT, time, one.time))
         timed[number] = one
     return timed
+
+
+def _boots(delay: np.ndarray) -> np.ndarray:
+    """Where the offset of a clock changes: at a boot, or when it has drifted far.
+
+    >>> _boots(np.array([2.0, 2.1, 90.0, 90.3]))
+    array([0, 2])
+    """
+    found, least = [0], float(delay[0])
+    for k, each in enumerate(delay.tolist()):
+        if abs(each - least) > CLOCK_LIMIT:
+            found.append(k)
+            least = each
+        least = min(least, each)
+    return np.array(found)
 
 
 def _vehicle(data: np.ndarray, sent: dict[int, Messages]) -> Vehicle:
