@@ -13,7 +13,8 @@ from usvlearn.errors import ConfigError, LogFormatError, MissingExtraError
 from usvlearn.logs.alog import Alog
 from usvlearn.logs.channel import Source
 from usvlearn.logs.csv_table import Table
-from usvlearn.logs.rosbag import Rosbag, yaw
+from usvlearn.logs.message_fields import yaw
+from usvlearn.logs.rosbag import Rosbag
 
 
 def one(reader, path, **source):

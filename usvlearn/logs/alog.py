@@ -6,14 +6,19 @@ start and need not be in order. Lines that are not rows (the header starts with 
 
 from __future__ import annotations
 
+import math
 import re
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
+
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channel import Channel, Source, build_channel, match_name, parse_numbers
+from usvlearn.logs.series import Series
 
 ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
@@ -48,10 +53,7 @@ class Alog:
         """
         posts = _posts(path)
         if not posts:
-            raise LogFormatError(
-                f"{path}: expected a MOOS log, found no row of the form 'time VARIABLE SOURCE VALUE': "
-                "choose the data option that fits this file"
-            )
+            raise _no_rows(path)
         matched = {}  # channel -> VARIABLE or VARIABLE@app
         for channel, source in sources.items():
             where = f"{path}: data.channels.{channel}.name"
@@ -65,6 +67,37 @@ class Alog:
             channels[channel], dropped[channel] = build_channel(where, source, parse_numbers(time), raw, order, cells)
         return channels, dropped
 
+    def survey(self, path: Path) -> list[Series]:
+        """All variables with numbers in at least half of their posts, in the order of their first post.
+
+        A variable that several apps post gives one series an app, named `VARIABLE@app`.
+
+        Args:
+            path: the log.
+
+        Raises:
+            LogFormatError: the file holds no rows.
+        """
+        found: dict[str, dict[str, tuple[array, array, array]]] = {}  # variable -> app -> stamps, values, line numbers
+        for number, line in enumerate(_lines(path), 1):
+            parts = line.split(None, 3)
+            if len(parts) < 3 or not math.isfinite(stamp := _number(parts[0])) or not _is_name(parts[1] + parts[2]):
+                continue
+            value = parts[3] if len(parts) == 4 else ""
+            columns = found.setdefault(parts[1], {}).setdefault(_app(parts[2]), (array("d"), array("d"), array("q")))
+            for column, each in zip(columns, (stamp, _number(ANSI.sub("", value)), number), strict=True):
+                column.append(each)
+        if not found:
+            raise _no_rows(path)
+        series = []
+        for variable, apps in found.items():
+            for app, columns in apps.items():
+                time, values, order = (np.array(column) for column in columns)
+                if "@" not in variable and 2 * np.isfinite(values).sum() >= len(values):
+                    name = variable if len(apps) == 1 else f"{variable}@{app}"
+                    series.append(Series(name, None, time, values, order, kind=app))
+        return series
+
 
 def _lines(path: Path) -> Iterator[str]:
     with path.open(encoding="utf-8", errors="surrogateescape", newline="\n") as file:
@@ -77,8 +110,7 @@ def _posts(path: Path) -> dict[bool, set[str]]:
     for line in _lines(path):
         parts = line.split(None, 3)
         if len(parts) > 2 and (parts[1], parts[2]) not in pairs and _is_number(parts[0]):
-            name = parts[1] + parts[2]
-            if name.isascii() and name.isprintable():  # else binary data that look like a row
+            if _is_name(parts[1] + parts[2]):
                 pairs.add((parts[1], parts[2]))
     if not pairs:
         return {}
@@ -109,9 +141,28 @@ def _app(source: str) -> str:
     return source.split(":")[0]
 
 
+def _is_name(text: str) -> bool:
+    """Whether it is one; binary data may look like a row."""
+    return text.isascii() and text.isprintable()
+
+
 def _is_number(text: str) -> bool:
     try:
         float(text)
     except ValueError:
         return False
     return True
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _no_rows(path: Path) -> LogFormatError:
+    return LogFormatError(
+        f"{path}: expected a MOOS log, found no row of the form 'time VARIABLE SOURCE VALUE': "
+        "choose the data option that fits this file"
+    )

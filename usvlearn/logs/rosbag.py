@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import fnmatch
-import math
 import warnings
 from collections import defaultdict
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
 from usvlearn.logs.channel import Channel, Source, build_channel, match_name
 from usvlearn.logs.decompress import MB, Total, limit_chunks, limited
+from usvlearn.logs.message_fields import Collected, read_field
 from usvlearn.logs.rosbag_scan import Scan
 from usvlearn.logs.rosbag_types import check_type
+from usvlearn.logs.series import Series
 
+LARGE = 1 << 16  # bytes of a message that a survey looks into
+IMAGES = {f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "PointCloud", "PointCloud2", "LaserScan")}
+Found = TypeVar("Found")
 CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt comes from a clock that was never set
 
 
@@ -68,6 +73,27 @@ class Rosbag:
                 a field.
             MissingExtraError: rosbags is not installed.
         """
+        patterns = [source.name for source in sources.values()]
+
+        def keep(topic: str, msgtype: str) -> bool:
+            return any(_may_match(pattern, topic) for pattern in patterns)
+
+        return self._open(path, keep, lambda bag: self._read(path, bag, sources))
+
+    def survey(self, path: Path) -> list[Series]:
+        """All numbers of a bag; a topic with messages of more than `LARGE` bytes, such as images, is left out.
+
+        Args:
+            path: the bag.
+
+        Raises:
+            LogFormatError: the file is no bag, or has no readable message, or a chunk beyond the limit.
+            MissingExtraError: rosbags is not installed.
+        """
+        return self._open(path, lambda topic, msgtype: msgtype not in IMAGES, lambda bag: self._survey(path, bag))
+
+    def _open(self, path: Path, keep: Callable[[str, str], bool], use: Callable[[Any], Found]) -> Found:
+        """What `use` makes of an open bag; `keep` tells which topics and types it needs."""
         try:
             import apsw  # noqa: F401  # an older rosbags has none, and cannot be limited
             from rosbags.highlevel import AnyReader
@@ -79,20 +105,19 @@ class Rosbag:
             with limited(path, self._limit), AnyReader([path], default_typestore=latest) as bag:
                 if not bag.is2:
                     limit_chunks(path, bag.readers[0], self._limit)
-                return self._read(path, bag, sources)
+                return use(bag)
         except LogFormatError:
             raise
         except Exception as error:  # rosbags raises many types for damage, among them AssertionError and OSError
             refusal = error
-        return self._recover(path, sources, refusal)
+        return use(self._recovered(path, keep, refusal))
 
-    def _recover(self, path: Path, sources: dict[str, Source], refusal: Exception):
-        """As `read`, for a bag that rosbags refuses."""
+    def _recovered(self, path: Path, keep: Callable[[str, str], bool], refusal: Exception) -> Scan:
+        """A bag that rosbags refuses, as far as it can be read."""
         what = printable(" ".join(str(refusal).split())[:200].rstrip(".")) or type(refusal).__name__
         if path.suffix == ".active":
             what = "its recording was not closed"
-        patterns = [source.name for source in sources.values()]
-        bag = Scan(path, lambda topic: any(_may_match(pattern, topic) for pattern in patterns), self._limit)
+        bag = Scan(path, keep, self._limit)
         if not bag.count:
             raise LogFormatError(
                 f"{path}: expected a whole ROS bag, found: {what}; and no message could be recovered from it: "
@@ -102,9 +127,9 @@ class Rosbag:
         warnings.warn(
             f"{path}: the index of this bag is missing or damaged ({what}): recovered {bag.count} messages "
             f"from its records; {ending}",
-            stacklevel=3,
+            stacklevel=4,
         )
-        return self._read(path, bag, sources)
+        return bag
 
     def _read(self, path: Path, bag, sources: dict[str, Source]):
         readings: dict[str, list[str]] = defaultdict(list)  # topic -> channels
@@ -126,7 +151,7 @@ class Rosbag:
             for channel in readings[connection.topic]:
                 where = f"{path}: data.channels.{channel}.field"
                 time[channel].append(seconds)
-                value[channel].append(_read_field(message, sources[channel].field or "data", where))
+                value[channel].append(read_field(message, sources[channel].field or "data", where))
                 order[channel].append(number)
 
         channels, dropped = {}, {}
@@ -137,6 +162,30 @@ class Rosbag:
             )
         return channels, dropped
 
+    def _survey(self, path: Path, bag) -> list[Series]:
+        topics: dict[str, Collected] = {}
+        wanted = [each for each in bag.connections if each.msgtype not in IMAGES]
+        unread = {topic for topic in {each.topic for each in wanted} if not _readable(path, bag, wanted, topic)}
+        start, total = bag.start_time, Total(path, self._limit)
+        for number, (connection, received, data) in enumerate(
+            bag.messages([each for each in wanted if each.topic not in unread])
+        ):
+            topic = connection.topic
+            if topic in unread:
+                continue
+            total.add(len(data))
+            try:
+                message = bag.deserialize(data, connection.msgtype) if len(data) <= LARGE else None
+            except Exception:  # of a type that the log does not define, or damaged: another topic may be whole
+                message = None
+            if message is None:
+                unread.add(topic)
+                topics.pop(topic, None)
+                continue
+            seconds = (self._stamp(message, received) - start) * 1e-9
+            topics.setdefault(topic, Collected(topic, connection.msgtype)).add(seconds, number, message)
+        return [series for _, each in sorted(topics.items()) for series in each.series()]
+
     def _stamp(self, message, received: int) -> int:
         """Nanoseconds since 1970."""
         clock: Any = getattr(getattr(message, "header", None), "stamp", None)
@@ -146,50 +195,17 @@ class Rosbag:
         return stamp if abs(stamp - received) <= CLOCK_LIMIT * 1e9 else received
 
 
+def _readable(path: Path, bag, connections, topic: str) -> bool:
+    """Whether the types of a topic's messages are defined, and ones that `check_type` admits."""
+    try:
+        for each in connections:
+            if each.topic == topic:
+                check_type(path, each.msgtype, bag.typestore.fielddefs)
+    except (LogFormatError, KeyError):  # a type that the log does not define
+        return False
+    return True
+
+
 def _may_match(pattern: str, topic: str) -> bool:
     """Whether `match_name` can choose this topic."""
     return topic.lstrip("/") == pattern.lstrip("/") or fnmatch.fnmatchcase(topic, pattern)
-
-
-def _read_field(message, field: str, where: str) -> float:
-    """The number at a dotted path, or the norm of several."""
-    if "," not in field:
-        return _read_one(message, field.strip(), where)
-    return math.hypot(*(_read_one(message, part.strip(), where) for part in field.split(",")))
-
-
-def _read_one(message, field: str, where: str) -> float:
-    value: Any = message
-    for step in field.split("."):
-        if step.isdigit() and hasattr(value, "__len__") and int(step) < len(value):
-            value = value[int(step)]
-        elif is_dataclass(value) and hasattr(value, step):
-            value = getattr(value, step)
-        else:
-            raise LogFormatError(f"{where}: no field {step!r} in {field!r}. {_listing(value)}")
-    if all(hasattr(value, axis) for axis in "xyzw"):
-        return yaw(value.x, value.y, value.z, value.w)
-    try:
-        return float(value)
-    except (TypeError, ValueError):
-        raise LogFormatError(f"{where}: expected a number in {field!r}. {_listing(value)}") from None
-
-
-def _listing(value) -> str:
-    if not is_dataclass(value):
-        return f"It holds {type(value).__name__} {str(value)[:40]!r}: name a field that is a number"
-    names = ", ".join(item.name for item in fields(value) if not item.name.startswith("__"))
-    return f"The fields here are: {names or 'none'}; name one of them"
-
-
-def yaw(x: float, y: float, z: float, w: float) -> float:
-    """Yaw of a quaternion of any length, rad, counter-clockwise about z; NaN for the zero quaternion.
-
-    psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
-
-    >>> round(yaw(0.0, 0.0, 2.0, 2.0), 6)
-    1.570796
-    """
-    if not (x or y or z or w):
-        return math.nan
-    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

@@ -36,7 +36,7 @@ class Scan:
 
     Args:
         path: the bag.
-        keep: tells which topics are wanted: only their messages are held in memory and deserialised.
+        keep: tells which topics and types are wanted: only their messages are held in memory and deserialised.
         limit: bytes that a compressed chunk may unpack to.
 
     Attributes:
@@ -50,7 +50,7 @@ class Scan:
         LogFormatError: a chunk is larger than the limit.
     """
 
-    def __init__(self, path: Path, keep: Callable[[str], bool], limit: int):
+    def __init__(self, path: Path, keep: Callable[[str, str], bool], limit: int):
         from rosbags.typesys import Stores, get_typestore
 
         self.start_time, self.count, self.end, self.size = 2**63 - 1, 0, 0, 0
@@ -122,7 +122,7 @@ class Scan:
         topic = "/" * topic.startswith("/") + "/".join(part for part in topic.split("/") if part)
         package, _, name = described["type"].decode().partition("/")
         msgtype = f"{package}/msg/{name}"  # as rosbags names it
-        if self._keep(topic):
+        if self._keep(topic, msgtype):
             self.typestore.register(get_types_from_msg(described["message_definition"].decode(), msgtype))
             if self.typestore.generate_msgdef(msgtype)[1] != described["md5sum"].decode():
                 raise ValueError(msgtype)

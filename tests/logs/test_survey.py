@@ -1,0 +1,106 @@
+"""A survey gives each series of a log under a name and a field with which `read` finds the same numbers."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.bags import NS, START, unindexed, write_bag
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.alog import Alog
+from usvlearn.logs.channel import Source
+from usvlearn.logs.rosbag import LARGE, Rosbag
+from usvlearn.logs.series import Series
+
+
+def assert_same_as_read(reader, path: Path, series: list[Series]) -> None:
+    """Every series is that channel which its name and field declare."""
+    assert series
+    for each in series:
+        channels, _ = reader.read(path, {"surge": Source(each.name, field=each.field)})
+        usable = np.isfinite(each.value)
+        assert each.time.dtype == each.value.dtype == np.float64 and each.order.dtype == np.int64
+        np.testing.assert_array_equal(channels["surge"].value, each.value[usable])
+        np.testing.assert_array_equal(channels["surge"].time, each.time[usable])
+
+
+def test_an_alog_gives_its_numeric_variables_and_their_apps(tmp_path):
+    path = tmp_path / "a.alog"
+    path.write_text(
+        "%% LOGSTART 1.5e9\n0.5 NAV_SPEED iGPS:aux 1.2\n0.6 NAV_SPEED iGPS \x1b[32m1.3\x1b[0m\n0.6 MODE pHelm DRIVE\n"
+        "0.7 NAV_X iGPS 5\n0.8 NAV_X iSim 6\n0.9 NAV_SPEED iGPS off\nsoon NAV_SPEED iGPS 7\n1.0 A@B iGPS 7\n"
+    )
+    series = Alog().survey(path)
+    assert [(each.name, each.kind, each.order.tolist()) for each in series] == [
+        ("NAV_SPEED", "iGPS", [2, 3, 7]),
+        ("NAV_X@iGPS", "iGPS", [5]),
+        ("NAV_X@iSim", "iSim", [6]),
+    ]
+    np.testing.assert_array_equal(series[0].value, [1.2, 1.3, np.nan])
+    assert_same_as_read(Alog(), path, series)
+    path.write_text("nothing\n")
+    with pytest.raises(LogFormatError, match="no row of the form"):
+        Alog().survey(path)
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_bag_gives_every_number_of_every_topic(tmp_path, whole):
+    pytest.importorskip("rosbags", reason="needs the package rosbags")
+    path = write_bag(tmp_path / "a.bag")
+    if whole:
+        series = Rosbag().survey(path)
+    else:
+        path.write_bytes(unindexed(path.read_bytes()))
+        with pytest.warns(UserWarning, match="recovered"):
+            series = Rosbag().survey(path)
+    assert [(each.name, each.field) for each in series] == [
+        ("/usv/left_thruster", "data"),
+        ("/usv/right_thruster", "data"),
+        *(("/usv/velocity", axis) for axis in "xyz"),
+    ]
+    assert {each.kind for each in series} == {"std_msgs/msg/Float64", "geometry_msgs/msg/Vector3"}
+    if whole:
+        assert_same_as_read(Rosbag(), path, series)
+
+
+def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
+    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    made = {name.rpartition("/")[2]: kind for name, kind in store.types.items()}
+    stamp = made["Time"](sec=START // NS, nanosec=NS // 2)
+    header = made["Header"](stamp=stamp, frame_id="")
+
+    def messages(k: int):
+        layout = made["MultiArrayLayout"](dim=[], data_offset=0)
+        yield "/thrust", made["Float64MultiArray"](layout=layout, data=np.arange(1.0, 1 + k))
+        quaternion = made["Quaternion"](x=0.0, y=0.0, z=np.sin(0.1 * k), w=np.cos(0.1 * k))
+        yield "/attitude", made["QuaternionStamped"](header=header, quaternion=quaternion)
+        status = made["NavSatStatus"](status=1, service=2)
+        yield "/status", status
+        yield "/large", made["ByteMultiArray"](layout=layout, data=np.zeros(LARGE, np.uint8))
+
+    with rosbag2.Writer(tmp_path / "run", version=9, storage_plugin=rosbag2.StoragePlugin.MCAP) as bag:
+        connections = {}
+        for k in range(3):
+            for topic, message in messages(k):
+                kind = message.__msgtype__
+                if topic not in connections:
+                    connections[topic] = bag.add_connection(topic, kind, typestore=store)
+                bag.write(connections[topic], START + k * NS // 4, store.serialize_cdr(message, kind))
+    series = {(each.name, each.field): each for each in Rosbag().survey(tmp_path / "run" / "run.mcap")}
+    fields = [*(f"quaternion{part}" for part in ("", ".x", ".y", ".z", ".w"))]
+    assert list(series) == [
+        *(("/attitude", field) for field in fields),
+        ("/status", "status"),
+        ("/status", "service"),
+        ("/thrust", "layout.data_offset"),
+        ("/thrust", "data.0"),
+        ("/thrust", "data.1"),
+    ]
+    attitude = series["/attitude", "quaternion"]
+    np.testing.assert_allclose(attitude.value, [0, 0.2, 0.4], atol=1e-15)
+    np.testing.assert_allclose(attitude.time, 0.5, atol=1e-9)
+    assert attitude.unit == "enu_rad" and attitude.kind == "geometry_msgs/msg/QuaternionStamped"
+    np.testing.assert_array_equal(series["/thrust", "data.1"].value, [np.nan, np.nan, 2])
