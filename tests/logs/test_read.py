@@ -76,7 +76,7 @@ def test_an_unset_path_says_how_to_set_it(path):
     ("path", "expected"),
     [
         ("mission.csv", ["mission.csv", "does not exist", "did you mean", "missions.csv"]),
-        ("nothing/like/it", ["does not exist", "(.csv)"]),
+        ("nothing/like/it", ["does not exist", "(.csv or .tsv)"]),
         ("empty", ["empty", "0 files", ".csv"]),
         ("other", ["none among its 1 files", ".csv"]),
         ("no*.csv", ["no*.csv", "0 files"]),
@@ -119,7 +119,7 @@ def test_badly_declared_channels_are_refused(tmp_path, change, expected):
         ("a.csv", HEADER, Table("t"), ["nothing below the header"]),
         ("a.csv", HEADER + "0,0,0\n", Table("t"), ["5 cells", "found 3 in line 2"]),
         ("a.csv", HEADER + "0,0,0,0,1\n", Table("stamp"), ["'stamp'", "'t', 'L', 'R'", "data.reader.time"]),
-        ("a.csv", HEADER.replace(",", ";"), Table("t"), ["data.reader.delimiter"]),
+        ("a.csv", HEADER.replace(",", ";"), Table("t", delimiter=","), ["data.reader.delimiter"]),
         ("a.csv", HEADER + "noon,0,0,0,1\n", Table("t"), ["line 2", "'noon'", "data.reader.time"]),
         (
             "a.csv",

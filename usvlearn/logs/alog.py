@@ -63,8 +63,10 @@ class Alog:
         for channel, source in sources.items():
             order, time, cells = rows[matched[channel]]
             raw = parse_numbers(cells)
-            where = f"{path}: {channel}"
-            channels[channel], dropped[channel] = build_channel(where, source, parse_numbers(time), raw, order, cells)
+            empty = np.array([not cell.strip() for cell in cells], bool)
+            channels[channel], dropped[channel] = build_channel(
+                f"{path}: {channel}", source, parse_numbers(time), raw, order, empty, cells[0] if cells else ""
+            )
         return channels, dropped
 
     def survey(self, path: Path) -> list[Series]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import difflib
 import fnmatch
 import math
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -182,7 +181,8 @@ def build_channel(
     time: np.ndarray,  # (n,) s since the log's start, NaN where the stamp was unreadable
     raw: np.ndarray,  # (n,) values as logged, NaN where there was no number
     order: Sequence[int] | np.ndarray,  # (n,) place in the log
-    cells: Sequence | None = None,  # (n,) cells as logged, to find empty ones and to quote in an error
+    empty: np.ndarray | None = None,  # (n,) bool, where the log had an empty cell
+    first: str | None = None,  # the first value as logged, to quote in an error
 ) -> tuple[Channel, dict[str, int]]:
     """A channel in SI units from the values of a reader, and the counts of dropped values, by cause.
 
@@ -191,24 +191,26 @@ def build_channel(
 
     >>> cells, stamps = ["50", "", "x"], np.array([0.0, 0.1, 0.2])
     >>> raw = parse_numbers(cells)
-    >>> channel, dropped = build_channel("a.csv", Source("L", span=100), stamps, raw, [2, 3, 4], cells)
+    >>> empty = np.array([not cell for cell in cells])
+    >>> channel, dropped = build_channel("a.csv", Source("L", span=100), stamps, raw, np.arange(2, 5), empty, cells[0])
     >>> channel.value, dropped
     (array([0.5]), {'empty': 1, 'not_a_number': 1})
     """
     usable = np.isfinite(time) & np.isfinite(raw)
-    dropped: Counter[str] = Counter()
-    for row in np.flatnonzero(~usable).tolist():
-        if cells is not None and isinstance(cells[row], str) and not cells[row].strip():
-            dropped["empty"] += 1
-        else:
-            dropped["no_time" if np.isfinite(raw[row]) else "not_a_number"] += 1
+    bare = np.zeros(len(raw), bool) if empty is None else empty & ~usable
+    counts = {
+        "empty": bare.sum(),
+        "not_a_number": (~bare & ~np.isfinite(raw)).sum(),
+        "no_time": (~bare & np.isfinite(raw) & ~usable).sum(),
+    }
+    dropped = {cause: int(count) for cause, count in counts.items() if count}
     if not usable.any():
         causes = ", ".join(f"{count} {cause}" for cause, count in dropped.items())
-        shown = f" ({causes}; the first is {cells[0][:QUOTED] if cells is not None else raw[0]!r})" if len(raw) else ""
+        shown = f" ({causes}; the first is {raw[0] if first is None else first[:QUOTED]!r})" if len(raw) else ""
         raise LogFormatError(
             f"{where}: expected numbers in {source.name!r}, found none among its {len(raw)} values{shown}: "
             "name another source, or leave this log out"
         )
     places = np.asarray(order, dtype=np.int64)[usable]
     how = source.held, source.window, source.delay, source.period
-    return Channel(time[usable], source.convert(raw[usable]), places, *how), dict(dropped)
+    return Channel(time[usable], source.convert(raw[usable]), places, *how), dropped

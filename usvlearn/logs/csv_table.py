@@ -1,11 +1,13 @@
-"""Tables of text (`.csv`): a header line, then one row per time step."""
+"""Tables of text (`.csv`, `.tsv`): a header line, then one row per time step."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from array import array
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from itertools import islice
 from operator import itemgetter
 from pathlib import Path
 from typing import ClassVar
@@ -13,42 +15,67 @@ from typing import ClassVar
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
-from usvlearn.logs.channel import QUOTED, Channel, Source, build_channel, match_name, parse_numbers
+from usvlearn.logs.channel import QUOTED, Channel, Source, build_channel, match_name
+from usvlearn.logs.csv_dialect import AUTO, Dialect, errors_of, find_dialect, not_text, split_unit
+from usvlearn.logs.csv_stamps import ORDERS, Stamps, parse_cells
+from usvlearn.logs.series import Series
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+BLOCK = 10_000  # rows that are held as text at a time
 
 
 @dataclass(frozen=True)
 class Table:
-    """Reads a CSV file. `Source.name` is a column.
+    """Reads a CSV file. `Source.name` is a column, with its unit as in `Speed (m/s)`, or without.
 
-    A row with more or fewer cells than the header (a torn write) is dropped and counted as `torn_row`.
+    Lines above the header are skipped, and a line below it that holds units. A row with more or fewer cells than the
+    header (a torn write) is dropped and counted as `torn_row`. In a file with decimal commas a number with a point is
+    counted as `not_a_number`, as is one with separators of thousands.
 
     Args:
-        time: column of the stamps: numbers, or date-times such as `2025-07-24 17:18:48.207`; a date-time
-            without a zone is taken as UTC.
+        time: column of the stamps: numbers, date-times such as `2025-07-24 17:18:48.207`, or times of a day, which go
+            on past midnight; `Date+Time` joins two columns. A date-time without a zone is taken as UTC.
         time_unit: unit of stamps that are numbers: s, ms, us or ns.
-        delimiter: what separates the cells.
+        delimiter: what separates the cells; a space stands for any number of spaces and tabs.
+        decimal: sign of the numbers, `.` or `,`.
+        encoding: of the text, as Python names it.
+        comment: what a line begins with that is skipped; null: no line is.
+        dates: order of date-times: year_first, day_first or month_first.
+
+    The last five are "auto" by default: found from the file, the same for the same file.
 
     >>> from tempfile import TemporaryDirectory
     >>> with TemporaryDirectory() as folder:
     ...     path = Path(folder) / "a.csv"
-    ...     _ = path.write_text("stamp,speed\\n5000,1.2\\n5100,\\n5200,1.3\\n")
-    ...     channels, dropped = Table("stamp", time_unit="ms").read(path, {"surge": Source("speed")})
+    ...     _ = path.write_text("stamp;Speed (m/s)\\n5000;1,2\\n5100;\\n5200;1,3\\n")
+    ...     channels, dropped = Table("stamp", time_unit="ms").read(path, {"surge": Source("Speed")})
     >>> channels["surge"].time, channels["surge"].value, dropped
     (array([0. , 0.2]), array([1.2, 1.3]), {'surge': {'empty': 1}})
     """
 
     time: str
     time_unit: str = "s"
-    delimiter: str = ","
+    delimiter: str = AUTO
+    decimal: str = AUTO
+    encoding: str = AUTO
+    comment: str | None = AUTO
+    dates: str = AUTO
 
-    suffixes: ClassVar[tuple[str, ...]] = (".csv",)
+    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".tsv")
 
     def __post_init__(self):
         check_choice("data.reader.time_unit", self.time_unit, tuple(TIME_UNITS))
-        if len(self.delimiter) != 1:
-            raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character")
+        if self.delimiter != AUTO and (len(self.delimiter) != 1 or self.delimiter in '\r\n"'):
+            raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character, or {AUTO}")
+        check_choice("data.reader.decimal", self.decimal, (".", ",", AUTO))
+        check_choice("data.reader.dates", self.dates, (*ORDERS, AUTO))
+        try:
+            if self.encoding != AUTO:
+                "".encode(self.encoding)
+        except LookupError:
+            raise ConfigError(
+                f"data.reader.encoding: found {self.encoding!r}, expected one such as utf-8, cp1252, or {AUTO}"
+            ) from None
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
         """The channels of a table, and the counts of unusable cells: channel -> cause -> count.
@@ -58,99 +85,199 @@ class Table:
             sources: channel -> where it is found.
 
         Raises:
-            LogFormatError: the file is no table, or lacks a column.
+            LogFormatError: the file is no table, or lacks a column, or does not tell how it is written.
         """
-        with path.open("rb") as head:
-            start = head.read(4096).splitlines()
-            if any(b"\0" in line.strip(b"\0") for line in start):  # a lost write leaves a line of zeros
-                raise LogFormatError(
-                    f"{path}: expected a CSV file in UTF-8, found binary data: choose the data option that "
-                    "fits this file"
-                )
-        with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
-            lines = csv.reader(file, delimiter=self.delimiter)
-            try:
-                return self._parse(path, lines, sources)
-            except csv.Error as error:
-                raise LogFormatError(
-                    f"{path}, line {lines.line_num}: expected cells separated by {self.delimiter!r}, found a "
-                    f"{error}: fix or remove that line"
-                ) from error
-
-    def _parse(self, path: Path, lines, sources: dict[str, Source]):
-        header = [name.strip() for name in next((row for row in lines if row), [])]
-        header[:1] = [name.lstrip("# ") for name in header[:1]]
-        names = [name for name in header if name]
-        if self.time not in names:
-            raise LogFormatError(_no_time_column(path, self.time, names, self.delimiter))
-        matched = {}
-        for channel, source in sources.items():
-            where = f"{path}: data.channels.{channel}.name"
-            matched[channel] = match_name(source.name, names, where)
-        columns = [self.time, *dict.fromkeys(matched.values())]
-        if twice := [name for name in columns if header.count(name) > 1]:
+        dialect = self._dialect(path)
+        stamps = self._stamp_columns(path, dialect)
+        matched = {
+            channel: _match(source.name, dialect.names, f"{path}: data.channels.{channel}.name")
+            for channel, source in sources.items()
+        }
+        columns = list(dict.fromkeys(matched.values()))
+        if twice := [name for name in (*stamps, *columns) if dialect.names.count(name) > 1]:
             raise LogFormatError(f"{path}: has several columns {twice[0][:QUOTED]!r}, expected one: rename all but one")
-        places = [header.index(name) for name in columns]
-        order, rows, torn = _rows(path, lines, len(header), itemgetter(*places, places[0]))
-        cells = dict(zip(columns, zip(*rows, strict=True), strict=False))  # the getter's last place is spare
-        time = self._seconds(path, order, cells[self.time])
-
+        body = _Body(path, dialect, stamps, columns)
+        time = self._seconds(path, body)
         channels, dropped = {}, {}
         for channel, source in sources.items():
-            column = cells[matched[channel]]
+            column = body.columns[matched[channel]]
             channels[channel], dropped[channel] = build_channel(
-                f"{path}: {channel}", source, time, parse_numbers(column), order, column
+                f"{path}: {channel}", source, time, column.values, body.order, column.empty, column.first
             )
-            if torn:
-                dropped[channel]["torn_row"] = torn
+            if body.torn:
+                dropped[channel]["torn_row"] = body.torn
         return channels, dropped
 
-    def _seconds(self, path: Path, order: list[int], cells: Sequence[str]) -> np.ndarray:
-        """Stamps as seconds since the first readable one."""
-        stamps, factor = parse_numbers(cells), TIME_UNITS[self.time_unit]
-        if not np.isfinite(stamps).any():
-            stamps, factor = np.array([_date(cell) for cell in cells]), 1.0
-        readable = np.isfinite(stamps)
-        if not readable.any():
+    def survey(self, path: Path) -> list[Series]:
+        """All columns with numbers in at least half of their filled cells.
+
+        Args:
+            path: the file.
+
+        Raises:
+            LogFormatError: as for `read`.
+        """
+        dialect = self._dialect(path)
+        stamps = self._stamp_columns(path, dialect)
+        columns = [name for name in dialect.names if name and dialect.names.count(name) == 1 and name not in stamps]
+        body = _Body(path, dialect, stamps, columns)
+        time = self._seconds(path, body)
+        readable, series = np.isfinite(time), []
+        for name in columns:
+            column = body.columns.pop(name)
+            found = np.isfinite(column.values)
+            if found.any() and 2 * found.sum() >= (~column.empty).sum():
+                unit = dialect.units[dialect.names.index(name)]
+                series.append(Series(name, None, time[readable], column.values[readable], body.order[readable], unit))
+        return series
+
+    def stamp_kind(self, path: Path) -> tuple[str, str]:
+        """What the stamps are (number, time, year_first, day_first or month_first), and a doubt about it, or ""."""
+        dialect = self._dialect(path)
+        body = _Body(path, dialect, self._stamp_columns(path, dialect), [])
+        _, kind, doubt = body.stamps.seconds(self.dates)
+        return kind or "number", doubt
+
+    def _dialect(self, path: Path) -> Dialect:
+        """How a file is written, by the options given and by what is found."""
+        found = find_dialect(path, self.time, self.encoding, self.delimiter, self.comment, self.decimal)
+        if "decimal" in found.doubts:
             raise LogFormatError(
-                f"{path}, line {order[0]}: expected a number or a date-time in the time column "
-                f"{self.time!r}, found {cells[0][:QUOTED]!r}: name the column of the stamps in data.reader.time"
+                f"{path}: expected to find the decimal sign from the numbers, found {found.doubts['decimal']}: set "
+                "data.reader.decimal"
             )
-        return factor * (stamps - stamps[readable][0])
+        return found
+
+    def _stamp_columns(self, path: Path, dialect: Dialect) -> list[str]:
+        """The columns of the stamps: one, or a date and a time."""
+        names = [name for name in dialect.names if name]
+        parts = [self.time] if self.time in names else [part.strip() for part in self.time.split("+", 1)]
+        bare = [split_unit(name)[0] for name in names]
+        for place, part in enumerate(parts):
+            if part not in names and bare.count(part) == 1:
+                parts[place] = names[bare.index(part)]
+            elif part not in names:
+                raise LogFormatError(_no_time_column(path, part, names, dialect.delimiter))
+        return parts
+
+    def _seconds(self, path: Path, body: _Body) -> np.ndarray:
+        """Stamps as seconds since the first readable one."""
+        time, kind, doubt = body.stamps.seconds(self.dates)
+        if time is None:
+            raise LogFormatError(
+                f"{path}, line {body.order[0]}: expected a number or a date-time in the time column "
+                f"{self.time!r}, found {body.first_stamp[:QUOTED]!r}: name the column of the stamps in data.reader.time"
+            )
+        if doubt:
+            raise LogFormatError(
+                f"{path}: expected to find the order of day, month and year from the column {self.time!r}, found "
+                f"{doubt}: set data.reader.dates to one of {', '.join(ORDERS)}"
+            )
+        return time * (TIME_UNITS[self.time_unit] if kind == "number" else 1.0)
 
 
-def _rows(path: Path, lines, width: int, wanted: itemgetter) -> tuple[list[int], list[tuple], int]:
-    """Line numbers and wanted cells of the complete rows, and the number of torn rows."""
-    order, rows, torn = [], [], 0
-    first = ""
-    for row in lines:
-        if len(row) == width or (len(row) > width and not any(row[width:])):
-            order.append(lines.line_num)
-            rows.append(wanted(row))
-        elif row:
-            first = first or f", found {len(row)} in line {lines.line_num}"
-            torn += 1
-    if not rows:
-        what = first or ", found nothing below the header"
-        raise LogFormatError(
-            f"{path}: expected rows of {width} cells, as many as the header has{what}: fix the header, or "
-            "leave this log out"
-        )
-    return order, rows, torn
+class _Column:
+    """The numbers of a column, block by block."""
+
+    def __init__(self) -> None:
+        self._values: list[np.ndarray] = []
+        self._empty: list[np.ndarray] = []
+        self.first = ""  # cell
+
+    def add(self, cells: Sequence[str], decimal: str) -> None:
+        self.first = self.first if self._values else cells[0]
+        values = parse_cells(cells, decimal)
+        empty = np.zeros(len(cells), bool)
+        for place in np.flatnonzero(np.isnan(values)).tolist():
+            empty[place] = not cells[place].strip()
+        self._values.append(values)
+        self._empty.append(empty)
+
+    @property
+    def values(self) -> np.ndarray:  # (rows,) float64, NaN where there is no number
+        self._values = [np.concatenate(self._values)]
+        return self._values[0]
+
+    @property
+    def empty(self) -> np.ndarray:  # (rows,) bool, cells without text
+        self._empty = [np.concatenate(self._empty)]
+        return self._empty[0]
 
 
-def _date(cell: str) -> float:
-    """Unix seconds of an ISO 8601 date-time, NaN if it is none."""
-    try:
-        stamp = datetime.fromisoformat(cell.strip().replace("/", "-"))
-    except ValueError:
-        return np.nan
-    return (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp()
+class _Body:
+    """The rows below the header: stamps, and numbers of some columns.
+
+    Attributes:
+        order: lines of the complete rows, `(rows,)` int64.
+        torn: number of incomplete rows.
+        first_stamp: its text.
+    """
+
+    def __init__(self, path: Path, dialect: Dialect, stamps: list[str], columns: list[str]):
+        self.stamps, self.first_stamp, self.torn = Stamps(), "", 0
+        self.columns = {name: _Column() for name in columns}
+        self._dialect, self._lines, self._first_torn = dialect, 0, ""
+        lines = array("q")
+        wanted = itemgetter(*(dialect.names.index(name) for name in (*stamps, *columns)), 0)  # the last is spare
+        try:
+            with path.open(encoding=dialect.encoding, errors=errors_of(dialect.encoding), newline="") as file:
+                rows = self._rows(csv.reader(self._text(file), delimiter=dialect.delimiter))
+                while block := list(islice(rows, BLOCK)):
+                    numbers, cells = zip(*block, strict=True)
+                    lines.extend(numbers)
+                    parts = list(zip(*map(wanted, cells), strict=True))
+                    stamp = (
+                        parts[0] if len(stamps) == 1 else list(map(" ".join, zip(*parts[: len(stamps)], strict=True)))
+                    )
+                    self.first_stamp = self.first_stamp or stamp[0]
+                    self.stamps.add(stamp, dialect.decimal)
+                    for column, each in zip(self.columns.values(), parts[len(stamps) :], strict=False):
+                        column.add(each, dialect.decimal)
+        except csv.Error as error:
+            raise LogFormatError(
+                f"{path}, line {self._lines}: expected cells separated by {dialect.delimiter!r}, found a "
+                f"{error}: fix or remove that line"
+            ) from error
+        except UnicodeError as error:
+            raise not_text(path, dialect.encoding) from error
+        if not lines:
+            what = self._first_torn or ", found nothing below the header"
+            raise LogFormatError(
+                f"{path}: expected rows of {len(dialect.names)} cells, as many as the header has{what}: fix the "
+                "header, or leave this log out"
+            )
+        self.order = np.array(lines, np.int64)
+
+    def _text(self, file) -> Iterator[str]:
+        """The lines below the header that are no comments."""
+        body, comment = self._dialect.body, self._dialect.comment
+        for line in self._dialect.lines(file):
+            self._lines += 1
+            if self._lines > body and not (comment and line.lstrip().startswith(comment)):
+                yield line
+
+    def _rows(self, reader) -> Iterator[tuple[int, list[str]]]:
+        """The complete rows, each with its line."""
+        width = len(self._dialect.names)
+        for row in reader:
+            if len(row) == width or (len(row) > width and not any(row[width:])):
+                yield self._lines, row
+            elif row:
+                self._first_torn = self._first_torn or f", found {len(row)} in line {self._lines}"
+                self.torn += 1
+
+
+def _match(pattern: str, names: list[str], where: str) -> str:
+    """The column that a `Source` names, with or without its unit."""
+    bare = Counter(split_unit(name)[0] for name in names)
+    if pattern not in names and bare[pattern] == 1:
+        return next(name for name in names if split_unit(name)[0] == pattern)
+    return match_name(pattern, [name for name in names if name], where)
 
 
 def _no_time_column(path: Path, time: str, names: list[str], delimiter: str) -> str:
     listing = ", ".join(repr(name[:QUOTED]) for name in names[:40]) + (", ..." if len(names) > 40 else "")
     message = f"{path}: expected a time column {time!r}, found the columns {listing or '(none)'}: "
-    if len(names) == 1:
+    if len(names) < 2:
         return message + f"set data.reader.delimiter if {delimiter!r} does not separate its cells"
     return message + "name one of them in data.reader.time"

@@ -1,0 +1,144 @@
+"""The options with which a table is to be read, found from its first rows before anybody has named a column."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.channel import QUOTED
+from usvlearn.logs.csv_dialect import AUTO, Dialect, find_dialect, split_unit
+from usvlearn.logs.csv_stamps import Stamps, parse_cells
+from usvlearn.logs.csv_table import TIME_UNITS, Table
+
+NAMED = {
+    "time",
+    "timestamp",
+    "t",
+    "stamp",
+    "datetime",
+    "date_time",
+    "date time",
+    "date/time",
+    "utc",
+    "zeit",
+    "zeitstempel",
+}
+PARTS = ("time", "stamp", "zeit")  # of a name that may be one of stamps
+RISING = 0.95  # share of the steps of a column of stamps that are not negative
+READABLE = 0.9  # share of its cells that are stamps
+EPOCHS = {"s": (3e8, 5e9), "ms": (3e11, 5e12), "us": (3e14, 5e15), "ns": (3e17, 5e18)}  # from 1979 to 2128
+SHORTEST, LONGEST = 0.005, 5.0  # s, usual time between two rows
+
+
+class _Candidate(NamedTuple):
+    rank: int
+    name: str
+    kind: str
+    unit: str  # that the header declares
+    values: np.ndarray  # since the first
+    first: float  # number
+
+
+def table_of(path: Path) -> tuple[Table, list[str]]:
+    """A reader for one table, with its options as found, and a sentence for each unsure one that begins with its key.
+
+    The option `comment` stays "auto".
+
+    Args:
+        path: the table.
+
+    Raises:
+        LogFormatError: the file is no table with a header, or no column can be one of stamps.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "a.csv"
+    ...     _ = path.write_text("Zeit;Speed (kn)\\n" + "".join(f"24.07.2025 17:18:4{k},5;{k},2\\n" for k in range(9)))
+    ...     table, unsure = table_of(path)
+    >>> table.time, table.delimiter, table.decimal, table.dates, unsure
+    ('Zeit', ';', ',', 'day_first', [])
+    """
+    dialect = find_dialect(path, AUTO, AUTO, AUTO, AUTO, AUTO)
+    unsure = [f"decimal: found {doubt}; '.' is assumed" for doubt in dialect.doubts.values()]
+    candidates = sorted(_candidates(dialect), key=lambda each: -each.rank)
+    if not candidates:
+        listing = ", ".join(repr(name[:QUOTED]) for name in dialect.names[:40]) or "(none)"
+        raise LogFormatError(
+            f"{path}: expected a table with a header and a column of stamps that rise, found the columns {listing}: "
+            "name the column of the stamps in data.reader.time"
+        )
+    best = candidates[0]
+    rivals = [each.name for each in candidates[1:] if each.rank == best.rank]
+    if rivals:
+        unsure.append(f"time: found {best.name!r}, but the stamps may also be {' or '.join(map(repr, rivals[:3]))}")
+    unit, doubt = _time_unit(best)
+    if doubt:
+        unsure.append(f"time_unit: {doubt}")
+    found = {"delimiter": dialect.delimiter, "decimal": dialect.decimal, "encoding": dialect.encoding}
+    table = Table(best.name, unit, **found)
+    kind, doubt = table.stamp_kind(path)
+    if doubt:
+        unsure.append(f"dates: found {doubt}; {kind} is assumed")
+    return (table if kind in ("number", "time") else Table(best.name, unit, dates=kind, **found)), unsure
+
+
+def _candidates(dialect: Dialect) -> list[_Candidate]:
+    """The columns that may be stamps; a column of dates goes with one of times."""
+    found, days = [], []
+    for place, name in enumerate(dialect.names):
+        if not name or dialect.names.count(name) > 1:
+            continue
+        cells = [row[place] for row in dialect.sample]
+        time, kind, _ = _stamps(cells, dialect.decimal)
+        if time is None or np.isfinite(time).mean() < READABLE:
+            continue
+        bare, unit = split_unit(name)[0].lower(), dialect.units[place]
+        if kind not in ("number", "time") and not any(":" in cell for cell in cells):
+            days.append(name)
+            continue
+        rising = np.diff(time[np.isfinite(time)])
+        if not len(rising) or (rising >= 0).mean() < RISING or not 0.2 <= (rising > 0).mean():
+            continue
+        part = any(part in bare for part in PARTS)
+        rank = 4 * (kind != "number") + 3 * (bare in NAMED) + 2 * part + (unit in TIME_UNITS)
+        if rank:
+            found.append(_Candidate(rank, name, kind, unit, time, _first(cells, dialect.decimal)))
+    return [
+        each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4) if each.kind == "time" and days else each
+        for each in found
+    ]
+
+
+def _stamps(cells: list[str], decimal: str) -> tuple[np.ndarray | None, str, str]:
+    stamps = Stamps()
+    stamps.add(cells, decimal)
+    return stamps.seconds(AUTO)
+
+
+def _first(cells: list[str], decimal: str) -> float:
+    """The first number of a column; NaN if there is none."""
+    numbers = parse_cells(cells, decimal)
+    return next(iter(numbers[np.isfinite(numbers)].tolist()), np.nan)
+
+
+def _time_unit(stamps: _Candidate) -> tuple[str, str]:
+    """The unit of the stamps, and a doubt or ""."""
+    if stamps.kind != "number":
+        return "s", ""
+    if stamps.unit in TIME_UNITS:
+        return stamps.unit, ""
+    steps = np.diff(stamps.values[np.isfinite(stamps.values)])
+    step = float(np.median(steps[steps > 0]))
+    usual = [unit for unit, factor in TIME_UNITS.items() if SHORTEST <= factor * step <= LONGEST]
+    for unit in usual:
+        if EPOCHS[unit][0] <= stamps.first <= EPOCHS[unit][1]:
+            return unit, ""
+    if not usual:
+        return "s", f"found steps of {step:g} without a unit; s is assumed"
+    fractions = (np.abs(steps - np.round(steps)) > 1e-9).any()
+    if len(usual) == 1 or (fractions and usual[0] == "s"):
+        return usual[0], ""
+    return usual[0], f"found steps of {step:g}, which may be {' or '.join(usual)}; {usual[0]} is assumed"

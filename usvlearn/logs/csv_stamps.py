@@ -1,0 +1,152 @@
+"""The stamps of a table: numbers, date-times in the order year-month-day, day-month-year or month-day-year, or times.
+
+A column has one kind of stamps: the one that most of its cells have. Other cells are unreadable.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, date, datetime
+
+import numpy as np
+
+from usvlearn.logs.channel import parse_numbers
+
+ORDERS = ("year_first", "day_first", "month_first")
+NUMBER, YEAR_FIRST, OTHER_DATE, CLOCK, UNREADABLE = range(5)
+SWAPPED = str.maketrans(",.", ".,")
+DAY = 86400.0  # s
+EPOCH = date(1970, 1, 1).toordinal()
+CERTAIN = 0.99  # share of the telling dates that agree
+TIME = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?\s*(?:([AaPp])\.?[Mm]\.?)?"
+ONLY_TIME = re.compile(rf"\s*{TIME}\s*")
+DATE_TIME = re.compile(rf"\s*(\d{{1,2}})([-./])(\d{{1,2}})\2(\d{{4}}|\d\d)(?:[ T,;]+{TIME})?\s*(Z|[+-]\d\d:?\d\d)?\s*")
+
+
+def parse_cells(cells: Sequence[str], decimal: str) -> np.ndarray:
+    """Cells as float64, NaN where a cell is not a number with this decimal sign.
+
+    >>> parse_cells(["1,5", "1.5", "1.234,5"], ",")
+    array([1.5, nan, nan])
+    """
+    return parse_numbers(cells if decimal == "." else [cell.translate(SWAPPED) for cell in cells])
+
+
+class Stamps:
+    """Takes the cells of the stamps block by block, and converts them when all are known.
+
+    >>> stamps = Stamps()
+    >>> stamps.add(["24.07.2025 17:18:48,2", "24.07.2025 17:18:48,7", "?"])
+    >>> stamps.seconds("auto")
+    (array([0. , 0.5, nan]), 'day_first', '')
+    """
+
+    def __init__(self) -> None:
+        self._kinds: list[np.ndarray] = []
+        self._values: list[np.ndarray] = []  # number, s since 1970, or s since midnight
+        self._dates: list[np.ndarray] = []  # (n, 3) first, second, year; of OTHER_DATE
+        self._dotted = False  # dates are written with points
+
+    def add(self, cells: Sequence[str], decimal: str = ".") -> None:
+        """Take the next cells."""
+        values = parse_cells(cells, decimal)
+        kinds = np.where(np.isfinite(values), np.int8(NUMBER), np.int8(UNREADABLE))
+        dates = np.zeros((len(cells), 3), np.int16)
+        if len(texts := np.flatnonzero(kinds == UNREADABLE)):
+            found = zip(*[self._text(cells[place]) for place in texts.tolist()], strict=True)
+            kinds[texts], values[texts], dates[texts] = (list(each) for each in found)
+        self._kinds.append(kinds)
+        self._values.append(values)
+        self._dates.append(dates if (kinds == OTHER_DATE).any() else np.broadcast_to(np.int16(0), dates.shape))
+
+    def _text(self, cell: str) -> tuple[int, float, tuple[int, int, int]]:
+        none = (0, 0, 0)
+        try:
+            stamp = datetime.fromisoformat(cell.strip().replace("/", "-"))
+            return YEAR_FIRST, (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp(), none
+        except ValueError:
+            pass
+        if found := ONLY_TIME.fullmatch(cell):
+            return CLOCK, _seconds(*found.groups()), none
+        if found := DATE_TIME.fullmatch(cell):
+            first, sign, second, year, *clock, zone = found.groups()
+            self._dotted |= sign == "."
+            seconds = _seconds(*clock) - _offset(zone) if clock[0] else 0.0
+            return OTHER_DATE, seconds, (int(first), int(second), int(year) + 2000 * (len(year) == 2))
+        return UNREADABLE, np.nan, none
+
+    def seconds(self, order: str) -> tuple[np.ndarray | None, str, str]:
+        """Stamps as seconds since the first readable one; numbers in their unit; None if none is readable.
+
+        Args:
+            order: of a date, one of `ORDERS` or "auto".
+
+        Returns:
+            the stamps, the kind ("number", "time" or one of `ORDERS`), and a doubt about the order, or "".
+        """
+        kinds, values = np.concatenate(self._kinds), np.concatenate(self._values)
+        values = np.where(np.isfinite(values), values, np.nan)
+        counts = np.bincount(kinds[np.isfinite(values)], minlength=5)[:UNREADABLE]
+        if not counts.any():
+            return None, "", ""
+        kind, doubt = int(counts.argmax()), ""
+        values[kinds != kind] = np.nan
+        name = ("number", "year_first", order, "time")[kind]
+        if kind == OTHER_DATE:
+            dates = np.concatenate(self._dates)
+            if order not in ORDERS[1:]:
+                name, doubt = self._order(dates[np.isfinite(values)])
+                doubt = doubt if order == "auto" else "dates that do not begin with the year"
+            values += DAY * _days(dates, name)
+        readable = np.flatnonzero(np.isfinite(values))
+        if not len(readable):
+            return None, name, doubt
+        if kind == CLOCK:  # past midnight they begin anew
+            values[readable] = np.unwrap(values[readable], period=DAY)
+        return values - values[readable[0]], name, doubt
+
+    def _order(self, dates: np.ndarray) -> tuple[str, str]:
+        """The order of day and month, from all dates."""
+        first, second = (dates[:, :2] > 12).sum(0)
+        if first or second:
+            share = max(first, second) / (first + second)
+            found = "day_first" if first >= second else "month_first"
+            return found, "" if share >= CERTAIN else "dates of which some have no month in either order"
+        if self._dotted or len(np.unique(dates, axis=0)) == 1:  # on a single day, either order gives the same times
+            return "day_first", ""
+        one, other = (dates[place].tolist() for place in (0, -1))
+        shown = " to ".join(f"{a}/{b}/{year}" for a, b, year in (one, other))
+        return "day_first", f"dates from {shown}, which may have the day or the month first"
+
+
+def _seconds(hour: str, minute: str, second: str | None, fraction: str | None, half: str | None) -> float:
+    """Seconds since midnight; NaN if there is no such time."""
+    hours = int(hour)
+    if half:
+        if not 1 <= hours <= 12:
+            return np.nan
+        hours = hours % 12 + 12 * (half in "Pp")
+    if hours > 24 or int(minute) > 59 or int(second or 0) > 60:
+        return np.nan
+    return 3600.0 * hours + 60 * int(minute) + int(second or 0) + float(f"0.{(fraction or '0')[:18]}")
+
+
+def _offset(zone: str | None) -> float:
+    """Of a zone such as +02:00, s."""
+    if zone in (None, "Z"):
+        return 0.0
+    return (1 if zone[0] == "+" else -1) * (3600.0 * int(zone[1:3]) + 60 * int(zone[-2:]))
+
+
+def _days(dates: np.ndarray, order: str) -> np.ndarray:
+    """Days since 1970 of dates; NaN where there is no such day."""
+    distinct, places = np.unique(dates, axis=0, return_inverse=True)
+    days = np.full(len(distinct), np.nan)
+    for place, (first, second, year) in enumerate(distinct.tolist()):
+        day, month = (first, second) if order == "day_first" else (second, first)
+        try:
+            days[place] = date(year, month, day).toordinal() - EPOCH
+        except ValueError:
+            pass
+    return days[places.reshape(-1)]
