@@ -64,10 +64,6 @@ class Dialect(NamedTuple):
     sample: list[list[str]]  # the first rows of cells, as many as the header has
     doubts: dict[str, str]  # option that was not decidable -> what was found
 
-    def lines(self, file) -> Iterator[str]:
-        """The lines of an open file with single spaces, where spaces separate cells."""
-        return (" ".join(line.split()) for line in file) if self.delimiter == " " else file
-
 
 def split_unit(name: str) -> tuple[str, str]:
     """The name of a column without its unit, and the unit, in the words of `UNITS` where it is one of them.

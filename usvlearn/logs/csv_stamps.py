@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from datetime import UTC, date, datetime
+from datetime import date, datetime
 
 import numpy as np
 
@@ -17,7 +17,8 @@ ORDERS = ("year_first", "day_first", "month_first")
 NUMBER, YEAR_FIRST, OTHER_DATE, CLOCK, UNREADABLE = range(5)
 SWAPPED = str.maketrans(",.", ".,")
 DAY = 86400.0  # s
-EPOCH = date(1970, 1, 1).toordinal()
+MIDNIGHT = datetime(1970, 1, 1)
+EPOCH = MIDNIGHT.toordinal()
 CERTAIN = 0.99  # share of the telling dates that agree
 TIME = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?\s*(?:([AaPp])\.?[Mm]\.?)?"
 ONLY_TIME = re.compile(rf"\s*{TIME}\s*")
@@ -53,6 +54,9 @@ class Stamps:
         values = parse_cells(cells, decimal)
         kinds = np.where(np.isfinite(values), np.int8(NUMBER), np.int8(UNREADABLE))
         dates = np.zeros((len(cells), 3), np.int16)
+        texts = np.flatnonzero(kinds == UNREADABLE)
+        values[texts] = [_iso(cells[place]) for place in texts.tolist()]
+        kinds[texts[np.isfinite(values[texts])]] = YEAR_FIRST
         if len(texts := np.flatnonzero(kinds == UNREADABLE)):
             found = zip(*[self._text(cells[place]) for place in texts.tolist()], strict=True)
             kinds[texts], values[texts], dates[texts] = (list(each) for each in found)
@@ -61,12 +65,8 @@ class Stamps:
         self._dates.append(dates if (kinds == OTHER_DATE).any() else np.broadcast_to(np.int16(0), dates.shape))
 
     def _text(self, cell: str) -> tuple[int, float, tuple[int, int, int]]:
+        """Kind, value and date of a cell that is no number and not in ISO 8601."""
         none = (0, 0, 0)
-        try:
-            stamp = datetime.fromisoformat(cell.strip().replace("/", "-"))
-            return YEAR_FIRST, (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)).timestamp(), none
-        except ValueError:
-            pass
         if found := ONLY_TIME.fullmatch(cell):
             return CLOCK, _seconds(*found.groups()), none
         if found := DATE_TIME.fullmatch(cell):
@@ -118,6 +118,15 @@ class Stamps:
         one, other = (dates[place].tolist() for place in (0, -1))
         shown = " to ".join(f"{a}/{b}/{year}" for a, b, year in (one, other))
         return "day_first", f"dates from {shown}, which may have the day or the month first"
+
+
+def _iso(cell: str) -> float:
+    """Seconds since 1970 of an ISO 8601 date-time; NaN if it is none."""
+    try:
+        stamp = datetime.fromisoformat(cell.strip().replace("/", "-"))
+    except ValueError:
+        return np.nan
+    return stamp.timestamp() if stamp.tzinfo else (stamp - MIDNIGHT).total_seconds()
 
 
 def _seconds(hour: str, minute: str, second: str | None, fraction: str | None, half: str | None) -> float:

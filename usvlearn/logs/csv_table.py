@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import csv
-from array import array
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import chain, compress, islice
 from operator import itemgetter
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, TextIO
 
 import numpy as np
 
@@ -21,7 +20,8 @@ from usvlearn.logs.csv_stamps import ORDERS, Stamps, parse_cells
 from usvlearn.logs.series import Series
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-BLOCK = 10_000  # rows that are held as text at a time
+BLOCK = 200  # rows that are parsed at a time
+PART = 1 << 16  # characters that are read at a time
 
 
 @dataclass(frozen=True)
@@ -216,55 +216,83 @@ class _Body:
     def __init__(self, path: Path, dialect: Dialect, stamps: list[str], columns: list[str]):
         self.stamps, self.first_stamp, self.torn = Stamps(), "", 0
         self.columns = {name: _Column() for name in columns}
-        self._dialect, self._lines, self._first_torn = dialect, 0, ""
-        lines = array("q")
+        width, orders, first_torn = len(dialect.names), [], ""
         wanted = itemgetter(*(dialect.names.index(name) for name in (*stamps, *columns)), 0)  # the last is spare
-        try:
-            with path.open(encoding=dialect.encoding, errors=errors_of(dialect.encoding), newline="") as file:
-                rows = self._rows(csv.reader(self._text(file), delimiter=dialect.delimiter))
-                while block := list(islice(rows, BLOCK)):
-                    numbers, cells = zip(*block, strict=True)
-                    lines.extend(numbers)
-                    parts = list(zip(*map(wanted, cells), strict=True))
-                    stamp = (
-                        parts[0] if len(stamps) == 1 else list(map(" ".join, zip(*parts[: len(stamps)], strict=True)))
-                    )
-                    self.first_stamp = self.first_stamp or stamp[0]
-                    self.stamps.add(stamp, dialect.decimal)
-                    for column, each in zip(self.columns.values(), parts[len(stamps) :], strict=False):
-                        column.add(each, dialect.decimal)
-        except csv.Error as error:
+        with path.open(encoding=dialect.encoding, errors=errors_of(dialect.encoding), newline="") as file:
+            lines = _Lines(file, dialect)
+            reader = csv.reader(chain.from_iterable(lines), delimiter=dialect.delimiter)
+            given = 0
+            try:
+                while rows := list(islice(reader, BLOCK)):
+                    order = lines.places(given + _ends(rows, reader.line_num - given))
+                    given = reader.line_num
+                    if set(map(len, rows)) != {width}:
+                        whole = np.array([len(row) == width or bool(row[width:]) > any(row[width:]) for row in rows])
+                        if lost := [k for k in np.flatnonzero(~whole).tolist() if rows[k]]:
+                            first_torn = first_torn or f", found {len(rows[lost[0]])} in line {order[lost[0]]}"
+                            self.torn += len(lost)
+                        rows, order = list(compress(rows, whole)), order[whole]
+                    if rows:
+                        orders.append(order)
+                        self._add(list(zip(*map(wanted, rows), strict=True)), len(stamps), dialect.decimal)
+            except csv.Error as error:
+                raise LogFormatError(
+                    f"{path}, line {lines.places(np.array([reader.line_num]))[0]}: expected cells separated by "
+                    f"{dialect.delimiter!r}, found a {error}: fix or remove that line"
+                ) from error
+            except UnicodeError as error:
+                raise not_text(path, dialect.encoding) from error
+        if not orders:
             raise LogFormatError(
-                f"{path}, line {self._lines}: expected cells separated by {dialect.delimiter!r}, found a "
-                f"{error}: fix or remove that line"
-            ) from error
-        except UnicodeError as error:
-            raise not_text(path, dialect.encoding) from error
-        if not lines:
-            what = self._first_torn or ", found nothing below the header"
-            raise LogFormatError(
-                f"{path}: expected rows of {len(dialect.names)} cells, as many as the header has{what}: fix the "
-                "header, or leave this log out"
+                f"{path}: expected rows of {width} cells, as many as the header has"
+                f"{first_torn or ', found nothing below the header'}: fix the header, or leave this log out"
             )
-        self.order = np.array(lines, np.int64)
+        self.order = np.concatenate(orders)
 
-    def _text(self, file) -> Iterator[str]:
-        """The lines below the header that are no comments."""
-        body, comment = self._dialect.body, self._dialect.comment
-        for line in self._dialect.lines(file):
-            self._lines += 1
-            if self._lines > body and not (comment and line.lstrip().startswith(comment)):
-                yield line
+    def _add(self, cells: list[tuple[str, ...]], stamps: int, decimal: str) -> None:
+        """Take a block, column by column; the first ones hold the stamps."""
+        stamp = cells[0] if stamps == 1 else [" ".join(each) for each in zip(*cells[:stamps], strict=True)]
+        self.first_stamp = self.first_stamp or stamp[0]
+        self.stamps.add(stamp, decimal)
+        for column, each in zip(self.columns.values(), cells[stamps:], strict=False):
+            column.add(each, decimal)
 
-    def _rows(self, reader) -> Iterator[tuple[int, list[str]]]:
-        """The complete rows, each with its line."""
-        width = len(self._dialect.names)
-        for row in reader:
-            if len(row) == width or (len(row) > width and not any(row[width:])):
-                yield self._lines, row
-            elif row:
-                self._first_torn = self._first_torn or f", found {len(row)} in line {self._lines}"
-                self.torn += 1
+
+class _Lines:
+    """The lines below the header that are no comments, in lists; and their places in the file."""
+
+    def __init__(self, file: TextIO, dialect: Dialect):
+        self._file, self._dialect = file, dialect
+        self._from, self._skipped = [0], [dialect.body]  # after so many lines given, so many lines were skipped
+
+    def __iter__(self) -> Iterator[list[str]]:
+        for _ in range(self._dialect.body):
+            next(self._file, "")
+        comment, given = self._dialect.comment, 0
+        while lines := self._file.readlines(PART):
+            text = "".join(lines) if comment else ""
+            if any(sign in text for sign in comment):
+                kept: list[str] = []
+                for line in lines:
+                    if line.lstrip().startswith(comment):
+                        self._from.append(given + len(kept))
+                        self._skipped.append(self._skipped[-1] + 1)
+                    else:
+                        kept.append(line)
+                lines = kept
+            given += len(lines)
+            yield [" ".join(line.split()) for line in lines] if self._dialect.delimiter == " " else lines
+
+    def places(self, given: np.ndarray) -> np.ndarray:
+        """The places in the file, from 1, of lines that were given, from 1."""
+        return given + np.array(self._skipped)[np.searchsorted(self._from, given, side="left") - 1]
+
+
+def _ends(rows: list[list[str]], lines: int) -> np.ndarray:
+    """The last lines of rows, from 1; a cell in quotes may have several lines."""
+    if lines == len(rows):
+        return np.arange(1, lines + 1)
+    return np.cumsum([1 + sum(len(cell.splitlines()) - 1 for cell in row if "\n" in cell) for row in rows])
 
 
 def _match(pattern: str, names: list[str], where: str) -> str:
