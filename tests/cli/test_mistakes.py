@@ -1,15 +1,18 @@
 """Mistyped keys, groups, files, flags and values: one sentence with the full key and the nearest name, and code 2."""
 
 import os
+import shlex
 import subprocess
 import sys
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, GOOD, sentence
 from usvlearn.cli import evaluate, train
 from usvlearn.cli.command import parse
+from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.cli.settings import instantiate
 from usvlearn.errors import ConfigError
 
@@ -184,3 +187,14 @@ def test_a_cluster_that_cannot_be_reached_is_told(tmp_path, monkeypatch, capsys)
     said, arguments = "unable to contact the controller", ["-m", "hydra/launcher=slurm", "hydra.sweep.dir=sweep"]
     error = sentence(train.main, arguments, monkeypatch, capsys, before=f"{said}\n")
     assert said in error and "continue with: python" in error
+
+
+@pytest.mark.parametrize("name", ["Speed (m/s)", "Speed [km/h]", "Höhe °", 'it\'s "v" (x)', "a\\b (c)"])
+def test_the_quoting_that_an_error_advises_gives_the_text(name):
+    """As a POSIX shell splits it, and Hydra parses it."""
+    parser = OverridesParser.create()
+    with pytest.raises(ConfigError) as caught, in_one_sentence():
+        parser.parse_overrides([f"data.channels.surge.name={name}"])
+    advice = str(caught.value).partition("in quotes: ")[2]
+    (word,) = shlex.split(advice)
+    assert parser.parse_override(word).value() == name

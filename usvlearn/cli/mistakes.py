@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -57,7 +58,8 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
     cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else error
     if isinstance(error, OverrideParseException):
         what = _first_line(error, but=("Error parsing", "See "))
-        return f"{error.override}: cannot be read ({what}): expected KEY=VALUE, with brackets and quotes closed"
+        expected = "expected KEY=VALUE, with brackets and quotes closed"
+        return f"{error.override}: cannot be read ({what}): {expected}{_in_quotes(str(error.override))}"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
         group, _, name = error.missing_cfg_file.rpartition("/")
         options = list(error.options or names(""))
@@ -76,6 +78,19 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
     if isinstance(cause, OmegaConfBaseException):
         return _of_value(cause, error)
     return f"{_first_line(error)}: correct the command line or the file"
+
+
+def _in_quotes(override: str) -> str:
+    """How to write an override whose value is a text with other signs than letters and digits, for a POSIX shell.
+
+    >>> print(_in_quotes("data.channels.surge.name=Speed (m/s)"))
+    , and a text with brackets or other signs in quotes: 'data.channels.surge.name="Speed (m/s)"'
+    """
+    key, sign, value = override.partition("=")
+    if not value or value[0] in "[{'\"":
+        return ""
+    written = shlex.quote('{}{}"{}"'.format(key, sign, value.replace('"', '\\"')))
+    return f", and a text with brackets or other signs in quotes: {written}"
 
 
 def _of_value(cause: OmegaConfBaseException, error: Exception) -> str:
