@@ -220,7 +220,7 @@ def test_a_log_is_read_or_refused(tmp_path, rng, cases, name):
 
 
 @pytest.mark.fuzz(cases=60, slow=10_000)
-@pytest.mark.parametrize("name", ["dataflash", "tlog"])
+@pytest.mark.parametrize("name", ["csv", "alog", "dataflash", "tlog"])
 def test_a_log_is_surveyed_or_refused(tmp_path, rng, cases, name):
     make, file, reader, _ = FORMATS[name]
     path, whole, read = tmp_path / file, make(tmp_path), 0

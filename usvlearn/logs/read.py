@@ -33,7 +33,7 @@ from usvlearn.logs.series import Series
 
 
 class Reader(Protocol):
-    """A reader of one file: `Alog`, `Table`, `Rosbag`."""
+    """A reader of one file: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`."""
 
     suffixes: tuple[str, ...]
 
@@ -77,7 +77,7 @@ def read_recordings(
     [('heron', 'run_2'), ('heron', 'run_10')]
     """
     if not hasattr(reader, "read"):
-        raise ConfigError(f"data.reader: found {reader!r}, expected a reader: Alog, Table or Rosbag")
+        raise ConfigError(f"data.reader: found {reader!r}, expected a reader such as Table or Rosbag")
     if isinstance(path, Mapping):
         if boat is not None or not path:
             found = f"boat {boat!r} beside a path per boat" if path else "no boat"
