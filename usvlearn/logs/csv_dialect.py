@@ -35,6 +35,8 @@ UNIT_NAMES = {
     "1": ("1", "-"),
     "percent": ("%", "percent", "pct"),
     "m/s": ("m/s", "m/sec", "mps", "m_s", "ms-1", "m s-1", "ms^-1"),
+    "cm/s": ("cm/s", "cm_s"),
+    "mm/s": ("mm/s", "mm_s"),
     "km/h": ("km/h", "kmh", "kph", "kmph", "km_h"),
     "knots": ("kn", "kt", "kts", "knot", "knots"),
     "deg": ("deg", "degs", "degree", "degrees", "°"),

@@ -33,7 +33,7 @@ from usvlearn.logs.series import Series
 
 
 class Reader(Protocol):
-    """A reader of one file: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`."""
+    """A reader of one file: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`, `Ulog`."""
 
     suffixes: tuple[str, ...]
 
