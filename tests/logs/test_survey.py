@@ -9,6 +9,7 @@ from tests.support.bags import NS, START, unindexed, write_bag
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.alog import Alog
 from usvlearn.logs.channel import Source
+from usvlearn.logs.read import read_recordings
 from usvlearn.logs.rosbag import LARGE, Rosbag
 from usvlearn.logs.series import Series
 
@@ -104,3 +105,56 @@ def test_ros_2_gives_yaw_arrays_that_grow_and_no_image_nor_constant(tmp_path):
     np.testing.assert_allclose(attitude.time, 0.5, atol=1e-9)
     assert attitude.unit == "enu_rad" and attitude.kind == "geometry_msgs/msg/QuaternionStamped"
     np.testing.assert_array_equal(series["/thrust", "data.1"].value, [np.nan, np.nan, 2])
+
+
+@pytest.mark.parametrize("plugin", ["MCAP", "SQLITE3"])
+def test_a_folder_of_ros_2_is_one_bag_and_none_of_its_messages_is_lost(tmp_path, plugin):
+    """Not even where its metadata names another policy than its files do, as older versions wrote it."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2", reason="needs the package rosbags")
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    store, kind = get_typestore(Stores.ROS2_HUMBLE), "std_msgs/msg/Float64"
+    folder = tmp_path / "logs" / "run.1"
+    with rosbag2.Writer(folder, version=9, storage_plugin=rosbag2.StoragePlugin[plugin]) as bag:
+        connections = [bag.add_connection(f"/{name}", kind, typestore=store) for name in ("l", "r", "psi", "v")]
+        for k in range(30):
+            for connection in connections:
+                message = store.types[kind](data=0.1 * k)
+                bag.write(connection, START + k * NS // 10, store.serialize_cdr(message, kind))
+    channels = {"command_left": "l", "command_right": "r", "heading": "psi", "surge": "v"}
+    sources = {channel: {"name": name} for channel, name in channels.items()}
+    for path, boat, run in ((folder, "run.1", "run.1"), (folder.parent, "logs", "run.1")):
+        (recording,) = read_recordings(path, Rosbag(), sources)
+        assert (recording.boat, recording.run) == (boat, run)
+        np.testing.assert_allclose(recording.channels["surge"].value, 0.1 * np.arange(30))
+    assert_same_as_read(Rosbag(), folder, Rosbag().survey(folder))
+
+    metadata = folder / "metadata.yaml"
+    text = metadata.read_text()
+    zero = "sec: 0, nsec: 0"
+    policy = f"- {{history: 3, depth: 0, reliability: 1, durability: 2, deadline: {{{zero}}}, lifespan: {{{zero}}}, "
+    policy += f"liveliness: 1, liveliness_lease_duration: {{{zero}}}, avoid_ros_namespace_conventions: false}}"
+    other = text.replace("offered_qos_profiles: []", f'offered_qos_profiles: "{policy}"')
+    assert other != text
+    metadata.write_text(other)
+    with AnyReader([folder]) as bag:
+        assert bag.message_count == 120 and not list(bag.messages())  # what rosbags makes of it
+    assert [len(each.value) for each in Rosbag().survey(folder)] == [30] * 4
+    metadata.write_text("rosbag2_bagfile_information: nothing")
+    assert [len(each.value) for each in Rosbag().survey(folder)] == [30] * 4
+    metadata.write_text(text)
+    (data,) = folder.glob("*.[dm][bc]*")
+    data.unlink()
+    with pytest.raises(LogFormatError, match="no message could be recovered"):
+        Rosbag().survey(folder)
+
+
+def test_messages_that_are_announced_but_not_there_are_told(tmp_path, monkeypatch):
+    highlevel = pytest.importorskip("rosbags.highlevel", reason="needs the package rosbags")
+    path = write_bag(tmp_path / "a.bag")
+    messages = highlevel.AnyReader.messages
+    monkeypatch.setattr(highlevel.AnyReader, "messages", lambda *args: list(messages(*args))[:-2])
+    with pytest.warns(UserWarning, match=r"a\.bag: found 148 of the 150 messages that this bag announces"):
+        series = Rosbag().survey(path)
+    assert len(series) == 5

@@ -85,7 +85,9 @@ class Total:
     """
 
     def __init__(self, path: Path, limit: int):
-        self.path, self.most, self.count = path, limit + MOST * path.stat().st_size, 0
+        files = path.iterdir() if path.is_dir() else [path]
+        self.path, self.size, self.count = path, sum(file.stat().st_size for file in files), 0
+        self.most = limit + MOST * self.size
 
     def message(self, data: bytes) -> None:
         """Count a message before it is read; raise a LogFormatError if it, or all of them, are too large."""
@@ -100,9 +102,7 @@ class Total:
         """Count more bytes; raise a LogFormatError if there are too many."""
         self.count += count
         if self.count > self.most:
-            raise _too_large(
-                self.path, f"more than {self.most / MB:.0f} MB of messages in {self.path.stat().st_size} bytes"
-            )
+            raise _too_large(self.path, f"more than {self.most / MB:.0f} MB of messages in {self.size} bytes")
 
 
 def _too_large(path: Path, what: str) -> LogFormatError:

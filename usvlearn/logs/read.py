@@ -33,7 +33,10 @@ from usvlearn.logs.series import Series
 
 
 class Reader(Protocol):
-    """A reader of one file: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`, `Ulog`."""
+    """A reader of one log: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`, `Ulog`.
+
+    A reader may have a `marker`, the name of a file and what it contains: a folder with such a file is one log.
+    """
 
     suffixes: tuple[str, ...]
 
@@ -88,9 +91,9 @@ def read_recordings(
             for recording in read_recordings(place, reader, channels, str(name))
         ]
     sources = _sources(channels)
-    root, files = _find(path, reader.suffixes)
+    root, files = _find(path, reader.suffixes, getattr(reader, "marker", None))
     if boat is None:
-        boat = files[0].stem if len(files) == 1 and Path(path).expanduser().is_file() else root.resolve().name
+        boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else root.resolve().name
     recordings, unread = [], []
     for number, file in enumerate(files, 1):
         doing(f"reading {file.name}" + (f", {number} of {len(files)}" if len(files) > 1 else ""))
@@ -119,10 +122,17 @@ def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source |
         raise LogFormatError(
             f"{file}: expected a readable file, found: {error.strerror or error}: fix its permissions"
         ) from error
-    return Recording(boat, file.relative_to(root).with_suffix("").as_posix(), channels, dropped)
+    return Recording(boat, _run(file, root), channels, dropped)
 
 
-def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, list[Path]]:
+def _run(log: Path, root: Path) -> str:
+    """The name of a run: its path below the root, without the suffix that a file has."""
+    return (log if log.is_dir() else log.with_suffix("")).relative_to(root).as_posix()
+
+
+def _find(
+    path: str | os.PathLike, suffixes: tuple[str, ...], marker: tuple[str, bytes] | None = None
+) -> tuple[Path, list[Path]]:
     """The folder relative to which runs are named, and the logs in natural order."""
     if path is None or str(path) in ("", "???"):
         raise ConfigError("data.path is not set: set data.path=FILE, a folder of logs, or a pattern")
@@ -134,6 +144,8 @@ def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, lis
         return here.parent, [here]
     endings = " or ".join(suffixes)
     if here.is_dir():
+        if _is_log(here, marker):
+            return here.parent, [here]
         root, pattern = here, os.path.join(glob.escape(text), "**")
     elif glob.has_magic(text):
         root = Path(*itertools.takewhile(lambda part: not glob.has_magic(part), here.parts))
@@ -148,6 +160,9 @@ def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, lis
         raise ConfigError(f"data.path: found {text!r}, but {here.absolute()} does not exist: {hint}")
     found = [Path(name) for name in glob.glob(pattern, recursive=True) if os.path.isfile(name)]
     files = [file for file in found if file.suffix.lower() in suffixes]
+    if marker and here.is_dir():
+        logs = {folder for folder in {file.parent for file in files} if _is_log(folder, marker)}
+        files = [*(file for file in files if file.parent not in logs), *logs]
     if not files and found and not here.is_dir():
         files = found  # the pattern names another suffix
     if not files:
@@ -156,6 +171,14 @@ def _find(path: str | os.PathLike, suffixes: tuple[str, ...]) -> tuple[Path, lis
             "set data.path to a log, or choose the data option that fits these files"
         )
     return root, sorted(files, key=lambda file: _natural(file.relative_to(root)))
+
+
+def _is_log(folder: Path, marker: tuple[str, bytes] | None) -> bool:
+    """Whether a folder as a whole is a log."""
+    if marker is None or not (folder / marker[0]).is_file():
+        return False
+    with (folder / marker[0]).open("rb") as file:
+        return marker[1] in file.read(1 << 16)
 
 
 def _names(folder: Path) -> list[str]:

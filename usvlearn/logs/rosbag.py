@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import warnings
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
@@ -33,6 +33,9 @@ class Rosbag:
     A field is a dotted path (`twist.linear.x`; default `data`; a number indexes an array). Several,
     comma-separated, give their Euclidean norm. A quaternion gives its yaw in rad, counter-clockwise about z.
 
+    A folder with the `metadata.yaml` of a ROS 2 bag is one log, of all its files. If fewer messages are found than the
+    bag announces, its files are read without their metadata; a warning tells what is still missing.
+
     A ROS 1 bag whose recording crashed (`.bag.active`, cut off, no index) is read as far as possible, with a warning.
 
     Args:
@@ -50,6 +53,7 @@ class Rosbag:
     clock: str = "header"
     chunk_limit: float = 100.0
 
+    marker: ClassVar[tuple[str, bytes]] = ("metadata.yaml", b"rosbag2_bagfile_information")
     suffixes: ClassVar[tuple[str, ...]] = (".bag", ".active", ".mcap", ".db3")
 
     def __post_init__(self):
@@ -65,7 +69,7 @@ class Rosbag:
         """The channels of a bag, and the counts of unusable messages: channel -> cause -> count.
 
         Args:
-            path: the bag.
+            path: the bag, a file or a folder.
             sources: channel -> where it is found.
 
         Raises:
@@ -100,16 +104,20 @@ class Rosbag:
             from rosbags.typesys import Stores, get_typestore
         except ImportError as error:
             raise MissingExtraError("rosbags", "logs", "reading ROS bags") from error
-        try:
-            latest = get_typestore(Stores.LATEST)
-            with limited(path, self._limit), AnyReader([path], default_typestore=latest) as bag:
-                if not bag.is2:
-                    limit_chunks(path, bag.readers[0], self._limit)
-                return use(bag)
-        except LogFormatError:
-            raise
-        except Exception as error:  # rosbags raises many types for damage, among them AssertionError and OSError
-            refusal = error
+        latest, attempts = get_typestore(Stores.LATEST), [[path]]
+        if path.is_dir():  # its metadata may name the topics otherwise than its files do
+            attempts.append(sorted(each for each in path.iterdir() if each.suffix in self.suffixes))
+        refusal: Exception = LogFormatError("no file of a bag")
+        for paths in filter(None, attempts):
+            try:
+                with limited(path, self._limit), AnyReader(paths, default_typestore=latest) as bag:
+                    if not bag.is2:
+                        limit_chunks(path, bag.readers[0], self._limit)
+                    return use(_Counted(path, bag, refuse=paths is not attempts[-1]))
+            except LogFormatError:
+                raise
+            except Exception as error:  # rosbags raises many types for damage, among them AssertionError and OSError
+                refusal = error
         return use(self._recovered(path, keep, refusal))
 
     def _recovered(self, path: Path, keep: Callable[[str, str], bool], refusal: Exception) -> Scan:
@@ -193,6 +201,39 @@ class Rosbag:
             return received
         stamp = clock.sec * 10**9 + clock.nanosec
         return stamp if abs(stamp - received) <= CLOCK_LIMIT * 1e9 else received
+
+
+class _FewerMessages(Exception):
+    """A bag holds fewer messages than it announces."""
+
+
+class _Counted:
+    """A bag whose messages are counted and compared with what it announces.
+
+    Args:
+        path: of the bag.
+        bag: a `rosbags.highlevel.AnyReader` that is open.
+        refuse: whether to raise `_FewerMessages`, not only to warn, if messages are missing.
+    """
+
+    def __init__(self, path: Path, bag: Any, refuse: bool):
+        self.connections, self.typestore, self.deserialize = bag.connections, bag.typestore, bag.deserialize
+        self.start_time = bag.start_time
+        self._path, self._bag, self._refuse = path, bag, refuse
+
+    def messages(self, wanted: list[Any]) -> Iterator[tuple[Any, int, bytes]]:
+        announced, found = sum(connection.msgcount for connection in wanted), 0
+        for message in self._bag.messages(wanted) if wanted else ():
+            found += 1
+            yield message
+        if found < announced:
+            text = (
+                f"{self._path}: found {found} of the {announced} messages that this bag announces: its files or its "
+                "metadata are damaged"
+            )
+            if self._refuse:
+                raise _FewerMessages(text)
+            warnings.warn(text, stacklevel=6)
 
 
 def _readable(path: Path, bag, connections, topic: str) -> bool:
