@@ -170,3 +170,11 @@ def test_without_pyulog_the_extra_is_named(tmp_path, monkeypatch):
             Ulog(),
             {name: {"name": "motion", "field": "v"} for name in ("command_left", "command_right", "heading", "surge")},
         )
+
+
+def test_damage_in_which_pyulog_would_go_round_for_ever_is_refused(tmp_path, pyulog):
+    """It steps back by the size that a message declares, though the file ended before."""
+    path = tmp_path / "a.ulg"
+    path.write_bytes(header({}) + struct.pack("<HB", 60_000, 0) + bytes(range(200, 230)))
+    with pytest.raises(LogFormatError, match="expected a ULog of PX4"):
+        Ulog().survey(path)

@@ -11,7 +11,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from usvlearn.logs.message_fields import yaw
 from usvlearn.logs.series import ELEMENTS, Series
 
 FIELDS = 50_000  # of all subscriptions of a log; a log of PX4 has some thousands
+MARGIN = 100_000  # reads, and hundreds of bytes, beyond those that are in proportion to the size
 DEEPEST = 10  # messages within each other
 ELEMENT = re.compile(r"(.+)\[(\d+)\]")
 QUATERNIONS = ("q", "q_d")  # fields of attitudes, and of their setpoints
@@ -132,10 +133,13 @@ class Ulog:
 def _topics(path: Path, keep: Callable[[str], bool]) -> list[_Topic]:
     """The topics to be kept that have messages, by name and instance; warns if the file is damaged."""
     try:
-        log = _parsed(path, keep)
-    except (LogFormatError, MissingExtraError, OSError):
+        with path.open("rb") as file:
+            log = _parsed(file, path.stat().st_size, keep)
+    except MissingExtraError:
         raise
     except Exception as error:  # pyulog raises many types for damage
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
         what = printable(" ".join(str(error).split())[:200].rstrip(".")) or type(error).__name__
         raise LogFormatError(
             f"{path}: expected a ULog of PX4, found: {what}: leave it out, or name its reader"
@@ -169,7 +173,7 @@ def _orders(times: list[np.ndarray]) -> list[np.ndarray]:
     return np.split(places, np.cumsum([len(time) for time in times])[:-1])
 
 
-def _parsed(path: Path, keep: Callable[[str], bool]) -> Any:
+def _parsed(file: BinaryIO, size: int, keep: Callable[[str], bool]) -> Any:
     """The log, parsed by pyulog; the types that it defines may not have millions of fields."""
     try:
         from pyulog import ULog
@@ -192,8 +196,32 @@ def _parsed(path: Path, keep: Callable[[str], bool]) -> Any:
         def __contains__(self, name: str) -> bool:
             return keep(name)
 
-    with contextlib.redirect_stdout(io.StringIO()), path.open("rb") as file:  # it prints about damage
-        return Log(file, Names())
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints about damage
+        return Log(_Bounded(file, size), Names())
+
+
+class _Bounded:
+    """A file that is read a bounded number of times: pyulog steps back in a damaged one, and may never come to its end.
+
+    Args:
+        file: an open file.
+        size: of the file, bytes.
+    """
+
+    def __init__(self, file: BinaryIO, size: int):
+        self.tell, self.close = file.tell, file.close
+        self._file, self._calls, self._bytes = file, 4 * size + MARGIN, 100 * (size + MARGIN)
+
+    def read(self, size: int) -> bytes:
+        data = self._file.read(size)
+        self._calls -= 1
+        self._bytes -= len(data)
+        if self._calls < 0 or self._bytes < 0:
+            raise RuntimeError("damage in which pyulog finds no end")
+        return data
+
+    def seek(self, offset: int, origin: int = 0) -> int:
+        return self._file.seek(max(0, offset + (self._file.tell() if origin else 0)))
 
 
 def _count(formats: Any, name: str, known: dict[str, int], depth: int = 0) -> int:
