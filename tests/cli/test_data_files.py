@@ -29,12 +29,12 @@ data:
 def mine(tmp_path):
     (tmp_path / "log.csv").write_text(GOOD)
     (tmp_path / "boats" / "of mine").mkdir(parents=True)
-    for name in ("my_boat.yaml", "boats/of mine/my_boat.yaml"):
+    for name in ("my_boat.yaml", "csv.yaml", "boats/of mine/my_boat.yaml"):  # csv: as one of configs/data
         (tmp_path / name).write_text(BOAT)
     return tmp_path
 
 
-@pytest.mark.parametrize("place", ["my_boat.yaml", "./my_boat.yaml", "{}/my_boat.yaml", "'boats/of mine/my_boat.yaml'"])
+@pytest.mark.parametrize("place", ["my_boat.yaml", "./csv.yaml", "{}/my_boat.yaml", "'boats/of mine/my_boat.yaml'"])
 def test_a_file_anywhere_configures_the_data(mine, monkeypatch, place):
     monkeypatch.chdir(mine)
     logs = usvlearn.read(data=place.format(mine))

@@ -24,7 +24,7 @@ from omegaconf import DictConfig
 
 from usvlearn.cli.again import again
 from usvlearn.cli.composition import configs_folder
-from usvlearn.cli.data_files import register_data_files
+from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.stopping import Stopped, in_program, stoppable, stoppable_worker, was_stopped
 from usvlearn.cli.sweep import LanesDone, Sweep, cut_short, end_progress, load
@@ -53,9 +53,9 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
             with exit_on_user_error(), stoppable():
                 if name == "train":
                     sys.argv[1:] = with_seeds(sys.argv[1:])
+                sys.argv[1:] = with_data_files(sys.argv[1:])
                 flags = parse(sys.argv[1:])
                 check_launcher(flags.overrides)
-                register_data_files(flags.overrides)
                 folder, main_file = configs.parent / (flags.config_path or configs), flags.config_name or name
                 _run(start, known_names(folder, main_file, flags.overrides, flags.config_dir))
 

@@ -10,7 +10,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
-from usvlearn.cli.data_files import register_data_files
+from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.settings import check_settings, instantiate
 from usvlearn.logs.channel import Recording
@@ -49,7 +49,7 @@ def recordings_of(data: str, changes: Mapping[str, Any]) -> tuple[Iterable[Recor
 def compose_train(overrides: Sequence[str], changes: Mapping[str, Any] | None = None) -> DictConfig:
     """The configuration of train.py with overrides, as on its command line, and changes, as of `recordings_of`."""
     configs = configs_folder()
-    register_data_files(overrides)
+    overrides = with_data_files(overrides)
     with in_one_sentence(known_names(configs, "train", overrides)):
         with initialize_config_dir(str(configs), version_base="1.3"):
             settings = compose("train", list(overrides))

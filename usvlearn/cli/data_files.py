@@ -1,7 +1,7 @@
 """A file of one's own in place of a name of configs/data: `data=my_boat.yaml`, as `usvlearn inspect` writes it.
 
 Hydra finds options of a group in the folders of its search path only. So the file is given to Hydra's store of
-configurations under the name that the override has, and each command that names it works, in a sweep, too.
+configurations under its absolute path, which the override then names.
 
 Such a file may come from anybody: it must be plain data that names only classes of usvlearn. A folder that is given by
 --config-dir may name any class.
@@ -10,7 +10,7 @@ Such a file may come from anybody: it must be plain data that names only classes
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import yaml
@@ -25,42 +25,51 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
+PLAIN = re.compile(r"[\w/.:-]+")  # what Hydra takes without quotes
 PACKAGE = re.compile(r"^\s*#\s*@package\s+(\S+)", re.MULTILINE)
 
 
-def register_data_files(overrides: Iterable[str]) -> None:
-    """Give every file that an override `data=FILE.yaml` names to Hydra.
+def with_data_files(overrides: Iterable[str]) -> list[str]:
+    """The overrides, in which each file that `data=FILE.yaml` names is known to Hydra by its absolute path.
+
+    A relative path would be found below configs/data, too, if there is a file of that name.
 
     Raises:
         ConfigError: there is no such file, or it is no legal YAML.
 
-    >>> register_data_files(["data=nowhere/my_boat.yaml"])
+    >>> with_data_files(["data=csv", "align.dt=0.2"])
+    ['data=csv', 'align.dt=0.2']
+    >>> with_data_files(["data=nowhere/my_boat.yaml"])
     Traceback (most recent call last):
     usvlearn.errors.ConfigError: data: found 'nowhere/my_boat.yaml', but there is no such file: correct the path
     """
-    for value in _values(overrides):
-        path = Path(value).expanduser()
-        if path.is_file():
-            _register(value, path)
-        elif path.name != value:
-            raise ConfigError(f"data: found {value!r}, but there is no such file: correct the path")
+    return [_known(each) for each in overrides]
 
 
-def _values(overrides: Iterable[str]) -> Iterator[str]:
-    """The values of overrides of the group that name a file."""
-    for each in overrides:
-        if each.lstrip("+").partition("=")[0] != GROUP:
-            continue
-        try:
-            value = OverridesParser.create().parse_override(each).value()
-        except HydraException:
-            continue  # it is reported when Hydra reads it
-        for found in value.list if isinstance(value, ChoiceSweep) else [value]:
-            if (text := str(getattr(found, "text", found))).endswith(SUFFIXES):
-                yield text
+def _known(override: str) -> str:
+    key, _, given = override.partition("=")
+    if key.lstrip("+") != GROUP or not any(suffix in given for suffix in SUFFIXES):
+        return override
+    try:
+        value = OverridesParser.create().parse_override(override).value()
+    except HydraException:
+        return override  # Hydra reports it
+    values = [str(getattr(each, "text", each)) for each in (value.list if isinstance(value, ChoiceSweep) else [value])]
+    return f"{key}={','.join(map(_place, values))}"
 
 
-def _register(value: str, path: Path) -> None:
+def _place(value: str) -> str:
+    """A value of the override: the absolute path of a file, quoted if need be; other values unchanged."""
+    path = Path(value).expanduser()
+    if not value.endswith(SUFFIXES) or (path.name == value and not path.is_file()):
+        return value
+    if not path.is_file():
+        raise ConfigError(f"data: found {value!r}, but there is no such file: correct the path")
+    _register(path := path.resolve())
+    return str(path) if PLAIN.fullmatch(str(path)) else "'{}'".format(str(path).replace("'", "\\'"))
+
+
+def _register(path: Path) -> None:
     try:
         text = path.read_text(encoding="utf-8")
         node = OmegaConf.create(yaml.safe_load(text) or {})
@@ -80,6 +89,5 @@ def _register(value: str, path: Path) -> None:
         raise ConfigError(f"{what}: if you trust it, put it into FOLDER/data and give --config-dir FOLDER") from error
     found = PACKAGE.search(text)
     package = found[1] if found else "_global_" if GROUP in node else None
-    folders = [part for part in value.split("/")[:-1] if part]
-    name = value.rpartition("/")[2]
-    ConfigStore.instance().store(group="/".join([GROUP, *folders]), name=name, node=node, package=package)
+    group = "/".join([GROUP, *path.parent.parts[1:]])
+    ConfigStore.instance().store(group=group, name=path.name, node=node, package=package)
