@@ -30,6 +30,7 @@ OUTAGE = 30.0  # s, what is left of one then, and the time between two runs
 GAP, INTERVALS = 2.0, 4.0  # s, and median intervals: a longer silence of a channel is a gap
 EXTREME = 0.995  # quantile of the sizes to which larger ones are clipped
 FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
+FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
 REACH = 60.0  # s, lags of an autocorrelation that are summed
 NO_LAG = (0.0, 0.0)
 
@@ -114,10 +115,10 @@ def rate_slope(
     turned = np.diff(angle, prepend=angle[:1])
     if len(angle):
         turned[np.abs(turned) > np.ptp(angle) / 2] = 0.0  # a wrap
-    edges = _edges(step, (time, angle), yaw_rate)
+    edges = bin_edges(step, (time, angle), yaw_rate)
     rate = np.diff(np.interp(edges, time, np.cumsum(turned))) / step if len(edges) > 1 else np.empty(0)
     rate[_gaps(time, edges)] = np.nan
-    return _relation(_clipped(rate), _clipped(_means(yaw_rate, edges)), step, lags)
+    return relate(_clipped(rate), _clipped(bin_means(yaw_rate, edges)), step, lags)
 
 
 def side_sign(
@@ -133,10 +134,10 @@ def side_sign(
     >>> bool(side_sign((time, 0.5 - turn), (time, 0.5 + turn), (time, 0.4 * turn)).certainty < -4)
     True
     """
-    edges = _edges(step, yaw_rate)
-    return _relation(
-        _means(left, edges, held=True) - _means(right, edges, held=True),
-        _clipped(_means(yaw_rate, edges)),
+    edges = bin_edges(step, yaw_rate)
+    return relate(
+        bin_means(left, edges, held=True) - bin_means(right, edges, held=True),
+        _clipped(bin_means(yaw_rate, edges)),
         step,
         lags,
     )
@@ -156,14 +157,14 @@ def each_side(
     >>> [bool(abs(each.certainty) > 4) for each in reversed_left], [round(each.slope, 1) for each in reversed_left]
     ([True, True], [-1.0, -1.0])
     """
-    edges = _edges(step, response)
-    sides, answer = [_means(side, edges, held=True) for side in (left, right)], _clipped(_means(response, edges))
-    whole = [_relation(side, answer, step, lags) for side in sides]
+    edges = bin_edges(step, response)
+    sides, answer = [bin_means(side, edges, held=True) for side in (left, right)], _clipped(bin_means(response, edges))
+    whole = [relate(side, answer, step, lags) for side in sides]
     best = max((each.lag for each in whole if each.seconds), key=lambda lag: _fit(sides, answer, lag, step), default=0)
     shift = round(best / step)
     answer = np.concatenate([answer[shift:], np.full(shift, np.nan)]) if shift > 0 else answer
     one, other = (
-        _relation(_residual(side, beside), _residual(answer, beside), step, NO_LAG)._replace(lag=best)
+        relate(_residual(side, beside), _residual(answer, beside), step, NO_LAG)._replace(lag=best)
         for side, beside in (sides, sides[::-1])
     )
     return one, other
@@ -180,9 +181,9 @@ def speed_on_thrust(
     >>> round(found.lag)
     100
     """
-    edges = _edges(step, speed)
-    both = _means(left, edges, held=True) + _means(right, edges, held=True)
-    return _relation(both / 2, _clipped(_means(speed, edges)), step, lags)
+    edges = bin_edges(step, speed)
+    both = bin_means(left, edges, held=True) + bin_means(right, edges, held=True)
+    return relate(both / 2, _clipped(bin_means(speed, edges)), step, lags)
 
 
 def speed_on_positions(north: Series, east: Series, speed: Series, step: float = 5.0) -> Relation:
@@ -196,15 +197,15 @@ def speed_on_positions(north: Series, east: Series, speed: Series, step: float =
     >>> round(speed_on_positions(place, (time, 0 * time), (time, true / 0.5144)).slope, 2)
     1.94
     """
-    edges = _edges(step, north, east, speed)
+    edges = bin_edges(step, north, east, speed)
     moved = []
     for series in (north, east):
         time, place = _cleaned(series)
         each = np.diff(np.interp(edges, time, place)) / step if len(edges) > 1 else np.empty(0)
         each[_gaps(time, edges)] = np.nan
         moved.append(each)
-    rate, size = _clipped(np.hypot(*moved)), _clipped(np.abs(_means(speed, edges)))
-    found = _relation(rate, size, step, NO_LAG)
+    rate, size = _clipped(np.hypot(*moved)), _clipped(np.abs(bin_means(speed, edges)))
+    found = relate(rate, size, step, NO_LAG)
     known = np.isfinite(rate) & np.isfinite(size)
     if not found.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
         return found
@@ -221,8 +222,8 @@ def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:
     >>> round(found.offset, 2), round(found.concentration, 2), found.sign
     (1.57, 1.0, -1.0)
     """
-    edges = _edges(step, one, other)
-    first, second = (_means((time, np.exp(1j * angle)), edges) for time, angle in map(_cleaned, (one, other)))
+    edges = bin_edges(step, one, other)
+    first, second = (bin_means((time, np.exp(1j * angle)), edges) for time, angle in map(_cleaned, (one, other)))
     with np.errstate(invalid="ignore"):
         first, second = first / np.abs(first), second / np.abs(second)
     known = np.isfinite(first) & np.isfinite(second)
@@ -246,7 +247,7 @@ def _cleaned(series: Series) -> Series:
     return time, value
 
 
-def _edges(step: float, *series: Series) -> np.ndarray:
+def bin_edges(step: float, *series: Series) -> np.ndarray:
     """Edges of bins over the time in which all series are there; long outages of a huge span are left out."""
     times = [_cleaned(each)[0] for each in series]
     if not all(len(time) > 1 for time in times):
@@ -273,7 +274,7 @@ def _gaps(time: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return outside | (np.diff(np.interp(edges, time, silent)) > length / 2)
 
 
-def _means(series: Series, edges: np.ndarray, held: bool = False) -> np.ndarray:
+def bin_means(series: Series, edges: np.ndarray, held: bool = False) -> np.ndarray:
     """Means over bins, `(bins,)`, NaN in a gap; a held value stays in force until the next one, however long."""
     time, value = _cleaned(series)
     if len(edges) < 2 or len(time) < (1 if held else 2):
@@ -320,8 +321,14 @@ def _fit(sides: list[np.ndarray], answer: np.ndarray, lag: float, step: float) -
     return 1 - float(left_over @ left_over) / max(float(rows[2] @ rows[2]), 1e-300)
 
 
-def _relation(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, float]) -> Relation:
-    """Equations (1) to (3), at the lag within `lags`, s, where |r| is greatest."""
+def relate(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, float]) -> Relation:
+    """Equations (1) to (3) for means over the same bins, at the lag within `lags`, s, where |r| is greatest.
+
+    Args:
+        x, y: `(bins,)`, NaN where unknown.
+        step: length of a bin, s.
+        lags: least and greatest, s.
+    """
     known_x, known_y = np.isfinite(x), np.isfinite(y)
     if min(known_x.sum(), known_y.sum()) < FEWEST:
         return NOTHING
@@ -331,13 +338,7 @@ def _relation(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, floa
         return NOTHING
     x, y = x / scale_x, y / scale_y
     low, high = math.floor(lags[0] / step), math.ceil(lags[1] / step)
-    size = 2 ** math.ceil(math.log2(len(x) + max(abs(low), abs(high)) + 1))
-    # spectra of the masks, the values and their squares: each sum over the bins known in both, at all lags at once
-    of_x = np.fft.rfft(np.stack([known_x, x, x * x]), size).conj()
-    of_y = np.fft.rfft(np.stack([known_y, y, y * y]), size)
-    products = of_x[[0, 1, 2, 0, 0, 1]] * of_y[[0, 0, 0, 1, 2, 1]]
-    n, sx, sxx, sy, syy, sxy = np.fft.irfft(products, size)[:, np.arange(low, high + 1) % size]
-    n = np.round(n)
+    n, sx, sxx, sy, syy, sxy = _sums(np.stack([known_x, x, x * x]), np.stack([known_y, y, y * y]), low, high)
     counts = np.maximum(n, 1)
     within_x, within_y = np.maximum(sxx - sx**2 / counts, 0), np.maximum(syy - sy**2 / counts, 0)
     spread = np.sqrt(within_x * within_y)
@@ -347,9 +348,38 @@ def _relation(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, floa
     r = np.where(usable, (sxy - sx * sy / counts) / np.where(usable, spread, 1.0), 0.0)
     at = int(np.argmax(np.abs(r)))
     slope = math.copysign(math.sqrt(within_y[at] / within_x[at]) * scale_y / scale_x, r[at])
-    # (3): the sum of the products of both autocorrelations; those at long lags are noise, and left out
-    reach = max(1, min(len(x) // 4, round(REACH / step)))
-    auto_x, auto_y = np.fft.irfft(np.abs(np.stack([of_x[1], of_y[1]])) ** 2, size)
-    rho = auto_x[:reach] / auto_x[0] * (auto_y[:reach] / auto_y[0])
-    error = math.sqrt(max(1.0, float(2 * rho.sum() - rho[0])) / n[at])
+    error = math.sqrt(_dependence(x, y, step) / n[at])
     return Relation(float(slope), float(r[at]), error, float((low + at) * step), float(n[at] * step))
+
+
+def _sums(of_x: np.ndarray, of_y: np.ndarray, low: int, high: int) -> np.ndarray:
+    """Sums over the bins known in both, at each lag: their number, x, x², y, y² and xy, `(6, lags)`.
+
+    Args:
+        of_x, of_y: what is known (0 or 1), the values, 0 where unknown, and their squares, `(3, bins)`.
+        low, high: lags, bins.
+    """
+    bins = of_x.shape[1]
+    if high - low < FEW_LAGS:
+        sums = np.zeros((6, high - low + 1))
+        for k, lag in enumerate(range(low, high + 1)):
+            size = bins - abs(lag)
+            if size > 0:
+                product = of_x[:, max(-lag, 0) :][:, :size] @ of_y[:, max(lag, 0) :][:, :size].T
+                sums[:, k] = product[[0, 1, 2, 0, 0, 1], [0, 0, 0, 1, 2, 1]]
+        return sums
+    size = 2 ** math.ceil(math.log2(bins + max(abs(low), abs(high)) + 1))
+    spectra_x, spectra_y = np.fft.rfft(of_x, size).conj(), np.fft.rfft(of_y, size)
+    products = spectra_x[[0, 1, 2, 0, 0, 1]] * spectra_y[[0, 0, 0, 1, 2, 1]]
+    sums = np.fft.irfft(products, size)[:, np.arange(low, high + 1) % size]
+    sums[0] = np.round(sums[0])
+    return sums
+
+
+def _dependence(x: np.ndarray, y: np.ndarray, step: float) -> float:
+    """Σ_k ρ_x(k) ρ_y(k) of (3), 1 or more; those at lags beyond `REACH` are noise, and left out."""
+    reach = max(1, min(len(x) // 4, round(REACH / step)))
+    size = 2 ** math.ceil(math.log2(len(x) + reach + 1))
+    auto_x, auto_y = np.fft.irfft(np.abs(np.fft.rfft(np.stack([x, y]), size)) ** 2, size)[:, :reach]
+    rho = auto_x / auto_x[0] * (auto_y / auto_y[0])
+    return max(1.0, float(2 * rho.sum() - rho[0]))
