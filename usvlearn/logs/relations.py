@@ -118,7 +118,7 @@ def rate_slope(
     edges = bin_edges(step, (time, angle), yaw_rate)
     rate = np.diff(np.interp(edges, time, np.cumsum(turned))) / step if len(edges) > 1 else np.empty(0)
     rate[_gaps(time, edges)] = np.nan
-    return relate(_clipped(rate), _clipped(bin_means(yaw_rate, edges)), step, lags)
+    return relate(clipped(rate), clipped(bin_means(yaw_rate, edges)), step, lags)
 
 
 def side_sign(
@@ -137,7 +137,7 @@ def side_sign(
     edges = bin_edges(step, yaw_rate)
     return relate(
         bin_means(left, edges, held=True) - bin_means(right, edges, held=True),
-        _clipped(bin_means(yaw_rate, edges)),
+        clipped(bin_means(yaw_rate, edges)),
         step,
         lags,
     )
@@ -158,16 +158,8 @@ def each_side(
     ([True, True], [-1.0, -1.0])
     """
     edges = bin_edges(step, response)
-    sides, answer = [bin_means(side, edges, held=True) for side in (left, right)], _clipped(bin_means(response, edges))
-    whole = [relate(side, answer, step, lags) for side in sides]
-    best = max((each.lag for each in whole if each.seconds), key=lambda lag: _fit(sides, answer, lag, step), default=0)
-    shift = round(best / step)
-    answer = np.concatenate([answer[shift:], np.full(shift, np.nan)]) if shift > 0 else answer
-    one, other = (
-        relate(_residual(side, beside), _residual(answer, beside), step, NO_LAG)._replace(lag=best)
-        for side, beside in (sides, sides[::-1])
-    )
-    return one, other
+    sides = bin_means(left, edges, held=True), bin_means(right, edges, held=True)
+    return relate_sides(*sides, clipped(bin_means(response, edges)), step, lags)
 
 
 def speed_on_thrust(
@@ -183,7 +175,7 @@ def speed_on_thrust(
     """
     edges = bin_edges(step, speed)
     both = bin_means(left, edges, held=True) + bin_means(right, edges, held=True)
-    return relate(both / 2, _clipped(bin_means(speed, edges)), step, lags)
+    return relate(both / 2, clipped(bin_means(speed, edges)), step, lags)
 
 
 def speed_on_positions(north: Series, east: Series, speed: Series, step: float = 5.0) -> Relation:
@@ -204,7 +196,7 @@ def speed_on_positions(north: Series, east: Series, speed: Series, step: float =
         each = np.diff(np.interp(edges, time, place)) / step if len(edges) > 1 else np.empty(0)
         each[_gaps(time, edges)] = np.nan
         moved.append(each)
-    rate, size = _clipped(np.hypot(*moved)), _clipped(np.abs(bin_means(speed, edges)))
+    rate, size = clipped(np.hypot(*moved)), clipped(np.abs(bin_means(speed, edges)))
     found = relate(rate, size, step, NO_LAG)
     known = np.isfinite(rate) & np.isfinite(size)
     if not found.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
@@ -289,7 +281,7 @@ def bin_means(series: Series, edges: np.ndarray, held: bool = False) -> np.ndarr
     return means
 
 
-def _clipped(values: np.ndarray) -> np.ndarray:
+def clipped(values: np.ndarray) -> np.ndarray:
     """Values whose size is at most its `EXTREME` quantile."""
     known = np.isfinite(values)
     if not known.any():
@@ -308,11 +300,11 @@ def _residual(values: np.ndarray, beside: np.ndarray) -> np.ndarray:
     return y - (x[known] @ y[known] / spread if spread > 0 else 0.0) * x
 
 
-def _fit(sides: list[np.ndarray], answer: np.ndarray, lag: float, step: float) -> float:
-    """The share of the response that both sides together explain at a lag."""
+def _fit(left: np.ndarray, right: np.ndarray, response: np.ndarray, lag: float, step: float) -> float:
+    """The share of the response that both sides together explain at a lag of 0 or more, s."""
     shift = round(lag / step)
-    size = len(answer) - shift
-    rows = np.stack([*(side[:size] for side in sides), answer[shift:]])
+    size = len(response) - shift
+    rows = np.stack([left[:size], right[:size], response[shift:]])
     rows = rows[:, np.isfinite(rows).all(0)]
     if rows.shape[1] < FEWEST:
         return 0.0
@@ -350,6 +342,26 @@ def relate(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, float])
     slope = math.copysign(math.sqrt(within_y[at] / within_x[at]) * scale_y / scale_x, r[at])
     error = math.sqrt(_dependence(x, y, step) / n[at])
     return Relation(float(slope), float(r[at]), error, float((low + at) * step), float(n[at] * step))
+
+
+def relate_sides(
+    left: np.ndarray, right: np.ndarray, response: np.ndarray, step: float, lags: tuple[float, float]
+) -> tuple[Relation, Relation]:
+    """`each_side` for means over the same bins, `(bins,)`, NaN where unknown."""
+    found = [relate(side, response, step, lags) for side in (left, right)]
+    best = max(
+        (each.lag for each in found if each.seconds),
+        key=lambda lag: _fit(left, right, response, lag, step),
+        default=0.0,
+    )
+    shift = round(best / step)
+    if shift > 0:
+        response = np.concatenate([response[shift:], np.full(shift, np.nan)])
+    one, other = (
+        relate(_residual(side, beside), _residual(response, beside), step, NO_LAG)._replace(lag=best)
+        for side, beside in ((left, right), (right, left))
+    )
+    return one, other
 
 
 def _sums(of_x: np.ndarray, of_y: np.ndarray, low: int, high: int) -> np.ndarray:
