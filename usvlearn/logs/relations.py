@@ -22,13 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-Series = tuple[np.ndarray, np.ndarray]  # time, s, and value, SI units; (n,) each
+from usvlearn.logs.bins import OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
 
 FEWEST = 12  # bins, below which nothing is concluded
-MOST_BINS = 1_000_000  # beyond which long outages are cut out of a log
-OUTAGE = 30.0  # s, what is left of one then, and the time between two runs
-GAP, INTERVALS = 2.0, 4.0  # s, and median intervals: a longer silence of a channel is a gap
-EXTREME = 0.995  # quantile of the sizes to which larger ones are clipped
 FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
 FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
 REACH = 60.0  # s, lags of an autocorrelation that are summed
@@ -73,10 +69,10 @@ def in_series(runs: Iterable[Mapping[str, Series]]) -> dict[str, Series]:
     parts: dict[str, list[Series]] = {}
     end = 0.0
     for run in runs:
-        cleaned = {name: series for name, given in run.items() if len((series := _cleaned(given))[0])}
-        first = min((time[0] for time, _ in cleaned.values()), default=0.0)
-        last = max((time[-1] for time, _ in cleaned.values()), default=0.0)
-        for name, (time, value) in cleaned.items():
+        kept = {name: series for name, given in run.items() if len((series := cleaned(given))[0])}
+        first = min((time[0] for time, _ in kept.values()), default=0.0)
+        last = max((time[-1] for time, _ in kept.values()), default=0.0)
+        for name, (time, value) in kept.items():
             parts.setdefault(name, []).append((time - first + end, value))
         end += last - first + OUTAGE
     return {name: (np.concatenate([t for t, _ in s]), np.concatenate([v for _, v in s])) for name, s in parts.items()}
@@ -92,7 +88,7 @@ def heading_rate(heading: Series) -> Series:
     >>> rate.round(2).tolist()
     [0.2, 0.2, 0.2]
     """
-    time, angle = _cleaned(heading)
+    time, angle = cleaned(heading)
     turned, passed = np.diff(angle), np.diff(time)
     kept = (np.abs(turned) <= np.ptp(angle) / 2) & (passed > 0) if len(angle) else passed > 0
     return (time[:-1] + passed / 2)[kept], turned[kept] / passed[kept]
@@ -111,14 +107,9 @@ def rate_slope(
     >>> round(found.slope), round(found.correlation, 2)
     (-57, -1.0)
     """
-    time, angle = _cleaned(heading)
-    turned = np.diff(angle, prepend=angle[:1])
-    if len(angle):
-        turned[np.abs(turned) > np.ptp(angle) / 2] = 0.0  # a wrap
-    edges = bin_edges(step, (time, angle), yaw_rate)
-    rate = np.diff(np.interp(edges, time, np.cumsum(turned))) / step if len(edges) > 1 else np.empty(0)
-    rate[_gaps(time, edges)] = np.nan
-    return relate(clipped(rate), clipped(bin_means(yaw_rate, edges)), step, lags)
+    edges = bin_edges(step, heading, yaw_rate)
+    rate, turned = clipped(bin_means(yaw_rate, edges)), clipped(bin_rates(heading, edges, wraps=True))
+    return relate(turned, rate, step, lags)
 
 
 def side_sign(
@@ -190,12 +181,7 @@ def speed_on_positions(north: Series, east: Series, speed: Series, step: float =
     1.94
     """
     edges = bin_edges(step, north, east, speed)
-    moved = []
-    for series in (north, east):
-        time, place = _cleaned(series)
-        each = np.diff(np.interp(edges, time, place)) / step if len(edges) > 1 else np.empty(0)
-        each[_gaps(time, edges)] = np.nan
-        moved.append(each)
+    moved = [bin_rates(series, edges) for series in (north, east)]
     rate, size = clipped(np.hypot(*moved)), clipped(np.abs(bin_means(speed, edges)))
     found = relate(rate, size, step, NO_LAG)
     known = np.isfinite(rate) & np.isfinite(size)
@@ -215,7 +201,7 @@ def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:
     (1.57, 1.0, -1.0)
     """
     edges = bin_edges(step, one, other)
-    first, second = (bin_means((time, np.exp(1j * angle)), edges) for time, angle in map(_cleaned, (one, other)))
+    first, second = (bin_means((time, np.exp(1j * angle)), edges) for time, angle in map(cleaned, (one, other)))
     with np.errstate(invalid="ignore"):
         first, second = first / np.abs(first), second / np.abs(second)
     known = np.isfinite(first) & np.isfinite(second)
@@ -225,69 +211,6 @@ def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:
     along, against = np.mean(first * second.conj()), np.mean(first * second)
     mean, sign = (along, 1.0) if abs(along) >= abs(against) else (against, -1.0)
     return Offset(float(np.angle(mean)), float(abs(mean)), sign, float(step * known.sum()))
-
-
-def _cleaned(series: Series) -> Series:
-    """Finite values in the order of their stamps."""
-    time, value = np.asarray(series[0], dtype=np.float64), np.asarray(series[1])
-    known = np.isfinite(time) & np.isfinite(value)
-    if not known.all():
-        time, value = time[known], value[known]
-    if (np.diff(time) < 0).any():
-        place = np.argsort(time, kind="stable")
-        time, value = time[place], value[place]
-    return time, value
-
-
-def bin_edges(step: float, *series: Series) -> np.ndarray:
-    """Edges of bins over the time in which all series are there; long outages of a huge span are left out."""
-    times = [_cleaned(each)[0] for each in series]
-    if not all(len(time) > 1 for time in times):
-        return np.empty(0)
-    first, last = max(time[0] for time in times), min(time[-1] for time in times)
-    if (last - first) / step <= MOST_BINS:
-        return np.arange(first, last + step / 2, step)
-    parts = []
-    base = times[0][(times[0] >= first) & (times[0] <= last)]
-    for part in np.split(base, np.flatnonzero(np.diff(base) > OUTAGE) + 1):
-        parts.append(np.arange(part[0], part[-1] + step / 2, step)[:MOST_BINS])
-    return np.concatenate(parts)[:MOST_BINS]
-
-
-def _gaps(time: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Which bins lie half or more in a gap of a channel, `(bins,)`."""
-    if len(time) < 2 or len(edges) < 2:
-        return np.ones(max(len(edges) - 1, 0), dtype=bool)
-    passed = np.diff(time)
-    limit = max(GAP, INTERVALS * float(np.median(passed)))
-    silent = np.append(0.0, np.cumsum(np.where(passed > limit, passed, 0.0)))
-    length = np.diff(edges)
-    outside = (edges[:-1] < time[0] - length) | (edges[1:] > time[-1] + length)
-    return outside | (np.diff(np.interp(edges, time, silent)) > length / 2)
-
-
-def bin_means(series: Series, edges: np.ndarray, held: bool = False) -> np.ndarray:
-    """Means over bins, `(bins,)`, NaN in a gap; a held value stays in force until the next one, however long."""
-    time, value = _cleaned(series)
-    if len(edges) < 2 or len(time) < (1 if held else 2):
-        return np.full(max(len(edges) - 1, 0), np.nan)
-    if held and time[-1] < edges[-1]:
-        time, value = np.append(time, edges[-1]), np.append(value, value[-1])
-    passed = np.diff(time)
-    level = value[:-1] if held else (value[:-1] + value[1:]) / 2
-    total = np.concatenate([[0.0], np.cumsum(passed * (level - level.mean()))])
-    means = np.diff(np.interp(edges, time, total)) / np.diff(edges) + level.mean()
-    means[edges[1:] < time[0] if held else _gaps(time, edges)] = np.nan
-    return means
-
-
-def clipped(values: np.ndarray) -> np.ndarray:
-    """Values whose size is at most its `EXTREME` quantile."""
-    known = np.isfinite(values)
-    if not known.any():
-        return values
-    limit = np.quantile(np.abs(values[known]), EXTREME)
-    return np.clip(values, -limit, limit)
 
 
 def _residual(values: np.ndarray, beside: np.ndarray) -> np.ndarray:
