@@ -1,0 +1,124 @@
+"""What the checks look at: all runs of one boat as series, and their means over bins of a second."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from usvlearn.logs.bins import Series, bin_edges, bin_means, bin_rates, clipped
+from usvlearn.logs.channel import COMMANDS, DEGREES, METRES, SURGE, UNITS, Channel, Recording, Source
+from usvlearn.logs.positions import local
+from usvlearn.logs.relations import Relation, in_series, relate, relate_sides
+from usvlearn.signals import Fleet
+
+STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough that a check takes milliseconds
+TURNS_WITHIN = (0.0, 5.0)  # s, from a command to the yaw rate: the yaw time constant and a delay
+MOVES_WITHIN = (0.0, 20.0)  # s, from a command to the speed: likewise
+SEARCHED = (-150.0, 150.0)  # s, in which the delay of the commands is looked for
+DEFAULTS = {field.name: field.default for field in fields(Source)}
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One boat: its runs, its settings, and what alignment made of them."""
+
+    boat: str
+    recordings: Sequence[Recording]  # of this boat
+    fleet: Fleet | None  # of all boats; None if nothing could be aligned
+    align: Mapping[str, Any]  # options of an Aligner
+    surge_max: float  # m/s, the boat's top speed
+    channels: Mapping[str, Any]  # data.channels of the configuration; nothing for simulated boats
+    horizons: Sequence[float] = ()  # s, of the forecasts
+
+    def settings(self, name: str) -> dict[str, Any]:
+        """The options of a channel's `Source`, as configured."""
+        given = self.channels.get(name) or {}
+        if not isinstance(given, Mapping):
+            given = vars(given)
+        return {**DEFAULTS, "name": name, **given}
+
+    def factor(self, name: str) -> float:
+        """By how much a value is greater than the number that stands in the log."""
+        settings = self.settings(name)
+        span = settings["span"] if isinstance(settings["span"], int | float) else 1.0
+        return UNITS[settings["unit"]][0] / span
+
+    def logs(self, name: str) -> list[Channel]:
+        """The channel of each run that has it."""
+        return [one.channels[name] for one in self.recordings if name in one.channels]
+
+    @cached_property
+    def values(self) -> dict[str, np.ndarray]:
+        """All finite values of each channel, SI units."""
+        names = dict.fromkeys(name for one in self.recordings for name in one.channels)
+        whole = {name: np.concatenate([each.value for each in self.logs(name)]) for name in names}
+        return {name: value[np.isfinite(value)] for name, value in whole.items()}
+
+    @cached_property
+    def series(self) -> dict[str, Series]:
+        """All runs one behind the other, each value at the time of its effect; positions as metres north and east."""
+        return in_series(_series_of(one.channels) for one in self.recordings)
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """The edges of the bins, s."""
+        return bin_edges(STEP, *(self.series[name] for name in (SURGE, "heading") if name in self.series))
+
+    def means(self, name: str) -> np.ndarray:
+        """Means of a channel, `(bins,)`; commands are held between their messages."""
+        found = bin_means(self.series[name], self.edges, held=name in COMMANDS)
+        return clipped(found) if name == SURGE else found
+
+    @cached_property
+    def commands(self) -> tuple[np.ndarray, np.ndarray]:
+        """Means of the commands left and right, `(bins,)`."""
+        return self.means(COMMANDS[0]), self.means(COMMANDS[1])
+
+    @cached_property
+    def speed(self) -> np.ndarray:
+        """Means of the speed, `(bins,)`, m/s."""
+        return self.means(SURGE)
+
+    @cached_property
+    def turn(self) -> np.ndarray:
+        """Rates of the heading, `(bins,)`, rad/s if its unit is right."""
+        return clipped(bin_rates(self.series["heading"], self.edges, wraps=True))
+
+    @cached_property
+    def thrust_on_speed(self) -> Relation:
+        """The speed against both commands, at the best lag that a boat can have."""
+        return relate(sum(self.commands) / 2, self.speed, STEP, MOVES_WITHIN)
+
+    @cached_property
+    def searched(self) -> Relation:
+        """Likewise, at the best of all lags."""
+        return relate(sum(self.commands) / 2, self.speed, STEP, SEARCHED)
+
+    @cached_property
+    def turns(self) -> Relation:
+        """The turn against the difference of the commands."""
+        return relate(self.commands[0] - self.commands[1], self.turn, STEP, TURNS_WITHIN)
+
+    def sides(self, part: slice = slice(None)) -> tuple[tuple[Relation, Relation], tuple[Relation, Relation]]:
+        """The turn, and the speed, against the command of each side, over some of the bins."""
+        left, right = (side[part] for side in self.commands)
+        return (
+            relate_sides(left, right, self.turn[part], STEP, TURNS_WITHIN),
+            relate_sides(left, right, self.speed[part], STEP, MOVES_WITHIN),
+        )
+
+
+def _series_of(channels: Mapping[str, Channel]) -> dict[str, Series]:
+    """The channels of a run as pairs of time and value."""
+    found = {name: (each.time + each.delay, each.value) for name, each in channels.items()}
+    if all(len(found.get(name, ((),))[0]) for name in DEGREES):
+        (time, latitude), (others, longitude) = (found[name] for name in DEGREES)
+        place = np.argsort(others, kind="stable")
+        beside = np.interp(time, others[place], np.unwrap(longitude[place]))
+        north, east = local(latitude, beside)
+        found |= {METRES[0]: (time, north), METRES[1]: (time, east)}
+    return found

@@ -1,0 +1,137 @@
+"""What alignment made of the messages: rejected, stale and copied ones, clocks that jump, horizons without a step.
+
+Thresholds, and why:
+
+- Rejected: more than 5 % of a channel's messages by one cause. Simulated boats lose 1 to 2 %, real ones 0 to 1 %.
+  Copies of a speed are not counted, nor duplicates: they are dropped by design.
+- Stale: more than 10 % of the steps lack a recent input. Outages of a few seconds make 1 to 3 %.
+- A speed may come less often than the steps. It is used less than it could be if the measured steps are below half of
+  what the intervals of the speeds allow.
+- A clock jumps if a stamp lies more than `align.outage` before an earlier one of its channel.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Iterator
+
+import numpy as np
+
+from usvlearn.logs.channel import CHANNELS, COMMANDS, SURGE
+from usvlearn.logs.checks.evidence import Evidence
+from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
+from usvlearn.logs.copies import find_period
+
+MANY, MOST = 0.05, 0.5  # of the messages of a channel
+STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
+HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone")
+LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
+
+
+def _rejected(e: Evidence) -> dict[str, Counter]:
+    """Counts by channel and cause, those of the readers among them."""
+    found: dict[str, Counter] = {}
+    if e.fleet is not None:
+        return {name: Counter(causes) for name, causes in e.fleet.rejected.get(e.boat, {}).items()}
+    for one in e.recordings:
+        for name, causes in one.dropped.items():
+            found.setdefault(name, Counter()).update(causes)
+    return found
+
+
+def rejected(e: Evidence) -> Iterator[Finding]:
+    """Shares of messages that were rejected, by cause, with the key that changes it."""
+    for name, causes in _rejected(e).items():
+        dropped = sum(sum(one.dropped.get(name, {}).values()) for one in e.recordings)
+        total = dropped + sum(len(each.time) for each in e.logs(name) or e.logs("heading"))  # of which a rate is made
+        for cause, count in causes.items():
+            if cause in HARMLESS or count <= MANY * total:
+                continue
+            severity = WARNING if cause in ("out_of_range", "backwards", "ahead") or count > MOST * total else NOTE
+            text = f"{count / total:.0%} of {total} messages rejected: {cause.replace('_', ' ')}"
+            yield Finding(e.boat, name, "rejected", text, f"at most {MANY:.0%}", _remedy(e, name, cause), severity)
+
+
+def _remedy(e: Evidence, name: str, cause: str) -> str:
+    if cause == "out_of_range" and name in LIMITS and len(e.values.get(name, ())):
+        most = float(np.quantile(np.abs(e.values[name]), 0.995))
+        return f"align.{LIMITS[name]}={math.ceil(10 * most) / 10:g}" if name not in COMMANDS else ""
+    if cause == "backwards":
+        back = max((float(np.max(-np.diff(each.time), initial=0.0)) for each in e.logs(name)), default=0.0)
+        return f"align.patience={math.ceil(10 * back) / 10:g}" if 0 < back < 60 else ""
+    return ""
+
+
+def stale(e: Evidence) -> Iterator[Finding]:
+    """Inputs that are older than their window, and speeds that serve no step."""
+    if e.fleet is None or e.boat not in e.fleet.boats:
+        return
+    lane, counts = e.fleet.boats.index(e.boat), _rejected(e)
+    steps = sum(int((run.samples.inputs.dt[: run.lengths[lane], lane] > 0).sum()) for run in e.fleet.runs)
+    for name in CHANNELS:
+        share = counts.get(name, Counter())["stale"] / max(steps, 1)
+        if name == SURGE or share <= STALE:
+            continue
+        interval = _interval(e, name)
+        held = name in COMMANDS and (e.settings(name)["window"] < interval or share > MOST)
+        fix = {"held": True} if held else {"window": math.ceil(15 * interval) / 10}
+        yield Finding(e.boat, name, "stale", f"{min(share, 1):.0%} of the steps without a recent value",
+                      f"at most {STALE:.0%}", override(name, fix))  # fmt: skip
+    measured = sum(int(run.samples.measured[: run.lengths[lane], lane].sum()) for run in e.fleet.runs)
+    fresh = sum(int(run.samples.fresh[: run.lengths[lane], lane].sum()) for run in e.fleet.runs)
+    period = max(_interval(e, SURGE, 0.5), _dt(e))
+    possible = fresh * min(1.0, _dt(e) / period)
+    if measured < UNUSED * possible:
+        text = f"{measured / max(possible, 1):.0%} of the speeds used that the steps could use"
+        fix = override(SURGE, {"window": math.ceil(15 * min(_dt(e), period)) / 10})
+        yield Finding(e.boat, SURGE, "stale", text, f"at least {UNUSED:.0%}", fix)
+
+
+def _dt(e: Evidence) -> float:
+    return float(e.align.get("dt", 0.4))
+
+
+def _interval(e: Evidence, name: str, share: float = 0.95) -> float:
+    """The time between two messages of a channel that `share` of them keep, s."""
+    passed = np.concatenate([np.diff(each.time) for each in e.logs(name)] or [np.zeros(1)])
+    return float(np.quantile(passed, share)) if len(passed) else 0.0
+
+
+def copies(e: Evidence) -> Iterator[Finding]:
+    """A speed that is logged more often than it is measured."""
+    logs = [each for each in e.logs(SURGE) if each.period == 0]
+    if not logs or sum(len(each.time) for each in logs) < 3:
+        return
+    period, share = find_period(logs)
+    if period:
+        yield Finding(e.boat, SURGE, "repeats", f"{share:.0%} of the speeds repeat the one before",
+                      f"a measurement every {period:g} s once", override(SURGE, {"period": period}))  # fmt: skip
+
+
+def clock(e: Evidence) -> Iterator[Finding]:
+    """Stamps that jump back."""
+    outage = float(e.align.get("outage", 5.0))
+    for name in CHANNELS:
+        back = np.concatenate([-np.diff(each.time) for each in e.logs(name)] or [np.zeros(0)])
+        jumps = back[back > outage]
+        if len(jumps):
+            yield Finding(e.boat, name, "clock", f"{len(jumps)} stamps that jump back, by up to {jumps.max():.3g} s",
+                          f"none by more than {outage:g} s (align.outage)", severity=NOTE)  # fmt: skip
+
+
+def horizons(e: Evidence) -> Iterator[Finding]:
+    """Horizons of forecasts that are shorter than half a step, and so never fall due."""
+    short = [horizon for horizon in e.horizons if horizon < _dt(e) / 2]
+    if short:
+        left = [horizon for horizon in e.horizons if horizon not in short]
+        text = f"horizons of {', '.join(f'{each:g}' for each in short)} s"
+        key = (
+            "forecasts=null"
+            if not left
+            else re.sub(r"\s", "", f"forecasts.horizons=[{','.join(f'{x:g}' for x in left)}]")
+        )
+        yield Finding(
+            "all boats", "forecasts", "horizons", text, f"{_dt(e) / 2:g} s or more: they never fall due", key, NOTE
+        )

@@ -1,0 +1,218 @@
+"""Units and scales: speeds, commands, headings and yaw rates against each other and against physics.
+
+Thresholds, and why:
+
+- A speed is compared with positions where they are logged. A current moves a boat over ground, so that a ratio within
+  a quarter of 1 is none of a unit; the units differ by 1.94 (knots) and more.
+- Without positions, the only measure of a speed is `vehicle.surge_max`. Simulated boats whose thrust is 30 % off and
+  that have a current of 0.3 m/s under them reach 1.25 of it, so a warning begins at 1.35. A slow boat whose speed in
+  knots stays below that cannot be told: nothing else in the data fixes the scale of a speed.
+- No boat of this kind goes faster than 15 m/s.
+- Headings in radians that are read as degrees lie within 2π degrees. They are taken for that if the commands turned
+  the boat, but at less than 0.03 rad/s for a full difference of the sides (real and simulated boats: 0.2 to 1.5), or
+  if they jump by their whole range, as at a wrap.
+- Yaw rate and heading have one unit if their slope lies within 1/3 and 3; a wrong unit gives 57 or 1/57.
+- A command that never reaches 0.05 of full scale, or goes beyond 1.2, has another scale.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from usvlearn.logs.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
+from usvlearn.logs.checks.evidence import Evidence
+from usvlearn.logs.checks.finding import NOTE, Finding, override
+from usvlearn.logs.relations import rate_slope, speed_on_positions
+
+SURE = 4.0  # standard errors
+TOO_FAST, FASTEST = 1.35, 15.0  # of the top speed; m/s
+TOO_SLOW, STRONG = 0.4, 0.7  # of the top speed, at such commands
+SAME = 0.25  # by which the ratio of two speeds in one unit may differ from 1
+LIKELY = 0.15  # by which that of two units may differ from the measured one
+RESTING = 0.1  # m/s that a boat at rest does not reach
+WEAK, BEYOND = 0.05, 1.2  # of full scale
+CIRCLE = 2 * math.pi
+SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
+CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
+IDLE, RANGE = 1500.0, 400.0  # us
+
+
+def zeros(e: Evidence) -> Iterator[Finding]:
+    """A channel whose values are all the same."""
+    for name in ("heading", SURGE):
+        value = e.values.get(name, np.empty(0))
+        if len(value) and np.ptp(value) == 0:
+            found = f"{value[0]:g} in all of its {len(value)} values"
+            yield Finding(e.boat, name, "constant", found, "a measured value", override(name, {"name": "NAME"}))
+
+
+def rest(e: Evidence) -> Iterator[Finding]:
+    """A boat that never moves; a speed of zeros is found by `zeros`."""
+    speed = np.abs(e.values[SURGE])
+    fastest = float(np.quantile(speed, 0.995))
+    if np.ptp(e.values[SURGE]) > 0 and fastest < RESTING:
+        yield Finding(e.boat, SURGE, "at rest", f"at most {fastest:.2g} m/s", "a boat that moves", _in_units(e, 1.0))
+
+
+def speed_scale(e: Evidence) -> Iterator[Finding]:
+    """The speed against the rate of position, or against the boat's top speed."""
+    speed = np.abs(e.values[SURGE])
+    fastest = float(np.quantile(speed, 0.995)) if len(speed) else 0.0
+    if fastest < RESTING:
+        return
+    configured = SURGE in e.channels or not e.channels  # else it was computed from positions itself
+    if configured and all(name in e.series for name in METRES):
+        found = speed_on_positions(*(e.series[name] for name in METRES), e.series[SURGE])
+        if found.seconds and found.correlation > 0.5:
+            if abs(math.log(found.slope)) > math.log(1 + SAME):
+                text = f"{found.slope:.2f} times the rate of position (r = {found.correlation:.2f})"
+                yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, found.slope))
+            return
+    top = f"{e.surge_max:g} m/s (vehicle.surge_max)"
+    if fastest > min(TOO_FAST * e.surge_max, FASTEST):
+        ratio = fastest / e.surge_max
+        larger = f" or vehicle.surge_max={_ceil(fastest)}" if fastest <= FASTEST else ""
+        found = f"speeds up to {fastest:.2g} m/s"
+        yield Finding(e.boat, SURGE, "speed scale", found, f"at most {top}", _in_units(e, ratio, at_most=True) + larger)
+        return
+    strong = np.minimum(*e.commands) > STRONG
+    known = strong & np.isfinite(e.speed)
+    if known.sum() >= 20 and (reached := float(np.quantile(np.abs(e.speed[known]), 0.95))) < TOO_SLOW * e.surge_max:
+        text = f"{reached:.2g} m/s at commands above {STRONG:g}"
+        yield Finding(e.boat, SURGE, "speed scale", text, f"about {top}", f"vehicle.surge_max={_ceil(reached)} or "
+                      + _in_units(e, reached / e.surge_max), NOTE)  # fmt: skip
+
+
+def _ceil(speed: float) -> str:
+    return f"{math.ceil(10 * speed) / 10:g}"
+
+
+def _in_units(e: Evidence, ratio: float, at_most: bool = False) -> str:
+    """The override that divides a speed by about `ratio`: a unit where one fits, else a span.
+
+    Args:
+        e: of the boat.
+        ratio: of the speed to the right one.
+        at_most: whether the right one is a bound; then the least factor that keeps it.
+    """
+    now = e.factor(SURGE)
+    units = {unit: now / UNITS[unit][0] for unit in SPEEDS if abs(math.log(now / UNITS[unit][0])) > 0.1}
+    if at_most:
+        fits = [unit for unit in units if units[unit] * TOO_FAST >= ratio and units[unit] > 1]
+    else:
+        fits = [unit for unit in units if abs(math.log(units[unit] / ratio)) < LIKELY]
+    if fits:
+        best = min(fits, key=lambda unit: units[unit])
+        return override(SURGE, {"unit": best, **({} if e.settings(SURGE)["span"] == 1 else {"span": 1.0})})
+    if ratio == 1.0:
+        return override(SURGE, {"name": "NAME"})
+    return override(SURGE, {"span": float(e.settings(SURGE)["span"] * ratio)})
+
+
+def command_scale(e: Evidence) -> Iterator[Finding]:
+    """Commands in percent, in pulses of microseconds, or as shares of another scale than declared."""
+    for name in COMMANDS:
+        value = np.abs(e.values[name])
+        settings = e.settings(name)
+        if not len(value) or not isinstance(settings["span"], int | float):
+            continue
+        greatest = float(np.quantile(value, 0.995))
+        if WEAK <= greatest <= BEYOND or greatest == 0:
+            continue
+        raw = e.values[name] / e.factor(name) + settings["zero"]
+        low, high = (float(each) for each in np.quantile(raw, [0.005, 0.995]))
+        unit = {"unit": "1"} if settings["unit"] != "1" else {}
+        if CENTURY[0] <= low and high <= CENTURY[1] and high - low > 20:
+            fix = {**unit, "zero": IDLE, "span": math.copysign(RANGE, settings["span"])}
+        else:
+            size = max(abs(low - settings["zero"]), abs(high - settings["zero"]))
+            full = next((full for full in (1.0, 100.0, 1000.0) if size <= BEYOND * full), size)
+            fix = {**unit, "span": math.copysign(full, settings["span"])}
+        if greatest > BEYOND:
+            yield Finding(e.boat, name, "command scale", f"values up to {greatest:.3g} of full scale",
+                          f"at most {BEYOND:g}", override(name, fix))  # fmt: skip
+        else:
+            yield Finding(e.boat, name, "command scale", f"at most {greatest:.2g} of full scale",
+                          f"more than {WEAK:g}", override(name, fix))  # fmt: skip
+
+
+def heading_unit(e: Evidence) -> Iterator[Finding]:
+    """Radians read as degrees, and degrees read as radians."""
+    value = e.values["heading"]
+    if len(value) < 3 or np.ptp(value) == 0:
+        return
+    unit, greatest = _angular(e, "heading"), float(np.max(np.abs(value)))
+    small = math.radians(CIRCLE)
+    jumps = max(float(np.max(np.abs(np.diff(each.value)), initial=0.0)) for each in e.logs("heading"))
+    speeds = _turn_of_commands(e)
+    if greatest <= small * 1.001:
+        wraps = jumps > 0.95 * np.ptp(value) and np.ptp(value) > 0.9 * small
+        sluggish = speeds is not None and speeds < SLUGGISH
+        text = f"all headings within {math.degrees(greatest):.2f}°"
+        if wraps or sluggish:
+            why = "jumps over that range" if wraps else f"{speeds:.1g} rad/s of turn at a full difference of commands"
+            yield Finding(e.boat, "heading", "heading unit", f"{text}, {why}", "degrees that cover the turns",
+                          override("heading", {"unit": unit.replace("deg", "rad")}))  # fmt: skip
+    elif 2 * CIRCLE < greatest <= 361 and np.min(value) > -361:
+        wraps = 0.8 * 360 < jumps < 361
+        frantic = speeds is not None and speeds > FRANTIC
+        if wraps or frantic:
+            text = f"headings up to {greatest:.0f} rad that jump by {jumps:.0f}"
+            yield Finding(e.boat, "heading", "heading unit", text, "radians within ±2π",
+                          override("heading", {"unit": unit.replace("rad", "deg")}))  # fmt: skip
+
+
+def _turn_of_commands(e: Evidence) -> float | None:
+    """The rate of turn that follows a full difference of the commands, rad/s; None if no turn surely follows one."""
+    found = e.turns
+    return abs(found.slope) if abs(found.certainty) > SURE and abs(found.correlation) > 0.3 else None
+
+
+def yaw_rate(e: Evidence) -> Iterator[Finding]:
+    """The logged yaw rate against the derivative of the heading: unit, sense, delay."""
+    if "yaw_rate" not in e.series or next(heading_unit(e), None):
+        return
+    found, unit = rate_slope(e.series["heading"], e.series["yaw_rate"], (-5.0, 5.0)), _angular(e, "yaw_rate")
+    if not found.seconds:
+        return
+    pair, expected = "heading, yaw_rate", "the rate of the heading"
+    slope, without = abs(found.slope), override("yaw_rate", {"name": None})
+    if abs(found.correlation) < 0.3:
+        if found.seconds > 60 and np.nanstd(e.turn) > 0.03:
+            text = f"no relation to the turns of the heading (r = {found.correlation:.2f})"
+            yield Finding(e.boat, pair, "yaw rate", text, expected, without)
+        return
+    if abs(found.certainty) < SURE:
+        return
+    if found.slope < 0:
+        text = f"{found.slope:.2g} times the rate of the heading (r = {found.correlation:.2f})"
+        turned = e.turns.correlation
+        wrong = "heading" if turned < -0.3 and abs(e.turns.certainty) > SURE else "yaw_rate"
+        yield Finding(e.boat, pair, "yaw sense", text, "1 times",
+                      override(wrong, {"unit": _mirrored(_angular(e, wrong))}))  # fmt: skip
+    if not 1 / 3 < slope < 3:
+        text = f"{slope:.2g} times the rate of the heading (r = {found.correlation:.2f})"
+        if 20 < slope < 160:
+            fix = override("yaw_rate", {"unit": unit.replace("rad/s", "deg/s")})
+        elif 1 / 160 < slope < 1 / 20:
+            fix = override("yaw_rate", {"unit": unit.replace("deg/s", "rad/s")})
+        else:
+            fix = without
+        yield Finding(e.boat, pair, "yaw rate unit", text, "1 times", fix)
+    if abs(found.lag) >= 1.0:
+        text = f"a yaw rate {abs(found.lag):g} s {'behind' if found.lag > 0 else 'before'} the heading"
+        yield Finding(e.boat, pair, "yaw rate delay", text, "less than 1 s", without, NOTE)
+
+
+def _angular(e: Evidence, name: str) -> str:
+    """The unit of a heading or a yaw rate; "1" is SI."""
+    unit = e.settings(name)["unit"]
+    return ("rad" if name == "heading" else "rad/s") if unit == "1" else unit
+
+
+def _mirrored(unit: str) -> str:
+    """The unit of the other sense."""
+    return unit.removeprefix("enu_") if unit.startswith("enu_") else f"enu_{unit}"
