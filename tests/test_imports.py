@@ -54,7 +54,8 @@ OURS = {
     "usvlearn.report": LEARNS | {"usvlearn.evaluation", "usvlearn.identified", "usvlearn.lock", "usvlearn.online",
                                  "usvlearn.report", "usvlearn.runs", "usvlearn.tensorboard", "certify"},
     "usvlearn.cli": {"usvlearn"},  # everything
-    "usvlearn.learned": LEARNS | {"usvlearn.engine", "usvlearn.evaluation", "usvlearn.report", "usvlearn.runs"},
+    "usvlearn.learned": LEARNS | {"usvlearn.engine", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.report",
+                                  "usvlearn.runs"},
     "usvlearn.api": {"usvlearn"},  # everything, and nothing imports it
     "usvlearn.__main__": set(),
 }  # fmt: skip

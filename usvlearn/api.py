@@ -41,6 +41,7 @@ def read(
     mass: float | None = None,
     surge_max: float | None = None,
     align: Mapping[str, Any] | None = None,
+    check: str = "warn",
     **settings: Any,
 ) -> AlignedLogs:
     """Read logs, and align them on a grid of time.
@@ -52,11 +53,12 @@ def read(
         channels: changes to it, channel -> keys of `usvlearn.logs.channel.Source`.
         mass, surge_max: of the boat, kg and m/s, if they differ from it.
         align: options of `usvlearn.Aligner` that differ from configs/train.yaml, such as `{"dt": 0.2}`.
+        check: the data: "warn" keeps what is found in `findings`, "strict" raises for a warning, "off" does not look.
         **settings: further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and `seed`.
 
     Raises:
         ConfigError: an option outside its legal values, or a path that is none or finds no log.
-        LogFormatError: no log can be read as it is described.
+        LogFormatError: no log can be read as it is described; with check="strict", the data check has warned.
 
     >>> from tempfile import TemporaryDirectory
     >>> names = {"command_left": "pwm_l", "command_right": "pwm_r", "surge": "speed"}
@@ -68,8 +70,8 @@ def read(
     >>> logs.boats, len(logs.runs[0].time), float(logs.runs[0].columns["heading"][-1].round(2))
     (('heron',), 13, 1.57)
     """
+    from usvlearn.cli.checked import CheckedAlignment
     from usvlearn.cli.composition import recordings_of
-    from usvlearn.logs.recordings import align_fleet
 
     if isinstance(path, Mapping):
         settings["path"] = {str(boat): os.fspath(each) for boat, each in path.items()}
@@ -84,8 +86,10 @@ def read(
         vehicle["mass"] = check_positive("mass", mass, "of kg")
     if surge_max is not None:
         vehicle["surge_max"] = check_positive("surge_max", surge_max, "of m/s")
-    recordings, composed = recordings_of(data, {"data": settings, "vehicle": vehicle, "align": dict(align or {})})
-    return AlignedLogs(align_fleet(recordings, **composed["align"]), composed)
+    changes = {"data": settings, "vehicle": vehicle, "align": dict(align or {}), "check": check}
+    recordings, composed = recordings_of(data, changes)
+    checked = CheckedAlignment(composed)
+    return AlignedLogs(checked(recordings, **composed["align"]), composed, tuple(checked.findings or ()))
 
 
 def learn(

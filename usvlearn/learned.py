@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
     from usvlearn.estimators.ensemble.state import EnsembleState
     from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.logs.checks.finding import Finding
 
 PathLike = str | os.PathLike[str]
 
@@ -46,10 +47,12 @@ class AlignedLogs:
     Attributes:
         fleet: all boats side by side, as estimators take them.
         settings: the whole configuration, as in train.py.
+        findings: of the data check, warnings first; see `usvlearn.logs.data_check`.
     """
 
     fleet: Fleet
     settings: Mapping[str, Any]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def boats(self) -> tuple[str, ...]:
@@ -71,7 +74,7 @@ class AlignedLogs:
         return self.fleet.rejected
 
     def __repr__(self) -> str:
-        from usvlearn.report.tables import rejection_table
+        from usvlearn.report.tables import data_check_table, rejection_table
         from usvlearn.report.terminal import Blocks
 
         table = Blocks("Logs on the grid of time", ["run"], ["minutes", "steps", "measured"])
@@ -81,7 +84,8 @@ class AlignedLogs:
                 table.group(boat := run.boat)
             minutes = (run.time[-1] - run.time[0]) / 60
             table.add(run.name, f"{minutes:.1f}", str(len(run.time)), f"{run.samples.measured.mean():.1%}")
-        return _printed(table, rejection_table(self.rejected))
+        found = data_check_table([each._asdict() for each in self.findings]) if self.findings else None
+        return _printed(table, rejection_table(self.rejected), found)
 
 
 @dataclass(frozen=True)

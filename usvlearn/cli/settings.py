@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.errors import ConfigError, UsvlearnError, check_choice, did_you_mean, under
 from usvlearn.logs.align import Aligner
+from usvlearn.logs.data_check import check_level
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -35,6 +36,7 @@ def check_settings(cfg: DictConfig) -> None:
     with in_one_sentence():
         settings: Any = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
     check_lanes((settings.get("sweep") or {}).get("lanes"))
+    check_level(settings.get("check"))
     options = [name for name in inspect.signature(Aligner).parameters if name != "channels"]
     for name in settings["align"]:
         if name not in options:

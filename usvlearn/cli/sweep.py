@@ -19,6 +19,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
 from usvlearn.cli.again import again
+from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.composition import plain
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.cli.settings import check_lanes, check_settings, instantiate
@@ -27,7 +28,6 @@ from usvlearn.cli.submitted import wait_for_all
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.lock import Lock
-from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.terminal import console
 from usvlearn.sweeps.jobs import LANES, SweepNote, check_sweep, note_sweep, noted_sweep, run_job, write_lanes
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers
@@ -193,7 +193,8 @@ def as_lanes(config: DictConfig, folder: Path, note: SweepNote, jobs: Sequence[M
         check_settings(own)
         with Lock(folder, "hydra.sweep.dir"):
             OmegaConf.save(config, folder / "multirun.yaml")
-            made = run_lanes(settings, note, jobs, instantiate, align_fleet, console())
+            shown = console()
+            made = run_lanes(settings, note, jobs, instantiate, CheckedAlignment(settings, shown), shown)
             note_sweep(folder, note)
             write_lanes(folder, made)
     leaderboard(folder, load)

@@ -11,13 +11,13 @@ from pathlib import Path
 from omegaconf import DictConfig, OmegaConf
 from rich.console import Console
 
+from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import check_settings, ensemble_of, instantiate
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.errors import check_positive
-from usvlearn.logs.recordings import align_fleet
 from usvlearn.report import terminal
 from usvlearn.report.activity_bar import Activity
 from usvlearn.report.tables import alarm_lines, error_tables, identified_table, rejection_table, summary_lines
@@ -35,7 +35,8 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     if not tuning.asked(cfg):
         return train(cfg, folder, console, resume or cfg.resume, overrides)
-    return tuning.tune(plain(cfg), folder, instantiate, align_fleet, overrides, console)
+    settings = plain(cfg)
+    return tuning.tune(settings, folder, instantiate, CheckedAlignment(settings, console), overrides, console)
 
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, overrides: Sequence[str] = ()) -> float:
@@ -56,14 +57,16 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     save_minutes = check_positive("save_minutes", cfg.save_minutes, "of min")
     save_every = max(1, round(60 * save_minutes / check_positive("align.dt", cfg.align.dt)))
     ensemble = ensemble_of(cfg)
+    align = CheckedAlignment(settings, console)
     with Activity(console):
-        fleet = align_fleet(instantiate(cfg.data), **cfg.align)
+        fleet = align(instantiate(cfg.data), **cfg.align)
     if (rejected := rejection_table(fleet.rejected)) is not None:
         console.print(rejected)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
     run = RunFolder(
-        folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts
-    )
+        folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts,
+        align.json,
+    )  # fmt: skip
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
     truth = quantities_of([settings["data"]], cfg.vehicle.mass)
     logger = TensorBoardLogger(

@@ -26,6 +26,15 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     thrusters.sides, thrusters.delay, thrusters.excitation,
     messages.rejected, messages.stale, messages.copies, messages.clock, messages.horizons,
 )  # fmt: skip
+# kind of a finding -> kinds that follow from it, and are left out beside it
+CONSEQUENCES = {
+    **dict.fromkeys(
+        ("speed unit", "speed scale", "command scale", "heading unit", "yaw rate unit"), ("rejected", "stale")
+    ),
+    "constant": ("thrust",),
+    "side reversed": ("thrust",),
+    "delay": ("stale",),
+}
 LEVELS = ("warn", "strict", "off")
 
 
@@ -75,7 +84,9 @@ def check_data(
         boats.setdefault(one.boat, []).append(one)
     evidence = [Evidence(boat, own, fleet, align, surge_max, channels or {}, horizons) for boat, own in boats.items()]
     found = [finding for each in evidence for check in CHECKS for finding in check(each)]
-    return sorted(dict.fromkeys(found), key=lambda finding: finding.severity != WARNING)
+    causes = {(each.boat, kind) for each in found for kind in CONSEQUENCES.get(each.kind, ())}
+    own = [each for each in dict.fromkeys(found) if (each.boat, each.kind) not in causes]
+    return sorted(own, key=lambda each: each.severity != WARNING)
 
 
 def refuse(findings: Sequence[Finding]) -> None:

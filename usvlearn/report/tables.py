@@ -117,6 +117,32 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
     return table
 
 
+def data_check_table(found: Sequence[Mapping[str, str]], checks: int = 0) -> Blocks | Text:
+    """What the data check found, or one line if that is nothing.
+
+    Args:
+        found: as `results.json` has it under `data_check`; equal findings about several boats are one row.
+        checks: their number, told if nothing was found.
+
+    >>> print(data_check_table([], 14))
+    data check: no findings in 14 checks
+    """
+    if not found:
+        return Text(f"data check: no findings in {checks} checks")
+    rows: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
+    for each in found:
+        rows.setdefault((each["severity"], each["about"], each["kind"]), []).append(each)
+    table = Blocks("Data check", ["", "found"], folded=["found"])
+    for (severity, about, _), same in rows.items():
+        first, others = same[0], len({each["boat"] for each in same}) - 1
+        boats = first["boat"] + (f" and {others} more" if others else "")
+        table.add(severity, f"{boats}, {about}: {first['found']}; expected: {first['expected']}",
+                  style="bold" if severity == "warning" else "")  # fmt: skip
+        if first["key"]:
+            table.add("", f"set {first['key']}")
+    return table
+
+
 def error_tables(
     boats: Mapping[str, Mapping[str, Mapping]],
     remarks: Mapping[str, str] | None = None,

@@ -58,13 +58,16 @@ class RunFolder:
             built, of all boats).
         names: of the estimators, as `Ensemble.names`.
         forecasts: as `Ensemble.forecasts`.
+        data_check: what the data check found, for `results.json`; None if nothing was checked.
     """
 
     def __init__(
-        self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None
-    ):
+        self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None,
+        data_check: Sequence[Mapping[str, str]] | None = None,
+    ):  # fmt: skip
         self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
         self._forecasts, self._widths = forecasts, widths_of(names, forecasts)
+        self._checked = {} if data_check is None else {"data_check": data_check}
         self.metadata = {"version": usvlearn.__version__, **metadata}
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
@@ -194,7 +197,7 @@ class RunFolder:
         self._wait()
         objective = self.metadata.get("configuration", {}).get("objective")
         found, errors = judged(ensemble, self.fleet, self.state, self.published, self._after, truth, objective)
-        return found | {"seconds": time.perf_counter() - began}, errors
+        return found | self._checked | {"seconds": time.perf_counter() - began}, errors
 
     def _after(self, runs: int) -> EnsembleState | None:
         """The state of every boat after the first `runs` runs, from its parameter sets; None if they are not done.

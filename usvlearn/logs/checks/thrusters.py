@@ -144,7 +144,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
     if lag is not None:
         side = "behind" if lag > 0 else "before"
         text = f"speeds {abs(lag):.0f} s {side} the commands (r = {e.searched.correlation:.2f})"
-        given = float(e.settings(COMMANDS[0])["delay"])
+        given = float(e.logs(COMMANDS[0])[0].delay)
         right = max(0.0, given + lag)
         fix = " ".join(override(name, {"delay": float(round(right))}) for name in COMMANDS)
         yield Finding(
