@@ -13,13 +13,14 @@ Series = tuple[np.ndarray, np.ndarray]  # time, s, and value, SI units; (n,) eac
 MOST_BINS = 1_000_000  # beyond which long outages are cut out of a log
 OUTAGE = 30.0  # s, what is left of one then, and the time between two runs
 GAP, INTERVALS = 2.0, 4.0  # s, and median intervals: a longer silence of a channel is a gap
+HUGE = 1e12  # s, or any unit: a greater number is none, and its square could overflow
 EXTREME = 0.995  # quantile of the sizes to which larger ones are clipped
 
 
 def cleaned(series: Series) -> Series:
-    """Finite values in the order of their stamps."""
+    """Values in the order of their stamps, without those that are no number or `HUGE`."""
     time, value = np.asarray(series[0], dtype=np.float64), np.asarray(series[1])
-    known = np.isfinite(time) & np.isfinite(value)
+    known = (np.abs(time) < HUGE) & (np.abs(value) < HUGE)
     if not known.all():
         time, value = time[known], value[known]
     if (np.diff(time) < 0).any():
@@ -36,11 +37,10 @@ def bin_edges(step: float, *series: Series) -> np.ndarray:
     first, last = max(time[0] for time in times), min(time[-1] for time in times)
     if (last - first) / step <= MOST_BINS:
         return np.arange(first, last + step / 2, step)
-    parts = []
     base = times[0][(times[0] >= first) & (times[0] <= last)]
-    for part in np.split(base, np.flatnonzero(np.diff(base) > OUTAGE) + 1):
-        parts.append(np.arange(part[0], part[-1] + step / 2, step)[:MOST_BINS])
-    return np.concatenate(parts)[:MOST_BINS]
+    runs = np.split(base, np.flatnonzero(np.diff(base) > OUTAGE) + 1)
+    parts = [np.arange(run[0], run[-1] + step / 2, step) for run in runs if len(run)]
+    return np.concatenate([*parts, np.empty(0)])[:MOST_BINS]
 
 
 def _gaps(time: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -58,10 +58,10 @@ def _gaps(time: np.ndarray, edges: np.ndarray) -> np.ndarray:
 def bin_means(series: Series, edges: np.ndarray, held: bool = False) -> np.ndarray:
     """Means over bins, `(bins,)`, NaN in a gap; a held value stays in force until the next one, however long."""
     time, value = cleaned(series)
-    if len(edges) < 2 or len(time) < (1 if held else 2):
-        return np.full(max(len(edges) - 1, 0), np.nan)
-    if held and time[-1] < edges[-1]:
+    if held and len(time) and len(edges) and time[-1] < edges[-1]:
         time, value = np.append(time, edges[-1]), np.append(value, value[-1])
+    if len(edges) < 2 or len(time) < 2:
+        return np.full(max(len(edges) - 1, 0), np.nan)
     passed = np.diff(time)
     level = value[:-1] if held else (value[:-1] + value[1:]) / 2
     total = np.concatenate([[0.0], np.cumsum(passed * (level - level.mean()))])

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.logs.bins import Series, bin_edges, bin_means, bin_rates, clipped
-from usvlearn.logs.channel import COMMANDS, DEGREES, METRES, SURGE, UNITS, Channel, Recording, Source
+from usvlearn.logs.bins import HUGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
+from usvlearn.logs.channel import COMMANDS, DEGREES, METRES, REQUIRED, SURGE, UNITS, Channel, Recording, Source
 from usvlearn.logs.positions import local
 from usvlearn.logs.relations import Relation, in_series, relate, relate_sides
 from usvlearn.signals import Fleet
@@ -19,6 +19,7 @@ STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough 
 TURNS_WITHIN = (0.0, 5.0)  # s, from a command to the yaw rate: the yaw time constant and a delay
 MOVES_WITHIN = (0.0, 20.0)  # s, from a command to the speed: likewise
 SEARCHED = (-150.0, 150.0)  # s, in which the delay of the commands is looked for
+NONE = np.empty(0), np.empty(0)
 DEFAULTS = {field.name: field.default for field in fields(Source)}
 
 
@@ -53,20 +54,20 @@ class Evidence:
 
     @cached_property
     def values(self) -> dict[str, np.ndarray]:
-        """All finite values of each channel, SI units."""
-        names = dict.fromkeys(name for one in self.recordings for name in one.channels)
-        whole = {name: np.concatenate([each.value for each in self.logs(name)]) for name in names}
-        return {name: value[np.isfinite(value)] for name, value in whole.items()}
+        """All values of each channel that are numbers, SI units; empty where a required channel has none."""
+        names = dict.fromkeys([*REQUIRED, *(name for one in self.recordings for name in one.channels)])
+        whole = {name: np.concatenate([each.value for each in self.logs(name)] or [np.empty(0)]) for name in names}
+        return {name: value[np.abs(value) < HUGE] for name, value in whole.items()}
 
     @cached_property
     def series(self) -> dict[str, Series]:
         """All runs one behind the other, each value at the time of its effect; positions as metres north and east."""
-        return in_series(_series_of(one.channels) for one in self.recordings)
+        return {**dict.fromkeys(REQUIRED, NONE), **in_series(_series_of(one.channels) for one in self.recordings)}
 
     @cached_property
     def edges(self) -> np.ndarray:
         """The edges of the bins, s."""
-        return bin_edges(STEP, *(self.series[name] for name in (SURGE, "heading") if name in self.series))
+        return bin_edges(STEP, *(self.series[name] for name in (SURGE, "heading")))
 
     def means(self, name: str) -> np.ndarray:
         """Means of a channel, `(bins,)`; commands are held between their messages."""
@@ -112,13 +113,22 @@ class Evidence:
         )
 
 
+def spread(values: np.ndarray) -> float:
+    """The standard deviation of those that are known; 0 if none is.
+
+    >>> spread(np.array([1.0, np.nan, 3.0]))
+    1.0
+    """
+    known = values[np.isfinite(values)]
+    return float(known.std()) if len(known) else 0.0
+
+
 def _series_of(channels: Mapping[str, Channel]) -> dict[str, Series]:
     """The channels of a run as pairs of time and value."""
     found = {name: (each.time + each.delay, each.value) for name, each in channels.items()}
-    if all(len(found.get(name, ((),))[0]) for name in DEGREES):
-        (time, latitude), (others, longitude) = (found[name] for name in DEGREES)
-        place = np.argsort(others, kind="stable")
-        beside = np.interp(time, others[place], np.unwrap(longitude[place]))
-        north, east = local(latitude, beside)
-        found |= {METRES[0]: (time, north), METRES[1]: (time, east)}
+    if all(name in found for name in DEGREES):
+        (time, latitude), (others, longitude) = (cleaned(found[name]) for name in DEGREES)
+        if len(time) and len(others):
+            north, east = local(latitude, np.interp(time, others, np.unwrap(longitude)))
+            found |= {METRES[0]: (time, north), METRES[1]: (time, east)}
     return found

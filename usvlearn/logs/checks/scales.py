@@ -22,8 +22,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from usvlearn.logs.bins import HUGE
 from usvlearn.logs.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
-from usvlearn.logs.checks.evidence import Evidence
+from usvlearn.logs.checks.evidence import Evidence, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override
 from usvlearn.logs.relations import rate_slope, speed_on_positions
 
@@ -35,6 +36,7 @@ LIKELY = 0.15  # by which that of two units may differ from the measured one
 RESTING = 0.1  # m/s that a boat at rest does not reach
 WEAK, BEYOND = 0.05, 1.2  # of full scale
 CIRCLE = 2 * math.pi
+TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to follow
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
 IDLE, RANGE = 1500.0, 400.0  # us
@@ -51,9 +53,8 @@ def zeros(e: Evidence) -> Iterator[Finding]:
 
 def rest(e: Evidence) -> Iterator[Finding]:
     """A boat that never moves; a speed of zeros is found by `zeros`."""
-    speed = np.abs(e.values[SURGE])
-    fastest = float(np.quantile(speed, 0.995))
-    if np.ptp(e.values[SURGE]) > 0 and fastest < RESTING:
+    speed = e.values[SURGE]
+    if len(speed) and np.ptp(speed) > 0 and (fastest := float(np.quantile(np.abs(speed), 0.995))) < RESTING:
         yield Finding(e.boat, SURGE, "at rest", f"at most {fastest:.2g} m/s", "a boat that moves", _in_units(e, 1.0))
 
 
@@ -146,7 +147,7 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
         return
     unit, greatest = _angular(e, "heading"), float(np.max(np.abs(value)))
     small = math.radians(CIRCLE)
-    jumps = max(float(np.max(np.abs(np.diff(each.value)), initial=0.0)) for each in e.logs("heading"))
+    jumps = max(_greatest_jump(each.value) for each in e.logs("heading"))
     speeds = _turn_of_commands(e)
     if greatest <= small * 1.001:
         wraps = jumps > 0.95 * np.ptp(value) and np.ptp(value) > 0.9 * small
@@ -165,6 +166,11 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
                           override("heading", {"unit": unit.replace("rad", "deg")}))  # fmt: skip
 
 
+def _greatest_jump(value: np.ndarray) -> float:
+    """Between two values of a run."""
+    return float(np.max(np.abs(np.diff(value[np.abs(value) < HUGE])), initial=0.0))
+
+
 def _turn_of_commands(e: Evidence) -> float | None:
     """The rate of turn that follows a full difference of the commands, rad/s; None if no turn surely follows one."""
     found = e.turns
@@ -181,7 +187,7 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
     pair, expected = "heading, yaw_rate", "the rate of the heading"
     slope, without = abs(found.slope), override("yaw_rate", {"name": None})
     if abs(found.correlation) < 0.3:
-        if found.seconds > 60 and np.nanstd(e.turn) > 0.03:
+        if found.seconds > 60 and spread(e.turn) > TURNED:
             text = f"no relation to the turns of the heading (r = {found.correlation:.2f})"
             yield Finding(e.boat, pair, "yaw rate", text, expected, without)
         return

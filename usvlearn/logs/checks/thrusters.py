@@ -29,7 +29,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from usvlearn.logs.channel import COMMANDS, SURGE
-from usvlearn.logs.checks.evidence import Evidence
+from usvlearn.logs.checks.evidence import Evidence, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override
 from usvlearn.logs.relations import Relation, angle_offset
 
@@ -47,7 +47,7 @@ Sides = tuple[Relation, Relation]
 
 def sides(e: Evidence) -> Iterator[Finding]:
     """Reversed and swapped sides, by the table above."""
-    if not {*COMMANDS, "heading", SURGE} <= set(e.series) or implausible_lag(e) is not None:
+    if implausible_lag(e) is not None:
         return
     turns, moves = e.sides()
     wrong = _mistake(turns, moves)
@@ -137,8 +137,6 @@ def implausible_lag(e: Evidence) -> float | None:
 
 def delay(e: Evidence) -> Iterator[Finding]:
     """A speed that follows the commands too late, before them, or not at all."""
-    if not {*COMMANDS, SURGE} <= set(e.series):
-        return
     pair = f"commands, {SURGE}"
     lag = implausible_lag(e)
     if lag is not None:
@@ -160,7 +158,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
 
 def _moves(e: Evidence) -> bool:
     """Whether thrust and speed change enough to be compared."""
-    return bool(np.nanstd(sum(e.commands) / 2) > 0.03 and np.nanstd(e.speed) > STEADY * e.surge_max)
+    return spread(sum(e.commands) / 2) > 0.03 and spread(e.speed) > STEADY * e.surge_max
 
 
 def excitation(e: Evidence) -> Iterator[Finding]:
@@ -185,6 +183,6 @@ def excitation(e: Evidence) -> Iterator[Finding]:
                       "several levels: the shape of the thrust cannot be learned", severity=NOTE)  # fmt: skip
     speed = e.values[SURGE]
     mean = abs(float(speed.mean())) if len(speed) else 0.0
-    if np.ptp(speed) > 0 and mean > 0 and float(speed.std()) < STEADY * mean:
+    if mean > 0 and 0 < float(speed.std()) < STEADY * mean:
         yield Finding(e.boat, SURGE, "excitation", f"{mean:.2g} m/s within {speed.std() / mean:.1%}",
                       "a speed that changes: drag and mass cannot be learned", severity=NOTE)  # fmt: skip
