@@ -22,7 +22,8 @@ from usvlearn.logs.checks.finding import WARNING, Finding
 from usvlearn.signals import Fleet
 
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
-    scales.zeros, scales.rest, scales.speed_scale, scales.command_scale, scales.heading_unit, scales.yaw_rate,
+    scales.zeros, scales.rest, scales.speed_scale, scales.command_scale, scales.heading_unit,
+    scales.heading_sense, scales.yaw_rate,
     thrusters.sides, thrusters.delay, thrusters.excitation,
     messages.rejected, messages.stale, messages.copies, messages.clock, messages.horizons,
 )  # fmt: skip
@@ -49,7 +50,7 @@ def check_level(level: Any) -> str:
     >>> check_level(None), check_level(False)
     ('warn', 'off')
     """
-    return check_choice("check", {None: "warn", False: "off"}.get(level, level), LEVELS)
+    return check_choice("check", "warn" if level is None else "off" if level is False else level, LEVELS)
 
 
 def check_data(

@@ -52,6 +52,7 @@ class Offset(NamedTuple):
     offset: float  # rad: one - sign * other, the circular mean
     concentration: float  # length of the mean vector: 1 if the difference is constant, 0 if it is random
     sign: float  # -1: the two angles count in opposite directions
+    rival: float  # concentration with the other sign; near the first one, the sign is not known
     seconds: float
 
 
@@ -206,11 +207,11 @@ def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:
         first, second = first / np.abs(first), second / np.abs(second)
     known = np.isfinite(first) & np.isfinite(second)
     if known.sum() < FEWEST:
-        return Offset(math.nan, math.nan, math.nan, 0.0)
+        return Offset(math.nan, math.nan, math.nan, math.nan, 0.0)
     first, second = first[known], second[known]
     along, against = np.mean(first * second.conj()), np.mean(first * second)
-    mean, sign = (along, 1.0) if abs(along) >= abs(against) else (against, -1.0)
-    return Offset(float(np.angle(mean)), float(abs(mean)), sign, float(step * known.sum()))
+    mean, sign, rival = (along, 1.0, against) if abs(along) >= abs(against) else (against, -1.0, along)
+    return Offset(float(np.angle(mean)), float(abs(mean)), sign, float(abs(rival)), float(step * known.sum()))
 
 
 def _residual(values: np.ndarray, beside: np.ndarray) -> np.ndarray:

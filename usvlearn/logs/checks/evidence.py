@@ -12,12 +12,14 @@ import numpy as np
 from usvlearn.logs.bins import HUGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
 from usvlearn.logs.channel import COMMANDS, DEGREES, METRES, REQUIRED, SURGE, UNITS, Channel, Recording, Source
 from usvlearn.logs.positions import local
-from usvlearn.logs.relations import Relation, in_series, relate, relate_sides
+from usvlearn.logs.relations import Offset, Relation, angle_offset, in_series, relate, relate_sides
 from usvlearn.signals import Fleet
 
 STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough that a check takes milliseconds
 TURNS_WITHIN = (0.0, 5.0)  # s, from a command to the yaw rate: the yaw time constant and a delay
 MOVES_WITHIN = (0.0, 20.0)  # s, from a command to the speed: likewise
+LEG, MOVING = 5.0, 0.25  # s, over which a course is taken; share of the top speed from which it is one
+LONG_ENOUGH = 60.0  # s of courses
 SEARCHED = (-150.0, 150.0)  # s, in which the delay of the commands is looked for
 NONE = np.empty(0), np.empty(0)
 DEFAULTS = {field.name: field.default for field in fields(Source)}
@@ -80,6 +82,11 @@ class Evidence:
         return self.means(COMMANDS[0]), self.means(COMMANDS[1])
 
     @cached_property
+    def thrust(self) -> np.ndarray:
+        """The mean of both commands, `(bins,)`."""
+        return (self.commands[0] + self.commands[1]) / 2
+
+    @cached_property
     def speed(self) -> np.ndarray:
         """Means of the speed, `(bins,)`, m/s."""
         return self.means(SURGE)
@@ -92,17 +99,34 @@ class Evidence:
     @cached_property
     def thrust_on_speed(self) -> Relation:
         """The speed against both commands, at the best lag that a boat can have."""
-        return relate(sum(self.commands) / 2, self.speed, STEP, MOVES_WITHIN)
+        return relate(self.thrust, self.speed, STEP, MOVES_WITHIN)
 
     @cached_property
     def searched(self) -> Relation:
         """Likewise, at the best of all lags."""
-        return relate(sum(self.commands) / 2, self.speed, STEP, SEARCHED)
+        return relate(self.thrust, self.speed, STEP, SEARCHED)
 
     @cached_property
     def turns(self) -> Relation:
         """The turn against the difference of the commands."""
         return relate(self.commands[0] - self.commands[1], self.turn, STEP, TURNS_WITHIN)
+
+    @cached_property
+    def course(self) -> Offset:
+        """By how much the course over ground differs from the heading while the boat moves ahead."""
+        edges = bin_edges(LEG, *(self.series.get(name, NONE) for name in METRES))
+        north, east = (bin_rates(self.series.get(name, NONE), edges) for name in METRES)
+        at = (edges[:-1] + edges[1:]) / 2
+        ahead = bin_means(self.series[SURGE], edges) if len(edges) else at
+        moving = (np.hypot(north, east) > MOVING * self.surge_max) & (ahead > 0)
+        return angle_offset((at[moving], np.arctan2(east, north)[moving]), self.series["heading"], LEG)
+
+    @property
+    def sense(self) -> float | None:
+        """1 if the heading turns with the course, -1 if against it, None where that is not known."""
+        found = self.course
+        clear = found.seconds >= LONG_ENOUGH and found.concentration > 0.8 and found.rival < 0.6
+        return found.sign if clear else None
 
     def sides(self, part: slice = slice(None)) -> tuple[tuple[Relation, Relation], tuple[Relation, Relation]]:
         """The turn, and the speed, against the command of each side, over some of the bins."""

@@ -76,9 +76,9 @@ def stale(e: Evidence) -> Iterator[Finding]:
             continue
         interval = _interval(e, name)
         held = name in COMMANDS and (e.settings(name)["window"] < interval or share > MOST)
-        fix = {"held": True} if held else {"window": math.ceil(15 * interval) / 10}
+        fix = override(name, {"held": True} if held else {"window": math.ceil(15 * interval) / 10})
         yield Finding(e.boat, name, "stale", f"{min(share, 1):.0%} of the steps without a recent value",
-                      f"at most {STALE:.0%}", override(name, fix))  # fmt: skip
+                      f"at most {STALE:.0%}", fix)  # fmt: skip
     measured = sum(int(run.samples.measured[: run.lengths[lane], lane].sum()) for run in e.fleet.runs)
     fresh = sum(int(run.samples.fresh[: run.lengths[lane], lane].sum()) for run in e.fleet.runs)
     period = max(_interval(e, SURGE, 0.5), _dt(e))

@@ -28,7 +28,7 @@ from usvlearn.logs.checks.evidence import Evidence, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override
 from usvlearn.logs.relations import rate_slope, speed_on_positions
 
-SURE = 4.0  # standard errors
+SURE, LIKELY_TURN = 4.0, 2.5  # standard errors; less beside headings of a wrong range
 TOO_FAST, FASTEST = 1.35, 15.0  # of the top speed; m/s
 TOO_SLOW, STRONG = 0.4, 0.7  # of the top speed, at such commands
 SAME = 0.25  # by which the ratio of two speeds in one unit may differ from 1
@@ -37,6 +37,9 @@ RESTING = 0.1  # m/s that a boat at rest does not reach
 WEAK, BEYOND = 0.05, 1.2  # of full scale
 CIRCLE = 2 * math.pi
 TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to follow
+TURNED_AWAY = math.radians(
+    45
+)  # of the course from the heading: half the speed of the boat as a cross current makes 30°
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
 IDLE, RANGE = 1500.0, 400.0  # us
@@ -66,11 +69,12 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
         return
     configured = SURGE in e.channels or not e.channels  # else it was computed from positions itself
     if configured and all(name in e.series for name in METRES):
-        found = speed_on_positions(*(e.series[name] for name in METRES), e.series[SURGE])
-        if found.seconds and found.correlation > 0.5:
-            if abs(math.log(found.slope)) > math.log(1 + SAME):
-                text = f"{found.slope:.2f} times the rate of position (r = {found.correlation:.2f})"
-                yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, found.slope))
+        north, east = (e.series[name] for name in METRES)
+        relation = speed_on_positions(north, east, e.series[SURGE])
+        if relation.seconds and relation.correlation > 0.5:
+            if abs(math.log(relation.slope)) > math.log(1 + SAME):
+                text = f"{relation.slope:.2f} times the rate of position (r = {relation.correlation:.2f})"
+                yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, relation.slope))
             return
     top = f"{e.surge_max:g} m/s (vehicle.surge_max)"
     if fastest > min(TOO_FAST * e.surge_max, FASTEST):
@@ -145,7 +149,7 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
     value = e.values["heading"]
     if len(value) < 3 or np.ptp(value) == 0:
         return
-    unit, greatest = _angular(e, "heading"), float(np.max(np.abs(value)))
+    unit, greatest = angular(e, "heading"), float(np.max(np.abs(value)))
     small = math.radians(CIRCLE)
     jumps = max(_greatest_jump(each.value) for each in e.logs("heading"))
     speeds = _turn_of_commands(e)
@@ -174,14 +178,28 @@ def _greatest_jump(value: np.ndarray) -> float:
 def _turn_of_commands(e: Evidence) -> float | None:
     """The rate of turn that follows a full difference of the commands, rad/s; None if no turn surely follows one."""
     found = e.turns
-    return abs(found.slope) if abs(found.certainty) > SURE and abs(found.correlation) > 0.3 else None
+    return abs(found.slope) if abs(found.certainty) > LIKELY_TURN and abs(found.correlation) > 0.3 else None
+
+
+def heading_sense(e: Evidence) -> Iterator[Finding]:
+    """The heading against the course over ground: sense, and an offset that no current makes."""
+    found = e.course
+    if e.sense == -1:
+        text = f"a heading that turns against the course (mean vector {found.concentration:.2f})"
+        yield Finding(e.boat, "heading", "heading sense", text, f"with it ({found.rival:.2f})",
+                      override("heading", {"unit": mirrored(angular(e, "heading"))}))  # fmt: skip
+    elif e.sense == 1 and abs(found.offset) > TURNED_AWAY:
+        zero = e.settings("heading")["zero"] - found.offset / e.factor("heading")
+        text = f"a course {math.degrees(found.offset):+.0f}° from the heading"
+        bound = f"within {math.degrees(TURNED_AWAY):.0f}°"
+        yield Finding(e.boat, "heading", "heading offset", text, bound, override("heading", {"zero": float(zero)}))
 
 
 def yaw_rate(e: Evidence) -> Iterator[Finding]:
     """The logged yaw rate against the derivative of the heading: unit, sense, delay."""
     if "yaw_rate" not in e.series or next(heading_unit(e), None):
         return
-    found, unit = rate_slope(e.series["heading"], e.series["yaw_rate"], (-5.0, 5.0)), _angular(e, "yaw_rate")
+    found, unit = rate_slope(e.series["heading"], e.series["yaw_rate"], (-5.0, 5.0)), angular(e, "yaw_rate")
     if not found.seconds:
         return
     pair, expected = "heading, yaw_rate", "the rate of the heading"
@@ -198,7 +216,7 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
         turned = e.turns.correlation
         wrong = "heading" if turned < -0.3 and abs(e.turns.certainty) > SURE else "yaw_rate"
         yield Finding(e.boat, pair, "yaw sense", text, "1 times",
-                      override(wrong, {"unit": _mirrored(_angular(e, wrong))}))  # fmt: skip
+                      override(wrong, {"unit": mirrored(angular(e, wrong))}))  # fmt: skip
     if not 1 / 3 < slope < 3:
         text = f"{slope:.2g} times the rate of the heading (r = {found.correlation:.2f})"
         if 20 < slope < 160:
@@ -213,12 +231,12 @@ def yaw_rate(e: Evidence) -> Iterator[Finding]:
         yield Finding(e.boat, pair, "yaw rate delay", text, "less than 1 s", without, NOTE)
 
 
-def _angular(e: Evidence, name: str) -> str:
+def angular(e: Evidence, name: str) -> str:
     """The unit of a heading or a yaw rate; "1" is SI."""
     unit = e.settings(name)["unit"]
     return ("rad" if name == "heading" else "rad/s") if unit == "1" else unit
 
 
-def _mirrored(unit: str) -> str:
+def mirrored(unit: str) -> str:
     """The unit of the other sense."""
     return unit.removeprefix("enu_") if unit.startswith("enu_") else f"enu_{unit}"

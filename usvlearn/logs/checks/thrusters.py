@@ -13,9 +13,11 @@ the speed against the command of each side, at an equal command of the other one
 
 Thresholds, and why:
 
-- A sign counts beyond 4 standard errors and a partial correlation of 0.3: over simulated boats without mistakes these
-  are 8 and 0.5 or more for the turn. A thruster that dies can turn the sign of one relation (the autopilot then steers
-  against the other thruster). So a reversed side needs both, the turn and the speed, in each half of the log.
+- A sign counts beyond 3 standard errors and a partial correlation of 0.3 (turn), or 2.5 and 0.25 (speed). Over half an
+  hour of simulated boats without mistakes these are 10 and 0.58 (turn), 3.4 and 0.3 (speed), or more. Beyond 0.6, the
+  turn is believed without the speed, unless the speed says the opposite.
+- A thruster that dies can turn the sign of one relation, since the autopilot then steers against the other thruster.
+  So neither half of the log may say anything else, and one has to say the same.
 - Delay and inertia together stay below 20 s for boats of some tons. A delay is called implausible beyond 25 s, or
   before the command by more than 5 s, if the correlation there is 0.6 or more and exceeds that at plausible lags by
   0.2.
@@ -31,9 +33,11 @@ import numpy as np
 from usvlearn.logs.channel import COMMANDS, SURGE
 from usvlearn.logs.checks.evidence import Evidence, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override
-from usvlearn.logs.relations import Relation, angle_offset
+from usvlearn.logs.checks.scales import angular, mirrored
+from usvlearn.logs.relations import Relation
 
-SURE, CLEAR = 4.0, 0.3  # standard errors; partial correlation
+TURN, MOVE, HALF = 3.0, 2.5, 2.0  # standard errors, of the turn, the speed, and in half of a log
+CLEAR_TURN, CLEAR_MOVE, STRONG = 0.3, 0.25, 0.6  # partial correlations
 LATE, EARLY = 25.0, -5.0  # s, lags of the speed
 FOUND, BETTER = 0.6, 0.2  # correlation at such a lag, and by how much it exceeds that at plausible ones
 FOLLOWS, LONG = 0.2, 300.0  # correlation; s of evidence
@@ -54,61 +58,49 @@ def sides(e: Evidence) -> Iterator[Finding]:
     if wrong is None:
         return
     half = len(e.speed) // 2
-    parts = [_mistake(*e.sides(part), sure=2.0) for part in (slice(half), slice(half, None))]
-    if any(part not in (wrong, None) for part in parts) or parts == [None, None]:
+    parts = [_mistake(*e.sides(part), half=True) for part in (slice(half), slice(half, None))]
+    if any(part not in (wrong, "unknown", None) for part in parts) or parts == [None, None]:
         return
     text = "turn {:+.2f} left, {:+.2f} right; speed {:+.2f} left, {:+.2f} right (partial correlations)".format(
         *(each.correlation for each in (*turns, *moves))
     )
     about, expected = ", ".join(COMMANDS), "turn + left, − right; speed + on both"
-    if wrong == "swapped":
-        swap = " ".join(override(name, each) for name, each in _swapped(e).items())
-        unit = e.settings("heading")["unit"]
-        mirrored = override("heading", {"unit": _counter(unit)})
-        sense = _sense(e)
-        fixes = {1.0: swap, -1.0: mirrored}.get(sense, f"{swap} or {mirrored}")
-        kind = {1.0: "sides swapped", -1.0: "heading sense"}.get(sense, "sides or heading")
-        yield Finding(e.boat, about, kind, text, expected, fixes)
+    turned = [name for name in COMMANDS if wrong in (name, "both", "unknown")]
+    reverse = " ".join(override(name, {"span": _negative(e.settings(name)["span"])}) for name in turned)
+    if wrong in ("swapped", "unknown"):
+        if e.sense == -1:  # the heading is wrong: see `scales.heading_sense`
+            return
+        fixes = [" ".join(override(name, each) for name, each in _swapped(e).items())]
+        if e.sense is None:
+            fixes.append(override("heading", {"unit": mirrored(angular(e, "heading"))}))
+        kind = "sides or heading" if e.sense is None or turned else "sides swapped"
+        yield Finding(e.boat, about, kind, text, expected, " or ".join([*fixes, *([reverse] if reverse else [])]))
         return
-    reversed_ = [name for name in COMMANDS if wrong in (name, "both")]
-    fix = " ".join(override(name, {"span": _negative(e.settings(name)["span"])}) for name in reversed_)
-    yield Finding(e.boat, ", ".join(reversed_), "side reversed", text, expected, fix)
+    yield Finding(e.boat, ", ".join(turned), "side reversed", text, expected, reverse)
 
 
-def _mistake(turns: Sides, moves: Sides, sure: float = SURE) -> str | None:
-    """Which of the mistakes of the table the relations show surely."""
-    turn = [_sign(each, sure) for each in turns]
-    move = [_sign(each, sure) for each in moves]
-    if turn == [-1, -1] and move[0] == -1 and move[1] >= 0:
-        return "command_left"
-    if turn == [1, 1] and move[1] == -1 and move[0] >= 0:
-        return "command_right"
+def _mistake(turns: Sides, moves: Sides, half: bool = False) -> str | None:
+    """Which of the mistakes of the table the relations show surely; in half of a log, less sureness will do."""
+    turn = [_sign(each, HALF if half else TURN, CLEAR_TURN) for each in turns]
+    move = [_sign(each, HALF if half else MOVE, CLEAR_MOVE) for each in moves]
+    strong = all(abs(each.correlation) > STRONG for each in turns)  # then the speed need not say the same
+    for side, signs in enumerate(([-1, -1], [1, 1])):
+        if turn == signs and move[side] != 1 and move[1 - side] != -1 and (move[side] == -1 or strong):
+            return COMMANDS[side]
     if turn == [-1, 1]:
-        if move == [-1, -1]:
+        if max(move) <= 0 and min(move) < 0:
             return "both"
         if min(move) >= 0 and max(move) > 0:
             return "swapped"
+        if strong and move == [0, 0]:
+            return "unknown"
     return None
 
 
-def _sign(relation: Relation, sure: float) -> int:
+def _sign(relation: Relation, sure: float, clear: float) -> int:
     """1 or -1 where the sign of a relation is sure, else 0."""
-    clear = abs(relation.certainty) > sure and abs(relation.correlation) > CLEAR
-    return int(np.sign(relation.correlation)) if clear else 0
-
-
-def _sense(e: Evidence) -> float | None:
-    """1 if the heading turns with the course over ground, -1 if against it, None where that is not known."""
-    if not {"north", "east"} <= set(e.series):
-        return None
-    (time, north), (others, east) = e.series["north"], e.series["east"]
-    at = np.arange(time[0], time[-1], 1.0) if len(time) else np.empty(0)
-    rate_north, rate_east = (np.gradient(np.interp(at, *each)) if len(at) > 2 else at * np.nan
-                             for each in ((time, north), (others, east)))  # fmt: skip
-    moving = np.hypot(rate_north, rate_east) > 0.3 * e.surge_max
-    course = at[moving], np.arctan2(rate_east, rate_north)[moving]
-    found = angle_offset(course, e.series["heading"])
-    return found.sign if found.seconds > 30 and found.concentration > 0.8 else None
+    known = abs(relation.certainty) > sure and abs(relation.correlation) > clear
+    return int(np.sign(relation.correlation)) if known else 0
 
 
 def _swapped(e: Evidence) -> dict[str, dict]:
@@ -116,11 +108,6 @@ def _swapped(e: Evidence) -> dict[str, dict]:
     left, right = (e.settings(name) for name in COMMANDS)
     differ = [key for key in SHARED if left.get(key) != right.get(key)]
     return {COMMANDS[0]: {key: right.get(key) for key in differ}, COMMANDS[1]: {key: left.get(key) for key in differ}}
-
-
-def _counter(unit: str) -> str:
-    own = "rad" if unit == "1" else unit
-    return own.removeprefix("enu_") if own.startswith("enu_") else f"enu_{own}"
 
 
 def _negative(span):
@@ -158,7 +145,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
 
 def _moves(e: Evidence) -> bool:
     """Whether thrust and speed change enough to be compared."""
-    return spread(sum(e.commands) / 2) > 0.03 and spread(e.speed) > STEADY * e.surge_max
+    return spread(e.thrust) > 0.03 and spread(e.speed) > STEADY * e.surge_max
 
 
 def excitation(e: Evidence) -> Iterator[Finding]:
