@@ -29,9 +29,8 @@ CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
 )  # fmt: skip
 # kind of a finding -> kinds that follow from it, and are left out beside it
 CONSEQUENCES = {
-    **dict.fromkeys(
-        ("speed unit", "speed scale", "command scale", "heading unit", "yaw rate unit"), ("rejected", "stale")
-    ),
+    **dict.fromkeys(("speed unit", "speed scale", "heading unit", "yaw rate unit"), ("rejected", "stale")),
+    "command scale": ("rejected", "stale", "excitation"),
     "constant": ("thrust",),
     "side reversed": ("thrust",),
     "delay": ("stale",),

@@ -30,6 +30,15 @@ class Finding(NamedTuple):
         return f"{self.boat}, {self.about}: found {self.found}, expected {self.expected}{fix}"
 
 
+def see(expected: str, *channels: str) -> str:
+    """What was expected, and the channels whose name may be wrong, where the right one cannot be known.
+
+    >>> see("a boat that moves", "surge")
+    'a boat that moves (see data.channels.surge.name)'
+    """
+    return f"{expected} (see {' and '.join(f'data.channels.{each}.name' for each in channels)})"
+
+
 def override(channel: str, options: Mapping[str, Any]) -> str:
     """The overrides of the command line that change a channel's options.
 

@@ -66,27 +66,32 @@ def _remedy(e: Evidence, name: str, cause: str) -> str:
 
 def stale(e: Evidence) -> Iterator[Finding]:
     """Inputs that are older than their window, and speeds that serve no step."""
-    if e.fleet is None or e.boat not in e.fleet.boats:
-        return
-    lane, counts = e.fleet.boats.index(e.boat), _rejected(e)
-    steps = sum(int((run.samples.inputs.dt[: run.lengths[lane], lane] > 0).sum()) for run in e.fleet.runs)
-    for name in CHANNELS:
-        share = counts.get(name, Counter())["stale"] / max(steps, 1)
-        if name == SURGE or share <= STALE:
+    if e.fleet is None:  # nothing could be aligned, perhaps for this reason
+        shares = {name: float(not e.settings(name)["held"] and _interval(e, name, 0.5) > _window(e, name))
+                  for name in CHANNELS}  # fmt: skip
+    else:
+        lane, counts = e.fleet.boats.index(e.boat) if e.boat in e.fleet.boats else 0, _rejected(e)
+        used = [(run.samples, slice(run.lengths[lane]), lane) for run in e.fleet.runs]
+        steps, fresh, measured = (
+            sum(int(leaf(samples)[part, lane].sum()) for samples, part, lane in used)
+            for leaf in (lambda x: x.inputs.dt > 0, lambda x: x.fresh, lambda x: x.measured)
+        )
+        shares = {name: counts.get(name, Counter())["stale"] / max(steps, 1) for name in CHANNELS}
+        period = max(_interval(e, SURGE, 0.5), _dt(e))
+        possible = fresh * min(1.0, _dt(e) / period)
+        shares[SURGE] = 1 - measured / possible if possible else 0.0
+    for name, share in shares.items():
+        if share <= (UNUSED if name == SURGE else STALE):
             continue
         interval = _interval(e, name)
-        held = name in COMMANDS and (e.settings(name)["window"] < interval or share > MOST)
+        held = name in COMMANDS and (_window(e, name) < interval or share > MOST)
         fix = override(name, {"held": True} if held else {"window": math.ceil(15 * interval) / 10})
         yield Finding(e.boat, name, "stale", f"{min(share, 1):.0%} of the steps without a recent value",
-                      f"at most {STALE:.0%}", fix)  # fmt: skip
-    measured = sum(int(run.samples.measured[: run.lengths[lane], lane].sum()) for run in e.fleet.runs)
-    fresh = sum(int(run.samples.fresh[: run.lengths[lane], lane].sum()) for run in e.fleet.runs)
-    period = max(_interval(e, SURGE, 0.5), _dt(e))
-    possible = fresh * min(1.0, _dt(e) / period)
-    if measured < UNUSED * possible:
-        text = f"{measured / max(possible, 1):.0%} of the speeds used that the steps could use"
-        fix = override(SURGE, {"window": math.ceil(15 * min(_dt(e), period)) / 10})
-        yield Finding(e.boat, SURGE, "stale", text, f"at least {UNUSED:.0%}", fix)
+                      f"at most {UNUSED if name == SURGE else STALE:.0%}", fix)  # fmt: skip
+
+
+def _window(e: Evidence, name: str) -> float:
+    return max((each.window for each in e.logs(name)), default=math.inf)
 
 
 def _dt(e: Evidence) -> float:

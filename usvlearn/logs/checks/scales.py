@@ -25,7 +25,7 @@ import numpy as np
 from usvlearn.logs.bins import HUGE
 from usvlearn.logs.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
 from usvlearn.logs.checks.evidence import Evidence, spread
-from usvlearn.logs.checks.finding import NOTE, Finding, override
+from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 from usvlearn.logs.relations import rate_slope, speed_on_positions
 
 SURE, LIKELY_TURN = 4.0, 2.5  # standard errors; less beside headings of a wrong range
@@ -42,6 +42,7 @@ TURNED_AWAY = math.radians(
 )  # of the course from the heading: half the speed of the boat as a cross current makes 30°
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
+FULL = (1.0, 100.0, 1000.0)  # scales that commands usually have
 IDLE, RANGE = 1500.0, 400.0  # us
 
 
@@ -51,14 +52,14 @@ def zeros(e: Evidence) -> Iterator[Finding]:
         value = e.values.get(name, np.empty(0))
         if len(value) and np.ptp(value) == 0:
             found = f"{value[0]:g} in all of its {len(value)} values"
-            yield Finding(e.boat, name, "constant", found, "a measured value", override(name, {"name": "NAME"}))
+            yield Finding(e.boat, name, "constant", found, see("a measured value", name))
 
 
 def rest(e: Evidence) -> Iterator[Finding]:
     """A boat that never moves; a speed of zeros is found by `zeros`."""
     speed = e.values[SURGE]
     if len(speed) and np.ptp(speed) > 0 and (fastest := float(np.quantile(np.abs(speed), 0.995))) < RESTING:
-        yield Finding(e.boat, SURGE, "at rest", f"at most {fastest:.2g} m/s", "a boat that moves", _in_units(e, 1.0))
+        yield Finding(e.boat, SURGE, "at rest", f"at most {fastest:.2g} m/s", see("a boat that moves", SURGE))
 
 
 def speed_scale(e: Evidence) -> Iterator[Finding]:
@@ -71,7 +72,7 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
     if configured and all(name in e.series for name in METRES):
         north, east = (e.series[name] for name in METRES)
         relation = speed_on_positions(north, east, e.series[SURGE])
-        if relation.seconds and relation.correlation > 0.5:
+        if relation.correlation > 0.5 and relation.slope > 0:
             if abs(math.log(relation.slope)) > math.log(1 + SAME):
                 text = f"{relation.slope:.2f} times the rate of position (r = {relation.correlation:.2f})"
                 yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, relation.slope))
@@ -112,8 +113,6 @@ def _in_units(e: Evidence, ratio: float, at_most: bool = False) -> str:
     if fits:
         best = min(fits, key=lambda unit: units[unit])
         return override(SURGE, {"unit": best, **({} if e.settings(SURGE)["span"] == 1 else {"span": 1.0})})
-    if ratio == 1.0:
-        return override(SURGE, {"name": "NAME"})
     return override(SURGE, {"span": float(e.settings(SURGE)["span"] * ratio)})
 
 
@@ -134,7 +133,7 @@ def command_scale(e: Evidence) -> Iterator[Finding]:
             fix = {**unit, "zero": IDLE, "span": math.copysign(RANGE, settings["span"])}
         else:
             size = max(abs(low - settings["zero"]), abs(high - settings["zero"]))
-            full = next((full for full in (1.0, 100.0, 1000.0) if size <= BEYOND * full), size)
+            full = next((full for full in FULL if 0.2 * full < size <= BEYOND * full), float(f"{size:.2g}"))
             fix = {**unit, "span": math.copysign(full, settings["span"])}
         if greatest > BEYOND:
             yield Finding(e.boat, name, "command scale", f"values up to {greatest:.3g} of full scale",

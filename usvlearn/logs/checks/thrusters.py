@@ -32,7 +32,7 @@ import numpy as np
 
 from usvlearn.logs.channel import COMMANDS, SURGE
 from usvlearn.logs.checks.evidence import Evidence, spread
-from usvlearn.logs.checks.finding import NOTE, Finding, override
+from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 from usvlearn.logs.checks.scales import angular, mirrored
 from usvlearn.logs.relations import Relation
 
@@ -139,8 +139,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
     found = e.searched
     if found.seconds >= LONG and abs(found.correlation) < FOLLOWS and _moves(e):
         text = f"a speed without relation to the commands (r = {found.correlation:.2f})"
-        fix = " or ".join(override(name, {"name": "NAME"}) for name in (SURGE, COMMANDS[0]))
-        yield Finding(e.boat, pair, "thrust", text, f"more than {FOLLOWS:g}", fix)
+        yield Finding(e.boat, pair, "thrust", text, see(f"more than {FOLLOWS:g}", SURGE, *COMMANDS))
 
 
 def _moves(e: Evidence) -> bool:
@@ -155,11 +154,12 @@ def excitation(e: Evidence) -> Iterator[Finding]:
     if len(unused) == len(COMMANDS):
         levels = ", ".join(f"{e.values[name][0]:.3g}" for name in unused)
         yield Finding(e.boat, ", ".join(unused), "excitation", f"commands that never change ({levels})",
-                      "thrusters that are used", override(unused[0], {"name": "NAME"}))  # fmt: skip
+                      see("thrusters that are used", *unused))  # fmt: skip
         return
     for name in unused:
-        yield Finding(e.boat, name, "excitation", f"{e.values[name][0]:.3g} all the time", "a thruster that is used",
-                      override(name, {"name": "NAME"}))  # fmt: skip
+        yield Finding(
+            e.boat, name, "excitation", f"{e.values[name][0]:.3g} all the time", see("a thruster that is used", name)
+        )
     left, right = e.commands
     both = np.isfinite(left) & np.isfinite(right)
     if not unused and both.any() and float(np.max(np.abs(left - right)[both])) < USED:
