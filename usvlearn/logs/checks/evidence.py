@@ -18,7 +18,7 @@ from usvlearn.signals import Fleet
 STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough that a check takes milliseconds
 TURNS_WITHIN = (0.0, 5.0)  # s, from a command to the yaw rate: the yaw time constant and a delay
 MOVES_WITHIN = (0.0, 20.0)  # s, from a command to the speed: likewise
-LEG, MOVING = 5.0, 0.25  # s, over which a course is taken; share of the top speed from which it is one
+LEG, MOVING = 5.0, 0.25  # s, over which a course is taken; share of the greatest speed from which it is one
 LONG_ENOUGH = 60.0  # s of courses
 SEARCHED = (-150.0, 150.0)  # s, in which the delay of the commands is looked for
 NONE = np.empty(0), np.empty(0)
@@ -60,6 +60,12 @@ class Evidence:
         names = dict.fromkeys([*REQUIRED, *(name for one in self.recordings for name in one.channels)])
         whole = {name: np.concatenate([each.value for each in self.logs(name)] or [np.empty(0)]) for name in names}
         return {name: value[np.abs(value) < HUGE] for name, value in whole.items()}
+
+    @cached_property
+    def fastest(self) -> float:
+        """The speed that 0.5 % of the values exceed, m/s; 0 if there is none."""
+        speed = np.abs(self.values[SURGE])
+        return float(np.quantile(speed, 0.995)) if len(speed) else 0.0
 
     @cached_property
     def series(self) -> dict[str, Series]:
@@ -118,7 +124,7 @@ class Evidence:
         north, east = (bin_rates(self.series.get(name, NONE), edges) for name in METRES)
         at = (edges[:-1] + edges[1:]) / 2
         ahead = bin_means(self.series[SURGE], edges) if len(edges) else at
-        moving = (np.hypot(north, east) > MOVING * self.surge_max) & (ahead > 0)
+        moving = (np.hypot(north, east) > MOVING * min(self.surge_max, self.fastest)) & (ahead > 0)
         return angle_offset((at[moving], np.arctan2(east, north)[moving]), self.series["heading"], LEG)
 
     @property

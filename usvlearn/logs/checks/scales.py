@@ -58,15 +58,13 @@ def zeros(e: Evidence) -> Iterator[Finding]:
 def rest(e: Evidence) -> Iterator[Finding]:
     """A boat that never moves; a speed of zeros is found by `zeros`."""
     speed = e.values[SURGE]
-    if len(speed) and np.ptp(speed) > 0 and (fastest := float(np.quantile(np.abs(speed), 0.995))) < RESTING:
-        yield Finding(e.boat, SURGE, "at rest", f"at most {fastest:.2g} m/s", see("a boat that moves", SURGE))
+    if len(speed) and np.ptp(speed) > 0 and e.fastest < RESTING:
+        yield Finding(e.boat, SURGE, "at rest", f"at most {e.fastest:.2g} m/s", see("a boat that moves", SURGE))
 
 
 def speed_scale(e: Evidence) -> Iterator[Finding]:
     """The speed against the rate of position, or against the boat's top speed."""
-    speed = np.abs(e.values[SURGE])
-    fastest = float(np.quantile(speed, 0.995)) if len(speed) else 0.0
-    if fastest < RESTING:
+    if e.fastest < RESTING:
         return
     configured = SURGE in e.channels or not e.channels  # else it was computed from positions itself
     if configured and all(name in e.series for name in METRES):
@@ -77,19 +75,22 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
                 text = f"{relation.slope:.2f} times the rate of position (r = {relation.correlation:.2f})"
                 yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, relation.slope))
             return
-    top = f"{e.surge_max:g} m/s (vehicle.surge_max)"
-    if fastest > min(TOO_FAST * e.surge_max, FASTEST):
-        ratio = fastest / e.surge_max
-        larger = f" or vehicle.surge_max={_ceil(fastest)}" if fastest <= FASTEST else ""
-        found = f"speeds up to {fastest:.2g} m/s"
-        yield Finding(e.boat, SURGE, "speed scale", found, f"at most {top}", _in_units(e, ratio, at_most=True) + larger)
+    known = math.isfinite(e.surge_max)
+    limit = TOO_FAST * e.surge_max if e.surge_max >= FASTEST else min(TOO_FAST * e.surge_max, FASTEST)
+    top, bound = (e.surge_max, f"{e.surge_max:g} m/s (vehicle.surge_max)") if known else (FASTEST, f"{FASTEST:g} m/s")
+    if e.fastest > (limit if known else FASTEST):
+        larger = f"vehicle.surge_max={_ceil(e.fastest)}" if e.fastest <= FASTEST else ""
+        unit = _in_units(e, e.fastest / top, at_most=True) if e.channels else ""  # simulated boats have no units
+        fix = " or ".join(filter(None, [unit, larger]))
+        yield Finding(e.boat, SURGE, "speed scale", f"speeds up to {e.fastest:.2g} m/s", f"at most {bound}", fix)
         return
     strong = np.minimum(*e.commands) > STRONG
-    known = strong & np.isfinite(e.speed)
-    if known.sum() >= 20 and (reached := float(np.quantile(np.abs(e.speed[known]), 0.95))) < TOO_SLOW * e.surge_max:
+    speed = np.abs(e.speed[strong & np.isfinite(e.speed)])
+    if known and len(speed) >= 20 and 0 < (reached := float(np.quantile(speed, 0.95))) < TOO_SLOW * e.surge_max:
         text = f"{reached:.2g} m/s at commands above {STRONG:g}"
-        yield Finding(e.boat, SURGE, "speed scale", text, f"about {top}", f"vehicle.surge_max={_ceil(reached)} or "
-                      + _in_units(e, reached / e.surge_max), NOTE)  # fmt: skip
+        units = [_in_units(e, reached / e.surge_max)] if e.channels else []
+        fix = " or ".join([f"vehicle.surge_max={_ceil(reached)}", *units])
+        yield Finding(e.boat, SURGE, "speed scale", text, f"about {bound}", fix, NOTE)
 
 
 def _ceil(speed: float) -> str:

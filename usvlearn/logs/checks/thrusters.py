@@ -144,7 +144,7 @@ def delay(e: Evidence) -> Iterator[Finding]:
 
 def _moves(e: Evidence) -> bool:
     """Whether thrust and speed change enough to be compared."""
-    return spread(e.thrust) > 0.03 and spread(e.speed) > STEADY * e.surge_max
+    return spread(e.thrust) > 0.03 and spread(e.speed) > STEADY * min(e.surge_max, e.fastest)
 
 
 def excitation(e: Evidence) -> Iterator[Finding]:
