@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from data_check import ALIGN, CONFIGURED, FAULTS, MISTAKES, TOP, boats, changed, kinds, late, times
 
 import usvlearn
-from benchmarks.data_check import ALIGN, CONFIGURED, FAULTS, MISTAKES, TOP, boats, changed, kinds, late, times
 from tests.support import REAL_LOGS
 from usvlearn.cli.composition import recordings_of
 from usvlearn.errors import ConfigError, LogFormatError
