@@ -36,7 +36,7 @@ from usvlearn.simulate.sensors import Sensors
 
 TOP = {"heron": 2.74, "kingfisher": 1.5, "vtec": 1.5, "otter": 3.1, "wamv": 7.7}  # m/s, vehicle.surge_max
 KNOT = 1852 / 3600
-SEEDS, HOURS = range(100, 120), (0.1, 0.25, 1.0)
+SEEDS, HOURS = range(300, 316), (0.1, 0.25, 1.0)
 ALIGN = {"dt": 0.4, "patience": 1.0}
 CONFIGURED = {
     "command_left": {"name": "left"},

@@ -2,11 +2,11 @@
 
 Thresholds, and why:
 
-- A speed is compared with positions where they are logged. A current moves a boat over ground, so that a ratio within
-  a quarter of 1 is none of a unit; the units differ by 1.94 (knots) and more.
-- Without positions, the only measure of a speed is `vehicle.surge_max`. Simulated boats whose thrust is 30 % off and
-  that have a current of 0.3 m/s under them reach 1.25 of it, so a warning begins at 1.35. A slow boat whose speed in
-  knots stays below that cannot be told: nothing else in the data fixes the scale of a speed.
+- A speed is compared with positions where they are logged. A ratio is that of a unit from 1.39 or below 1/1.39 on,
+  midway between 1 and the ratio of knots, 1.94: a current and the noise of positions change it, too.
+- Without positions, the only measure of a speed is `vehicle.surge_max`. Thrust that is 30 % greater makes up to 30 %
+  more speed, and a current some 0.5 m/s over ground: a warning begins at 1.3 of the top speed and 0.5 m/s. A slow boat
+  whose speed in knots stays below that cannot be told: nothing else in the data fixes the scale of a speed.
 - No boat of this kind goes faster than 15 m/s.
 - Headings in radians that are read as degrees lie within 2π degrees. They are taken for that if the commands turned
   the boat, but at less than 0.03 rad/s for a full difference of the sides (real and simulated boats: 0.2 to 1.5), or
@@ -29,9 +29,9 @@ from usvlearn.logs.checks.finding import NOTE, Finding, override, see
 from usvlearn.logs.relations import rate_slope, speed_on_positions
 
 SURE, LIKELY_TURN = 4.0, 2.5  # standard errors; less beside headings of a wrong range
-TOO_FAST, FASTEST = 1.35, 15.0  # of the top speed; m/s
+TOO_FAST, CURRENT, FASTEST = 1.3, 0.5, 15.0  # of the top speed; m/s; m/s
 TOO_SLOW, STRONG = 0.4, 0.7  # of the top speed, at such commands
-SAME = 0.25  # by which the ratio of two speeds in one unit may differ from 1
+SAME = math.sqrt(3600 / 1852)  # a ratio of two speeds in one unit lies within 1/SAME and SAME
 LIKELY = 0.15  # by which that of two units may differ from the measured one
 RESTING = 0.1  # m/s that a boat at rest does not reach
 WEAK, BEYOND = 0.05, 1.2  # of full scale
@@ -71,16 +71,17 @@ def speed_scale(e: Evidence) -> Iterator[Finding]:
         north, east = (e.series[name] for name in METRES)
         relation = speed_on_positions(north, east, e.series[SURGE])
         if relation.correlation > 0.5 and relation.slope > 0:
-            if abs(math.log(relation.slope)) > math.log(1 + SAME):
+            if not 1 / SAME < relation.slope < SAME:
                 text = f"{relation.slope:.2f} times the rate of position (r = {relation.correlation:.2f})"
                 yield Finding(e.boat, SURGE, "speed unit", text, "1 times", _in_units(e, relation.slope))
             return
     known = math.isfinite(e.surge_max)
-    limit = TOO_FAST * e.surge_max if e.surge_max >= FASTEST else min(TOO_FAST * e.surge_max, FASTEST)
+    plausible = TOO_FAST * e.surge_max + CURRENT
+    limit = plausible if FASTEST <= e.surge_max < math.inf else min(plausible, FASTEST)
     top, bound = (e.surge_max, f"{e.surge_max:g} m/s (vehicle.surge_max)") if known else (FASTEST, f"{FASTEST:g} m/s")
-    if e.fastest > (limit if known else FASTEST):
+    if e.fastest > limit:
         larger = f"vehicle.surge_max={_ceil(e.fastest)}" if e.fastest <= FASTEST else ""
-        unit = _in_units(e, e.fastest / top, at_most=True) if e.channels else ""  # simulated boats have no units
+        unit = _in_units(e, e.fastest / top, limit / top) if e.channels else ""  # simulated boats have no units
         fix = " or ".join(filter(None, [unit, larger]))
         yield Finding(e.boat, SURGE, "speed scale", f"speeds up to {e.fastest:.2g} m/s", f"at most {bound}", fix)
         return
@@ -97,18 +98,18 @@ def _ceil(speed: float) -> str:
     return f"{math.ceil(10 * speed) / 10:g}"
 
 
-def _in_units(e: Evidence, ratio: float, at_most: bool = False) -> str:
+def _in_units(e: Evidence, ratio: float, most: float | None = None) -> str:
     """The override that divides a speed by about `ratio`: a unit where one fits, else a span.
 
     Args:
         e: of the boat.
         ratio: of the speed to the right one.
-        at_most: whether the right one is a bound; then the least factor that keeps it.
+        most: up to this a ratio would do, if the right one is a bound; then the unit of the least factor is taken.
     """
     now = e.factor(SURGE)
     units = {unit: now / UNITS[unit][0] for unit in SPEEDS if abs(math.log(now / UNITS[unit][0])) > 0.1}
-    if at_most:
-        fits = [unit for unit in units if units[unit] * TOO_FAST >= ratio and units[unit] > 1]
+    if most is not None:
+        fits = [unit for unit in units if 1 < units[unit] and ratio <= units[unit] * most]
     else:
         fits = [unit for unit in units if abs(math.log(units[unit] / ratio)) < LIKELY]
     if fits:
