@@ -258,7 +258,7 @@ def test_a_log_is_read_or_refused(tmp_path, rng, cases, name):
                 read += 1
                 assert all(np.isfinite(run.samples.surge[run.samples.measured]).all() for run in fleet.runs)
         for warning in told:
-            assert warning.category is UserWarning, warning  # what was recovered, or left out
+            assert warning.category is UserWarning, str(warning)  # what was recovered, or left out
             assert_one_sentence(str(warning.message))
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     assert grown < MEGABYTES * 1024

@@ -40,6 +40,14 @@ def test_the_period_of_a_sensor_that_is_logged_too_fast_is_found(sensor, logged)
         assert share == pytest.approx(1 - sensor / logged, abs=0.04)
 
 
+def test_numbers_that_are_no_speeds_do_not_warn():
+    """They are rejected at the alignment."""
+    one = polled(100, 5, 9)
+    value = one.value.copy()
+    value[[100, 101, 200]] = 1.7e308, -1.7e308, 1e305
+    assert find_period([one._replace(value=value)])[0] == pytest.approx(0.2, rel=0.05)
+
+
 def test_short_runs_of_one_boat_are_judged_together():
     runs = [polled(5, 5, 9, seed) for seed in range(6)]
     assert find_period(runs[:1]) == (0.0, 0.0)

@@ -67,10 +67,11 @@ def find_period(logs: Sequence[Channel]) -> tuple[float, float]:
     >>> find_period([Channel(logged, measured[(logged / 0.2).astype(int)], np.arange(len(logged)))])
     (0.2, 0.44999999999999996)
     """
-    lengths, changes = (np.concatenate(parts) for parts in zip(*map(_repeats, logs), strict=True))
-    if len(lengths) < LEAST:
-        return 0.0, 0.0
-    mean, (_, counts) = lengths.mean(), np.unique(changes.round(RESOLUTION), return_counts=True)
+    with np.errstate(over="ignore"):  # of numbers that are no speeds, and are rejected later
+        lengths, changes = (np.concatenate(parts) for parts in zip(*map(_repeats, logs), strict=True))
+        if len(lengths) < LEAST:
+            return 0.0, 0.0
+        mean, (_, counts) = lengths.mean(), np.unique(changes.round(RESOLUTION), return_counts=True)
     copied = mean >= 1 / (1 - SHARE) and lengths.var() < REGULAR * mean * (mean - 1)
     if not copied or counts.max() >= COMMON * len(changes):
         return 0.0, 0.0
