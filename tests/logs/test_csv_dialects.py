@@ -57,6 +57,9 @@ SHAPES = {  # text, encoding, delimiter, decimal
     "units in cp1252": (
         "time;speed (m/s);yaw (°);Höhe\n" + rows(delimiter=";", comma=True).replace("\n", ";1\n"), "cp1252", ";", ","),
     "text": ('time,speed,yaw,mode,note,by\n' + rows().replace("\n", ',AUTO,"calm, sunny",me\n'), "utf-8", ",", "."),
+    "delimiters at the end": (HEADER.replace("\n", ",\n") + rows(), "utf-8", ",", "."),
+    "header in a comment of spaces": ("%% run 3\n%  time speed  yaw\n" + rows(delimiter=" "), "utf-8", " ", "."),
+    "short years": (HEADER.replace(",", ";") + dated("24.07.25 {time}", ";", True), "utf-8", ";", ","),
     "ISO 8601": (HEADER + dated("2025-07-24T{time}", ","), "utf-8", ",", "."),
     "day first": (HEADER.replace(",", ";") + dated("24.07.2025 {time}", ";", True), "utf-8", ";", ","),
     "day first, slashes": (HEADER + dated("24/07/2025 {time}", ","), "utf-8", ",", "."),
@@ -85,7 +88,7 @@ def test_a_table_is_read_alike_however_it_is_written(tmp_path, name):
     np.testing.assert_array_equal(speed.value, SPEED)
     np.testing.assert_array_equal(speed.order, channels["surge"].order)
     assert speed.unit == ("m/s" if "unit" in name else "") and "mode" not in series
-    assert (table.dates != "auto") == (name.startswith(("ISO", "day", "month")))
+    assert (table.dates != "auto") == (name.startswith(("ISO", "day", "month", "short")))
 
 
 @pytest.mark.parametrize(

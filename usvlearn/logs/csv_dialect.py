@@ -21,8 +21,9 @@ LINES = 1000  # and lines
 DELIMITERS = (",", ";", "\t", "|", " ")
 COMMENTS = ("#", "%", "//")
 NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
+CLOCK = r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(\s*[AP]\.?M\.?)?"
 STAMP = re.compile(
-    r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T].*)?|\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(\s*[AP]\.?M\.?)?", re.IGNORECASE
+    rf"\d{{1,4}}[-./]\d{{1,2}}[-./]\d{{1,4}}([ T]+{CLOCK}\s*(Z|[+-]\d\d:?\d\d)?)?|{CLOCK}", re.IGNORECASE
 )
 COMMA = re.compile(r"[+-]?\d*(\.\d{3})*,\d+([eE][+-]?\d+)?")  # a decimal comma, perhaps with points at thousands
 POINT = re.compile(
@@ -111,6 +112,8 @@ def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: 
     best = max(layouts, key=lambda each: each.score)
     header = best.rows[best.header] if best.header is not None else []
     names = clean(header)
+    if not any(names[best.width :]):  # a delimiter ends the header, but no row
+        names = names[: best.width or None]
     units, body = [split_unit(name)[1] for name in names], 0 if best.header is None else best.header + 1
     below = next((k for k in range(body, len(lines)) if lines[k].strip()), None)
     if names and below is not None and _are_units(best.rows[below], len(names)):
@@ -166,12 +169,13 @@ class _Layout(NamedTuple):
     rows: list[list[str]]
     width: int  # of the rows of numbers
     header: int | None  # its line
-    score: tuple[bool, bool, float, int]  # the greatest is the best
+    score: tuple[bool, int, float, int]  # the greatest is the best
 
 
 def _layout(lines: list[str], delimiter: str, comment: tuple[str, ...], time: str) -> _Layout:
-    rows = [_cells(line, delimiter) for line in lines]
     remarks = [bool(comment) and line.lstrip().startswith(comment) for line in lines]
+    bare = [line.lstrip("#%/ ") if remark else line for line, remark in zip(lines, remarks, strict=True)]
+    rows = [_cells(line, delimiter) for line in bare]
     filled = [sum(1 for cell in row if cell.strip()) for row in rows]
     values = [0 if remark else sum(map(is_value, row)) for row, remark in zip(rows, remarks, strict=True)]
     widths = Counter(len(row) for row, count in zip(rows, values, strict=True) if count and len(row) > 1)
@@ -182,7 +186,7 @@ def _layout(lines: list[str], delimiter: str, comment: tuple[str, ...], time: st
         if all_ and not remark
     ]
     header, named = _header(rows, remarks, values, width, time)
-    fits = header is not None and _fits(rows[header], width)
+    fits = 0 if header is None else _fits(rows[header], width)
     score = (named, fits, sum(shares) / max(1, len(shares)), width)
     return _Layout(delimiter, rows, width, header, score)
 
@@ -193,7 +197,7 @@ def _header(
     """The line of the header, and whether it has the column of the stamps; else it is the one above the numbers."""
     named = [place for place, row in enumerate(rows) if len(row) > 1 and _has(row, time)]
     if named:
-        return next((place for place in named if _fits(rows[place], width)), named[0]), True
+        return max(named, key=lambda place: (_fits(rows[place], width), not remarks[place], -place)), True
     first = next((k for k, row in enumerate(rows) if values[k] and len(row) == width), len(rows))
     above = [k for k in range(first) if not values[k] and len(rows[k]) > 1 and _fits(rows[k], width)]
     candidates = [k for k in above if not remarks[k]] or above or [k for k in range(first) if rows[k]][:1]
@@ -208,9 +212,11 @@ def _has(row: list[str], time: str) -> bool:
     return time != AUTO and (time in names or all(each in names or each in bare for each in time.split("+")))
 
 
-def _fits(row: list[str], width: int) -> bool:
-    """Whether a header belongs to rows of so many cells, perhaps with a delimiter at the end of one of both."""
-    return abs(len(row) - width) <= 1 or len(_trimmed(row)) == width
+def _fits(row: list[str], width: int) -> int:
+    """2 if a header belongs to rows of so many cells, 1 if a delimiter may end one of both, else 0."""
+    if len(row) == width or len(_trimmed(row)) == width:
+        return 2
+    return int(len(row) > 1 and abs(len(row) - width) == 1)
 
 
 def clean(header: list[str]) -> list[str]:
