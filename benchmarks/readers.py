@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import resource
 import struct
 import subprocess
 import sys
@@ -152,17 +151,15 @@ FORMATS = {  # a new one is a line here
 
 
 def memory() -> float:
-    """The most memory that this process had, MB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    """The most memory that this process had, MB, as Linux tells it (`getrusage` counts what the parent had)."""
+    status = Path("/proc/self/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) / 1024
 
 
-def measure(name: str, path: Path, survey: bool) -> None:
+def measure(name: str, small: Path, path: Path, survey: bool) -> None:
     """Read, or survey, a log in this process, and print what it cost."""
     one = FORMATS[name]
-    with tempfile.TemporaryDirectory() as folder:  # what is imported and compiled at the first log is not measured
-        small = Path(folder) / f"small{one.suffix}"
-        one.write(small, 20_000)
-        one.reader.read(small, one.sources)
+    one.reader.read(small, one.sources)  # what is imported and compiled at the first log is not measured
     before, began = memory(), time.perf_counter()
     if survey:
         found = len(one.reader.survey(path))
@@ -181,10 +178,11 @@ def main(size: int, names: list[str]) -> None:
     lines = []
     for name in names or FORMATS:
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"log{FORMATS[name].suffix}"
+            small, path = (Path(folder) / f"{which}{FORMATS[name].suffix}" for which in ("small", "log"))
+            FORMATS[name].write(small, MB // 50)
             FORMATS[name].write(path, size * MB)
-            seconds, peak, values = child("--read", name, str(path))
-            surveyed, most, series = child("--survey", name, str(path))
+            seconds, peak, values = child("--read", name, str(small), str(path))
+            surveyed, most, series = child("--survey", name, str(small), str(path))
             lines.append([
                 name, f"{path.stat().st_size / MB:.0f}", f"{values:.2g}", f"{seconds:.1f}", f"{peak:.0f}",
                 f"{series:.0f}", f"{surveyed:.1f}", f"{most:.0f}",
@@ -209,6 +207,6 @@ def main(size: int, names: list[str]) -> None:
 if __name__ == "__main__":
     warnings.simplefilter("ignore", UserWarning)
     if sys.argv[1:2] in (["--read"], ["--survey"]):
-        measure(sys.argv[2], Path(sys.argv[3]), sys.argv[1] == "--survey")
+        measure(sys.argv[2], Path(sys.argv[3]), Path(sys.argv[4]), sys.argv[1] == "--survey")
     else:
         main(int(sys.argv[1]) if len(sys.argv) > 1 else 100, sys.argv[2:])
