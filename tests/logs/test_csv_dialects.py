@@ -112,6 +112,8 @@ def test_a_column_is_named_with_its_unit_or_without_where_that_is_unambiguous(tm
     for name, value in {"Speed (kn)": 2, "yaw": 3, "yaw_deg": 3, "Heading": 4, "Heading [deg]": 4}.items():
         channels, _ = table.read(path, {"surge": Source(name)})
         assert channels["surge"].value[0] == value and channels["surge"].time.tolist() == [0, 0.1]
+    with pytest.warns(UserWarning, match=r"declares 'Time \(ms\)' in ms.*set data.reader.time_unit=ms"):
+        Table("Time").read(path, {"surge": Source("yaw")})
     with pytest.raises(LogFormatError, match=r"no channel 'Speed'.*Speed \(kn\), Speed \(m/s\)"):
         table.read(path, {"surge": Source("Speed")})
 

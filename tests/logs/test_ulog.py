@@ -116,6 +116,19 @@ def test_a_damaged_log_is_read_with_a_warning(tmp_path, pyulog):
     assert len(channels["surge"].value) == 30
 
 
+def test_damaged_numbers_do_not_warn(tmp_path, pyulog):
+    """A signalling NaN, and speeds whose square overflows."""
+    path = tmp_path / "a.ulg"
+    data = header({"v": "uint64_t timestamp;float psi;double x;double y;"}) + subscribe(0, "v")
+    path.write_bytes(
+        data + message(0, 0, "4s2d", struct.pack("<I", 0x7F800001), 1e300, 1e300) + message(0, 1, "f2d", 1, 3, 4)
+    )
+    psi, *_ = Ulog().survey(path)
+    np.testing.assert_array_equal(psi.value, [np.nan, 1])
+    channels, _ = Ulog().read(path, {"surge": Source("v", field="x, y")})
+    np.testing.assert_allclose(channels["surge"].value, [math.sqrt(2) * 1e300, 5])
+
+
 @pytest.mark.parametrize(
     "formats",
     [

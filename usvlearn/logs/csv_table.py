@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-import csv
+import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, compress, islice
-from operator import itemgetter
 from pathlib import Path
-from typing import ClassVar, TextIO
+from typing import ClassVar
 
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice
 from usvlearn.logs.channel import QUOTED, Channel, Source, build_channel, match_name
-from usvlearn.logs.csv_dialect import AUTO, Dialect, errors_of, find_dialect, not_text, split_unit
-from usvlearn.logs.csv_stamps import ORDERS, Stamps, parse_cells
+from usvlearn.logs.csv_dialect import AUTO, Dialect, find_dialect, split_unit
+from usvlearn.logs.csv_rows import Rows
+from usvlearn.logs.csv_stamps import ORDERS
 from usvlearn.logs.series import Series
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-BLOCK = 200  # rows that are parsed at a time
-PART = 1 << 16  # characters that are read at a time
 
 
 @dataclass(frozen=True)
@@ -96,16 +92,16 @@ class Table:
         columns = list(dict.fromkeys(matched.values()))
         if twice := [name for name in (*stamps, *columns) if dialect.names.count(name) > 1]:
             raise LogFormatError(f"{path}: has several columns {twice[0][:QUOTED]!r}, expected one: rename all but one")
-        body = _Body(path, dialect, stamps, columns)
-        time = self._seconds(path, body)
+        rows = Rows(path, dialect, stamps, columns)
+        time = self._seconds(path, dialect, stamps, rows)
         channels, dropped = {}, {}
         for channel, source in sources.items():
-            column = body.columns[matched[channel]]
+            column = rows.columns[matched[channel]]
             channels[channel], dropped[channel] = build_channel(
-                f"{path}: {channel}", source, time, column.values, body.order, column.empty, column.first
+                f"{path}: {channel}", source, time, column.values, rows.order, column.empty, column.first
             )
-            if body.torn:
-                dropped[channel]["torn_row"] = body.torn
+            if rows.torn:
+                dropped[channel]["torn_row"] = rows.torn
         return channels, dropped
 
     def survey(self, path: Path) -> list[Series]:
@@ -120,22 +116,22 @@ class Table:
         dialect = self._dialect(path)
         stamps = self._stamp_columns(path, dialect)
         columns = [name for name in dialect.names if name and dialect.names.count(name) == 1 and name not in stamps]
-        body = _Body(path, dialect, stamps, columns)
-        time = self._seconds(path, body)
+        rows = Rows(path, dialect, stamps, columns)
+        time = self._seconds(path, dialect, stamps, rows)
         readable, series = np.isfinite(time), []
         for name in columns:
-            column = body.columns.pop(name)
+            column = rows.columns.pop(name)
             found = np.isfinite(column.values)
             if found.any() and 2 * found.sum() >= (~column.empty).sum():
                 unit = dialect.units[dialect.names.index(name)]
-                series.append(Series(name, None, time[readable], column.values[readable], body.order[readable], unit))
+                series.append(Series(name, None, time[readable], column.values[readable], rows.order[readable], unit))
         return series
 
     def stamp_kind(self, path: Path) -> tuple[str, str]:
         """What the stamps are (number, time, year_first, day_first or month_first), and a doubt about it, or ""."""
         dialect = self._dialect(path)
-        body = _Body(path, dialect, self._stamp_columns(path, dialect), [])
-        _, kind, doubt = body.stamps.seconds(self.dates)
+        rows = Rows(path, dialect, self._stamp_columns(path, dialect), [])
+        _, kind, doubt = rows.stamps.seconds(self.dates)
         return kind or "number", doubt
 
     def _dialect(self, path: Path) -> Dialect:
@@ -160,139 +156,29 @@ class Table:
                 raise LogFormatError(_no_time_column(path, part, names, dialect.delimiter))
         return parts
 
-    def _seconds(self, path: Path, body: _Body) -> np.ndarray:
+    def _seconds(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> np.ndarray:
         """Stamps as seconds since the first readable one."""
-        time, kind, doubt = body.stamps.seconds(self.dates)
+        time, kind, doubt = rows.stamps.seconds(self.dates)
         if time is None:
             raise LogFormatError(
-                f"{path}, line {body.order[0]}: expected a number or a date-time in the time column "
-                f"{self.time!r}, found {body.first_stamp[:QUOTED]!r}: name the column of the stamps in data.reader.time"
+                f"{path}, line {rows.order[0]}: expected a number or a date-time in the time column "
+                f"{self.time!r}, found {rows.first_stamp[:QUOTED]!r}: name the column of the stamps in data.reader.time"
             )
         if doubt:
             raise LogFormatError(
                 f"{path}: expected to find the order of day, month and year from the column {self.time!r}, found "
                 f"{doubt}: set data.reader.dates to one of {', '.join(ORDERS)}"
             )
-        return time * (TIME_UNITS[self.time_unit] if kind == "number" else 1.0)
-
-
-class _Column:
-    """The numbers of a column, block by block."""
-
-    def __init__(self) -> None:
-        self._values: list[np.ndarray] = []
-        self._empty: list[np.ndarray] = []
-        self.first = ""  # cell
-
-    def add(self, cells: Sequence[str], decimal: str) -> None:
-        self.first = self.first if self._values else cells[0]
-        values = parse_cells(cells, decimal)
-        empty = np.zeros(len(cells), bool)
-        for place in np.flatnonzero(np.isnan(values)).tolist():
-            empty[place] = not cells[place].strip()
-        self._values.append(values)
-        self._empty.append(empty)
-
-    @property
-    def values(self) -> np.ndarray:  # (rows,) float64, NaN where there is no number
-        self._values = [np.concatenate(self._values)]
-        return self._values[0]
-
-    @property
-    def empty(self) -> np.ndarray:  # (rows,) bool, cells without text
-        self._empty = [np.concatenate(self._empty)]
-        return self._empty[0]
-
-
-class _Body:
-    """The rows below the header: stamps, and numbers of some columns.
-
-    Attributes:
-        order: lines of the complete rows, `(rows,)` int64.
-        torn: number of incomplete rows.
-        first_stamp: its text.
-    """
-
-    def __init__(self, path: Path, dialect: Dialect, stamps: list[str], columns: list[str]):
-        self.stamps, self.first_stamp, self.torn = Stamps(), "", 0
-        self.columns = {name: _Column() for name in columns}
-        width, orders, first_torn = len(dialect.names), [], ""
-        wanted = itemgetter(*(dialect.names.index(name) for name in (*stamps, *columns)), 0)  # the last is spare
-        with path.open(encoding=dialect.encoding, errors=errors_of(dialect.encoding), newline="") as file:
-            lines = _Lines(file, dialect)
-            reader = csv.reader(chain.from_iterable(lines), delimiter=dialect.delimiter)
-            given = 0
-            try:
-                while rows := list(islice(reader, BLOCK)):
-                    order = lines.places(given + _ends(rows, reader.line_num - given))
-                    given = reader.line_num
-                    if set(map(len, rows)) != {width}:
-                        whole = np.array([len(row) == width or bool(row[width:]) > any(row[width:]) for row in rows])
-                        if lost := [k for k in np.flatnonzero(~whole).tolist() if rows[k]]:
-                            first_torn = first_torn or f", found {len(rows[lost[0]])} in line {order[lost[0]]}"
-                            self.torn += len(lost)
-                        rows, order = list(compress(rows, whole)), order[whole]
-                    if rows:
-                        orders.append(order)
-                        self._add(list(zip(*map(wanted, rows), strict=True)), len(stamps), dialect.decimal)
-            except csv.Error as error:
-                raise LogFormatError(
-                    f"{path}, line {lines.places(np.array([reader.line_num]))[0]}: expected cells separated by "
-                    f"{dialect.delimiter!r}, found a {error}: fix or remove that line"
-                ) from error
-            except UnicodeError as error:
-                raise not_text(path, dialect.encoding) from error
-        if not orders:
-            raise LogFormatError(
-                f"{path}: expected rows of {width} cells, as many as the header has"
-                f"{first_torn or ', found nothing below the header'}: fix the header, or leave this log out"
+        if kind != "number":
+            return time
+        declared = dialect.units[dialect.names.index(stamps[0])]
+        if declared in TIME_UNITS and declared != self.time_unit:
+            warnings.warn(
+                f"{path}: the header declares {stamps[0][:QUOTED]!r} in {declared}, but it is read in {self.time_unit}"
+                f": set data.reader.time_unit={declared}",
+                stacklevel=4,
             )
-        self.order = np.concatenate(orders)
-
-    def _add(self, cells: list[tuple[str, ...]], stamps: int, decimal: str) -> None:
-        """Take a block, column by column; the first ones hold the stamps."""
-        stamp = cells[0] if stamps == 1 else [" ".join(each) for each in zip(*cells[:stamps], strict=True)]
-        self.first_stamp = self.first_stamp or stamp[0]
-        self.stamps.add(stamp, decimal)
-        for column, each in zip(self.columns.values(), cells[stamps:], strict=False):
-            column.add(each, decimal)
-
-
-class _Lines:
-    """The lines below the header that are no comments, in lists; and their places in the file."""
-
-    def __init__(self, file: TextIO, dialect: Dialect):
-        self._file, self._dialect = file, dialect
-        self._from, self._skipped = [0], [dialect.body]  # after so many lines given, so many lines were skipped
-
-    def __iter__(self) -> Iterator[list[str]]:
-        for _ in range(self._dialect.body):
-            next(self._file, "")
-        comment, given = self._dialect.comment, 0
-        while lines := self._file.readlines(PART):
-            text = "".join(lines) if comment else ""
-            if any(sign in text for sign in comment):
-                kept: list[str] = []
-                for line in lines:
-                    if line.lstrip().startswith(comment):
-                        self._from.append(given + len(kept))
-                        self._skipped.append(self._skipped[-1] + 1)
-                    else:
-                        kept.append(line)
-                lines = kept
-            given += len(lines)
-            yield [" ".join(line.split()) for line in lines] if self._dialect.delimiter == " " else lines
-
-    def places(self, given: np.ndarray) -> np.ndarray:
-        """The places in the file, from 1, of lines that were given, from 1."""
-        return given + np.array(self._skipped)[np.searchsorted(self._from, given, side="left") - 1]
-
-
-def _ends(rows: list[list[str]], lines: int) -> np.ndarray:
-    """The last lines of rows, from 1; a cell in quotes may have several lines."""
-    if lines == len(rows):
-        return np.arange(1, lines + 1)
-    return np.cumsum([1 + sum(len(cell.splitlines()) - 1 for cell in row if "\n" in cell) for row in rows])
+        return time * TIME_UNITS[self.time_unit]
 
 
 def _match(pattern: str, names: list[str], where: str) -> str:

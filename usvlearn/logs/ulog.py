@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import io
+import math
 import re
 import warnings
 from collections import Counter, defaultdict
@@ -37,11 +38,11 @@ class _Topic(NamedTuple):
     def value(self, field: str, where: str) -> np.ndarray:
         """The numbers of a field, or the norm of several."""
         parts = [self._one(part.strip(), where) for part in field.split(",")]
-        return parts[0] if len(parts) == 1 else np.sqrt(np.sum(np.square(parts), axis=0))
+        return parts[0] if len(parts) == 1 else np.array(list(map(math.hypot, *(part.tolist() for part in parts))))
 
     def _one(self, field: str, where: str) -> np.ndarray:
         if field in self.fields:
-            return self.fields[field].astype(np.float64)
+            return _floats(self.fields[field])
         quaternion = [self.fields.get(f"{field}[{place}]") for place in range(4)]  # w, x, y, z
         if field and all(part is not None for part in quaternion) and f"{field}[4]" not in self.fields:
             w, x, y, z = (part.tolist() for part in quaternion if part is not None)
@@ -126,8 +127,14 @@ class Ulog:
                 if array in QUATERNIONS and found and found[2] == "0" and arrays[array] == 4:
                     value = topic.value(array, topic.name)
                     series.append(Series(topic.name, array, topic.time, value, order, "rad", kind))
-                series.append(Series(topic.name, name, topic.time, numbers.astype(np.float64), order, "", kind))
+                series.append(Series(topic.name, name, topic.time, _floats(numbers), order, "", kind))
         return series
+
+
+def _floats(numbers: np.ndarray) -> np.ndarray:
+    """As float64; a signalling NaN, which damage can make, stays a NaN."""
+    with np.errstate(invalid="ignore"):
+        return numbers.astype(np.float64)
 
 
 def _topics(path: Path, keep: Callable[[str], bool]) -> list[_Topic]:
