@@ -1,4 +1,4 @@
-"""What it costs to read a long log: seconds and peak memory of each format.
+"""What it costs to read a long log: seconds of the processor and peak memory of each format.
 
 python benchmarks/readers.py [MB] [FORMAT ...]        writes readers.md if no format is named; needs the extra logs
 
@@ -160,13 +160,13 @@ def measure(name: str, small: Path, path: Path, survey: bool) -> None:
     """Read, or survey, a log in this process, and print what it cost."""
     one = FORMATS[name]
     one.reader.read(small, one.sources)  # what is imported and compiled at the first log is not measured
-    before, began = memory(), time.perf_counter()
+    before, began = memory(), time.process_time()
     if survey:
         found = len(one.reader.survey(path))
     else:
         channels, _ = one.reader.read(path, one.sources)
         found = sum(len(channel.time) for channel in channels.values())
-    print(json.dumps([time.perf_counter() - began, memory() - before, found]))
+    print(json.dumps([time.process_time() - began, memory() - before, found]))
 
 
 def child(*arguments: str) -> list[float]:
@@ -197,7 +197,7 @@ def main(size: int, names: list[str]) -> None:
                 f"Measured by `python benchmarks/readers.py` on: {machine()}.",
                 "",
                 f"A log of about {size} MB with {len(NAMES)} signals at {RATE} Hz: four of them are read as channels,",
-                "or all are surveyed. Memory is what the process grew by.",
+                "or all are surveyed. Seconds are of the processor; memory is what the process grew by.",
                 "",
                 *table(["format", "MB", "values read", "s", "peak, MB", "series", "survey, s", "peak, MB"], lines),
             ],
