@@ -186,7 +186,7 @@ def work(arguments: Sequence[str]) -> None:
     search = [f"hydra.searchpath=[file://{Path(added).resolve()}]"] if added else []
     cfg, console = compose_train([*search, *overrides, MODEL]), terminal.console()
     if not (channels := cfg.data.get("channels")):
-        raise ConfigError("data: found no channels, expected logs with commands: set data=csv, alog or rosbag")
+        raise ConfigError("data: found no channels, expected logs with commands: set data=csv, alog, rosbag or ulog")
     set_threads(cfg.threads)
     with console.status("reading, and learning with each delay"):
         halves = find_halves(list(instantiate(cfg.data)), instantiate(cfg.model), cfg.align)

@@ -103,9 +103,7 @@ def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: 
     try:
         text = codecs.getincrementaldecoder(encoding)(errors=errors_of(encoding)).decode(start)
     except UnicodeError as error:
-        raise LogFormatError(
-            f"{path}: expected text in {encoding}, found other data: set data.reader.encoding"
-        ) from error
+        raise not_text(path, encoding) from error
     lines = re.split(r"\r\n|\r|\n", text)[:LINES]
     prefixes = _comments(lines) if comment == AUTO else (comment,) if comment else ()
     layouts = [_layout(lines, each, prefixes, time) for each in (DELIMITERS if delimiter == AUTO else delimiter)]
@@ -131,6 +129,7 @@ def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: 
 
 
 def not_text(path: Path, encoding: str) -> LogFormatError:
+    """The error for a file that is not in the encoding that is declared."""
     return LogFormatError(f"{path}: expected text in {encoding}, found other data: set data.reader.encoding")
 
 
