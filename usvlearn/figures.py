@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -22,22 +23,37 @@ KNOWN = {name: colour for names, colour in SEVEN.items() for name in names} | { 
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")
 OTHERS = ("#CC6677", "#AA4499", "#B8A13E", "#A0522D", "#6699CC")
+SIDES = {"left": "#6A5ACD", "right": "#44AA99"}  # colours of the thrusters, which no estimator has
 
 
 def colours(names: Sequence[str]) -> dict[str, str]:
-    """The colour of each estimator: a fixed one if it is in the default ensemble, else the next free colour.
+    """The colour of each estimator: a fixed one if it is in the default ensemble, else one of OTHERS by its name.
 
-    NAME+ has the colour of NAME.
+    So an estimator has one colour in all figures, whichever others are beside it. Only where two of the same figure
+    would share a colour, the second one has the next. NAME+ has the colour of NAME.
 
     >>> colours(["aid", "my_rls", "ensemble", "ensemble+"])
-    {'aid': '#12b5cb', 'my_rls': '#CC6677', 'ensemble': '#e52592', 'ensemble+': '#e52592'}
+    {'aid': '#12b5cb', 'my_rls': '#6699CC', 'ensemble': '#e52592', 'ensemble+': '#e52592'}
+    >>> colours(["mine", "my_rls"])["my_rls"], colours(["my_rls"])["my_rls"]
+    ('#6699CC', '#6699CC')
     """
-    rest = iter(OTHERS * (1 + len(names) // len(OTHERS)))
     found = dict(KNOWN)
-    for name in names:
-        if name.rstrip("+") not in found:
-            found[name.rstrip("+")] = next(rest)
+    for name in dict.fromkeys(name.rstrip("+") for name in names):
+        if name not in found:
+            first = zlib.crc32(name.encode()) % len(OTHERS)
+            order = (*OTHERS[first:], *OTHERS[:first])
+            found[name] = next((each for each in order if each not in found.values()), order[0])
     return {name: found[name.rstrip("+")] for name in names}
+
+
+def main_estimators(names: Sequence[str], output: str) -> list[str]:
+    """The estimators in figures of a run: three members, the paper's first, and the ensemble's output last.
+
+    >>> main_estimators(["joint", "rls", "aid", "arx", "ensemble"], "ensemble")
+    ['aid', 'rls', 'joint', 'ensemble']
+    """
+    order = [name for name in (*PAPER, *names) if name in names and name != output]
+    return [*list(dict.fromkeys(order))[:3], output]
 
 
 @contextmanager

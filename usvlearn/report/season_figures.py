@@ -134,6 +134,8 @@ def _draw_box(panel, place: int, found: Box | None, colour: str, learning: bool,
 def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
     """MSE of the best set of each boat (rows) on the runs of each boat (columns); the least of a column is framed.
 
+    The colours of all methods have one scale.
+
     Args:
         matrices: `(boats, boats)`, m²/s², by method.
         boats: their names.
@@ -148,13 +150,13 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
 
     across, size = min(2, len(matrices)), 0.42 * len(boats) + 1.4
     down = -(-len(matrices) // across)
+    every = np.concatenate([matrix[np.isfinite(matrix) & (matrix > 0)] for matrix in matrices.values()])
+    low, high = (every.min(), every.max()) if len(every) else (1e-4, 1.0)
+    norm = LogNorm(low, high if high > low else low * 1.01)  # one scale, so that the methods can be compared
     with themed() as Figure:
         figure = Figure(figsize=(size * across + 0.4, size * down), layout="constrained")
         panels = _panels(figure, len(matrices), across)
         for panel, (name, matrix) in zip(panels, matrices.items(), strict=True):
-            finite = matrix[np.isfinite(matrix) & (matrix > 0)]
-            low, high = (finite.min(), finite.max()) if len(finite) else (1e-4, 1.0)
-            norm = LogNorm(low, high if high > low else low * 1.01)
             image = panel.imshow(np.where(matrix > 0, matrix, np.nan), norm=norm, cmap="cividis", aspect="equal")
             for (row, column), value in np.ndenumerate(matrix):
                 dark = not np.isfinite(value) or value <= 0 or norm(value) < 0.55
@@ -172,12 +174,12 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
             panel.spines[:].set_visible(False)
             panel.set_title(name, loc="left", fontsize=10)
             panel.set(xlabel="runs of", ylabel="best set of")
-            bar = figure.colorbar(image, ax=panel, shrink=0.75, ticks=LogLocator(subs=(1, 2, 5)))
-            bar.ax.yaxis.set_major_formatter(lambda x, _: f"{1000 * x:g}")
-            bar.ax.minorticks_off()
-            bar.ax.tick_params(labelsize=7.5)
-            bar.set_label("MSE, 10⁻³ m²/s²", color=INK)
-            bar.outline.set_visible(False)
+        bar = figure.colorbar(image, ax=panels, shrink=0.75, ticks=LogLocator(subs=(1, 2, 5)))
+        bar.ax.yaxis.set_major_formatter(lambda x, _: f"{1000 * x:g}")
+        bar.ax.minorticks_off()
+        bar.ax.tick_params(labelsize=7.5)
+        bar.set_label("MSE, 10⁻³ m²/s²", color=INK)
+        bar.outline.set_visible(False)
         return figure
 
 

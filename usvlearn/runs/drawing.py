@@ -25,7 +25,7 @@ from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.identification import Truth
-from usvlearn.figures import PAPER, prediction_figure
+from usvlearn.figures import main_estimators, prediction_figure
 from usvlearn.rollouts import simulate, tensors
 from usvlearn.runs.fault_figure import fault_figure
 from usvlearn.runs.published import PUBLISHED, Published, joined
@@ -236,10 +236,8 @@ class _Drawing:
 
     def _shown(self) -> tuple[list[str], list[int]]:
         """The estimators in figures, and their columns: the ensemble last."""
-        names, output = self.ensemble.names, self.ensemble.output
-        order = [name for name in (*PAPER, *names) if name in names and name != output]
-        shown = [*list(dict.fromkeys(order))[:3], output]
-        return shown, [names.index(name) for name in shown]
+        shown = main_estimators(self.ensemble.names, self.ensemble.output)
+        return shown, [self.ensemble.names.index(name) for name in shown]
 
     def _of(
         self, index: int, lane: int, names: Sequence[str] = PUBLISHED

@@ -6,9 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from usvlearn.figures import INK, colours, themed
+from usvlearn.figures import INK, SIDES, colours, themed
 
-SIDES = {"left": "#6A5ACD", "right": "#44AA99"}
 FAULT, ALARM = "#B0417A", "#AA4499"
 
 

@@ -10,9 +10,9 @@ import numpy as np
 from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.joint.reading import Identified
-from usvlearn.figures import INK, KNOWN, LINE, WORST, colours, themed, worst_stretch
+from usvlearn.figures import INK, KNOWN, LINE, SIDES, WORST, colours, themed, worst_stretch
 
-LEFT, RIGHT = KNOWN["aid"], KNOWN["sift_map"]  # colours
+READ, LEFT, RIGHT = KNOWN["reader"], *SIDES.values()  # colours: of the boat as its reader has it, of its thrusters
 SPAN, ORIGINS = 240.0, 6  # s of a figure of forecasts, and how many forecasts it shows
 
 
@@ -101,7 +101,7 @@ def identified_figure(
         truth: quantity -> value.
         title: of the figure.
     """
-    lines = {"drag": (0, LEFT), "thrust_left": (1, LEFT), "thrust_right": (1, RIGHT), "steady_speed": (2, LEFT)}
+    lines = {"drag": (0, READ), "thrust_left": (1, LEFT), "thrust_right": (1, RIGHT), "steady_speed": (2, READ)}
     labels = (
         ("speed, m/s", "drag, N"),
         ("command, share of full scale", "thrust of a side at standstill, N"),
