@@ -11,6 +11,9 @@ from usvlearn.rollouts import rollout
 from usvlearn.signals import tree_map
 
 
+TIME = 0.4 * np.arange(200.0)
+
+
 def numpied(samples: Sample) -> Sample:
     return tree_map(lambda x: x.numpy(), samples)
 
@@ -41,7 +44,7 @@ def boats(factors: np.ndarray, seed: int = 0) -> tuple[Ensemble, list[Season]]:
     return ensemble, [
         Season(
             f"boat{k}",
-            tuple(SeasonRun(f"{j}", f"{k}{j}", numpied(tree_map(lambda x, k=k: x[:, k], run)), {})
+            tuple(SeasonRun(f"{j}", f"{k}{j}", numpied(tree_map(lambda x, k=k: x[:, k], run)), {}, TIME)
                   for j, run in enumerate(runs)),
             tree_map(lambda *x, k=k: torch.stack([each[k] for each in x]), *states),
             (Path("a"), Path(f"{k}")), np.array([0, 1]), np.array([0.02, 0.04]),

@@ -29,7 +29,7 @@ def study(cfg: DictConfig, tools) -> None:
         check=lambda overrides: request(plain(hydra.compose("train", list(overrides))), instantiate),
     )  # fmt: skip
     season, gained = made.make()
-    evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands)
+    evaluate([season], Path(cfg.folder, "report"), tools, more=[gained], commands=made.commands, paper=True)
 
 
 @command("evaluate")

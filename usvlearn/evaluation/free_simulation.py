@@ -1,14 +1,15 @@
-"""Errors of free runs: the second half of a fleet's runs, simulated from commands alone; nothing is learned there."""
+"""Free runs, simulated from commands alone; nothing is learned there. Errors of the second half of a fleet's runs."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.errors import ConfigError
-from usvlearn.signals import Fleet, masks
+from usvlearn.evaluation.season import Season
+from usvlearn.signals import Fleet, masks, tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -56,6 +57,36 @@ def free_errors(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> Fre
             found.errors[index] = np.where(learns[..., None], error, 0.0).sum(0)
             found.steps[index] = learns.sum(0)
     return found
+
+
+class FreeRun(NamedTuple):
+    """A run of one boat, simulated with parameters that were saved before it."""
+
+    predictions: np.ndarray  # (time, estimators) m/s, within ± surge_max; NaN where no step was made
+    learned: bool  # whether no parameters were saved before it, so that these have learned from it
+
+
+def free_runs(ensemble: Ensemble, season: Season) -> Iterator[FreeRun]:
+    """Simulate each run of a boat with the newest parameters of `Season.set_before`.
+
+    Args:
+        ensemble: to which the sets belong.
+        season: of the boat.
+    """
+    import torch
+
+    from usvlearn.rollouts import simulate, tensors
+
+    limit = ensemble.surge_max
+    for k, run in enumerate(season.runs):
+        chosen, learned = season.set_before(k)
+        state = tree_map(lambda x, one=chosen: x[one : one + 1], season.state)
+        samples = tree_map(lambda x: x[:, None], run.samples)
+        with torch.no_grad():
+            _, _, kept = simulate(ensemble, state, tensors(samples, state.predictions.dtype), record=["predictions"])
+        found = np.nan_to_num(kept["predictions"][:, 0].double().numpy(), nan=limit, posinf=limit, neginf=-limit)
+        made = masks(run.samples, ensemble.surge_limit).steps[:, None]
+        yield FreeRun(np.where(made, found.clip(-limit, limit), np.nan), learned)
 
 
 def middle(runs: Sequence[Any]) -> int:

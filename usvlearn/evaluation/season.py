@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.signals import PLAUSIBLE, Sample, masks
+from usvlearn.signals import PLAUSIBLE, Fleet, Run, Sample, masks, tree_map
 
 
 class SeasonRun(NamedTuple):
@@ -17,6 +17,8 @@ class SeasonRun(NamedTuple):
     key: str  # a sha256 of the samples
     samples: Sample  # leaves (time,), NumPy
     published: dict[str, np.ndarray]  # (time, ...) online predictions (`usvlearn.runs.published`), or empty
+    time: np.ndarray  # (time,) s
+    position: np.ndarray | None = None  # (time, 2) m north and east, if the log has it
     surge_limit: float = PLAUSIBLE  # m/s, of the ensemble that is judged
 
     @property
@@ -42,9 +44,30 @@ class Season(NamedTuple):
     hours: np.ndarray  # (sets,) h on the water until the set was saved
 
     @property
+    def replayed(self) -> tuple[Fleet, list[tuple[int, int, dict[str, np.ndarray]]]]:
+        """The runs with online predictions as a fleet of one boat, and what was published of each."""
+        runs = [run for run in self.runs if run.published]
+        wide = [tree_map(lambda x: x[:, None], run.samples) for run in runs]
+        made = tuple(
+            Run(run.time[:, None], samples, (run.name,), (len(run.time),))
+            for run, samples in zip(runs, wide, strict=True)
+        )
+        published = [(k, 0, {key: x[:, None] for key, x in run.published.items()}) for k, run in enumerate(runs)]
+        return Fleet((self.boat,), made, {}), published
+
+    @property
     def later(self) -> np.ndarray:
         """Which runs a set has not learned from, bool `(sets, runs)`: those after its own, or all if it has none."""
         return self.own[:, None] < np.arange(len(self.runs))
+
+    def set_before(self, run: int) -> tuple[int, bool]:
+        """The newest set that has not learned from a run, and False; else the first saved since, and True.
+
+        Args:
+            run: index of the run.
+        """
+        before = np.flatnonzero(self.own < run)
+        return (int(before[-1]), False) if len(before) else (int(np.flatnonzero(self.own >= run)[0]), True)
 
     @property
     def others(self) -> np.ndarray:

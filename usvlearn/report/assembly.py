@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate
+from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.evaluation.members import explained, remarks
 from usvlearn.evaluation.season import Season
+from usvlearn.report.front import Front
+from usvlearn.report.overview import overviews
 from usvlearn.report.section import Section
 from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
@@ -20,15 +24,16 @@ from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import Truth, parameters_section
+from usvlearn.report.viewer_data import viewer_data
 from usvlearn.rollouts import stack
 from usvlearn.signals import tree_map
 
 
 def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
-    """The steps that `assemble` simulates: every set on every run of its boat, and one set per boat on all runs."""
+    """The steps that are simulated: every set and one more on every run of its boat, and one set per boat on all."""
     steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
     matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
-    return sum(len(season.own) * steps[season.boat] for season in seasons) + matrices
+    return sum((len(season.own) + 1) * steps[season.boat] for season in seasons) + matrices
 
 
 def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
@@ -59,32 +64,51 @@ def assemble(
         known: true quantities of simulated boats at the end.
 
     Returns:
-        The sections in the paper's order, and the errors of every boat's cross-validation.
+        The sections, what a boat's owner asks first, and the errors of every boat's cross-validation.
     """
     errors = {
         season.boat: cross_validate(ensemble, season.state, [run.samples for run in season.runs], advance=advance)
         for season in seasons
     }
     beside = remarks(ensemble)
-    sections: list[Section | None] = [
-        online_section(seasons, ensemble.names, beside, explained(ensemble)),
-        forecast_section(seasons, ensemble),
-        cross_section(seasons, errors, beside),
-    ]
-    if len(seasons) > 1:
-        sections.append(_between(ensemble, seasons, errors, advance))
+    between = _between(ensemble, seasons, errors, advance) if len(seasons) > 1 else None
     # Runs of a simulated season are named after their mission: 001_convoy is the first.
     mission = {
         season.boat: np.array([int(run.name.partition("_")[0]) - 1 for run in season.runs])
         for season in seasons
         if season.boat in truth
     }
-    sections += [
-        network_section(seasons, ensemble),
+    sections: list[Section | None] = [
         identified_section(seasons, ensemble, known or {}),
+        forecast_section(seasons, ensemble),
+        online_section(seasons, ensemble.names, beside, explained(ensemble)),
+        cross_section(seasons, errors, beside),
+        between,
         parameters_section(seasons, ensemble, truth, mission),
+        network_section(seasons, ensemble),
+        cost_section(ensemble),
     ]
-    return [section for section in (*sections, cost_section(ensemble)) if section is not None], errors
+    return [section for section in sections if section is not None], errors
+
+
+def front_of(
+    ensemble: Ensemble,
+    seasons: Sequence[Season],
+    found: Sequence[Mapping[str, Any]],
+    advance: Callable[[int], object] = lambda steps: None,
+) -> Front:
+    """The first page: simulate each run free once, and draw the last runs of each boat.
+
+    Args:
+        ensemble, seasons, advance: as of `assemble`.
+        found: results of the folders.
+    """
+    free = {}
+    for season in seasons:
+        free[season.boat] = list(free_runs(ensemble, season))
+        advance(sum(int(run.steps.sum()) for run in season.runs))
+    boats = overviews(ensemble, seasons, free, found)
+    return Front(boats, viewer_data(ensemble, seasons, free), {})
 
 
 def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:

@@ -16,7 +16,7 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
 from usvlearn.lock import Lock
 from usvlearn.report.activity_bar import Activity
-from usvlearn.report.assembly import assemble, best_start, facts, simulations
+from usvlearn.report.assembly import assemble, best_start, facts, front_of, simulations
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.section import Section
 from usvlearn.report.sections.parameters import Truth
@@ -77,6 +77,7 @@ def evaluate(
     data: Any = None,
     more: Sequence[Section] = (),
     commands: Sequence[str] = (),
+    paper: bool = False,
 ) -> Path:
     """Judge every parameter set of some runs and write the report; returns its page.
 
@@ -85,20 +86,24 @@ def evaluate(
         report: its folder.
         more: sections to put first.
         commands: that make the report again.
+        paper: whether the paper's results stand beside those found here.
     """
     with Lock(report, "report"):
         check_report_folder(report)
+        found = [results(folder) for folder in folders]
         unfinished = [
             f"{folder} is not finished: the report covers the finished part."
-            for folder in folders
-            if not results(folder)
+            for folder, finished in zip(folders, found, strict=True)
+            if not finished
         ]
         ensemble, seasons, truth = read(folders, tools, data)
         with Activity(tools.console) as activity:
             activity.begin("simulating each set on each run", total=simulations(ensemble, seasons))
-            known = known_quantities(results(folders[-1])) if data is None else {}
+            known = known_quantities(found[-1]) if data is None else {}
             sections, errors = assemble(ensemble, seasons, truth, activity.advance, known)
-        page = write_report(report, [*facts(seasons, folders), *unfinished], [*more, *sections], commands, errors)
+            front = front_of(ensemble, seasons, found, activity.advance)
+        parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
+        page = write_report(report, [*facts(seasons, folders), *unfinished], parts, commands, errors, front)
     tools.say(f"report: {page}")
     return page
 

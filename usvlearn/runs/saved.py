@@ -132,10 +132,11 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             for run in fleet.runs:
                 if length := run.lengths[lane]:
                     samples = tree_map(lambda x, n=length, k=lane: x[:n, k], run.samples)
-                    key = digest(run, lane)
-                    runs.setdefault(boat, {}).setdefault(
-                        key, SeasonRun(run.names[lane], key, samples, {}, ensemble.surge_limit)
-                    )
+                    track = getattr(run, "position", None)
+                    track = None if track is None else track[:length, lane]
+                    key, time = digest(run, lane), run.time[:length, lane]
+                    one = SeasonRun(run.names[lane], key, samples, {}, time, track, ensemble.surge_limit)
+                    runs.setdefault(boat, {}).setdefault(key, one)
     known = sorted({path.name for folder in folders for path in (folder / CHECKPOINTS).glob("*")})
     if missing := [boat for boat in runs if boat not in known]:
         raise ConfigError(

@@ -13,7 +13,6 @@ from usvlearn.evaluation.season import Season
 from usvlearn.figures import INK, LINE, colours, themed
 from usvlearn.report.result_table import ResultTable
 from usvlearn.report.section import Drawn, Section
-from usvlearn.signals import Fleet, Run, tree_map
 
 ACROSS = 4  # panels in a row
 
@@ -91,19 +90,8 @@ def _scores(season: Season, ensemble: Ensemble) -> Scores:
     runs = [run for run in season.runs if "forecasts" in run.published]
     if not runs:
         return {}
-    wide = [tree_map(lambda x: x[:, None], run.samples) for run in runs]
-    lengths = [len(run.samples.surge) for run in runs]
-    fleet = Fleet(
-        (season.boat,),
-        tuple(
-            Run(np.zeros((n, 1)), samples, (run.name,), (n,))
-            for run, samples, n in zip(runs, wide, lengths, strict=True)
-        ),
-        {},
-    )
-    kept = ("forecasts", "forecast_halfwidths")
-    stretches = [(k, 0, {name: run.published[name][:, None] for name in kept}) for k, run in enumerate(runs)]
-    return ensemble_scores(ensemble, fleet, stretches)
+    fleet, published = season._replace(runs=tuple(runs)).replayed
+    return ensemble_scores(ensemble, fleet, published)
 
 
 def _findings(found: Scores, output: str) -> list[str]:

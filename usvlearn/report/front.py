@@ -1,0 +1,223 @@
+"""The first page of a report, and the place of its viewer, in HTML. Every name of a log is escaped."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+from usvlearn.estimators.joint.reading import shown
+from usvlearn.report.overview import MAIN, Ahead, Overview
+
+NEAR = "10 s"  # the horizon of the sentence, if it was forecast
+SIMPLE = "assuming that the speed stays as it is"
+
+
+class Front(NamedTuple):
+    """What stands before the sections of a report."""
+
+    boats: Sequence[Overview]
+    viewer: Mapping[str, Any]  # `usvlearn.report.viewer_data`
+    pictures: Mapping[str, bytes]  # PNG of all runs by boat, for a reader without JavaScript
+
+
+def title(front: Front) -> str:
+    """The report's title: the boat, or how many there are."""
+    boats = front.boats
+    return f"{boats[0].boat}: what was learned" if len(boats) == 1 else f"{len(boats)} boats: what was learned"
+
+
+def first_page(front: Front) -> str:
+    """A card for each boat; of several boats first a table with a row for each."""
+    cards = [_cards(each, f"boat-{k}", len(front.boats) > 1) for k, each in enumerate(front.boats)]
+    return "\n".join([_fleet(front.boats) if len(front.boats) > 1 else "", *cards])
+
+
+def _fleet(boats: Sequence[Overview]) -> str:
+    heads = ("boat", "runs", "hours", "error, next step", f"error, {NEAR}", "skill", "in 90 % interval",
+             "steady speed at full ahead", "alarms", "data check")  # fmt: skip
+    rows = []
+    for k, boat in enumerate(boats):
+        near = _near(boat)
+        top = boat.identified["steady_speed_full"] if boat.identified else None
+        cells = [
+            str(len(boat.runs)),
+            f"{boat.hours:.1f}",
+            _number(boat.ahead[0].mae if boat.ahead else None),
+            _number(near and near.mae),
+            _number(near and near.skill, 2),
+            _share(near and near.coverage),
+            f"{shown(top.value)} ({shown(top.low)} to {shown(top.high)}) m/s" if top else "–",
+            "–" if boat.alarms is None else str(len(boat.alarms)),
+            "–" if boat.findings is None else f"{len(boat.findings) or 'no'} finding{'s' * (len(boat.findings) != 1)}",
+        ]
+        name = f'<th scope="row"><a href="#boat-{k}">{escape(boat.boat)}</a></th>'
+        rows.append(f"<tr>{name}{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>")
+    head = "".join(f"<th>{head}</th>" for head in heads)
+    return (
+        f'<div class="rows"><table class="fleet"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+        f'</div><p class="facts">Errors are means in m/s; skill and interval {NEAR} ahead.</p>'
+    )
+
+
+def _cards(boat: Overview, key: str, named: bool) -> str:
+    cards = (
+        (("What was identified", _identified(boat)), ("Alarms", _alarms(boat))),
+        (("How well it predicts the speed", _accuracy(boat)), ("Data check", _findings(boat))),
+    )
+    head = f"<h2>{escape(boat.boat)}</h2>" if named else ""
+    who = f'<p class="facts">{len(boat.runs)} {_runs(len(boat.runs))}, {boat.hours:.1f} h of measured speed.</p>'
+    inner = "".join(
+        "<div>" + "".join(f'<div class="card"><h3>{name}</h3>{body}</div>' for name, body in column) + "</div>"
+        for column in cards
+    )
+    return f'<section class="boat" id="{key}">{head}{who}<div class="cards">{inner}</div></section>'
+
+
+def _runs(count: int) -> str:
+    return "run" if count == 1 else "runs"
+
+
+def _identified(boat: Overview) -> str:
+    if boat.identified is None:
+        return "<p>Nothing: the ensemble has no estimator that reads physical quantities.</p>"
+    rows = "".join(
+        f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(found.value)}</b> {escape(found.unit)}</td>'
+        f'<td class="n">{shown(found.low)} to {shown(found.high)}</td></tr>'
+        for name, words in MAIN.items()
+        if (found := boat.identified.get(name)) is not None
+    )
+    said = (in_words(each) for each in (boat.identified.scale, *boat.identified.lacks))
+    notes = "".join(f"<p>{escape(each)}</p>" for each in said if each)
+    head = '<thead><tr><th></th><th class="n">value</th><th class="n">90 % interval</th></tr></thead>'
+    return f'<table>{head}<tbody>{rows}</tbody></table><div class="notes">{notes}</div>'
+
+
+def in_words(sentence: str) -> str:
+    """A sentence about quantities, with their names as on the first page.
+
+    >>> in_words("Not well determined: drag_half_speed, thrust_ratio.")
+    'Not well determined: drag at half of that speed, thrust ratio.'
+    """
+    for name, words in MAIN.items():
+        sentence = sentence.replace(name, words[0].lower() + words[1:]) if "_" in name else sentence
+    return sentence.replace("thrust_ratio", "thrust ratio")
+
+
+def _near(boat: Overview) -> Ahead | None:
+    """The errors at NEAR, or else at the longest horizon that is judged."""
+    known = {each.what: each for each in boat.ahead if each.mae is not None}
+    return known.get(NEAR) or next(iter(reversed(known.values())), None)
+
+
+def _accuracy(boat: Overview) -> str:
+    if not boat.ahead and boat.free is None:
+        return "<p>Unknown: these runs were not replayed in the folders, so that they have no predictions.</p>"
+    said, near = "", _near(boat)
+    if near is not None and near.mae is not None:
+        ahead = near.what if near.what[0].isdigit() else "One step"
+        said = f"<p>{ahead} ahead it errs by <b>{_number(near.mae)} m/s</b> on average"
+        if near.skill is not None:
+            how = f"{abs(near.skill):.0%} {'less' if near.skill >= 0 else 'more'}".replace("%", " %")
+            said += f", {how} than by {SIMPLE}"
+        said += ".</p>"
+    rows = "".join(
+        f'<tr><th scope="row">{escape(each.what)}</th><td class="n">{_number(each.mae)}</td>'
+        f'<td class="n">{_number(each.skill, 2)}</td><td class="n">{_share(each.coverage)}</td></tr>'
+        for each in boat.ahead
+    )
+    free = f'<tr><th scope="row">a whole run</th><td class="n">{_number(boat.free)}</td><td></td><td></td></tr>'
+    head = "".join(f'<th class="n">{each}</th>' for each in ("mean error, m/s", "skill", "in 90 % interval"))
+    return (
+        f"{said}<table><thead><tr><th>ahead</th>{head}</tr></thead><tbody>{rows}{free}</tbody></table>"
+        f'<div class="notes"><p>Skill: 1 is perfect, 0 is no better than {SIMPLE}. A whole run is simulated from the '
+        "commands alone, with parameters that were saved before it.</p></div>"
+    )
+
+
+def _alarms(boat: Overview) -> str:
+    if boat.alarms is None:
+        return "<p>Nobody watched the thrusters in these runs.</p>"
+    if not boat.alarms:
+        return '<p class="good">None: no thruster seemed to lose thrust.</p>'
+    items = "".join(
+        f"<li>{escape(str(each['run']))}, {each['time'] / 60:.1f} min: the {escape(each['side'])} thruster gave "
+        f"{each['effectiveness']:.0%} of its thrust.</li>"
+        for each in boat.alarms
+    )
+    return f'<ul class="bad">{items}</ul>'
+
+
+def _findings(boat: Overview) -> str:
+    if boat.findings is None:
+        return "<p>Not made in these runs.</p>"
+    if not boat.findings:
+        return '<p class="good">Nothing suspicious was found in the log.</p>'
+    items = []
+    for each in boat.findings:
+        text = {name: escape(str(each.get(name) or "")) for name in ("channel", "found", "expected", "key", "severity")}
+        expected = f", expected {text['expected']}" if text["expected"] else ""
+        key = f" Set <code>{text['key']}</code>." if text["key"] else ""
+        items.append(f"<li><b>{text['channel']}</b>: found {text['found']}{expected}.{key}</li>")
+    return f'<ul class="bad">{"".join(items)}</ul>'
+
+
+def _number(value: float | None, digits: int = 3) -> str:
+    return "–" if value is None or value != value else f"{value:.{digits}f}"
+
+
+def _share(value: float | None) -> str:
+    return "–" if value is None or value != value else f"{100 * value:.0f} %"
+
+
+def viewer(front: Front) -> str:
+    """The runs: a table that needs no JavaScript, and the place where the viewer is drawn."""
+    places, rows = iter(range(len(front.viewer["runs"]))), []
+    for boat in front.boats:
+        for run in boat.runs:
+            free = _number(run.free) + ("*" if run.learned and run.free is not None else "")
+            cells = (f"{run.minutes:.1f}", _number(run.speed, 2), _number(run.mae), free)
+            name = f'<a href="#viewer" data-run="{next(places)}">{escape(run.name)}</a>'
+            rows.append(
+                f'<tr><td>{escape(boat.boat)}</td><th scope="row">{name}</th>'
+                + "".join(f'<td class="n">{cell}</td>' for cell in cells)
+                + "</tr>"
+            )
+    heads = "".join(
+        f'<th class="n">{each}</th>'
+        for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, free run, m/s")
+    )
+    pictures = "".join(
+        f'<img alt="Measured and predicted speed of the runs of {escape(boat)}" '
+        f'src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+        for boat, png in front.pictures.items()
+    )
+    return f"""<section id="runs"><h2>Run by run</h2>
+<div class="rows"><table><thead><tr><th>boat</th><th>run</th>{heads}</tr></thead>
+<tbody>{"".join(rows)}</tbody></table></div>
+<p class="facts">A free run is simulated from the commands alone. * Its parameters have learned from this run.</p>
+<noscript><p>Without JavaScript, these are the last runs of each boat.</p>{pictures}</noscript>
+<div id="viewer" hidden>
+<form class="tools" autocomplete="off">
+<label>Run <select id="viewer-run"></select></label><label>beside it <select id="viewer-beside"></select></label>
+<label>Errors of <select id="viewer-error"><option value="error">the next step</option>
+<option value="free error">a free run</option></select></label>
+<button type="button" id="viewer-reset">Whole run</button>
+<span id="viewer-names"><label><span class="chip ink"></span>measured</label></span></form>
+<p class="facts">Drag, scroll or pinch to move and zoom. Keys: arrows, + and −, 0 for the whole run. The shaded band is
+the 90 % interval.</p><div id="viewer-columns"></div>
+<p class="facts">Size of the error on the tracks: 0 <span class="scale"></span> <span id="viewer-largest"></span>. The
+tracks and the axes of two runs have one scale. Errors are predicted − measured: lines are means, bands 90 % of them.</p></div>
+<script type="application/json" id="viewer-data">{embedded(front.viewer)}</script></section>"""
+
+
+def embedded(data: Any) -> str:
+    """JSON that a page can contain between its tags, whatever the names in it.
+
+    >>> embedded({"boat": "</script><!--"})
+    '{"boat":"\\\\u003c/script\\\\u003e\\\\u003c!--"}'
+    """
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026")

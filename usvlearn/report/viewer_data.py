@@ -1,0 +1,175 @@
+"""The numbers of the viewer in a page: each run's measured, predicted and free speed, commands, errors and track.
+
+A series is 16-bit integers as base64 beside its least value and its step, so that a number is known to half a step:
+
+    x = low + step (k + 32767),   k = −32768 where it is unknown                                       (1)
+
+A page holds at most BUDGET numbers. Where there are more, the steps are put into buckets of equal length. A bucket has
+two numbers of each line, its least and its greatest in the order in which they came, so that no peak is lost; of an
+error it has the one with the largest size, and of a position the first.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.evaluation.free_simulation import FreeRun
+from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.figures import SIDES, colours, main_estimators
+from usvlearn.signals import masks
+
+BUDGET = 1_500_000  # numbers; 4 MB in a page
+LEVELS = 65534  # of a series
+BINS, FEWEST = 14, 5  # of residuals, and steps without which a bin is left out
+LOGGED = "Positions as logged."
+RECKONED = "The log has no positions: the track is reckoned from the measured speed and the heading, so that it drifts."
+
+
+def viewer_data(ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str, Sequence[FreeRun]]) -> dict[str, Any]:
+    """All that the viewer shows, for JSON.
+
+    Args:
+        ensemble: that was replayed.
+        seasons: of all boats.
+        free: each boat's free runs (`usvlearn.evaluation.free_simulation.free_runs`).
+    """
+    shown = main_estimators(ensemble.names, ensemble.output)
+    columns = [ensemble.names.index(name) for name in shown]
+    steps = sum(len(run.time) for season in seasons for run in season.runs)
+    total = steps * (8 + 2 * len(shown))
+    size = 1 if total <= BUDGET else -(-2 * total // BUDGET)
+    runs = [
+        {"boat": season.boat, "name": run.name} | _run(run, made, shown, columns, size)
+        for season in seasons
+        for run, made in zip(season.runs, free[season.boat], strict=True)
+    ]
+    return {"output": ensemble.output, "shown": shown, "colours": colours(shown), "sides": SIDES, "runs": runs}
+
+
+def _run(run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[int], size: int) -> dict[str, Any]:
+    known = masks(run.samples, run.surge_limit)
+    surge = np.where(run.samples.measured & known.known, run.samples.surge, np.nan)
+    counted = np.where(run.steps, run.samples.surge, np.nan)
+    lines = {"measured": surge, "left": run.samples.inputs.command_left, "right": run.samples.inputs.command_right}
+    largest = {"free error": free.predictions[:, columns[-1]] - counted}
+    lines |= {f"free {name}": free.predictions[:, k] for name, k in zip(shown, columns, strict=True)}
+    if run.published:
+        made = run.published["predictions"]
+        largest["error"] = made[:, columns[-1]] - counted
+        lines |= {f"next {name}": made[:, k] for name, k in zip(shown, columns, strict=True)}
+        if "halfwidths" in run.published:
+            largest["halfwidth"] = run.published["halfwidths"][:, columns[-1]]
+    track = reckoned(run) if run.position is None else run.position
+    command = (run.samples.inputs.command_left + run.samples.inputs.command_right) / 2
+    series = {name: coded(extremes(line, size)) for name, line in lines.items()}
+    series |= {name: coded(largest_of(line, size)) for name, line in largest.items()}
+    series |= {name: coded(track[::size, k]) for k, name in enumerate(("north", "east"))}
+    bins = {
+        f"{name} against {beside}": residuals(x, largest[name])
+        for name in ("error", "free error")
+        for beside, x in (("speed", counted), ("command", command))
+        if name in largest
+    }
+    return {
+        "learned": free.learned,
+        "track": RECKONED if run.position is None else LOGGED,
+        "width": size * run.spacing,
+        "time": base64.b64encode(run.time[::size].astype("<f4").tobytes()).decode(),
+        "series": series,
+        "bins": bins,
+    }
+
+
+def coded(x: np.ndarray) -> list[Any]:
+    """A series as (1): base64 of little-endian integers, the least value, and the step.
+
+    >>> coded(np.array([1.0, np.nan, 3.0]))[:2]
+    ['AYAAgP9/', 1.0]
+    """
+    finite = np.isfinite(x)
+    low, high = (float(x[finite].min()), float(x[finite].max())) if finite.any() else (0.0, 0.0)
+    step = (high - low) / LEVELS
+    levels = np.where(finite, np.round((np.where(finite, x, low) - low) / (step or 1.0)) - LEVELS // 2, -32768)
+    return [base64.b64encode(levels.astype("<i2").tobytes()).decode(), low, step]
+
+
+def decoded(series: Sequence[Any]) -> np.ndarray:
+    """The numbers of `coded`, to half a step.
+
+    >>> decoded(coded(np.array([1.0, np.nan, 3.0])))
+    array([ 1., nan,  3.])
+    """
+    text, low, step = series
+    levels = np.frombuffer(base64.b64decode(text), "<i2").astype(float)
+    return np.where(levels == -32768, np.nan, low + step * (levels + LEVELS // 2))
+
+
+def extremes(x: np.ndarray, size: int) -> np.ndarray:
+    """The least and the greatest of each bucket in their order, `(2 · buckets,)`; `x` itself if `size` is 1.
+
+    >>> extremes(np.array([1.0, 3.0, 2.0, 5.0, np.nan, 4.0, 7.0]), 3)
+    array([1., 3., 5., 4., 7., 7.])
+    """
+    if size == 1:
+        return x
+    whole = _buckets(x, size)
+    least = np.where(np.isfinite(whole), whole, np.inf).argmin(1)
+    most = np.where(np.isfinite(whole), whole, -np.inf).argmax(1)
+    order = np.sort(np.stack([least, most], 1), 1)
+    return np.take_along_axis(whole, order, 1).reshape(-1)
+
+
+def largest_of(x: np.ndarray, size: int) -> np.ndarray:
+    """The number of the largest size of each bucket, `(buckets,)`.
+
+    >>> largest_of(np.array([1.0, -3.0, 2.0, np.nan]), 2)
+    array([-3.,  2.])
+    """
+    whole = _buckets(x, size)
+    at = np.where(np.isfinite(whole), np.abs(whole), -1.0).argmax(1)
+    return np.take_along_axis(whole, at[:, None], 1)[:, 0]
+
+
+def _buckets(x: np.ndarray, size: int) -> np.ndarray:
+    missing = -len(x) % size
+    return np.append(x, np.full(missing, np.nan)).reshape(-1, size)
+
+
+def reckoned(run: SeasonRun) -> np.ndarray:
+    """The way from the start by measured speed and heading, m north and east, `(time, 2)`; gaps are no way.
+
+    Where no speed was measured, the boat keeps the last one.
+    """
+    inputs, known = run.samples.inputs, masks(run.samples, run.surge_limit).known & run.samples.measured
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+    speed = np.where(last >= 0, run.samples.surge[np.maximum(last, 0)], 0.0)
+    way = np.nan_to_num(speed * inputs.dt)
+    heading = np.where(np.abs(inputs.heading) < 1e6, inputs.heading, 0.0)
+    return np.cumsum(way[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1), 0)
+
+
+def residuals(x: np.ndarray, error: np.ndarray) -> list[list[float]]:
+    """Errors against `x` in bins of equal width: middle, mean, 5 % and 95 % quantiles, and the number of steps.
+
+    >>> residuals(np.zeros(10), np.arange(10.0))
+    [[0.0, 4.5, 0.45, 8.55, 10]]
+    """
+    both = np.isfinite(x) & np.isfinite(error)
+    if not both.any():
+        return []
+    x, error = x[both], error[both]
+    low, width = x.min(), (x.max() - x.min()) / BINS
+    place = np.zeros(len(x), int) if width == 0 else np.minimum((x - low) / width, BINS - 1).astype(int)
+    found = []
+    for k in range(BINS):
+        here = error[place == k]
+        if len(here) >= FEWEST:
+            middle = low if width == 0 else low + (k + 0.5) * width
+            numbers = (middle, here.mean(), *np.percentile(here, (5, 95)))
+            found.append([*(float(f"{each:.4g}") for each in numbers), len(here)])
+    return found
