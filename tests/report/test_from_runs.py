@@ -64,7 +64,8 @@ def test_every_file_is_there_and_replaced(saved):
     names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria",
              "parameters_heron1", "parameters_heron2",
              "identified_heron1", "identified_heron2"}  # fmt: skip
-    assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")}
+    pictures = {"runs_heron1.png", "runs_heron2.png"}  # of many points
+    assert figures == {f"{name}.{kind}" for name in names for kind in ("svg", "png")} | pictures
     tables = {
         "online",
         "online_fleet",
@@ -79,7 +80,7 @@ def test_every_file_is_there_and_replaced(saved):
         "cost",
     }
     assert {path.name for path in (report / "tables").iterdir()} == {f"{t}.{k}" for t in tables for k in ("csv", "md")}
-    assert (report / "report.md").read_text().count("**The paper found.**") == 6
+    assert "The paper found" not in (report / "report.md").read_text()  # it stands where a study is judged
     assert list((report / "tensorboard").glob("events*"))
 
 
@@ -130,9 +131,8 @@ def test_cross_validation_counts_every_other_run(saved):
     assert arrays["heron1_mae"].shape[1:] == (2, len(methods))
 
 
-def test_the_page_is_one_file_without_scripts_or_links(saved):
+def test_the_page_is_one_file_without_links(saved):
     text = (saved / "report" / "index.html").read_text()
-    assert "<script" not in text
     assert set(re.findall(r'(?:src|href)="(?!#|data:)([^"]*)"', text)) == set()
     assert not re.search(r"url\((?!#)", text) and "@import" not in text
     ids, links = [], []

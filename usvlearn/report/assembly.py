@@ -15,7 +15,7 @@ from usvlearn.evaluation.members import explained, remarks
 from usvlearn.evaluation.season import Season
 from usvlearn.report.front import Front
 from usvlearn.report.overview import overviews
-from usvlearn.report.section import Section
+from usvlearn.report.section import Drawn, Section
 from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
@@ -26,6 +26,8 @@ from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import Truth, parameters_section
 from usvlearn.report.viewer_data import viewer_data
 from usvlearn.rollouts import stack
+from usvlearn.runs.drawing import RUNS
+from usvlearn.runs.run_figures import Traces, runs_figure
 from usvlearn.signals import tree_map
 
 
@@ -108,7 +110,18 @@ def front_of(
         free[season.boat] = list(free_runs(ensemble, season))
         advance(sum(int(run.steps.sum()) for run in season.runs))
     boats = overviews(ensemble, seasons, free, found)
-    return Front(boats, viewer_data(ensemble, seasons, free), {})
+    return Front(boats, viewer_data(ensemble, seasons, free), [_picture(ensemble, each) for each in seasons])
+
+
+def _picture(ensemble: Ensemble, season: Season) -> Drawn:
+    """The last runs of a boat, as in TensorBoard."""
+    traces, column = [], ensemble.names.index(ensemble.output)
+    for run in season.runs[-RUNS:]:
+        surge = np.where(run.steps, run.samples.surge, np.nan)
+        made = run.published["predictions"][:, column] if run.published else np.full(len(surge), np.nan)
+        traces.append(Traces(run.name, run.time, surge, made))
+    caption = f"{season.boat}: measured and predicted speed of {len(traces)} runs"
+    return Drawn(f"runs_{season.boat}", runs_figure(traces, ensemble.output, caption), caption)
 
 
 def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:

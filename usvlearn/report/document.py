@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from usvlearn.report.front import Front, first_page, title, viewer
+from usvlearn.report.front import Front, first_page, title
 from usvlearn.report.section import Section
 
 TITLE = "What was learned"
@@ -24,6 +24,7 @@ def page(
     commands: Sequence[str],
     drawings: Mapping[str, str],
     front: Front | None = None,
+    images: Mapping[str, bytes] | None = None,
 ) -> str:
     """The page.
 
@@ -33,13 +34,13 @@ def page(
         commands: that make the report again.
         drawings: SVG of each figure.
         front: what stands before the sections.
+        images: PNG of its pictures.
     """
     heading, script = (title(front) if front else TITLE), SCRIPT if front else ""
     links = "".join(f'<li><a href="#{s.key}">{escape(s.title)}</a></li>' for s in sections)
     runs = '<li><a href="#runs">Run by run</a></li>' if front else ""
-    body = [f"<h1>{escape(heading)}</h1>", f"<nav><ul>{runs}{links}</ul></nav>"]
-    if front:
-        body += [first_page(front), viewer(front)]
+    nav = f"<nav><ul>{runs}{links}</ul></nav>"
+    body = [f"<h1>{escape(heading)}</h1>", first_page(front, nav, images or {}) if front else nav]
     body += [_section(section, drawings) for section in sections]
     body.append("<h2>About this report</h2>")
     body += [f'<p class="facts">{escape(fact)}</p>' for fact in facts]

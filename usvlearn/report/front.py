@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report.overview import MAIN, Ahead, Overview
+from usvlearn.report.section import Drawn
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
 SIMPLE = "assuming that the speed stays as it is"
@@ -20,7 +21,7 @@ class Front(NamedTuple):
 
     boats: Sequence[Overview]
     viewer: Mapping[str, Any]  # `usvlearn.report.viewer_data`
-    pictures: Mapping[str, bytes]  # PNG of all runs by boat, for a reader without JavaScript
+    pictures: Sequence[Drawn]  # of the last runs of each boat, for a reader without JavaScript
 
 
 def title(front: Front) -> str:
@@ -29,10 +30,23 @@ def title(front: Front) -> str:
     return f"{boats[0].boat}: what was learned" if len(boats) == 1 else f"{len(boats)} boats: what was learned"
 
 
-def first_page(front: Front) -> str:
-    """A card for each boat; of several boats first a table with a row for each."""
-    cards = [_cards(each, f"boat-{k}", len(front.boats) > 1) for k, each in enumerate(front.boats)]
-    return "\n".join([_fleet(front.boats) if len(front.boats) > 1 else "", *cards])
+def first_page(front: Front, links: str, images: Mapping[str, bytes]) -> str:
+    """The cards of a boat, or a table of several boats and then the cards of each; and the runs.
+
+    Args:
+        front: what is shown.
+        links: to the sections.
+        images: PNG of the pictures by name.
+    """
+    boats = front.boats
+    if len(boats) == 1:
+        return "\n".join([_cards(boats[0]), links, _runs(front, images)])
+    cards = (
+        f'<details class="part"><summary><h2>{escape(boat.boat)}</h2></summary><div id="boat-{k}">{_cards(boat)}</div>'
+        "</details>"
+        for k, boat in enumerate(boats)
+    )
+    return "\n".join([_fleet(boats), links, *cards, _runs(front, images)])
 
 
 def _fleet(boats: Sequence[Overview]) -> str:
@@ -62,22 +76,18 @@ def _fleet(boats: Sequence[Overview]) -> str:
     )
 
 
-def _cards(boat: Overview, key: str, named: bool) -> str:
+def _cards(boat: Overview) -> str:
     cards = (
         (("What was identified", _identified(boat)), ("Alarms", _alarms(boat))),
         (("How well it predicts the speed", _accuracy(boat)), ("Data check", _findings(boat))),
     )
-    head = f"<h2>{escape(boat.boat)}</h2>" if named else ""
-    who = f'<p class="facts">{len(boat.runs)} {_runs(len(boat.runs))}, {boat.hours:.1f} h of measured speed.</p>'
+    runs = "1 run" if len(boat.runs) == 1 else f"{len(boat.runs)} runs"
+    who = f'<p class="facts">{runs}, {boat.hours:.1f} h of measured speed.</p>'
     inner = "".join(
         "<div>" + "".join(f'<div class="card"><h3>{name}</h3>{body}</div>' for name, body in column) + "</div>"
         for column in cards
     )
-    return f'<section class="boat" id="{key}">{head}{who}<div class="cards">{inner}</div></section>'
-
-
-def _runs(count: int) -> str:
-    return "run" if count == 1 else "runs"
+    return f'{who}<div class="cards">{inner}</div>'
 
 
 def _identified(boat: Overview) -> str:
@@ -129,7 +139,7 @@ def _accuracy(boat: Overview) -> str:
         for each in boat.ahead
     )
     free = f'<tr><th scope="row">a whole run</th><td class="n">{_number(boat.free)}</td><td></td><td></td></tr>'
-    head = "".join(f'<th class="n">{each}</th>' for each in ("mean error, m/s", "skill", "in 90 % interval"))
+    head = "".join(f'<th class="n">{each}</th>' for each in ("mean error, m/s", "skill", "in the 90 % interval"))
     return (
         f"{said}<table><thead><tr><th>ahead</th>{head}</tr></thead><tbody>{rows}{free}</tbody></table>"
         f'<div class="notes"><p>Skill: 1 is perfect, 0 is no better than {SIMPLE}. A whole run is simulated from the '
@@ -172,45 +182,57 @@ def _share(value: float | None) -> str:
     return "–" if value is None or value != value else f"{100 * value:.0f} %"
 
 
-def viewer(front: Front) -> str:
-    """The runs: a table that needs no JavaScript, and the place where the viewer is drawn."""
-    places, rows = iter(range(len(front.viewer["runs"]))), []
+def _runs(front: Front, images: Mapping[str, bytes]) -> str:
+    """A table and figures that need no JavaScript, and the place where the viewer is drawn."""
+    several = len(front.boats) > 1
+    places, rows, options = iter(range(len(front.viewer["runs"]))), [], ""
     for boat in front.boats:
+        options += f'<optgroup label="{escape(boat.boat)}">'
         for run in boat.runs:
+            place = next(places)
+            options += f'<option value="{place}">{escape(run.name)}</option>'
             free = _number(run.free) + ("*" if run.learned and run.free is not None else "")
             cells = (f"{run.minutes:.1f}", _number(run.speed, 2), _number(run.mae), free)
-            name = f'<a href="#viewer" data-run="{next(places)}">{escape(run.name)}</a>'
-            rows.append(
-                f'<tr><td>{escape(boat.boat)}</td><th scope="row">{name}</th>'
-                + "".join(f'<td class="n">{cell}</td>' for cell in cells)
-                + "</tr>"
-            )
+            name = f'<a href="#viewer" data-run="{place}">{escape(run.name)}</a>'
+            whose = f"<td>{escape(boat.boat)}</td>" if several else ""
+            numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
+            rows.append(f'<tr><th scope="row">{name}</th>{whose}{numbers}</tr>')
+        options += "</optgroup>"
     heads = "".join(
         f'<th class="n">{each}</th>'
         for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, free run, m/s")
     )
-    pictures = "".join(
-        f'<img alt="Measured and predicted speed of the runs of {escape(boat)}" '
-        f'src="data:image/png;base64,{base64.b64encode(png).decode()}">'
-        for boat, png in front.pictures.items()
+    coded = ((drawn.caption, base64.b64encode(images[drawn.name]).decode()) for drawn in front.pictures)
+    pictures = "".join(f'<img alt="{escape(alt)}" src="data:image/png;base64,{png}">' for alt, png in coded)
+    colours = front.viewer["colours"]
+    names = "".join(
+        f'<label><input type="checkbox" checked value="{escape(name)}">{_chip(colours[name])}{escape(name)}</label>'
+        for name in front.viewer["shown"]
     )
+    sides = "".join(f"<span>{_chip(colour)}{side}</span>" for side, colour in front.viewer["sides"].items())
     return f"""<section id="runs"><h2>Run by run</h2>
-<div class="rows"><table><thead><tr><th>boat</th><th>run</th>{heads}</tr></thead>
+<div class="rows"><table><thead><tr><th>run</th>{"<th>boat</th>" if several else ""}{heads}</tr></thead>
 <tbody>{"".join(rows)}</tbody></table></div>
 <p class="facts">A free run is simulated from the commands alone. * Its parameters have learned from this run.</p>
 <noscript><p>Without JavaScript, these are the last runs of each boat.</p>{pictures}</noscript>
 <div id="viewer" hidden>
 <form class="tools" autocomplete="off">
-<label>Run <select id="viewer-run"></select></label><label>beside it <select id="viewer-beside"></select></label>
+<label>Run <select id="viewer-run">{options}</select></label>
+<label>beside it <select id="viewer-beside"><option value="">none</option>{options}</select></label>
 <label>Errors of <select id="viewer-error"><option value="error">the next step</option>
 <option value="free error">a free run</option></select></label>
-<button type="button" id="viewer-reset">Whole run</button>
-<span id="viewer-names"><label><span class="chip ink"></span>measured</label></span></form>
+<button type="button" id="viewer-reset">Reset the zoom</button>
+<span id="viewer-names"><span>{_chip("var(--ink)")}measured</span>{names}{sides}</span></form>
 <p class="facts">Drag, scroll or pinch to move and zoom. Keys: arrows, + and −, 0 for the whole run. The shaded band is
 the 90 % interval.</p><div id="viewer-columns"></div>
 <p class="facts">Size of the error on the tracks: 0 <span class="scale"></span> <span id="viewer-largest"></span>. The
-tracks and the axes of two runs have one scale. Errors are predicted − measured: lines are means, bands 90 % of them.</p></div>
+tracks and the axes of two runs have one scale. Errors are predicted − measured: lines are means, bands 90 % of
+them.</p></div>
 <script type="application/json" id="viewer-data">{embedded(front.viewer)}</script></section>"""
+
+
+def _chip(colour: str) -> str:
+    return f'<span class="chip" style="background: {colour}"></span>'
 
 
 def embedded(data: Any) -> str:

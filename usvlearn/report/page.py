@@ -53,8 +53,10 @@ def write_report(
         (folder / old).unlink(missing_ok=True)
     inline = {name: drawing for name, (drawing, _, _) in drawings.items()}
     images = {name: png for name, (_, _, png) in drawings.items()}
-    for name, (_, whole, png) in drawings.items():
+    images |= {drawn.name: _png(drawn) for drawn in (front.pictures if front else ())}
+    for name, (_, whole, _) in drawings.items():
         write_atomically(folder / "figures" / f"{name}.svg", whole)
+    for name, png in images.items():
         write_atomically(folder / "figures" / f"{name}.png", png)
     for section in sections:
         for each in section.sheets:
@@ -74,7 +76,7 @@ def write_report(
     index = folder / "index.html"
     names = sorted(f"{kind}/{path.name}" for kind in FOLDERS for path in (folder / kind).iterdir() if path.is_file())
     write_atomically(folder / FILES, json.dumps(names, indent=2).encode())
-    write_atomically(index, page(facts, sections, commands, inline, front).encode())
+    write_atomically(index, page(facts, sections, commands, inline, front, images).encode())
     return index
 
 
@@ -105,6 +107,13 @@ def _written(folder: Path) -> list[str]:
     except (OSError, ValueError, TypeError):
         return []
     return [str(name) for name in names if len(name.parts) == 2 and name.parts[0] in FOLDERS and name.name != ".."]
+
+
+def _png(drawn: Drawn) -> bytes:
+    """A figure as PNG alone: one of many points."""
+    content = io.BytesIO()
+    drawn.figure.savefig(content, format="png", facecolor="white")
+    return content.getvalue()
 
 
 def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:

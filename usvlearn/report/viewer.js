@@ -9,7 +9,8 @@
   function draw() {
     waiting = false;
     const style = getComputedStyle(document.documentElement);
-    const theme = Object.fromEntries(["ink", "soft", "line"].map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+    const [ink, soft, line] = ["--ink", "--soft", "--line"].map((name) => style.getPropertyValue(name));
+    const theme = { ink, soft, line };
     const own = data.output, error = $("viewer-error").value;
     const next = limits(columns, "measured", `next ${own}`), free = limits(columns, "measured", `free ${own}`);
     const sizes = columns.flatMap(({ run }) => Array.from(run.of[error] || [], Math.abs)).filter(Number.isFinite);
@@ -22,10 +23,11 @@
       const { run, window, canvases } = column;
       const names = data.shown.filter((name) => !hidden.has(name));
       for (const [place, kind, range, label] of [
-        [canvases.next, "next", next, "Speed, m/s: measured, and predicted one step ahead"],
-        [canvases.free, "free", free, "Speed, m/s: measured, and simulated from the commands alone"],
+        [canvases.next, "next", next, "Speed, m/s, predicted one step ahead"],
+        [canvases.free, "free", free, "Speed, m/s, from the commands alone (free run)"],
       ]) {
-        const box = axes(place, theme, window, range, run.of[`${kind} ${own}`] ? label : `${label}: not in these folders`, true);
+        const made = run.of[`${kind} ${own}`] ? label : `${label} (not in these folders)`;
+        const box = axes(place, theme, window, range, made, true);
         if (kind === "next" && !hidden.has(own)) {
           band(box, run, run.of[`next ${own}`], run.of.halfwidth, window, data.colours[own]);
         }
@@ -35,7 +37,8 @@
         }
         cursorLine(box, theme, column.cursor);
       }
-      const box = axes(canvases.commands, theme, window, limits(columns, "left", "right"), "Commands, share of full: left, right", true);
+      const sides = limits(columns, "left", "right");
+      const box = axes(canvases.commands, theme, window, sides, "Commands, share of full", true);
       for (const side of ["left", "right"]) curve(box, run, run.of[side], window, data.sides[side], 1.4);
       cursorLine(box, theme, column.cursor);
       track(canvases.track, theme, column, run.of[error], largest);
@@ -55,8 +58,9 @@
       const line = run.of[name], x = line ? line[line.length > run.at.length ? 2 * k : k] : NaN;
       return Number.isNaN(x) ? "–" : x.toFixed(3) + unit;
     };
-    return `${clock(cursor, 0.1)}: measured ${number("measured")}, ${data.output} ${number(`next ${data.output}`)} ± ` +
-      `${number("halfwidth")}, free ${number(`free ${data.output}`, " m/s")}; left ${number("left")}, right ${number("right")}`;
+    const own = data.output;
+    return `${clock(cursor, 0.1)}: measured ${number("measured")}, ${own} ${number(`next ${own}`)} ± ` +
+      `${number("halfwidth")}, free ${number(`free ${own}`, " m/s")}; left ${number("left")}, right ${number("right")}`;
   }
 
   function later() {
@@ -98,25 +102,28 @@
       area.setPointerCapture(event.pointerId);
     });
     area.addEventListener("pointermove", (event) => {
-      const at = share(event.clientX);
-      column.cursor = column.window[0] + Math.min(1, Math.max(0, at)) * (column.window[1] - column.window[0]);
-      later();
-      if (!touching.has(event.pointerId)) return;
-      const before = [...touching.values()];
-      touching.set(event.pointerId, event.clientX);
-      const now = [...touching.values()];
-      if (now.length === 1) pan(column, share(before[0]) - share(now[0]));
-      else if (now.length === 2 && Math.abs(now[0] - now[1]) > 1) {
-        zoom(column, Math.abs((before[0] - before[1]) / (now[0] - now[1])), share((now[0] + now[1]) / 2));
+      if (touching.has(event.pointerId)) {
+        const before = [...touching.values()];
+        touching.set(event.pointerId, event.clientX);
+        const now = [...touching.values()];
+        if (now.length === 1) pan(column, share(before[0]) - share(now[0]));
+        else if (Math.abs(now[0] - now[1]) > 1) {
+          zoom(column, Math.abs((before[0] - before[1]) / (now[0] - now[1])), share((now[0] + now[1]) / 2));
+        }
       }
+      const [from, to] = column.window;
+      column.cursor = from + Math.min(1, Math.max(0, share(event.clientX))) * (to - from);
+      later();
     });
-    for (const name of ["pointerup", "pointercancel"]) area.addEventListener(name, (event) => touching.delete(event.pointerId));
+    for (const name of ["pointerup", "pointercancel"]) {
+      area.addEventListener(name, (event) => touching.delete(event.pointerId));
+    }
     area.addEventListener("pointerleave", () => { column.cursor = null; later(); });
     area.addEventListener("dblclick", () => reset(column));
     area.addEventListener("keydown", (event) => {
-      const done = { ArrowLeft: () => pan(column, -0.2), ArrowRight: () => pan(column, 0.2), "+": () => zoom(column, 0.7, 0.5),
-        "=": () => zoom(column, 0.7, 0.5), "-": () => zoom(column, 1 / 0.7, 0.5), 0: () => reset(column),
-        Home: () => reset(column) }[event.key];
+      const closer = () => zoom(column, 0.7, 0.5), farther = () => zoom(column, 1 / 0.7, 0.5);
+      const done = { ArrowLeft: () => pan(column, -0.2), ArrowRight: () => pan(column, 0.2), "+": closer, "=": closer,
+        "-": farther, 0: () => reset(column), Home: () => reset(column) }[event.key];
       if (!done || event.ctrlKey || event.metaKey || event.altKey) return;
       event.preventDefault();
       done();
@@ -132,7 +139,8 @@
 
   function column(index) {
     const run = opened(data.runs[index]), canvases = {};
-    const canvas = (name, label) => (canvases[name] = element("canvas", { class: name, role: "img", "aria-label": label }));
+    const canvas = (name, label) =>
+      (canvases[name] = element("canvas", { class: name, role: "img", "aria-label": label }));
     const area = element("div", { class: "plots", tabindex: 0, role: "group",
       "aria-label": "Time axis. Arrows move it, plus and minus zoom, 0 shows the whole run." },
     canvas("next", "Measured and predicted speed over time"), canvas("free", "Measured and simulated speed over time"),
@@ -140,7 +148,8 @@
     const made = { run, canvases, window: [...run.ends], cursor: null, readout: element("p", { class: "readout" }) };
     const set = run.learned ? "with the first parameters that were saved, which have learned from it"
       : "with parameters that were saved before it";
-    made.element = element("div", { class: "column" }, element("h3", {}, `${run.boat}, ${run.name}`), area, made.readout,
+    const head = element("h3", {}, `${run.boat}, ${run.name}`);
+    made.element = element("div", { class: "column" }, head, area, made.readout,
       element("div", { class: "beside" }, canvas("track", "Track, coloured by the error"),
         canvas("speed", "Error against speed"), canvas("command", "Error against command")),
       element("p", { class: "facts" }, `The run is simulated ${set}. ${run.track}`));
@@ -156,29 +165,21 @@
     later();
   }
 
-  for (const [id, none] of [["viewer-run", null], ["viewer-beside", "none"]]) {
-    if (none) $(id).append(element("option", { value: "" }, none));
-    const groups = new Map();
-    data.runs.forEach(({ boat, name }, k) => {
-      if (!groups.has(boat)) groups.set(boat, $(id).appendChild(element("optgroup", { label: boat })));
-      groups.get(boat).append(element("option", { value: k }, name));
-    });
-    $(id).addEventListener("change", choose);
-  }
-  for (const name of data.shown) {
-    const box = element("input", { type: "checkbox" }), chip = element("span", { class: "chip" });
-    chip.style.background = data.colours[name];
-    box.checked = true;
-    box.addEventListener("change", () => { hidden[box.checked ? "delete" : "add"](name); later(); });
-    $("viewer-names").append(element("label", {}, box, chip, name));
-  }
+  for (const id of ["viewer-run", "viewer-beside"]) $(id).addEventListener("change", choose);
+  $("viewer-names").addEventListener("change", ({ target }) => {
+    hidden[target.checked ? "delete" : "add"](target.value);
+    later();
+  });
   $("viewer-error").value = data.runs.some((run) => "error" in run.series) ? "error" : "free error";
   $("viewer-error").addEventListener("change", later);
   $("viewer-reset").addEventListener("click", () => columns.forEach(reset));
   for (const link of document.querySelectorAll("a[data-run]")) {
     link.addEventListener("click", () => { $("viewer-run").value = link.dataset.run; choose(); });
   }
-  window.addEventListener("hashchange", () => document.querySelector(`details > ${location.hash || "#"}`)?.parentElement.setAttribute("open", ""));
+  window.addEventListener("hashchange", () => {
+    const part = document.getElementById(location.hash.slice(1))?.closest("details");
+    if (part) part.open = true;
+  });
   window.addEventListener("resize", later);
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", later);
   $("viewer").hidden = false;

@@ -55,7 +55,8 @@ def _run(run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[
     known = masks(run.samples, run.surge_limit)
     surge = np.where(run.samples.measured & known.known, run.samples.surge, np.nan)
     counted = np.where(run.steps, run.samples.surge, np.nan)
-    lines = {"measured": surge, "left": run.samples.inputs.command_left, "right": run.samples.inputs.command_right}
+    left, right, *_ = (np.where(run.samples.fresh, x, np.nan) for x in run.samples.inputs)
+    lines = {"measured": surge, "left": left, "right": right}
     largest = {"free error": free.predictions[:, columns[-1]] - counted}
     lines |= {f"free {name}": free.predictions[:, k] for name, k in zip(shown, columns, strict=True)}
     if run.published:
@@ -65,14 +66,13 @@ def _run(run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[
         if "halfwidths" in run.published:
             largest["halfwidth"] = run.published["halfwidths"][:, columns[-1]]
     track = reckoned(run) if run.position is None else run.position
-    command = (run.samples.inputs.command_left + run.samples.inputs.command_right) / 2
     series = {name: coded(extremes(line, size)) for name, line in lines.items()}
     series |= {name: coded(largest_of(line, size)) for name, line in largest.items()}
     series |= {name: coded(track[::size, k]) for k, name in enumerate(("north", "east"))}
     bins = {
         f"{name} against {beside}": residuals(x, largest[name])
         for name in ("error", "free error")
-        for beside, x in (("speed", counted), ("command", command))
+        for beside, x in (("speed", counted), ("command", (left + right) / 2))
         if name in largest
     }
     return {
@@ -141,15 +141,15 @@ def _buckets(x: np.ndarray, size: int) -> np.ndarray:
 
 
 def reckoned(run: SeasonRun) -> np.ndarray:
-    """The way from the start by measured speed and heading, m north and east, `(time, 2)`; gaps are no way.
+    """The way from the start by measured speed and heading, m north and east, `(time, 2)`; gaps in the log are no way.
 
     Where no speed was measured, the boat keeps the last one.
     """
-    inputs, known = run.samples.inputs, masks(run.samples, run.surge_limit).known & run.samples.measured
+    made = masks(run.samples, run.surge_limit)
+    known = made.known & run.samples.measured
     last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
     speed = np.where(last >= 0, run.samples.surge[np.maximum(last, 0)], 0.0)
-    way = np.nan_to_num(speed * inputs.dt)
-    heading = np.where(np.abs(inputs.heading) < 1e6, inputs.heading, 0.0)
+    way, heading = (np.where(made.steps, x, 0.0) for x in (speed * run.samples.inputs.dt, run.samples.inputs.heading))
     return np.cumsum(way[:, None] * np.stack([np.cos(heading), np.sin(heading)], -1), 0)
 
 

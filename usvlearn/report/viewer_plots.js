@@ -83,11 +83,13 @@ function axes(canvas, theme, [x0, x1], [y0, y1], label, isTime) {
   g.scale(dots, dots);
   g.font = "12px system-ui, sans-serif";
   const left = 46, right = wide - 8, top = 20, bottom = high - 20;
-  const X = (x) => left + (x - x0) / (x1 - x0) * (right - left), Y = (y) => bottom - (y - y0) / (y1 - y0) * (bottom - top);
+  const X = (x) => left + (x - x0) / (x1 - x0) * (right - left);
+  const Y = (y) => bottom - (y - y0) / (y1 - y0) * (bottom - top);
   g.strokeStyle = theme.line;
   g.fillStyle = theme.soft;
   g.lineWidth = 1;
-  const dx = spacing(x1 - x0, Math.max(2, (right - left) / 90), isTime), dy = spacing(y1 - y0, Math.max(2, (bottom - top) / 34));
+  const dx = spacing(x1 - x0, Math.max(2, (right - left) / 90), isTime);
+  const dy = spacing(y1 - y0, Math.max(2, (bottom - top) / 34));
   g.beginPath();
   for (let k = Math.ceil(x0 / dx); k * dx <= x1; k++) {
     g.moveTo(X(k * dx), top);
@@ -116,7 +118,7 @@ function curve({ g, X, Y }, run, line, window, stroke, width) {
   const [first, last] = within(run, line, window), gap = Math.max(GAP, 2.5 * run.width);
   let before = -Infinity, pixel = NaN, low = 0, high = 0, end = 0;
   g.beginPath();
-  const flush = () => { if (high > low) { g.lineTo(pixel, Y(low)); g.lineTo(pixel, Y(high)); g.lineTo(pixel, Y(end)); } };
+  const flush = () => { if (high > low) for (const y of [low, high, end]) g.lineTo(pixel, Y(y)); };
   for (let k = first; k < last; k++) {
     const y = line[k], t = timeOf(run, line, k);
     if (Number.isNaN(y)) continue;
@@ -142,7 +144,8 @@ function band({ g, X, Y }, run, line, half, window, fill) {
   const wide = run.width / (two ? 2 : 1);
   for (let k = first; k < last; k++) {
     const t = timeOf(run, line, k), w = half[two ? k >> 1 : k], x = X(t - wide / 2);
-    if (Number.isFinite(line[k] + w)) g.fillRect(x, Y(line[k] + w), X(t + wide / 2) - x, Y(line[k] - w) - Y(line[k] + w));
+    const top = Y(line[k] + w), bottom = Y(line[k] - w);
+    if (Number.isFinite(top)) g.fillRect(x, top, X(t + wide / 2) - x, bottom - top);
   }
   g.globalAlpha = 1;
 }
