@@ -50,7 +50,7 @@ def first_page(front: Front, links: str, images: Mapping[str, bytes]) -> str:
 
 
 def _fleet(boats: Sequence[Overview]) -> str:
-    heads = ("boat", "runs", "hours", "error, next step", f"error, {NEAR}", "skill", "in 90 % interval",
+    heads = ("boat", "runs", "measured", "error, next step", f"error, {NEAR}", "skill", "in 90 % interval",
              "steady speed at full ahead", "alarms", "data check")  # fmt: skip
     rows = []
     for k, boat in enumerate(boats):
@@ -58,7 +58,7 @@ def _fleet(boats: Sequence[Overview]) -> str:
         top = boat.identified["steady_speed_full"] if boat.identified else None
         cells = [
             str(len(boat.runs)),
-            f"{boat.hours:.1f}",
+            _duration(boat.hours),
             _number(boat.ahead[0].mae if boat.ahead else None),
             _number(near and near.mae),
             _number(near and near.skill, 2),
@@ -82,7 +82,7 @@ def _cards(boat: Overview) -> str:
         (("How well it predicts the speed", _accuracy(boat)), ("Data check", _findings(boat))),
     )
     runs = "1 run" if len(boat.runs) == 1 else f"{len(boat.runs)} runs"
-    who = f'<p class="facts">{runs}, {boat.hours:.1f} h of measured speed.</p>'
+    who = f'<p class="facts">{runs}, {_duration(boat.hours)} of measured speed.</p>'
     inner = "".join(
         "<div>" + "".join(f'<div class="card"><h3>{name}</h3>{body}</div>' for name, body in column) + "</div>"
         for column in cards
@@ -172,6 +172,10 @@ def _findings(boat: Overview) -> str:
         key = f" Set <code>{text['key']}</code>." if text["key"] else ""
         items.append(f"<li><b>{text['channel']}</b>: found {text['found']}{expected}.{key}</li>")
     return f'<ul class="bad">{"".join(items)}</ul>'
+
+
+def _duration(hours: float) -> str:
+    return f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.0f} min"
 
 
 def _number(value: float | None, digits: int = 3) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import re
+import zlib
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -134,7 +135,8 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
     png = saved(format="png", dpi=150, facecolor="white")
     inline = inline[inline.index("<svg") :]
     inline = re.sub(r'<metadata>.*?</metadata>| id="image\w+"', "", inline, flags=re.DOTALL)  # equal images, equal ids
-    inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{drawn.name}-", inline)  # ids of one page differ
+    own = f"g{zlib.crc32(drawn.name.encode()):x}-"  # ids of one page differ; a name may hold any character
+    inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{own}", inline)
     for colour, variable in {INK: "currentColor", "#222222": "currentColor", LINE: "var(--line)",
                              "#eeeeee": "var(--line)", "#000000": "currentColor"}.items():  # fmt: skip
         inline = re.sub(re.escape(colour), variable, inline, flags=re.IGNORECASE)

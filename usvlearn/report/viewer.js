@@ -90,7 +90,7 @@
   /** Mouse, wheel, touch and keys on the canvases of one run. */
   function listen(column, area) {
     const touching = new Map();
-    const share = (x) => (x - area.getBoundingClientRect().left - 46) / (area.clientWidth - 54);
+    const share = (x) => (x - area.getBoundingClientRect().left - LEFT) / (area.clientWidth - LEFT - RIGHT);
     area.addEventListener("wheel", (event) => {
       const full = column.window[1] - column.window[0] >= column.run.ends[1] - column.run.ends[0];
       if (event.deltaY > 0 && full) return; // the page scrolls

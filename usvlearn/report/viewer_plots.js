@@ -1,6 +1,7 @@
 "use strict";
 // What the viewer draws, on canvases, from the numbers in the page (`viewer_data.py` says in which form they are).
 const UNKNOWN = -32768, LEVELS = 65534, GAP = 3; // GAP: s without a number at which a line ends
+const LEFT = 46, RIGHT = 20; // pixels beside a plot, for its labels
 const ERRORS = [[70, 120, 180], [200, 160, 40], [205, 50, 30]]; // colours from no error to a large one
 
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
@@ -82,7 +83,7 @@ function axes(canvas, theme, [x0, x1], [y0, y1], label, isTime) {
   const g = canvas.getContext("2d");
   g.scale(dots, dots);
   g.font = "12px system-ui, sans-serif";
-  const left = 46, right = wide - 8, top = 20, bottom = high - 20;
+  const left = LEFT, right = wide - RIGHT, top = 20, bottom = high - 20;
   const X = (x) => left + (x - x0) / (x1 - x0) * (right - left);
   const Y = (y) => bottom - (y - y0) / (y1 - y0) * (bottom - top);
   g.strokeStyle = theme.line;
@@ -165,7 +166,7 @@ function track(canvas, theme, { run, window: [from, to], cursor }, error, larges
     e0 = Math.min(e0, east[k]); e1 = Math.max(e1, east[k]);
   }
   if (n0 > n1) [n0, n1, e0, e1] = [0, 1, 0, 1];
-  const wide = canvas.clientWidth - 54, high = canvas.clientHeight - 40;
+  const wide = canvas.clientWidth - LEFT - RIGHT, high = canvas.clientHeight - 40;
   const metres = 1.08 * Math.max((e1 - e0) / wide, (n1 - n0) / high, 5 / wide); // of a pixel
   const middle = [(e0 + e1) / 2, (n0 + n1) / 2];
   const box = axes(canvas, theme, [middle[0] - wide * metres / 2, middle[0] + wide * metres / 2],
