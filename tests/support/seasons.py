@@ -10,7 +10,6 @@ from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.rollouts import rollout
 from usvlearn.signals import tree_map
 
-
 TIME = 0.4 * np.arange(200.0)
 
 

@@ -1,0 +1,21 @@
+"""A run that all tests of reports look at."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import SMALL, run
+
+LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameters have a band
+
+
+@pytest.fixture(scope="session")
+def saved(tmp_path_factory) -> Path:
+    """A finished run of two simulated boats, two missions each, and its report; nobody changes it."""
+    folder = tmp_path_factory.mktemp("saved")
+    done = run(*SMALL, LEAST_SQUARES, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
+    assert done.returncode == 0, done.stderr
+    done = run(f"runs={folder}/run", folder=folder, script="evaluate.py")
+    assert done.returncode == 0, done.stderr
+    assert f"{folder}/run/report/index.html" in done.stdout.replace("\n", "")
+    return folder / "run"
