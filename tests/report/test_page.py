@@ -189,7 +189,7 @@ def test_names_do_nothing(tmp_path):
         named = [each._replace(name=BAD) for each in seasons[1].runs]
         return [seasons[0], seasons[1]._replace(boat=BAD.replace("/", "_"), runs=tuple(named))]
 
-    finding = {"boat": None, "channel": BAD, "kind": BAD, "found": BAD, "expected": BAD, "key": BAD, "severity": BAD}
+    finding = {"boat": None, "about": BAD, "kind": BAD, "found": BAD, "expected": BAD, "key": BAD, "severity": BAD}
     _, page = written(tmp_path, change, [{"data_check": [finding]}])
     images = [attrs for tag, attrs in page.tags if tag == "img"]
     assert all(attrs["src"].startswith("data:image/png;base64,") and set(attrs) == {"alt", "src"} for attrs in images)
@@ -201,14 +201,18 @@ def test_names_do_nothing(tmp_path):
 
 
 def test_findings_of_the_data_check_are_on_the_first_page(tmp_path):
-    finding = {"boat": "boat1", "channel": "surge", "found": "a top speed of 31", "expected": "at most 15 m/s",
-               "key": "data.channels.surge.unit", "severity": "error"}  # fmt: skip
-    text, page = written(tmp_path, results=[{"data_check": [finding]}, {}])
-    said = "<b>surge</b>: found a top speed of 31, expected at most 15 m/s. Set <code>data.channels.surge.unit</code>."
-    assert text.count(said) == 1 and text.count("Nothing suspicious was found in the log.") == 1
+    finding = {"boat": "boat1", "about": "surge", "found": "a top speed of 31", "expected": "at most 15 m/s",
+               "key": "data.channels.surge.unit", "severity": "warning"}  # fmt: skip
+    note = finding | {"severity": "note", "about": "heading", "key": ""}
+    text, page = written(tmp_path, results=[{"data_check": [note, finding]}, {}])
+    fix = "Set <code>data.channels.surge.unit</code>."
+    said = f'<li class="bad"><b>surge</b>: found a top speed of 31, expected at most 15 m/s. {fix}</li>'
+    assert (
+        text.count(said + "<li><b>heading</b>: found") == 1
+    )  # warnings first and text.count("Nothing suspicious was found in the log.") == 1
     assert [row[-1] for row in page.rows if row[0] in ("boat0", "boat1") and len(row) == 10] == [
         "no findings",
-        "1 finding",
+        "2 findings",
     ]
 
 

@@ -13,6 +13,7 @@ from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.section import Drawn
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
+FINDING, WARNING = ("about", "found", "expected", "key"), "warning"  # of the data check (`results.json`)
 SIMPLE = "assuming that the speed stays as it is"
 
 
@@ -166,12 +167,13 @@ def _findings(boat: Overview) -> str:
     if not boat.findings:
         return '<p class="good">Nothing suspicious was found in the log.</p>'
     items = []
-    for each in boat.findings:
-        text = {name: escape(str(each.get(name) or "")) for name in ("channel", "found", "expected", "key", "severity")}
-        expected = f", expected {text['expected']}" if text["expected"] else ""
-        key = f" Set <code>{text['key']}</code>." if text["key"] else ""
-        items.append(f"<li><b>{text['channel']}</b>: found {text['found']}{expected}.{key}</li>")
-    return f'<ul class="bad">{"".join(items)}</ul>'
+    for each in sorted(boat.findings, key=lambda each: each.get("severity") != WARNING):
+        about, found, expected, key = (escape(str(each.get(name) or "")) for name in FINDING)
+        wanted = f", expected {expected}" if expected else ""
+        fix = f" Set <code>{key}</code>." if key else ""
+        style = ' class="bad"' if each.get("severity") == WARNING else ""
+        items.append(f"<li{style}><b>{about}</b>: found {found}{wanted}.{fix}</li>")
+    return f"<ul>{''.join(items)}</ul>"
 
 
 def _duration(hours: float) -> str:

@@ -132,8 +132,7 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             for run in fleet.runs:
                 if length := run.lengths[lane]:
                     samples = tree_map(lambda x, n=length, k=lane: x[:n, k], run.samples)
-                    track = getattr(run, "position", None)
-                    track = None if track is None else track[:length, lane]
+                    track = None if run.position is None else run.position[:length, lane]
                     key, time = digest(run, lane), run.time[:length, lane]
                     one = SeasonRun(run.names[lane], key, samples, {}, time, track, ensemble.surge_limit)
                     runs.setdefault(boat, {}).setdefault(key, one)
