@@ -103,7 +103,7 @@ def front_of(
 
     Args:
         ensemble, seasons, advance: as of `assemble`.
-        found: results of the folders.
+        found: results of the folders, if these are their logs.
     """
     free = {}
     for season in seasons:

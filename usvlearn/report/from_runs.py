@@ -101,7 +101,7 @@ def evaluate(
             activity.begin("simulating each set on each run", total=simulations(ensemble, seasons))
             known = known_quantities(found[-1]) if data is None else {}
             sections, errors = assemble(ensemble, seasons, truth, activity.advance, known)
-            front = front_of(ensemble, seasons, found, activity.advance)
+            front = front_of(ensemble, seasons, found if data is None else [], activity.advance)
         parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
         page = write_report(report, [*facts(seasons, folders), *unfinished], parts, commands, errors, front)
     tools.say(f"report: {page}")

@@ -55,7 +55,7 @@ def _fleet(boats: Sequence[Overview]) -> str:
              "steady speed at full ahead", "alarms", "data check")  # fmt: skip
     rows = []
     for k, boat in enumerate(boats):
-        near = _near(boat)
+        near = next((each for each in boat.ahead if each.what == NEAR), None)
         top = boat.identified["steady_speed_full"] if boat.identified else None
         cells = [
             str(len(boat.runs)),
@@ -79,8 +79,8 @@ def _fleet(boats: Sequence[Overview]) -> str:
 
 def _cards(boat: Overview) -> str:
     cards = (
-        (("What was identified", _identified(boat)), ("Alarms", _alarms(boat))),
-        (("How well it predicts the speed", _accuracy(boat)), ("Data check", _findings(boat))),
+        (("What was identified", _identified(boat)), ("Data check", _findings(boat))),
+        (("How well it predicts the speed", _accuracy(boat)), ("Alarms", _alarms(boat))),
     )
     runs = "1 run" if len(boat.runs) == 1 else f"{len(boat.runs)} runs"
     who = f'<p class="facts">{runs}, {_duration(boat.hours)} of measured speed.</p>'
