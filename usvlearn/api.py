@@ -48,8 +48,9 @@ def read(
 
     Args:
         path: a log; a folder, with all logs below it; a pattern such as `logs/*.csv`; or boat -> path.
-        data: the configuration that describes them, a name in configs/data: "csv", "alog", "rosbag", "ulog", "ardupilot"
-            and "tlog" for any boat, "blueboat", "vtec", "dalian", "pearl", or "simulated", which has no path.
+        data: the configuration that describes them: a file such as "my_boat.yaml", or a name in configs/data: "csv",
+            "alog", "rosbag", "ardupilot", "tlog", "ulog" for any boat, "blueboat", "vtec", "dalian", "pearl", or
+            "simulated", which has no path.
         channels: changes to it, channel -> keys of `usvlearn.logs.channel.Source`.
         mass, surge_max: of the boat, kg and m/s, if they differ from it.
         align: options of `usvlearn.Aligner` that differ from configs/train.yaml, such as `{"dt": 0.2}`.

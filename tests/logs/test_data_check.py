@@ -63,8 +63,11 @@ def test_real_boats_as_configured(name):
     found = check_data(recordings, aligned, settings["align"], surge_max, settings["data"]["channels"])
     assert found == []
     if name == "blueboat":  # its logs name the sides the other way round
-        sides = [one._replace(channels=one.channels | dict(zip(COMMANDS, (one.channels[each] for each in COMMANDS[::-1]),
-                                                               strict=True))) for one in recordings]  # fmt: skip
+        left, right = COMMANDS
+        sides = [
+            one._replace(channels={**one.channels, left: one.channels[right], right: one.channels[left]})
+            for one in recordings
+        ]
         told = check_data(sides, None, settings["align"], surge_max, settings["data"]["channels"])
         assert [(each.kind, each.severity) for each in told] == [("sides or heading", WARNING)]
 

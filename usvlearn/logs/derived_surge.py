@@ -11,10 +11,9 @@ x = (p, ṗ), driven by white acceleration of density q over the time h between 
     p ← p + ṗ h,   P ← F P Fᵀ + q [h³/3  h²/2; h²/2  h],   F = [1  h; 0  1]
     x ← x + P Hᵀ (z − p)/(P_pp + r),                        H = (1  0)
 
-(Y. Bar-Shalom et al., *Estimation with Applications to Tracking and Navigation*, 6.2.2). The variance r of a position
-is a running mean of squared differences between a position and the parabola through the three before it, divided by
-the sum of the squared weights; for equal steps the weights are 1, −3, 3, −1. Such a speed lags behind by some tenths
-of a second. It is over ground, as a GPS's is.
+The variance r of a position is a running mean of squared differences between a position and the parabola through the
+three before it, divided by the sum of the squared weights; for equal steps the weights are 1, −3, 3, −1. Such a speed
+lags behind by some tenths of a second. It is over ground, as a GPS's is. See theory 25.
 """
 
 from __future__ import annotations
