@@ -129,6 +129,13 @@ def test_damaged_numbers_do_not_warn(tmp_path, pyulog):
     np.testing.assert_allclose(channels["surge"].value, [math.sqrt(2) * 1e300, 5])
 
 
+def test_a_field_whose_name_is_lost_is_left_out(tmp_path, pyulog):
+    path = tmp_path / "a.ulg"
+    data = header({"v": "uint64_t timestamp;float ;float x;"}) + subscribe(0, "v")
+    path.write_bytes(data + message(0, 0, "2f", 1, 2))
+    assert [(each.field, each.value.tolist()) for each in Ulog().survey(path)] == [("x", [2])]
+
+
 @pytest.mark.parametrize(
     "formats",
     [

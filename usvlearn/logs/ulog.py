@@ -164,7 +164,7 @@ def _topics(path: Path, keep: Callable[[str], bool]) -> list[_Topic]:
         fields = {
             field: np.concatenate([data.data[field] for data, _ in found])
             for field, kind in found[0][1].items()
-            if kind != "char" and all(kinds.get(field) == kind for _, kinds in found)
+            if kind != "char" and field and all(kinds.get(field) == kind for _, kinds in found)
         }
         topics.append(_Topic(name, (stamps - np.uint64(log.start_timestamp).astype(np.int64)) * 1e-6, fields))
     return topics
