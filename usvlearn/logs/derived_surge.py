@@ -115,4 +115,5 @@ def filtered(time: np.ndarray, north: np.ndarray, east: np.ndarray) -> tuple[np.
     """
     from usvlearn.logs.position_kernel import velocities  # numba takes a moment to import
 
-    return tuple(velocities(*(np.ascontiguousarray(x, dtype=np.float64) for x in (time, north, east))))
+    found = velocities(*(np.ascontiguousarray(x, dtype=np.float64) for x in (time, north, east)))
+    return found[0], found[1]
