@@ -69,7 +69,7 @@ def test_real_boats_as_configured(name):
             for one in recordings
         ]
         told = check_data(sides, None, settings["align"], surge_max, settings["data"]["channels"])
-        assert [(each.kind, each.severity) for each in told] == [("sides or heading", WARNING)]
+        assert [(each.kind, each.severity) for each in told] == [("sides swapped", WARNING)]
 
 
 def written(tmp_path, recordings) -> str:

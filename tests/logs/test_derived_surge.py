@@ -135,6 +135,15 @@ def test_runs_have_the_position_of_each_step(tmp_path):
     np.testing.assert_allclose(run.position[known, 0], (at - rows[0, -2:])[known], atol=0.02)  # m in 300 m
 
 
+def test_a_log_without_the_positions_of_a_track_is_read_without_a_track(tmp_path):
+    _, rows = voyage()
+    given = {"velocity_north": {"name": "vn"}, "velocity_east": {"name": "ve"}}
+    with pytest.warns(UserWarning, match="no track: .*no channel 'nothing'"):
+        recording = read(tmp_path, rows, **given, latitude={"name": "nothing"}, longitude={"name": "lon"})
+    (run,) = align_fleet([recording]).runs
+    assert run.position is None and "surge" in recording.channels
+
+
 def test_metres_agree_with_the_length_of_a_degree():
     north, east = local(np.radians([0.0, 1.0]), np.radians([10.0, 11.0]))
     assert north[1] == pytest.approx(110574, abs=5) and east[1] == pytest.approx(111320, abs=5)  # m, at the equator

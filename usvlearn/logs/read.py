@@ -115,7 +115,7 @@ def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source |
     try:
         if file.stat().st_size == 0:
             raise LogFormatError(f"{file}: expected a log, found an empty file: remove it")
-        channels, dropped = mixed(sources, *reader.read(file, parts_of(sources)))
+        channels, dropped = _channels(file, reader, sources)
         if SURGE not in channels:
             channels[SURGE], dropped[SURGE] = derived_surge(str(file), channels)
     except OSError as error:
@@ -128,6 +128,22 @@ def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source |
 def _run(log: Path, root: Path) -> str:
     """The name of a run: its path below the root, without the suffix that a file has."""
     return (log if log.is_dir() else log.with_suffix("")).relative_to(root).as_posix()
+
+
+def _channels(
+    file: Path, reader: Reader, sources: Mapping[str, Source | Mix]
+) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+    """The channels of a log, without those that only a track needs if one of these is missing."""
+    try:
+        return mixed(sources, *reader.read(file, parts_of(sources)))
+    except LogFormatError as error:
+        needed = {*CHANNELS, *(() if SURGE in sources else pair_of(sources) or ())}
+        own = {name: source for name, source in sources.items() if name in needed}
+        if len(own) == len(sources):
+            raise
+        found = mixed(own, *reader.read(file, parts_of(own)))
+        warnings.warn(f"no track: {error}", stacklevel=2)
+        return found
 
 
 def _find(
