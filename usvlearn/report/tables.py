@@ -125,10 +125,11 @@ def data_check_table(found: Sequence[Mapping[str, str]], checks: int = 0) -> Blo
         checks: their number, told if nothing was found.
 
     >>> print(data_check_table([], 14))
-    data check: no findings in 14 checks
+    Data check: no findings in 14 checks
+    <BLANKLINE>
     """
     if not found:
-        return Text(f"data check: no findings in {checks} checks")
+        return Text(f"Data check: no findings in {checks} checks\n")
     rows: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
     for each in found:
         rows.setdefault((each["severity"], each["about"], each["kind"]), []).append(each)
