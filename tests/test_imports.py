@@ -31,6 +31,8 @@ OURS = {
     "usvlearn.arrays": {"usvlearn.jit"},
     "usvlearn.rows": LIGHT | {"usvlearn.jit", "usvlearn.arrays"},
     "usvlearn.logs": LIGHT | {"usvlearn.jit", "usvlearn.logs"},
+    "usvlearn.inspection": LIGHT | {"usvlearn.inspection", "usvlearn.logs", "usvlearn.report.terminal",
+                                    "usvlearn.figures"},
     "usvlearn.simulate": LIGHT | {"usvlearn.jit", "usvlearn.simulate", "usvlearn.logs.channel"},
     "usvlearn.hyper": LIGHT,
     "usvlearn.figures": LIGHT,
@@ -70,7 +72,7 @@ CERTIFY = {
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",
             "usvlearn.engine", "usvlearn.online", "usvlearn.identified", "usvlearn.logs", "usvlearn.evaluation",
-            "usvlearn.lock", "usvlearn.plans",
+            "usvlearn.lock", "usvlearn.plans", "usvlearn.inspection",
             "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}

@@ -1,0 +1,191 @@
+"""Logs whose names, units or senses are wrong or do not tell: what is right cannot or can hardly be found.
+
+An inspection need not be right about them. It must not be sure of what is wrong.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.support.exported import (
+    DEG,
+    KNOTS,
+    enu,
+    rows,
+    voyage_latitude,
+    voyage_longitude,
+    write_alog,
+    write_table,
+)
+from tests.support.shapes import Shape, pair
+from tests.support.voyages import Voyage
+
+
+def columns(voyage: Voyage, **changed: Any) -> dict[str, Any]:
+    """The columns of a plain table with a position, some of them replaced; None leaves one out."""
+    time = rows(voyage)
+    plain = {
+        "time": time,
+        "lat": voyage_latitude(voyage, time),
+        "lon": voyage_longitude(voyage, time),
+        "heading": DEG * voyage.at("heading", time),
+        "speed": voyage.at("surge", time),
+        "thrust_left": voyage.at("command_left", time),
+        "thrust_right": voyage.at("command_right", time),
+    }
+    return {name: values for name, values in (plain | changed).items() if values is not None}
+
+
+def lying_unit(folder: Path, voyage: Voyage) -> Path:
+    """The header says m/s, the numbers are knots."""
+    time = rows(voyage)
+    return write_table(
+        folder / "a.csv", columns(voyage, **{"speed": None, "speed (m/s)": KNOTS * voyage.at("surge", time)})
+    )
+
+
+def knots_alone(folder: Path, voyage: Voyage) -> Path:
+    """Knots, and neither a unit nor a position."""
+    time = rows(voyage)
+    return write_table(folder / "a.csv", columns(voyage, lat=None, lon=None, speed=KNOTS * voyage.at("surge", time)))
+
+
+def swapped_sides(folder: Path, voyage: Voyage) -> Path:
+    """The columns of the sides have each other's name."""
+    time = rows(voyage)
+    left, right = voyage.at("command_left", time), voyage.at("command_right", time)
+    return write_table(folder / "a.csv", columns(voyage, thrust_left=right, thrust_right=left))
+
+
+def east_alone(folder: Path, voyage: Voyage) -> Path:
+    """A yaw from east, counter-clockwise, and no position."""
+    time = rows(voyage)
+    own = columns(voyage, lat=None, lon=None, heading=None, yaw=enu(voyage.at("heading", time)))
+    return write_table(folder / "a.csv", own)
+
+
+def east_named_heading(folder: Path, voyage: Voyage) -> Path:
+    """The same in degrees, and called heading."""
+    time = rows(voyage)
+    return write_table(
+        folder / "a.csv", columns(voyage, lat=None, lon=None, heading=DEG * enu(voyage.at("heading", time)))
+    )
+
+
+def both_reversed(folder: Path, voyage: Voyage) -> Path:
+    """Both sides push ahead below zero."""
+    time = rows(voyage)
+    left, right = -voyage.at("command_left", time), -voyage.at("command_right", time)
+    return write_table(folder / "a.csv", columns(voyage, thrust_left=left, thrust_right=right))
+
+
+def wind_called_speed(folder: Path, voyage: Voyage) -> Path:
+    """The column called speed is the wind's; the boat's is called v."""
+    time = rows(voyage)
+    wind = 4 + np.cumsum(np.random.default_rng(4).normal(0, 0.02, len(time)))
+    return write_table(folder / "a.csv", columns(voyage, speed=wind, v=voyage.at("surge", time)))
+
+
+def still(folder: Path, voyage: Voyage) -> Path:
+    """Straight ahead at one speed: hardly any evidence."""
+    time = rows(voyage)
+    rng = np.random.default_rng(2)
+    flat = 0.02 * rng.normal(size=len(time))
+    own = columns(voyage, lat=None, lon=None, heading=1.3 + flat, speed=1 + flat, thrust_left=0.4 + 0 * flat)
+    own["thrust_right"] = 0.4 + 0.001 * flat
+    return write_table(folder / "a.csv", own)
+
+
+def newtons_in_moos(folder: Path, voyage: Voyage) -> Path:
+    """Thrust in newtons, up to 30, where MOOS has percent."""
+    return write_alog(folder / "a.alog", {
+        "THRUST_L": (voyage.command_left[0], 30 * voyage.command_left[1]),
+        "THRUST_R": (voyage.command_right[0], 30 * voyage.command_right[1]),
+        "NAV_HEADING": (voyage.heading[0], DEG * voyage.heading[1]),
+        "NAV_SPEED": voyage.surge,
+    })  # fmt: skip
+
+
+def dead_gyro(folder: Path, voyage: Voyage) -> Path:
+    """A yaw rate that is noise."""
+    time = rows(voyage)
+    return write_table(folder / "a.csv", columns(voyage, yaw_rate=np.random.default_rng(1).normal(0, 0.1, len(time))))
+
+
+def left_alone(folder: Path, voyage: Voyage) -> Path:
+    """One side is logged in shares, reversed, the other one in PWM."""
+    time = rows(voyage)
+    right = np.round(1500 + 400 * voyage.at("command_right", time))
+    return write_table(
+        folder / "a.csv", columns(voyage, thrust_left=-voyage.at("command_left", time), thrust_right=right)
+    )
+
+
+def centimetres(folder: Path, voyage: Voyage) -> Path:
+    time = rows(voyage)
+    return write_table(folder / "a.csv", columns(voyage, speed=np.round(100 * voyage.at("surge", time))))
+
+
+def mirrored_gyro(folder: Path, voyage: Voyage) -> Path:
+    """A yaw rate that counts the other way than the heading."""
+    time = rows(voyage)
+    return write_table(folder / "a.csv", columns(voyage, yaw_rate=-DEG * voyage.at("yaw_rate", time)))
+
+
+def setpoint_first(folder: Path, voyage: Voyage) -> Path:
+    """Set points that look like measurements: `u_d`, `psi_d`; the measurements are `u`, `psi`."""
+    time = rows(voyage)
+    return write_table(folder / "a.csv", columns(
+        voyage, heading=None, speed=None, u_d=np.round(voyage.at("surge", time + 2), 1),
+        psi_d=np.round(voyage.at("heading", time + 2), 1), u=voyage.at("surge", time), psi=voyage.at("heading", time),
+    ))  # fmt: skip
+
+
+def vectors_over_ground(folder: Path, voyage: Voyage) -> Path:
+    """Columns vx and vy, which are north and east, and not along the hull; no position."""
+    time = rows(voyage)
+    speed, heading = voyage.at("surge", time), voyage.at("heading", time)
+    own = columns(voyage, lat=None, lon=None, speed=None, vx=speed * np.cos(heading), vy=speed * np.sin(heading))
+    return write_table(folder / "a.csv", own)
+
+
+def vectors_of_the_hull(folder: Path, voyage: Voyage) -> Path:
+    """Columns vx and vy along the hull and across it."""
+    time = rows(voyage)
+    sway = 0.05 * np.random.default_rng(6).normal(size=len(time))
+    own = columns(voyage, lat=None, lon=None, speed=None, vx=voyage.at("surge", time), vy=sway)
+    return write_table(folder / "a.csv", own)
+
+
+SIDES = pair("thrust_left", "thrust_right", zero=0, span=1)
+HEADING = {"heading": [{"name": "heading", "unit": "deg"}]}
+SPEED = {"surge": [{"name": "speed", "unit": "m/s"}]}
+COMMON = SIDES | HEADING | SPEED
+TRAPS = {
+    "lying_unit": Shape(lying_unit, SIDES | HEADING | {"surge": [{"name": "speed (m/s)", "unit": "knots"}]}),
+    "knots_alone": Shape(knots_alone, SIDES | HEADING | {"surge": [{"name": "speed", "unit": "knots"}]}),
+    "swapped_sides": Shape(swapped_sides, COMMON | pair("thrust_right", "thrust_left", zero=0, span=1)),
+    "east_alone": Shape(east_alone, SIDES | SPEED | {"heading": [{"name": "yaw", "unit": "enu_rad"}]}),
+    "east_named_heading": Shape(east_named_heading,
+                                SIDES | SPEED | {"heading": [{"name": "heading", "unit": "enu_deg"}]}),
+    "both_reversed": Shape(both_reversed, HEADING | SPEED | pair("thrust_left", "thrust_right", zero=0, span=-1)),
+    "wind_called_speed": Shape(wind_called_speed, SIDES | HEADING | {"surge": [{"name": "v", "unit": "m/s"}]}),
+    "still": Shape(still, SIDES | SPEED | {"heading": [{"name": "heading", "unit": "rad"}]}),
+    "newtons_in_moos": Shape(newtons_in_moos, pair("THRUST_L", "THRUST_R", zero=0, span=30)
+                             | {"heading": [{"name": "NAV_HEADING", "unit": "deg"}]}
+                             | {"surge": [{"name": "NAV_SPEED", "unit": "m/s"}]}),
+    "dead_gyro": Shape(dead_gyro, COMMON | {"yaw_rate": [{"name": None}]}),
+    "left_alone": Shape(left_alone, HEADING | SPEED | {
+        "command_left": [{"name": "thrust_left", "zero": 0, "span": -1}],
+        "command_right": [{"name": "thrust_right", "zero": 1500, "span": 400}]}),
+    "centimetres": Shape(centimetres, SIDES | HEADING | {"surge": [{"name": "speed", "unit": "cm/s"}]}),
+    "mirrored_gyro": Shape(mirrored_gyro, COMMON | {"yaw_rate": [{"name": "yaw_rate", "unit": "enu_deg/s"}]}),
+    "setpoint_first": Shape(setpoint_first, SIDES | {"heading": [{"name": "psi", "unit": "rad"}]}
+                            | {"surge": [{"name": "u", "unit": "m/s"}]}),
+    "vectors_over_ground": Shape(vectors_over_ground, SIDES | HEADING | {"surge": [{"name": None}]}
+                                 | {"velocity_north": [{"name": "vx"}], "velocity_east": [{"name": "vy"}]}),
+    "vectors_of_the_hull": Shape(vectors_of_the_hull, SIDES | HEADING | {"surge": [{"name": "vx", "unit": "m/s"}]}),
+}  # fmt: skip

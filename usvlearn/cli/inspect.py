@@ -1,0 +1,93 @@
+"""The command `usvlearn inspect LOG…`: what logs hold, which channel is which, and a configuration that reads them."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from usvlearn.errors import ConfigError, exit_on_user_error
+
+if TYPE_CHECKING:
+    from usvlearn.inspection.inspected import Inspected
+
+USAGE = "usage: usvlearn inspect LOG… [--output my_boat.yaml] [--name BOAT] [--plot] [--force]"
+LISTED = 40  # series on the screen
+
+
+def parser() -> argparse.ArgumentParser:
+    found = argparse.ArgumentParser("usvlearn inspect", description=__doc__, usage=USAGE.removeprefix("usage: "))
+    found.add_argument("logs", nargs="+", metavar="LOG", help="a log, a folder of logs, or a pattern in quotes")
+    found.add_argument("--output", default="my_boat.yaml", help="the configuration to write (my_boat.yaml)")
+    found.add_argument("--name", help="of the boat, by default that of the log or its folder")
+    found.add_argument("--plot", action="store_true", help="also draw the channels, beside the configuration (.png)")
+    found.add_argument("--force", action="store_true", help="replace the configuration if it exists")
+    return found
+
+
+def work(arguments: Sequence[str]) -> None:
+    """Inspect, print, and write.
+
+    Raises:
+        ConfigError: an argument is wrong, a required channel is missing, or the file exists.
+        LogFormatError: the logs cannot be read.
+    """
+    from usvlearn.checkpoint import write_atomically
+    from usvlearn.inspection import screen
+    from usvlearn.inspection.inspected import inspect_logs
+    from usvlearn.report import terminal
+
+    options = parser().parse_args(list(arguments))
+    output = Path(options.output).expanduser()
+    if output.suffix not in (".yaml", ".yml"):
+        raise ConfigError(f"--output: found {options.output!r}, expected a name that ends in .yaml")
+    if output.exists() and not options.force:
+        raise ConfigError(f"--output: {output} exists: give another name, or --force to replace it")
+    if not output.parent.is_dir():
+        raise ConfigError(f"--output: found no folder {output.parent}: make it, or name another file")
+    if options.name is not None and (options.name in ("", ".", "..") or set(options.name) & set("/\\")):
+        raise ConfigError(f"--name: found {options.name!r}, expected one that can name a folder")
+    console = terminal.console()
+    with console.status("reading, and comparing the channels with each other"):
+        found = inspect_logs(options.logs, options.name, options.output)
+    for part in screen.parts(found, LISTED):
+        console.print(part)
+    if found.proposal.missing:
+        raise ConfigError(
+            f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: copy "
+            "configs/data/csv.yaml, alog.yaml or rosbag.yaml and name the series of the list above"
+        )
+    write_atomically(output, found.text.encode())
+    if options.plot:
+        from usvlearn.inspection.picture import draw
+
+        draw(found, output.with_suffix(".png"))
+    print(*_end(found, output, options.plot), sep="\n")
+
+
+def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
+    from usvlearn.inspection.screen import hours
+
+    yield f"Read back: {len(found.recordings)} run{'s' * (len(found.recordings) > 1)}, {hours(found.recordings):.2f} h."
+    if plot:
+        yield f"Picture: {output.with_suffix('.png')}"
+    yield f"Written: {output}. To use it:"
+    yield f"    python train.py data={output}"
+
+
+def main() -> int:
+    """The command; returns the exit code."""
+    from usvlearn.cli.stopping import Stopped, stoppable
+
+    if not sys.argv[1:]:
+        print(USAGE)
+        return 0
+    try:
+        with exit_on_user_error(), stoppable():
+            work(sys.argv[1:])
+    except Stopped as stopped:
+        print(f"{stopped}; nothing was written", file=sys.stderr)
+        return stopped.code
+    return 0

@@ -1,0 +1,32 @@
+"""What was decided about a log, how certain that is, and why."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+CERTAIN, PROBABLE, UNSURE = "certain", "probable", "unsure"
+ORDER = (CERTAIN, PROBABLE, UNSURE)
+
+
+class Decision(NamedTuple):
+    """One line of what `usvlearn inspect` tells.
+
+    `certain` means that numbers prove it by a physical relation, `probable` that names or conventions say it and
+    nothing speaks against it, `unsure` that evidence is missing or contradicts.
+    """
+
+    channel: str  # such as "surge"
+    what: str  # "series", "unit", "zero", "span", "sign", "posting", "period", "delay"
+    value: str
+    certainty: str  # CERTAIN, PROBABLE or UNSURE
+    reason: str
+    alternatives: tuple[str, ...] = ()
+
+
+def least(*certainties: str) -> str:
+    """The least of several certainties.
+
+    >>> least(CERTAIN, UNSURE, PROBABLE)
+    'unsure'
+    """
+    return ORDER[max(map(ORDER.index, certainties))]

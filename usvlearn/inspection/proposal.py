@@ -1,0 +1,364 @@
+"""The channels of a boat's logs: the series, their units, and how certain each of that is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from usvlearn.inspection.candidate import Candidate
+from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
+from usvlearn.inspection.directions import Heading, YawRate, find_headings, find_yaw_rate
+from usvlearn.inspection.places import Pair, Places, course_of, find_places, guess_places, rate_of
+from usvlearn.inspection.sides import HINT, SURE, Commands, Side, find_commands, swapped
+from usvlearn.inspection.speeds import (
+    Speed,
+    Velocities,
+    along_hull,
+    find_speeds,
+    find_velocities,
+    is_part,
+    norms,
+    period_of,
+)
+from usvlearn.inspection.vocabulary import WORDS, fit
+from usvlearn.logs.relations import heading_rate
+
+SIDES = ("command_left", "command_right")
+WINDOW = 0.2  # s, the default
+UNEVEN, ON_CHANGE = 1.5, 3.0  # ratio of long to usual intervals, from which a command may be, and is posted on change
+NO_REPEATS = 0.02  # share of values that repeat the one before, below which none does
+
+
+class Proposal(NamedTuple):
+    """What was concluded."""
+
+    channels: dict[str, dict[str, Any]]  # arguments of a `Source`
+    series: dict[str, Candidate]  # of the channels that have one
+    decisions: list[Decision]
+    speed: Pair | None  # m/s, of the surge or of the position
+    heading: Heading | None
+    yaw_rate: YawRate | None
+    missing: list[str]  # required channels that were not found
+
+
+def propose(found: Sequence[Candidate], convention: str) -> Proposal:
+    """Decide which series is which channel.
+
+    Args:
+        found: all series.
+        convention: name of the format.
+    """
+    pool = [each for each in found if each.varies and not each.is_clock]
+    places = find_places(pool)
+    if not places and (guessed := guess_places(*_unnamed(pool))):
+        places = [guessed]
+    channels: dict[str, dict[str, Any]] = {}
+    series: dict[str, Candidate] = {}
+    decisions: list[Decision] = []
+    oriented = next((each for each in places if each.oriented), None)
+    course = course_of(oriented) if oriented else None
+    headings = find_headings(pool, course, convention)
+    heading = headings[0] if headings else None
+    yaw, turn = None, None
+    if heading:
+        yaw, rejected = find_yaw_rate(pool, heading)
+        turn = _turn(heading, yaw)
+        decisions += _tell_heading(heading, headings, channels, series)
+        rivals = [each.label for each in pool if fit("yaw_rate", each.label) >= 0.5]
+        decisions += _tell_yaw_rate(yaw, heading, rivals, channels, series)
+        decisions += rejected
+    taken = [each for each in (heading and heading.candidate, yaw and yaw.candidate) if each is not None]
+    for each in places:
+        taken += [each.first, each.second]
+    left = [each for each in pool if not any(each is other for other in taken)]
+    speeds = find_speeds([*along_hull(left), *norms(left)], places, convention)
+    velocities = find_velocities(left, places, heading.radians if heading else None, convention)
+    if velocities and speeds and (speeds[0].candidate.extent[0] < -0.03 * speeds[0].candidate.size):
+        velocities = None  # the speed is signed already
+    if velocities:
+        speeds = [velocities.size, *speeds]
+    speed = speeds[0].metres if speeds else rate_of(places[0]) if places else None
+    rest = [each for each in left if not (speeds and each is speeds[0].candidate) and not names_state(each)]
+    commands = find_commands(rest, found, speed, turn, convention)
+    if commands and heading and heading.certainty == CERTAIN and commands[0].turn <= -SURE:
+        commands = [swapped(commands[0]), *commands[1:]]
+    turned = commands[0].turn if commands else 0.0
+    if heading and heading.certainty != CERTAIN and turned < (-HINT if heading.by_format else HINT):
+        decisions = [_doubted(each, turned) for each in decisions]
+    decisions = _tell_commands(commands, channels, series) + decisions
+    if velocities:
+        decisions += _tell_velocities(velocities, speeds[1:], channels, series)
+    elif speeds:
+        decisions += _tell_speed(speeds, channels, series)
+    elif places:
+        decisions += _tell_places_as_speed(channels)
+    if places:
+        decisions += _tell_places(places[0], channels, series, bool(speeds and speeds[0].confirmed))
+    missing = [name for name in (*SIDES, "heading") if name not in channels]
+    missing += [] if speeds or places else ["surge"]
+    order = [*SIDES, "heading", "yaw_rate", "surge"]
+    ordered = {name: channels[name] for name in (*order, *channels) if name in channels}
+    return Proposal(ordered, series, decisions, speed, heading, yaw, missing)
+
+
+def _doubted(told: Decision, turned: float) -> Decision:
+    """The sense of a heading that neither a course over ground nor the thrusters confirm."""
+    if told[:2] not in (("heading", "unit"), ("yaw_rate", "unit")):
+        return told
+    reason = "nothing confirms its sense"
+    if turned <= -HINT:
+        reason = "the boat would turn against its thrusters: its sense, or the sides, are wrong"
+    other = told.value.removeprefix("enu_") if told.value.startswith("enu_") else f"enu_{told.value}"
+    reason = f"{told.reason}; {reason}"
+    return told._replace(
+        certainty=UNSURE, reason=reason, alternatives=tuple(dict.fromkeys((*told.alternatives, other)))
+    )
+
+
+def _unnamed(pool: Sequence[Candidate]) -> tuple[list[Candidate], list[Candidate]]:
+    """Series whose names tell nothing, and those of them and of the named speeds that may be a speed."""
+    nameless = [each for each in pool if all(fit(role, each.label) < 1 for role in WORDS if role != "command")]
+    named = [each for each in pool if fit("surge", each.label) >= 1]
+    return nameless, named or [each for each in nameless if each.size < 100]
+
+
+def names_state(candidate: Candidate) -> bool:
+    """Whether a name tells a measured state, which no command is."""
+    return any(
+        fit(role, candidate.label) >= 2 for role in ("heading", "course", "surge", "yaw_rate", "latitude", "longitude")
+    )
+
+
+def _turn(heading: Heading, yaw: YawRate | None) -> Pair:
+    """The yaw rate, rad/s, clockwise."""
+    if yaw is not None:
+        from usvlearn.logs.channel import UNITS
+
+        return yaw.candidate.scaled(*UNITS[yaw.unit])
+    return heading_rate(heading.radians)
+
+
+def _source(candidate: Candidate, **keys: Any) -> dict[str, Any]:
+    place = {"name": candidate.name}
+    if candidate.field is not None and candidate.field != "data":
+        place["field"] = candidate.field
+    return {**place, **keys}
+
+
+def _window(candidate: Candidate, channel: str) -> float:
+    """A staleness window that the usual intervals do not exceed, s."""
+    slow = candidate.slow
+    if not math.isfinite(slow) or slow * 1.3 <= WINDOW:
+        return WINDOW
+    if channel == "surge":
+        return 0.4 if slow > 0.3 else WINDOW
+    return float(f"{min(slow * 1.4, 10.0):.2g}")
+
+
+def on_change(candidate: Candidate) -> tuple[bool, str]:
+    """Whether values are posted only when they differ from the one before, and how certain that is."""
+    ratio = candidate.slow / candidate.interval if candidate.interval > 0 else 1.0
+    if candidate.repeats >= NO_REPEATS or not ratio > UNEVEN:
+        return False, PROBABLE
+    return True, PROBABLE if ratio > ON_CHANGE else UNSURE
+
+
+def _tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
+    candidate = best.candidate
+    channels["heading"] = _source(candidate, unit=best.unit, window=_window(candidate, "heading"))
+    series["heading"] = candidate
+    close = [each.candidate.label for each in headings[1:] if each.score > best.score - 1]
+    named = fit("heading", candidate.label)
+    if named >= 1:
+        agreed = best.agreement == best.agreement and best.agreement > 0.6
+        sure = CERTAIN if agreed and not close else PROBABLE
+        why = "by name" + (", and it follows the course over ground" if agreed else "")
+    else:
+        sure, why = UNSURE, best.reason
+    why += f"; others: {', '.join(close[:3])}" if close else ""
+    return [
+        Decision("heading", "series", candidate.label, sure, why, tuple(close)),
+        Decision("heading", "unit", best.unit, best.certainty, best.reason, best.alternatives),
+    ]
+
+
+def _tell_yaw_rate(
+    yaw: YawRate | None, heading: Heading, rivals: Sequence[str], channels: dict, series: dict
+) -> list[Decision]:
+    if yaw is None:
+        channels["yaw_rate"] = {"name": None, "unit": "rad/s"}
+        sure = UNSURE if rivals else PROBABLE
+        why = "no series follows the heading's derivative"
+        return [Decision("yaw_rate", "series", "from the heading", sure, why, tuple(rivals[:3]))]
+    channels["yaw_rate"] = _source(yaw.candidate, unit=yaw.unit, window=_window(yaw.candidate, "yaw_rate"))
+    series["yaw_rate"] = yaw.candidate
+    return [
+        Decision("yaw_rate", "series", yaw.candidate.label, yaw.certainty, yaw.reason),
+        Decision("yaw_rate", "unit", yaw.unit, least(yaw.certainty, heading.certainty), "by that slope"),
+    ]
+
+
+def _tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
+    best = speeds[0]
+    candidate = best.candidate
+    channels["surge"] = _source(candidate, unit=best.unit, window=_window(candidate, "surge"), period="auto")
+    series["surge"] = candidate
+    close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
+    sure = (
+        CERTAIN
+        if best.confirmed and fit("surge", candidate.label) >= 1
+        else PROBABLE
+        if not best.contradicted
+        else UNSURE
+    )
+    if fit("surge", candidate.label) < 1 or (not best.confirmed and is_part(candidate)):
+        sure = UNSURE  # a part of a vector may be to the north as well as along the hull
+    why = "follows the rate of position" if best.confirmed else "by name"
+    if best.contradicted:
+        why = "by name, but it does not follow the rate of position"
+    if candidate.extent[0] < -0.03 * candidate.size:
+        why += "; signed"
+    if close:
+        why += f"; before {', '.join(each.candidate.label for each in close[:3])}: {_why_better(best, close[0])}"
+    told = [
+        Decision("surge", "series", candidate.label, sure, why, tuple(each.candidate.label for each in close)),
+        Decision("surge", "unit", best.unit, least(best.certainty, sure), best.reason, best.alternatives),
+    ]
+    period, share = period_of(candidate)
+    if period:
+        told.append(
+            Decision(
+                "surge", "period", f"{period:g} s", PROBABLE, f"{share:.0%} of the speeds are copies of the one before"
+            )
+        )
+    return told
+
+
+def _why_better(best: Speed, other: Speed) -> str:
+    one, two = best.candidate, other.candidate
+    reasons = []
+    if one.interval < 0.7 * two.interval:
+        reasons.append("it comes more often")
+    if one.repeats < two.repeats - 0.1:
+        reasons.append("it repeats less")
+    if one.extent[0] < -0.03 * one.size and not two.extent[0] < -0.03 * two.size:
+        reasons.append("it is signed")
+    if best.confirmed and not other.confirmed:
+        reasons.append("it follows the position")
+    return ", ".join(reasons) or "its name fits better"
+
+
+def _tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -> list[Decision]:
+    if not commands:
+        return []
+    best, told = commands[0], []
+    for channel, one in zip(SIDES, (best.left, best.right), strict=True):
+        channels[channel] = _command_source(one)
+        if len(one.parts) == 1:
+            series[channel] = one.parts[0]
+        others = tuple(_listed(getattr(each, channel.removeprefix("command_"))) for each in commands[1:4])
+        label, level = _listed(one), one.levels[0]
+        told.append(Decision(channel, "series", label, best.certainty, best.reason, others))
+        told.append(Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason))
+        told.append(
+            Decision(
+                channel,
+                "span",
+                f"{one.sign * level.span:g}",
+                level.span_certainty,
+                f"{level.kind}: {level.span_reason}",
+                level.alternatives,
+            )
+        )
+        told.append(
+            Decision(
+                channel,
+                "sign",
+                "reversed" if one.sign < 0 else "positive ahead",
+                best.sign_certainty,
+                best.sign_reason,
+                best.alternatives,
+            )
+        )
+        held = channels[channel].get("held", False)
+        how = "on change: held until the next one" if held else f"periodic: window {channels[channel]['window']:g} s"
+        told.append(
+            Decision(
+                channel,
+                "posting",
+                how,
+                on_change(one.parts[0])[1],
+                f"{one.parts[0].repeats:.0%} repeat the one before; every {one.parts[0].interval:.2g} s",
+            )
+        )
+    return told
+
+
+def _listed(one: Side) -> str:
+    return " + ".join(each.label for each in one.parts)
+
+
+def _command_source(one: Side) -> dict[str, Any]:
+    held = any(on_change(each)[0] for each in one.parts)
+    window = max(_window(each, "command") for each in one.parts)
+    keys = {"held": held, "window": WINDOW if held else window, "delay": 0.0}
+    zeros, spans = [each.zero for each in one.levels], [one.sign * each.span for each in one.levels]
+    if len(one.parts) == 1:
+        return _source(one.parts[0], unit="1", zero=zeros[0], span=spans[0], **keys)
+    source: dict[str, Any] = {"name": [each.name for each in one.parts]}
+    if any(each.field not in (None, "data") for each in one.parts):
+        source["field"] = [each.field or "data" for each in one.parts]
+    source |= {
+        "unit": "1",
+        "zero": zeros[0] if len(set(zeros)) == 1 else zeros,
+        "span": spans[0] if len(set(spans)) == 1 else spans,
+    }
+    if one.weights:
+        source["weight"] = list(one.weights)
+    return source | keys
+
+
+def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool) -> list[Decision]:
+    """The position as auxiliary channels, for the track."""
+    names = ("latitude", "longitude") if places.geographic else ("north", "east")
+    if not places.oriented:
+        return []
+    named = fit(names[0], places.first.label) >= 1 or not places.geographic
+    sure = UNSURE if not named else CERTAIN if confirmed else PROBABLE
+    why = "the speed follows its rate" if confirmed else "by name and range"
+    told = []
+    for name, candidate in zip(names, (places.first, places.second), strict=True):
+        scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
+        channels[name] = _source(
+            candidate, unit="deg" if places.geographic else "m", window=_window(candidate, name), **scale
+        )
+        series[name] = candidate
+        told.append(Decision(name, "series", candidate.label, sure, why))
+    return told
+
+
+def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
+    """Both components, from which the surge is computed with the heading."""
+    size, told = found.size, []
+    others = tuple(each.candidate.label for each in speeds[:3])
+    for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
+        channels[name] = _source(candidate, unit=size.unit, window=_window(candidate, "surge"))
+        series[name] = candidate
+        sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
+        why = ("by its direction" if found.guessed else "by name") + (
+            "; their size follows the rate of position" if size.confirmed else ""
+        )
+        told.append(Decision(name, "series", candidate.label, sure, why))
+        told.append(Decision(name, "unit", size.unit, size.certainty, size.reason, size.alternatives))
+    why = "velocities and heading give a signed surge" + (f"; before {', '.join(others)}" if others else "")
+    sure = UNSURE if found.guessed else PROBABLE
+    return [*told, Decision("surge", "series", "from the velocities", sure, why, others)]
+
+
+def _tell_places_as_speed(channels: dict) -> list[Decision]:
+    return [
+        Decision(
+            "surge", "series", "from the position", PROBABLE, "no speed is logged: it is computed from the position"
+        )
+    ]

@@ -1,0 +1,168 @@
+"""What the names in a log say: the words of a name, and how well they fit the channels that are looked for.
+
+A name says what its author meant, in one of a few languages and in abbreviations. It is a hint: the numbers decide
+where they can.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from functools import cache
+
+SPLIT = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+GERMAN = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
+
+LEFT = {"left", "l", "port", "prt", "links", "bb", "backbord", "gauche", "babord", "izquierda", "babor"}
+RIGHT = {"right", "r", "starboard", "stbd", "sb", "stb", "rechts", "steuerbord", "droite", "tribord", "derecha",
+         "estribor"}  # fmt: skip
+SETPOINT = {"desired", "des", "set", "setpoint", "sp", "ref", "reference", "target", "goal", "soll", "sollwert", "want",
+            "wanted", "demand", "demanded", "planned", "commanded", "input"}  # fmt: skip
+DERIVED = {"error", "err", "sigma", "gain", "bias", "var", "variance", "std", "accuracy", "acc", "accel",
+           "acceleration", "cov", "covariance", "dot", "max", "min", "limit", "avg", "mean", "zero", "point",
+           "offset", "upper", "lower", "status", "mode", "flag", "id", "seq", "count", "integral", "iter", "len",
+           "gap", "age"}  # fmt: skip
+FOREIGN = {"wind", "water", "solar", "sun", "battery", "batt", "voltage", "volt", "current", "temp",
+           "temperature", "depth", "pressure", "sway", "roll", "pitch", "heave", "wave", "altitude", "alt", "mag",
+           "camera", "rssi", "cpu", "strom", "spannung", "tiefe", "temperatur", "akku", "luft", "air", "wp",
+           "waypoint", "rc", "vertical", "climb", "down", "lateral", "rollspeed", "pitchspeed"}  # fmt: skip
+
+WORDS: dict[str, dict[str, float]] = {  # role -> word -> how strongly it names the role
+    "heading": {"heading": 3, "hdg": 3, "hdt": 3, "yaw": 3, "psi": 2, "theta": 1.5, "compass": 2, "steuerkurs": 3,
+                "kurs": 2, "orientation": 2, "head": 2, "cap": 1, "rumbo": 2, "richtung": 1, "attitude": 1,
+                "ausrichtung": 2},
+    "course": {"course": 3, "cog": 3, "track": 2, "kog": 3, "kurs": 1, "ground": 0.5, "gprmc": 1, "gcrs": 3,
+               "gps": 0.5, "cap": 0.5, "hdg": 0.5, "grund": 1.5},
+    "yaw_rate": {"yawrate": 3, "rate": 1, "rot": 2, "r": 1, "gyroz": 2.5, "gyrz": 2.5, "gierrate": 3, "drehrate": 3,
+                 "wz": 2, "yawspeed": 3, "drehgeschwindigkeit": 3, "wendegeschwindigkeit": 3},
+    "surge": {"surge": 3.5, "speed": 2.5, "spd": 2.5, "sog": 2.5, "velocity": 2, "vel": 2, "u": 1.5, "vx": 2,
+              "geschwindigkeit": 2.5, "fahrt": 2.5, "stw": 2, "groundspeed": 2.5, "vitesse": 2.5, "velocidad": 2.5,
+              "v": 1, "knots": 1.5, "kn": 1, "tempo": 1.5, "sow": 2},
+    "latitude": {"latitude": 3, "lat": 3, "breite": 3, "breitengrad": 3},
+    "longitude": {"longitude": 3, "lon": 3, "lng": 3, "long": 3, "laenge": 3, "laengengrad": 3},
+    "north": {"north": 3, "northing": 3, "nord": 2, "nordwert": 3, "n": 1},
+    "east": {"east": 3, "easting": 3, "ost": 2, "ostwert": 3, "e": 1},
+    "velocity_north": {"vn": 3, "veln": 3, "vnorth": 3},
+    "velocity_east": {"ve": 3, "vele": 3, "veast": 3},
+    "command": {"thrust": 3, "thruster": 3, "thr": 3, "motor": 2.5, "pwm": 2.6, "esc": 2.6, "servo": 2, "throttle": 3,
+                "prop": 2, "propeller": 2.5, "drive": 2, "cmd": 2, "command": 2.5, "power": 1.5, "schub": 3,
+                "antrieb": 2, "actuator": 2, "output": 1, "rcou": 2, "engine": 2, "maschine": 2, "poussee": 2,
+                "motoren": 2, "m": 1, "t": 0.5, "c": 0.5, "ch": 0.5},
+    "rudder": {"rudder": 3, "steer": 3, "steering": 3, "ruder": 3, "rud": 3, "nozzle": 2, "timon": 2, "barre": 2},
+}  # fmt: skip
+TURNS = {"yaw", "heading", "turn", "psi", "gier", "dreh", "hdg", "theta", "head"}
+RATES = {"rate", "dot", "speed", "vel", "velocity", "rotation"}
+SIDED = {"pwm", "thrust", "thruster", "motor", "cmd", "esc", "prop", "thr", "throttle", "drive"}
+DRIVES = {"thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle", "prop", "propeller", "schub"}
+COMMANDED = {"cmd", "command", "commanded"}
+UNIT_WORDS = {  # words of a name that tell a unit
+    "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "rad": "rad", "radian": "rad", "radians": "rad",
+    "kn": "knots", "kt": "knots", "kts": "knots", "knots": "knots", "knot": "knots", "knoten": "knots", "kmh": "km/h",
+    "kph": "km/h", "mps": "m/s", "ms": "m/s", "percent": "percent", "pct": "percent", "prozent": "percent",
+    "newton": "N", "newtons": "N", "pwm": "us", "us": "us", "mm": "mm/s", "cm": "cm/s",
+}  # fmt: skip
+
+
+@cache
+def words(name: str) -> tuple[str, ...]:
+    """The words of a name, in lower case, without accents; of a topic those of its last two parts.
+
+    >>> words("NAV_SPEED_OVER_GROUND"), words("lpwm"), words("HeadingSet"), words("Kurs über Grund")
+    (('nav', 'speed', 'over', 'ground'), ('l', 'pwm'), ('heading', 'set'), ('kurs', 'ueber', 'grund'))
+    """
+    text = "/".join(unicodedata.normalize("NFC", name).split("/")[-2:])
+    text = re.sub("[äöüßÄÖÜ]", lambda found: found[0].lower().translate(GERMAN), text)
+    text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
+    found: list[str] = []
+    for word in (each.lower() for each in SPLIT.findall(text)):
+        if word[0] in "lr" and word[1:] in SIDED:
+            found += [word[0], word[1:]]
+        elif word == "mps" or not (found and found[-1] == "m" and word == "s"):
+            found.append(word)
+        else:
+            found[-1] = "mps"
+    return tuple(found)
+
+
+def names_setpoint(name: str) -> bool:
+    """Whether a name tells what was asked for, and not what was measured.
+
+    >>> names_setpoint("DESIRED_SPEED"), names_setpoint("NAV_SPEED")
+    (True, False)
+    """
+    return bool(SETPOINT & set(words(name)))
+
+
+def fit(role: str, name: str) -> float:
+    """How well a name fits a role: 3 names it plainly, 1 is a hint, 0 says nothing, less speaks against it.
+
+    >>> fit("heading", "NAV_HEADING"), fit("heading", "DESIRED_HEADING"), fit("yaw_rate", "angular_velocity.z")
+    (3, -3, 3)
+    >>> fit("course", "NAV_HEADING_OVER_GROUND"), fit("surge", "yaw_speed") < 0
+    (3, True)
+    """
+    spoken = words(name)
+    found = set(spoken)
+    if len(spoken) > 1 and spoken[-1] == "d" and not spoken[-2].isdigit():
+        found.add("desired")  # as in psi_d
+    score = max((WORDS[role].get(word, 0) for word in found), default=0)
+    rate = bool(TURNS & found and RATES & found) or (
+        "z" in found and bool({"angular", "gyro", "gyr", "omega"} & found) and "accel" not in found
+    )
+    over_ground = bool({"ground", "grund", "gprmc", "gps"} & found)
+    if role == "yaw_rate":
+        score = 3 if rate else 0.5 if {"z"} & found and {"vel", "velocity", "twist"} & found else score
+        score -= 4 * bool({"x", "y", "roll", "pitch", "p", "q", "climb"} & found and not rate)
+        score -= 4 * bool({"linear"} & found)
+    elif role == "heading":
+        score -= 4 * rate + 2 * (over_ground and score > 0) + 2 * bool({"course", "cog"} & found)
+    elif role == "course":
+        turned = bool({"heading", "hdg", "kurs", "kog", "course", "cog"} & found)
+        score = 3 if over_ground and turned else score if score >= 2 else 0
+        score -= 4 * rate
+    elif role.startswith("velocity"):
+        axis = {"north", "n", "nord"} if role == "velocity_north" else {"east", "e", "ost"}
+        score = 3 if axis & found and {"v", "vel", "velocity", "speed", "geschwindigkeit"} & found else score
+    elif role == "surge":
+        score -= 4 * rate + 4 * bool({"angular", "gyro", "gyr", "omega"} & found)
+        across = {"y", "z", "d", "vy", "vz", "vd", "east", "north", "ost", "nord", "delta", "imu"}
+        across -= {"y"} if "x" in found else set()
+        score -= 3 * bool(across & found)
+        score += 0.5 * ({"linear", "x"} <= found)
+    elif role == "command":
+        score = min(score, 3) + 0.5 * bool(score and (LEFT | RIGHT) & found)
+        score -= 1 * bool({"force", "feedback", "kraft", "newton"} & found)
+    if role not in ("command", "rudder"):
+        score -= 4 * bool(DRIVES & found)
+        score -= 6 * bool(SETPOINT & found) + 3 * bool(COMMANDED & found)
+    derived = DERIVED - ({"dot"} if role == "yaw_rate" else set()) - ({"max", "min"} & WORDS[role].keys())
+    return score - 5 * bool(derived & found and not (role == "yaw_rate" and rate)) - 4 * bool(FOREIGN & found)
+
+
+def side(name: str) -> str:
+    """The side that a name tells, "left", "right" or "" (none, or both).
+
+    >>> side("DESIRED_THRUST_L"), side("rpwm"), side("Schub steuerbord"), side("NAV_SPEED")
+    ('left', 'right', 'right', '')
+    """
+    found = set(words(name))
+    left, right = bool(found & LEFT), bool(found & RIGHT)
+    return "" if left == right else "left" if left else "right"
+
+
+def without_side(name: str) -> tuple[str, ...]:
+    """The words of a name without those of a side: equal for the two channels of a pair.
+
+    >>> without_side("PWM_L") == without_side("PWM_R")
+    True
+    """
+    return tuple(word for word in words(name) if word not in LEFT | RIGHT)
+
+
+def unit_word(name: str) -> str:
+    """A unit that stands in a name, or "".
+
+    >>> unit_word("speed_kn"), unit_word("yaw_deg"), unit_word("speed_mps"), unit_word("speed")
+    ('knots', 'deg', 'm/s', '')
+    """
+    return next((UNIT_WORDS[word] for word in words(name) if word in UNIT_WORDS), "")
