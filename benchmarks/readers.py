@@ -7,6 +7,7 @@ The logs are written for this: a boat at 50 Hz with 12 more signals that are not
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import struct
@@ -25,8 +26,11 @@ from timing import machine, table
 from usvlearn.logs.alog import Alog
 from usvlearn.logs.channel import Source
 from usvlearn.logs.csv_table import Table
+from usvlearn.logs.dataflash import DataFlash
+from usvlearn.logs.mavlink_messages import MESSAGES
 from usvlearn.logs.read import Reader
 from usvlearn.logs.rosbag import Rosbag
+from usvlearn.logs.tlog import Tlog
 from usvlearn.logs.ulog import Ulog
 
 MB = 1_000_000
@@ -34,6 +38,7 @@ RATE = 50  # Hz
 CHANNELS = ("command_left", "command_right", "heading", "surge")
 OTHERS = tuple(f"other_{k}" for k in range(12))
 NAMES = (*CHANNELS, *OTHERS)
+X25 = [functools.reduce(lambda crc, _: crc >> 1 ^ 0x8408 * (crc & 1), range(8), byte) for byte in range(256)]
 START = 1_750_000_000  # s since 1970
 
 
@@ -94,6 +99,54 @@ def write_ulog(path: Path, size: int) -> None:
             written += file.write(block(b"D", struct.pack(f"<HQ{len(values)}f", 0, round(1e6 * t), *values)))
 
 
+def write_dataflash(path: Path, size: int) -> None:
+    def described(kind: int, length: int, name: str, form: str, columns: str) -> bytes:
+        texts = (name.encode(), form.encode(), columns.encode())
+        return b"\xa3\x95\x80" + struct.pack("<BB4s16s64s", kind, length, *texts)
+
+    halves = {1: "BOAT", 2: "MORE"}  # a message has at most 16 columns, whose names take 64 characters
+    with path.open("wb") as file:
+        written = file.write(described(128, 89, "FMT", "BBnNZ", "Type,Length,Name,Format,Columns"))
+        for kind, name in halves.items():
+            columns = ",".join(["TimeUS", *(f"V{k}" for k in range(8))])
+            written += file.write(described(kind, 43, name, "Qffffffff", columns))
+        for t, values in rows():
+            if written >= size:
+                return
+            for kind, part in zip(halves, (values[:8], values[8:]), strict=True):
+                written += file.write(struct.pack("<BBBQ8f", 0xA3, 0x95, kind, round(1e6 * t), *part))
+
+
+def write_tlog(path: Path, size: int) -> None:
+    """Of ATTITUDE (30), VFR_HUD (74) and SERVO_OUTPUT_RAW (36), in MAVLink 1."""
+    with path.open("wb") as file:
+        written = 0
+        for k, (t, x) in enumerate(rows()):
+            if written >= size:
+                return
+            ms, pwm = round(1000 * t), [round(1500 + 400 * value) for value in (x[0], x[4], x[1], *x[5:10])]
+            messages = {
+                30: struct.pack("<I6f", ms, x[10], x[11], math.radians(x[2]), *x[12:15]),
+                74: struct.pack("<4fhH", x[3], x[3], x[15], 0.0, round(x[2]), 50),
+                36: struct.pack("<I8HB", 1000 * ms % 2**32, *pwm, 0),
+            }
+            if k % RATE == 0:
+                messages[0] = struct.pack("<IBBBBB", 0, 11, 3, 128, 4, 3)  # HEARTBEAT of an armed boat
+            for number, data in messages.items():
+                head = struct.pack("<BBBBB", len(data), k % 256, 1, 1, number)
+                check = _x25(head + data + bytes([MESSAGES[number].extra]))
+                stamp = struct.pack(">Q", round(1e6 * (START + t)))
+                written += file.write(stamp + b"\xfe" + head + data + struct.pack("<H", check))
+
+
+def _x25(data: bytes) -> int:
+    """The checksum of MAVLink, CRC-16/MCRF4XX."""
+    found = 0xFFFF
+    for byte in data:
+        found = found >> 8 ^ X25[(found ^ byte) & 0xFF]
+    return found
+
+
 def write_ros1(path: Path, size: int) -> None:
     from rosbags.rosbag1 import Writer
     from rosbags.typesys import Stores, get_typestore
@@ -146,8 +199,17 @@ FORMATS = {  # a new one is a line here
     "ROS 1": Format(".bag", write_ros1, Rosbag(), NAMED),
     "ROS 2, mcap": Format(".mcap", write_ros2("MCAP"), Rosbag(), NAMED),
     "ROS 2, db3": Format(".db3", write_ros2("SQLITE3"), Rosbag(), NAMED),
+    "ArduPilot": Format(".BIN", write_dataflash, DataFlash(), {
+        name: Source("BOAT", field=f"V{k}") for k, name in enumerate(CHANNELS)
+    }),
+    "MAVLink": Format(".tlog", write_tlog, Tlog(), {
+        "command_left": Source("SERVO_OUTPUT_RAW", field="servo1_raw"),
+        "command_right": Source("SERVO_OUTPUT_RAW", field="servo3_raw"),
+        "heading": Source("ATTITUDE", field="yaw"),
+        "surge": Source("VFR_HUD", field="groundspeed"),
+    }),
     "ULog": Format(".ulg", write_ulog, Ulog(), {name: Source("boat", field=name) for name in CHANNELS}),
-}
+}  # fmt: skip
 
 
 def memory() -> float:
