@@ -12,7 +12,6 @@ of two skills is that of the means of blocks of 25 steps, since neighbouring err
 from __future__ import annotations
 
 import math
-import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +19,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.errors import ConfigError, LogFormatError, exit_on_user_error
+from usvlearn.cli.without_hydra import run_command
+from usvlearn.errors import ConfigError, LogFormatError
 
 if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
@@ -218,15 +218,4 @@ def _conclusion(place: int, equal: list[int], how: str, second: Half, channels: 
 
 def main() -> int:
     """The command; returns the exit code."""
-    from usvlearn.cli.stopping import Stopped, stoppable
-
-    if not sys.argv[1:] or sys.argv[1] in ("-h", "--help"):
-        print(USAGE)
-        return 0
-    try:
-        with exit_on_user_error(), stoppable():
-            work(sys.argv[1:])
-    except Stopped as stopped:
-        print(f"{stopped}; nothing was written", file=sys.stderr)
-        return stopped.code
-    return 0
+    return run_command(work, USAGE, ("-h", "--help"))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usvlearn.errors import ConfigError, exit_on_user_error
+from usvlearn.cli.without_hydra import run_command
+from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
     from usvlearn.inspection.inspected import Inspected
@@ -79,15 +79,4 @@ def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
 
 def main() -> int:
     """The command; returns the exit code."""
-    from usvlearn.cli.stopping import Stopped, stoppable
-
-    if not sys.argv[1:]:
-        print(USAGE)
-        return 0
-    try:
-        with exit_on_user_error(), stoppable():
-            work(sys.argv[1:])
-    except Stopped as stopped:
-        print(f"{stopped}; nothing was written", file=sys.stderr)
-        return stopped.code
-    return 0
+    return run_command(work, USAGE)

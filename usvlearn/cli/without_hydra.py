@@ -1,0 +1,30 @@
+"""The frame of a command that Hydra does not start: usage, one sentence for bad input, exit codes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Collection, Sequence
+
+from usvlearn.errors import exit_on_user_error
+
+
+def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collection[str] = ()) -> int:
+    """Do the work of a command with the arguments of this program; returns the exit code.
+
+    Args:
+        work: receives the arguments.
+        usage: is printed if there are none, or for the first one of `helps`.
+        helps: such as "-h", where the work does not print its own help.
+    """
+    from usvlearn.cli.stopping import Stopped, stoppable
+
+    if not sys.argv[1:] or sys.argv[1] in helps:
+        print(usage)
+        return 0
+    try:
+        with exit_on_user_error(), stoppable():
+            work(sys.argv[1:])
+    except Stopped as stopped:
+        print(f"{stopped}; nothing was written", file=sys.stderr)
+        return stopped.code
+    return 0
