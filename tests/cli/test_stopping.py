@@ -15,7 +15,7 @@ import pytest
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results
 from usvlearn import checkpoint
-from usvlearn.cli import evaluate, train
+from usvlearn.cli import checked, evaluate, train
 from usvlearn.cli.stopping import Stopped, check_stopped, stoppable, stoppable_worker, until_stopped
 from usvlearn.runs.logger import TensorBoardLogger
 from usvlearn.runs.saved import results as finished
@@ -76,7 +76,7 @@ def test_a_replay_is_saved_and_goes_on_bit_for_bit(number, code, chunks, whole, 
 
 def test_before_the_replay_nothing_is_saved(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    signalled(monkeypatch, train, "align_fleet", signal.SIGTERM)
+    signalled(monkeypatch, checked, "align_fleet", signal.SIGTERM)
     code, error = called(train.main, RUN, monkeypatch, capsys)
     assert code == 143 and again(error) == RUN and len(error.splitlines()) == 1
     assert [path.name for path in (tmp_path / "run").iterdir()] == [".hydra"]
