@@ -1,6 +1,7 @@
 """`read_recordings` finds the logs that a path means, and refuses bad ones in one sentence."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,12 @@ def test_a_log_that_is_not_as_declared_is_refused(tmp_path, name, content, reade
     path = write(tmp_path / name, content)
     message = refused(LogFormatError, read_recordings, path, reader, CHANNELS)
     assert message.startswith(str(path)) and all(part in message for part in expected)
+
+
+def test_a_file_name_of_any_bytes_names_a_run_that_can_be_written(tmp_path):
+    path = write(tmp_path / os.fsdecode(b"caf\xe9\n.csv"), "t,L,R,v,psi\n" + "0,0.5,0.5,1,90\n" * 3)
+    (recording,) = read_recordings(path, Table("t"), CHANNELS)
+    assert recording.run == recording.boat == "caf\\udce9\\n" and recording.run.encode()
 
 
 # ---------------------------------------------------------------- configs/data

@@ -21,12 +21,13 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
 PLAIN = re.compile(r"[\w/.:-]+")  # what Hydra takes without quotes
-PACKAGE = re.compile(r"^\s*#\s*@package\s+(\S+)", re.MULTILINE)
+SECTIONS = ("data", "vehicle")  # of such a file
+LARGEST = 1_000_000  # bytes
 
 
 def with_data_files(overrides: Iterable[str]) -> list[str]:
@@ -71,23 +72,31 @@ def _place(value: str) -> str:
 
 def _register(path: Path) -> None:
     try:
+        if path.stat().st_size > LARGEST:
+            raise ConfigError(f"data: {path} has more than {LARGEST // 1000} kB: name a configuration")
         text = path.read_text(encoding="utf-8")
-        node = OmegaConf.create(yaml.safe_load(text) or {})
+        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+            raise ConfigError(f"data: {path}: has a YAML alias, which can expand to gigabytes: write out what it names")
+        found = yaml.safe_load(text)
+        node = OmegaConf.create(found if isinstance(found, dict) else {})
     except UnicodeDecodeError as error:
         raise ConfigError(f"data: {path} is no text in UTF-8: name a file that usvlearn inspect wrote") from error
     except yaml.MarkedYAMLError as error:
         line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
         raise ConfigError(f"data: {path}{line}: is not legal YAML ({error.problem}): correct that line") from error
-    except (OmegaConfBaseException, ValueError, yaml.YAMLError) as error:
+    except RecursionError as error:
+        raise ConfigError(f"data: {path}: is nested too deeply: name a configuration") from error
+    except (OmegaConfBaseException, yaml.YAMLError) as error:
         raise ConfigError(f"data: {path}: {str(error).splitlines()[0]}: correct the file") from error
-    if not OmegaConf.is_dict(node):
-        raise ConfigError(f"data: {path}: expected keys such as data and vehicle, found none: name another file")
+    if GROUP not in node:
+        raise ConfigError(f"data: {path}: has no section data, expected what usvlearn inspect writes: name such a file")
+    if wrong := [str(key) for key in node if key not in SECTIONS]:
+        hint = did_you_mean(wrong[0], SECTIONS)
+        raise ConfigError(f"data: {path}: found {wrong[0]!r}, expected only {' and '.join(SECTIONS)}{hint}")
     try:
         check_settings(f"data: {path}", OmegaConf.to_container(node))
     except CheckpointError as error:
         what = str(error).rpartition(": ")[0]
         raise ConfigError(f"{what}: if you trust it, put it into FOLDER/data and give --config-dir FOLDER") from error
-    found = PACKAGE.search(text)
-    package = found[1] if found else "_global_" if GROUP in node else None
     group = "/".join([GROUP, *path.parent.parts[1:]])
-    ConfigStore.instance().store(group=group, name=path.name, node=node, package=package)
+    ConfigStore.instance().store(group=group, name=path.name, node=node, package="_global_")

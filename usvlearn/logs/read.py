@@ -10,10 +10,10 @@ import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from usvlearn.activity import doing
-from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, under
+from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, printable, under
 from usvlearn.logs.channel import (
     AUTO,
     AUXILIARY,
@@ -93,7 +93,7 @@ def read_recordings(
     sources = _sources(channels)
     root, files = _find(path, reader.suffixes, getattr(reader, "marker", None))
     if boat is None:
-        boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else root.resolve().name
+        boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else printable(root.resolve().name)
     recordings, unread = [], []
     for number, file in enumerate(files, 1):
         doing(f"reading {file.name}" + (f", {number} of {len(files)}" if len(files) > 1 else ""))
@@ -127,7 +127,7 @@ def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source |
 
 def _run(log: Path, root: Path) -> str:
     """The name of a run: its path below the root, without the suffix that a file has."""
-    return (log if log.is_dir() else log.with_suffix("")).relative_to(root).as_posix()
+    return printable((log if log.is_dir() else log.with_suffix("")).relative_to(root).as_posix())
 
 
 def _channels(
@@ -234,11 +234,15 @@ def _source(channel: str, given: Source | Mix | Mapping | None) -> Source | Mix 
         given = _described(channel, given, key)
     elif given is not None and not isinstance(given, Source | Mix):
         raise ConfigError(f"{key}: found {given!r}, expected {{name: ..., unit: ...}}")
-    own = ("1", *OWN_UNITS[channel])
     for part in given.parts if isinstance(given, Mix) else [given] if given else []:
-        if part.unit not in own:
-            raise ConfigError(f"{key}.unit: found {part.unit!r}, expected one of {', '.join(own)}, where 1 means SI")
+        _check_unit(key, channel, part.unit)
     return given
+
+
+def _check_unit(key: str, channel: str, unit: Any) -> None:
+    own = ("1", *OWN_UNITS[channel])
+    if unit not in own:
+        raise ConfigError(f"{key}.unit: found {unit!r}, expected one of {', '.join(own)}, where 1 means SI")
 
 
 def _described(channel: str, given: Mapping, key: str) -> Source | Mix | None:
@@ -260,6 +264,7 @@ def _described(channel: str, given: Mapping, key: str) -> Source | Mix | None:
             raise ConfigError(f"{key}.held: found {value!r}, expected true or false")
     if given.get("name") in (None, "", "???", []):
         return None
+    _check_unit(key, channel, given.get("unit", "1"))
     with under(key, given):
         if names is not None:
             return Mix.of({**given, "name": [str(name) for name in names]})
