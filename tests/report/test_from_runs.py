@@ -219,6 +219,15 @@ def test_other_logs_of_a_boat_are_all_other_runs(saved):
     assert all(season.others.all() and not season.runs[0].published for season in seasons)
 
 
+def test_a_report_on_other_logs_checks_them_says_so_and_stands_beside_that_of_the_run(copy):
+    given = ["data=simulated", "data.n=2", "data.hours=0.05", "data.seed=77"]
+    done = run(f"runs={copy}", *given, folder=copy.parent, script="evaluate.py")
+    assert done.returncode == 0, done.stderr
+    assert "Data check: no findings" in done.stdout
+    text = (copy / "report_of_other_logs" / "index.html").read_text()
+    assert '<p class="note">Judged on other logs than those of the runs' in text and not (copy / "report").exists()
+
+
 def test_two_folders_of_one_season_are_pooled(copy, saved):
     (copy / "results.json").unlink()
     _, seasons, truth = read([saved, copy], tools())

@@ -136,12 +136,12 @@ def test_the_viewers_numbers_are_the_predictions(saved):
         np.testing.assert_allclose(time, run.time, rtol=1e-6)
 
 
-def written(folder: Path, change=lambda seasons: seasons, results=()) -> tuple[str, Page]:
+def written(folder: Path, change=lambda seasons: seasons, checks=()) -> tuple[str, Page]:
     """The page of two simulated boats without predictions, forecasts and a reader, after some change."""
     ensemble, seasons = boats(np.ones((2, 9)))
     seasons = change(seasons)
     sections, _ = assemble(ensemble, seasons, {})
-    text = write_report(folder, ["One."], sections, front=front_of(ensemble, seasons, results)).read_text()
+    text = write_report(folder, ["One."], sections, front=front_of(ensemble, seasons, checks)).read_text()
     return text, Page(text)
 
 
@@ -192,7 +192,7 @@ def test_names_do_nothing(tmp_path):
         return [seasons[0], seasons[1]._replace(boat=BAD.replace("/", "_"), runs=tuple(named))]
 
     finding = {"boat": None, "about": BAD, "kind": BAD, "found": BAD, "expected": BAD, "key": BAD, "severity": BAD}
-    _, page = written(tmp_path, change, [{"data_check": [finding]}])
+    _, page = written(tmp_path, change, [[finding]])
     images = [attrs for tag, attrs in page.tags if tag == "img"]
     assert all(attrs["src"].startswith("data:image/png;base64,") and set(attrs) == {"alt", "src"} for attrs in images)
     assert not any(name.startswith("on") for _, attrs in page.tags for name in attrs) and len(page.scripts) == 2
@@ -206,7 +206,7 @@ def test_findings_of_the_data_check_are_on_the_first_page(tmp_path):
     finding = {"boat": "boat1", "about": "surge", "found": "a top speed of 31", "expected": "at most 15 m/s",
                "key": "data.channels.surge.unit", "severity": "warning"}  # fmt: skip
     note = finding | {"severity": "note", "about": "heading", "key": ""}
-    text, page = written(tmp_path, results=[{"data_check": [note, finding]}, {}])
+    text, page = written(tmp_path, checks=[[note, finding], None])
     fix = "Set <code>data.channels.surge.unit</code>."
     said = f'<li class="bad"><b>surge</b>: found a top speed of 31, expected at most 15 m/s. {fix}</li>'
     assert (

@@ -1,10 +1,12 @@
 """The job of evaluate.py and `usvlearn evaluate`: judge saved runs, compare those of a sweep, or make a study."""
 
+from functools import partial
 from pathlib import Path
 
 import hydra
 from omegaconf import DictConfig, OmegaConf
 
+from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import instantiate
@@ -49,7 +51,8 @@ def main(cfg: DictConfig) -> None:
     from usvlearn.simulate.truth import truth_of
 
     set_threads(1)
-    tools = Tools(instantiate, align_fleet, truth_of, console(), cfg.trust)
+    board = console()
+    tools = Tools(instantiate, align_fleet, truth_of, board, cfg.trust, partial(CheckedAlignment, console=board))
     if cfg.study is not None:
         study(cfg, tools)
     elif is_sweep(Path(cfg.runs)):
@@ -57,4 +60,6 @@ def main(cfg: DictConfig) -> None:
     elif cfg.objective is not None:
         raise ConfigError(f"objective: ranks the jobs of a sweep, and {cfg.runs} is none: leave it out")
     else:
-        evaluate(run_folders(cfg.runs), Path(cfg.report or Path(cfg.runs, "report")), tools, cfg.get("data"))
+        data = cfg.get("data")
+        own = Path(cfg.runs, "report" if data is None else "report_of_other_logs")
+        evaluate(run_folders(cfg.runs), Path(cfg.report or own), tools, data)

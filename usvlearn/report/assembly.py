@@ -96,20 +96,20 @@ def assemble(
 def front_of(
     ensemble: Ensemble,
     seasons: Sequence[Season],
-    found: Sequence[Mapping[str, Any]],
+    checks: Sequence[Any],
     advance: Callable[[int], object] = lambda steps: None,
 ) -> Front:
     """The first page: simulate each run free once, and draw the last runs of each boat.
 
     Args:
         ensemble, seasons, advance: as of `assemble`.
-        found: results of the folders, if these are their logs.
+        checks: findings of the data checks, as of `overviews`.
     """
     free = {}
     for season in seasons:
         free[season.boat] = list(free_runs(ensemble, season))
         advance(sum(int(run.steps.sum()) for run in season.runs))
-    boats = overviews(ensemble, seasons, free, found)
+    boats = overviews(ensemble, seasons, free, checks)
     return Front(boats, viewer_data(ensemble, seasons, free), [_picture(ensemble, each) for each in seasons])
 
 

@@ -20,7 +20,7 @@ from usvlearn.report.assembly import assemble, best_start, facts, front_of, simu
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.section import Section
 from usvlearn.report.sections.parameters import Truth
-from usvlearn.runs.saved import configuration, read_seasons, results
+from usvlearn.runs.saved import configuration, data_check, read_seasons, results
 from usvlearn.signals import Fleet
 
 
@@ -32,6 +32,7 @@ class Tools(NamedTuple):
     truth: Callable[[Sequence[Mapping[str, Any]], float], Truth]  # of sources of data, and a declared mass, kg
     console: Console
     trust: str | Sequence[str] | None = None  # the user's own modules that saved settings may name
+    checked: Callable[[Mapping[str, Any]], Any] | None = None  # `align` with a data check, for a configuration
 
     def say(self, text: str) -> None:
         """Print a line that must not be wrapped, such as a command or a path."""
@@ -96,14 +97,23 @@ def evaluate(
             for folder, finished in zip(folders, found, strict=True)
             if not finished
         ]
-        ensemble, seasons, truth = read(folders, tools, data)
+        checks = [data_check(folder) for folder in folders]
+        if data is not None and tools.checked is not None:
+            align = tools.checked({**configuration(folders[-1], tools.trust), "data": data})
+            ensemble, seasons, truth = read(folders, tools._replace(align=align), data)
+            checks = [align.json]
+        else:
+            ensemble, seasons, truth = read(folders, tools, data)
         with Activity(tools.console) as activity:
             activity.begin("simulating each set on each run", total=simulations(ensemble, seasons))
             known = known_quantities(found[-1]) if data is None else {}
             sections, errors = assemble(ensemble, seasons, truth, activity.advance, known)
-            front = front_of(ensemble, seasons, found if data is None else [], activity.advance)
+            front = front_of(ensemble, seasons, checks, activity.advance)
+        other = "Judged on other logs than those of the runs from which the boats learned."
+        notes = [*unfinished, *([] if data is None else [other])]
         parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
-        page = write_report(report, [*facts(seasons, folders), *unfinished], parts, commands, errors, front)
+        page = write_report(report, [*facts(seasons, folders), *notes], parts, commands, errors,
+                            front._replace(notes=notes))  # fmt: skip
     tools.say(f"report: {page}")
     return page
 

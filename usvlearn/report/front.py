@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ class Front(NamedTuple):
     boats: Sequence[Overview]
     viewer: Mapping[str, Any]  # `usvlearn.report.viewer_data`
     pictures: Sequence[Drawn]  # of the last runs of each boat, for a reader without JavaScript
+    notes: Sequence[str] = ()  # what a reader must know first, a sentence each
 
 
 def title(front: Front) -> str:
@@ -40,14 +42,15 @@ def first_page(front: Front, links: str, images: Mapping[str, bytes]) -> str:
         images: PNG of the pictures by name.
     """
     boats = front.boats
+    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in front.notes)
     if len(boats) == 1:
-        return "\n".join([_cards(boats[0]), links, _runs(front, images)])
+        return "\n".join([notes, _cards(boats[0]), links, _runs(front, images)])
     cards = (
         f'<details class="part"><summary><h2>{escape(boat.boat)}</h2></summary><div id="boat-{k}">{_cards(boat)}</div>'
         "</details>"
         for k, boat in enumerate(boats)
     )
-    return "\n".join([_fleet(boats), links, *cards, _runs(front, images)])
+    return "\n".join([notes, _fleet(boats), links, *cards, _runs(front, images)])
 
 
 def _fleet(boats: Sequence[Overview]) -> str:
@@ -114,7 +117,7 @@ def in_words(sentence: str) -> str:
     """
     for name, words in MAIN.items():
         sentence = sentence.replace(name, words[0].lower() + words[1:]) if "_" in name else sentence
-    return sentence.replace("thrust_ratio", "thrust ratio")
+    return re.sub(r"\b[a-z]+(_[a-z]+)+\b", lambda name: name[0].replace("_", " "), sentence)
 
 
 def _near(boat: Overview) -> Ahead | None:

@@ -22,7 +22,7 @@ MAIN = {  # the quantities that are shown first, in words
     "thrust_full_right": "Full thrust ahead of the right side",
     "drag_half_speed": "Drag at half of that speed",
     "time_constant": "Time constant",
-    "stopping_distance": "Way until it stops, thrusters off",
+    "stopping_distance": "Stopping distance with thrusters off",
     "mass": "Mass",
 }
 
@@ -64,7 +64,7 @@ def overviews(
     ensemble: Ensemble,
     seasons: Sequence[Season],
     free: Mapping[str, Sequence[FreeRun]],
-    results: Sequence[Mapping[str, Any]] = (),
+    checks: Sequence[Any] = (),
 ) -> list[Overview]:
     """What is said of each boat.
 
@@ -72,9 +72,9 @@ def overviews(
         ensemble: that was replayed.
         seasons: of all boats.
         free: each boat's free runs.
-        results: of the folders; their `data_check` is a list of findings.
+        checks: the lists of findings of data checks; None where there was none.
     """
-    checks = [found["data_check"] for found in results if isinstance(found.get("data_check"), list)]
+    checks = [check for check in checks if isinstance(check, list)]
     findings = [each for check in checks for each in check if isinstance(each, Mapping)]
     return [
         _overview(

@@ -133,7 +133,7 @@ def data_check_table(found: Sequence[Mapping[str, str]], checks: int = 0) -> Blo
     rows: dict[tuple[str, ...], list[Mapping[str, str]]] = {}
     for each in found:
         rows.setdefault((each["severity"], each["about"], each["kind"]), []).append(each)
-    table = Blocks("Data check", ["", "found"], folded=["found"])
+    table = Blocks("Data check", ["", "finding"], folded=["finding"])
     for (severity, about, _), same in rows.items():
         first, others = same[0], len({each["boat"] for each in same}) - 1
         boats = first["boat"] + (f" and {others} more" if others else "")

@@ -100,12 +100,24 @@ def results(folder: Path) -> dict[str, Any]:
     Raises:
         CheckpointError: the file is damaged.
     """
+    found = _results_file(folder)
+    return {} if "partial" in found else found
+
+
+def data_check(folder: Path) -> Any:
+    """The findings of the data check of a run, finished or not; None if there was none. Errors as of `results`."""
+    found = _results_file(folder)
+    partial = found.get("partial", found)
+    return partial.get("data_check") if isinstance(partial, dict) else None
+
+
+def _results_file(folder: Path) -> dict[str, Any]:
     path = folder / RESULTS
     try:
         found = json.loads(path.read_text()) if path.exists() else {}
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected a dictionary")
-        return {} if "partial" in found else found
+        return found
     except (OSError, ValueError, RecursionError) as error:
         raise CheckpointError(
             f"{path}: is damaged ({error}): run train.py with resume={folder} hydra.run.dir={folder} to write it anew"
