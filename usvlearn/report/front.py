@@ -199,7 +199,7 @@ def _runs(front: Front, images: Mapping[str, bytes]) -> str:
         options += f'<optgroup label="{escape(boat.boat)}">'
         for run in boat.runs:
             place = next(places)
-            options += f'<option value="{place}">{escape(run.name)}</option>'
+            options += f'<option value="{place}">{escape(f"{boat.boat}, {run.name}" if several else run.name)}</option>'
             free = _number(run.free) + ("*" if run.learned and run.free is not None else "")
             cells = (f"{run.minutes:.1f}", _number(run.speed, 2), _number(run.mae), free)
             name = f'<a href="#viewer" data-run="{place}">{escape(run.name)}</a>'

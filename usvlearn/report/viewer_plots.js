@@ -42,17 +42,17 @@ function within(run, line, [from, to]) {
 
 /** The least and the greatest number of some series in the windows of all columns, with room. */
 function limits(columns, ...names) {
-  let low = Infinity, high = -Infinity;
+  const found = [];
   for (const { run, window } of columns) {
     for (const line of names.map((name) => run.of[name]).filter(Boolean)) {
       const [first, last] = within(run, line, window);
-      for (let k = first; k < last; k++) {
-        if (line[k] < low) low = line[k];
-        if (line[k] > high) high = line[k];
-      }
+      for (let k = first; k < last; k++) if (Number.isFinite(line[k])) found.push(line[k]);
     }
   }
-  if (low > high) return [0, 1];
+  if (!found.length) return [0, 1];
+  found.sort((one, other) => one - other);
+  const out = Math.floor(0.002 * found.length);  // a few outliers must not flatten the rest
+  const low = found[out], high = found[found.length - 1 - out];
   const room = 0.08 * (high - low) + 0.02;
   return [low - room, high + room];
 }
