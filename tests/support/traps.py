@@ -124,6 +124,13 @@ def left_alone(folder: Path, voyage: Voyage) -> Path:
     )
 
 
+def stop_at_mid_scale(folder: Path, voyage: Voyage) -> Path:
+    """Percent, of which 50 is stop, 0 full astern and 100 full ahead."""
+    time = rows(voyage)
+    left, right = (50 + 50 * voyage.at(f"command_{side}", time) for side in ("left", "right"))
+    return write_table(folder / "a.csv", columns(voyage, thrust_left=left, thrust_right=right))
+
+
 def centimetres(folder: Path, voyage: Voyage) -> Path:
     time = rows(voyage)
     return write_table(folder / "a.csv", columns(voyage, speed=np.round(100 * voyage.at("surge", time))))
@@ -181,6 +188,8 @@ TRAPS = {
     "left_alone": Shape(left_alone, HEADING | SPEED | {
         "command_left": [{"name": "thrust_left", "zero": 0, "span": -1}],
         "command_right": [{"name": "thrust_right", "zero": 1500, "span": 400}]}),
+    "stop_at_mid_scale": Shape(stop_at_mid_scale,
+                               HEADING | SPEED | pair("thrust_left", "thrust_right", zero=50, span=50)),
     "centimetres": Shape(centimetres, SIDES | HEADING | {"surge": [{"name": "speed", "unit": "cm/s"}]}),
     "mirrored_gyro": Shape(mirrored_gyro, COMMON | {"yaw_rate": [{"name": "yaw_rate", "unit": "enu_deg/s"}]}),
     "setpoint_first": Shape(setpoint_first, SIDES | {"heading": [{"name": "psi", "unit": "rad"}]}

@@ -17,6 +17,11 @@ LEAST_PWM, MOST_PWM = 800.0, 2300.0  # us
 NEUTRAL = (1450.0, 1550.0)  # us, between which a neutral pulse lies
 DEAD_BAND = 12.0  # us, within which a neutral pulse may differ from 1500
 COMMON = 0.02  # share of the values that the one at rest has, at least
+STILL = 0.08  # share of the greatest speed, below which a boat stands
+FEWEST = 20  # speeds of a boat that stands
+MIDDLE = 0.3, 0.75  # share of the greatest value, between which the zero of a command without a sign lies, unless at 0
+FUZZ = 0.03  # share of the scale, within which two values are taken as equal
+STEADY = 0.3  # share of the values while the boat stands that lie at the zero
 NEUTRAL_WORDS = {"zero", "neutral", "trim", "mid", "center", "centre", "nullpunkt"}
 
 
@@ -31,20 +36,29 @@ class Level(NamedTuple):
     span_certainty: str
     span_reason: str
     alternatives: tuple[str, ...]  # spans
+    zeros: tuple[str, ...] = ()  # that are possible, too
 
 
-def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str = "") -> Level:
+def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str = "",
+               speed: tuple[np.ndarray, np.ndarray] | None = None) -> Level:  # fmt: skip
     """Zero and span of a command.
 
     Args:
         candidate: the command.
         pool: all series of the log, constant ones too: one of them may be its zero point.
         convention: name of the format.
+        speed: times and values, m/s: where the boat stands, a command is at its zero.
     """
     low, high = candidate.extent
     if low >= LEAST_PWM and high <= MOST_PWM and high > low:
         return _pwm(candidate, pool)
-    size, unit = candidate.size, candidate.unit
+    level = _by_size(candidate, convention)
+    return _at_mid_scale(level, candidate, speed) if low >= 0 and high > low else level
+
+
+def _by_size(candidate: Candidate, convention: str) -> Level:
+    """With a zero of 0."""
+    low, size, unit = candidate.extent[0], candidate.size, candidate.unit
     near = CERTAIN if low < 0 or _rest(candidate) == 0 else PROBABLE
     zero = (
         0.0,
@@ -67,6 +81,61 @@ def find_level(candidate: Candidate, pool: Sequence[Candidate], convention: str 
         return Level(zero[0], 100.0, "raw numbers", *zero[1:], UNSURE, told, (f"{_round(size):g}",))
     others = ("100",) if size < 100 else ()
     return Level(zero[0], _round(size), "raw numbers", *zero[1:], UNSURE, "the greatest value seen", others)
+
+
+def _at_mid_scale(level: Level, candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | None) -> Level:
+    """The zero of a command that is never negative: in the middle of its scale, if the numbers speak for it.
+
+    >>> time = np.arange(0.0, 400.0)
+    >>> thrust = np.clip(np.sin(time / 20), -0.5, 1) * (time % 100 < 60)
+    >>> command, speed = Candidate("a", None, "percent", "", time, 50 + 50 * thrust), (time, 2 * thrust)
+    >>> find_level(command, [], "", speed)[:2], find_level(command, [])[:2]
+    ((50.0, 50.0), (0.0, 100.0))
+    >>> find_level(command, []).zeros
+    ('50',)
+    """
+    full, low = level.span, candidate.extent[0]
+    value, share = _where_still(candidate, speed, FUZZ * full)
+    if math.isnan(value):  # the boat never stands: the value that comes most often may be its zero
+        value = next((each for each in (_rest(candidate), float(np.median(candidate.value))) if each > 0), 0.0)
+        if low > 0.05 * full and abs(value - full / 2) < 0.1 * full and _both_sides(candidate, value, FUZZ * full):
+            told = f"by convention, but it stays within {low:g} … {candidate.extent[1]:g}, mostly about {value:.4g}"
+            others = (f"{full / 2:g}", *level.alternatives)
+            return level._replace(
+                zero_certainty=UNSURE, zero_reason=told, zeros=(f"{full / 2:g}",), span_certainty=UNSURE,
+                alternatives=others,
+            )  # fmt: skip
+        return level
+    if not MIDDLE[0] < value / full < MIDDLE[1]:
+        return level
+    centred, crossed = abs(value - full / 2) < FUZZ * full, _both_sides(candidate, value, FUZZ * full)
+    if not crossed and not (centred and share > STEADY):
+        return level
+    zero = full / 2 if centred and level.kind != "raw numbers" else value
+    told = f"the boat stands at {value:.4g}, and it " + ("is reached from both sides" if crossed else "is mid-scale")
+    kept = level._replace(zero=float(f"{zero:.4g}"), zero_reason=told, span=_round(full - zero))
+    if centred and crossed and share > STEADY:
+        return kept._replace(zero_certainty=PROBABLE, alternatives=())
+    return kept._replace(zero_certainty=UNSURE, zeros=("0",), span_certainty=UNSURE, alternatives=(f"{full:g}",))
+
+
+def _where_still(candidate: Candidate, speed: tuple[np.ndarray, np.ndarray] | None, near: float) -> tuple[float, float]:
+    """The median of a command while the boat stands, and the share of these values that lie near it; or NaN."""
+    if speed is None or not len(speed[0]):
+        return math.nan, 0.0
+    size = np.abs(speed[1])
+    still = speed[0][size < STILL * np.quantile(size, 0.95)]
+    if len(still) < max(FEWEST, COMMON * len(size) / 2):
+        return math.nan, 0.0
+    order = np.argsort(candidate.time, kind="stable")
+    place = np.searchsorted(candidate.time[order], still, side="right") - 1
+    held = candidate.value[order][np.clip(place, 0, None)]
+    value = float(np.median(held))
+    return value, float((np.abs(held - value) <= near).mean())
+
+
+def _both_sides(candidate: Candidate, value: float, near: float) -> bool:
+    return min((candidate.value < value - near).mean(), (candidate.value > value + near).mean()) > COMMON
 
 
 def _pwm(candidate: Candidate, pool: Sequence[Candidate]) -> Level:

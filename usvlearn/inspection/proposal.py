@@ -260,7 +260,7 @@ def _tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -
         others = tuple(_listed(getattr(each, channel.removeprefix("command_"))) for each in commands[1:4])
         label, level = _listed(one), one.levels[0]
         told.append(Decision(channel, "series", label, best.certainty, best.reason, others))
-        told.append(Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason))
+        told.append(Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason, level.zeros))
         told.append(
             Decision(
                 channel,

@@ -78,7 +78,7 @@ def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], sp
         convention: name of the format.
     """
     still = [each for each in everything if not each.varies and names_command(each)]
-    levels = {id(each): find_level(each, everything, convention) for each in (*pool, *still)}
+    levels = {id(each): find_level(each, everything, convention, speed) for each in (*pool, *still)}
     named = [each for each in (*pool, *still) if fit("command", each.label) >= 1 and side(each.label)]
     found = [judge(left, right, levels, speed, turn) for left, right in _pairs(named)]
     if not found:
@@ -119,12 +119,16 @@ def judge(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[in
 def _sides(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[int, Level]) -> list[Side]:
     """Both sides, with the same full scale for all commands of one kind."""
     own = {id(each): levels[id(each)] for each in (*left, *right)}
+    if middle := next((each for each in own.values() if each.kind != PWM and each.zero), None):
+        own = {key: each if each.zero or each.zero_certainty == CERTAIN else middle for key, each in own.items()}
     common = {}
     for key, level in own.items():
         wide = max(
             (each for each in own.values() if (each.kind == PWM) == (level.kind == PWM)), key=lambda each: each.span
         )
-        common[key] = wide._replace(zero=level.zero, zero_certainty=level.zero_certainty, zero_reason=level.zero_reason)
+        common[key] = wide._replace(
+            zero=level.zero, zero_certainty=level.zero_certainty, zero_reason=level.zero_reason, zeros=level.zeros
+        )
     return [Side(tuple(part), tuple(common[id(each)] for each in part), 1) for part in (left, right)]
 
 
