@@ -74,7 +74,7 @@ def _by_size(candidate: Candidate, convention: str) -> Level:
     if unit == "N" or {"n", "newton", "newtons", "force"} & set(words(candidate.label)):
         return Level(zero[0], _round(size), "N", *zero[1:], PROBABLE, "the greatest force seen", ())
     if size <= 1.0 + 1e-9:
-        sure = CERTAIN if size > 0.999 else PROBABLE
+        sure = CERTAIN if size > 0.999 else PROBABLE if size > 0 else UNSURE
         return Level(zero[0], 1.0, "share", *zero[1:], sure, f"values reach {size:.3g}", ())
     if 50 < size < 100:
         told = f"values reach {size:.3g}: percent, if 100 is full scale"

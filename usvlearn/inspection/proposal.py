@@ -21,7 +21,8 @@ from usvlearn.inspection.speeds import (
     norms,
     period_of,
 )
-from usvlearn.inspection.vocabulary import WORDS, fit
+from usvlearn.inspection.vocabulary import WORDS, fit, names_side_alone, side
+from usvlearn.inspection.written import scalar
 from usvlearn.logs.relations import heading_rate
 
 SIDES = ("command_left", "command_right")
@@ -62,10 +63,12 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     heading = headings[0] if headings else None
     yaw, turn = None, None
     if heading:
-        yaw, rejected = find_yaw_rate(pool, heading)
+        alone = {side(each.label) for each in pool if names_side_alone(each.label)}
+        turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
+        yaw, rejected = find_yaw_rate(turning, heading)
         turn = _turn(heading, yaw)
         decisions += _tell_heading(heading, headings, channels, series)
-        rivals = [each.label for each in pool if fit("yaw_rate", each.label) >= 0.5]
+        rivals = [each.label for each in turning if fit("yaw_rate", each.label) >= 0.5]
         decisions += _tell_yaw_rate(yaw, heading, rivals, channels, series)
         decisions += rejected
     taken = [each for each in (heading and heading.candidate, yaw and yaw.candidate) if each is not None]
@@ -258,6 +261,8 @@ def _tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -
         if len(one.parts) == 1:
             series[channel] = one.parts[0]
         others = tuple(_listed(getattr(each, channel.removeprefix("command_"))) for each in commands[1:4])
+        if best.middle:
+            others = (scalar([each.name for each in (*one.parts, best.middle)]), *others)
         label, level = _listed(one), one.levels[0]
         told.append(Decision(channel, "series", label, best.certainty, best.reason, others))
         told.append(Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason, level.zeros))

@@ -19,7 +19,7 @@ from usvlearn.inspection.candidate import Candidate
 from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE
 from usvlearn.inspection.levels import PWM, Level, find_level
 from usvlearn.inspection.places import Pair
-from usvlearn.inspection.vocabulary import fit, side, without_side, words
+from usvlearn.inspection.vocabulary import MIDDLE, fit, names_side_alone, side, without_side, words
 from usvlearn.logs.relations import NOTHING, Relation, side_sign, speed_on_thrust
 
 SURE, HINT = 4.0, 2.0  # standard errors of a correlation, beyond which it is no chance, and from which it counts
@@ -64,6 +64,7 @@ class Commands(NamedTuple):
     alternatives: tuple[str, ...]
     score: float
     turn: float = 0.0  # standard errors by which the yaw rate confirms the sides, or contradicts them
+    middle: Candidate | None = None  # a thruster between both sides, which is in neither
 
 
 def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], speed: Pair | None, turn: Pair | None,
@@ -81,8 +82,12 @@ def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], sp
     levels = {id(each): find_level(each, everything, convention, speed) for each in (*pool, *still)}
     named = [each for each in (*pool, *still) if fit("command", each.label) >= 1 and side(each.label)]
     found = [judge(left, right, levels, speed, turn) for left, right in _pairs(named)]
+    found = [_without_middle(each, pool) for each in found]
     if not found:
         found = list(_groups(pool, levels, speed, turn))
+    if not found:
+        alone = [each for each in (*pool, *still) if names_side_alone(each.label)]
+        found = [judge(left, right, levels, speed, turn) for left, right in _pairs(alone)]
     if not found:
         found = list(_with_rudder([*pool, *still], levels, turn))
     if not found:
@@ -93,7 +98,7 @@ def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], sp
 def names_command(candidate: Candidate) -> bool:
     """Whether a name tells a thruster of a side, or a rudder, even if it never changes."""
     sided = fit("command", candidate.label) >= 2 and side(candidate.label)
-    return bool(sided) or fit("rudder", candidate.label) >= 1
+    return bool(sided) or names_side_alone(candidate.label) or fit("rudder", candidate.label) >= 1
 
 
 def judge(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[int, Level], speed: Pair | None,
@@ -114,6 +119,17 @@ def judge(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[in
     score = name + 0.08 * signs.score - 0.5 * (signs.left + signs.right < 2)
     one, other = sides[0]._replace(sign=signs.left), sides[1]._replace(sign=signs.right)
     return Commands(one, other, which, reason, sure, told, others, score, turned)
+
+
+def _without_middle(commands: Commands, pool: Sequence[Candidate]) -> Commands:
+    """The same, but unsure where a third thruster between the sides is left out."""
+    stem = set(without_side(commands.left.parts[0].label))
+    named = [(each, set(words(each.label))) for each in pool]
+    middle = [each for each, found in named if MIDDLE & found and found - MIDDLE == stem]
+    if not middle:
+        return commands
+    reason = f"{commands.reason}; {middle[0].label} is on neither side and is left out"
+    return commands._replace(certainty=UNSURE, reason=reason, middle=middle[0])
 
 
 def _sides(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[int, Level]) -> list[Side]:

@@ -47,13 +47,28 @@ WORDS: dict[str, dict[str, float]] = {  # role -> word -> how strongly it names 
     "command": {"thrust": 3, "thruster": 3, "thr": 3, "motor": 2.5, "pwm": 2.6, "esc": 2.6, "servo": 2, "throttle": 3,
                 "prop": 2, "propeller": 2.5, "drive": 2, "cmd": 2, "command": 2.5, "power": 1.5, "schub": 3,
                 "antrieb": 2, "actuator": 2, "output": 1, "rcou": 2, "engine": 2, "maschine": 2, "poussee": 2,
-                "motoren": 2, "m": 1, "t": 0.5, "c": 0.5, "ch": 0.5},
+                "motoren": 2, "m": 1, "t": 0.5, "c": 0.5, "ch": 0.5, "rpm": 1.8,
+                "drehzahl": 1.8},
     "rudder": {"rudder": 3, "steer": 3, "steering": 3, "ruder": 3, "rud": 3, "nozzle": 2, "timon": 2, "barre": 2},
 }  # fmt: skip
 TURNS = {"yaw", "heading", "turn", "psi", "gier", "dreh", "hdg", "theta", "head"}
 RATES = {"rate", "dot", "speed", "vel", "velocity", "rotation"}
 SIDED = {"pwm", "thrust", "thruster", "motor", "cmd", "esc", "prop", "thr", "throttle", "drive"}
-DRIVES = {"thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle", "prop", "propeller", "schub"}
+MIDDLE = {"mid", "middle", "center", "centre", "mitte", "milieu", "centro"}
+DRIVES = {
+    "rpm",
+    "drehzahl",
+    "thrust",
+    "thruster",
+    "motor",
+    "pwm",
+    "esc",
+    "servo",
+    "throttle",
+    "prop",
+    "propeller",
+    "schub",
+}
 COMMANDED = {"cmd", "command", "commanded"}
 UNIT_WORDS = {  # words of a name that tell a unit
     "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "rad": "rad", "radian": "rad", "radians": "rad",
@@ -71,6 +86,7 @@ def words(name: str) -> tuple[str, ...]:
     (('nav', 'speed', 'over', 'ground'), ('l', 'pwm'), ('heading', 'set'), ('kurs', 'ueber', 'grund'))
     """
     text = "/".join(unicodedata.normalize("NFC", name).split("/")[-2:])
+    text = re.sub("St[Bb](?![a-z])", " stb ", text)  # not st, b
     text = re.sub("[äöüßÄÖÜ]", lambda found: found[0].lower().translate(GERMAN), text)
     text = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode()
     found: list[str] = []
@@ -142,12 +158,21 @@ def fit(role: str, name: str) -> float:
 def side(name: str) -> str:
     """The side that a name tells, "left", "right" or "" (none, or both).
 
-    >>> side("DESIRED_THRUST_L"), side("rpwm"), side("Schub steuerbord"), side("NAV_SPEED")
-    ('left', 'right', 'right', '')
+    >>> side("DESIRED_THRUST_L"), side("rpwm"), side("Schub steuerbord"), side("NAV_SPEED"), side("Motor StB [%]")
+    ('left', 'right', 'right', '', 'right')
     """
     found = set(words(name))
     left, right = bool(found & LEFT), bool(found & RIGHT)
     return "" if left == right else "left" if left else "right"
+
+
+def names_side_alone(name: str) -> bool:
+    """Whether a name tells a side and, at most, a unit.
+
+    >>> names_side_alone("left"), names_side_alone("R [%]"), names_side_alone("right_pct"), names_side_alone("left eye")
+    (True, True, True, False)
+    """
+    return bool(side(name)) and all(word in UNIT_WORDS for word in without_side(name))
 
 
 def without_side(name: str) -> tuple[str, ...]:
