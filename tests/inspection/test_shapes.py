@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.exported import write_table
 from tests.support.shapes import SHAPES, Score, Shape, certainties, score
-from tests.support.traps import TRAPS
+from tests.support.traps import TRAPS, columns
 from tests.support.voyages import voyage
 from usvlearn.inspection.inspected import Inspected, inspect_logs
+from usvlearn.inspection.lag import DELAYS, choose
 
 
 def inspected(folder: Path, shape: Shape, seed: int = 0, **options) -> tuple[Inspected, Score]:
@@ -40,6 +42,22 @@ def test_channels_and_units_are_right_in_95_percent(scored):
 @pytest.mark.parametrize("name", TRAPS)
 def test_it_is_never_sure_of_what_is_wrong(tmp_path, name):
     assert inspected(tmp_path, TRAPS[name])[1].wrong == []
+
+
+def test_a_top_speed_is_as_sure_as_the_unit_of_the_speed(tmp_path):
+    found, _ = inspected(tmp_path, TRAPS["feet"])
+    sure = {each[:2]: each.certainty for each in found.decisions}
+    assert sure["vehicle", "surge_max"] == sure["surge", "unit"] == "unsure"
+
+
+def test_a_long_delay_is_found_and_one_at_the_end_of_the_search_is_unsure(tmp_path):
+    own = columns(voyage(0))
+    for side in ("thrust_left", "thrust_right"):
+        own[side] = np.interp(own["time"] + 3, own["time"], own[side])
+    found = inspect_logs([str(write_table(tmp_path / "a.csv", own))])
+    assert 2.75 <= found.lag.delay <= 3.25
+    falling = 2 - np.array(DELAYS)[:, None] + np.random.default_rng(0).uniform(0, 0.1, (1, 500))
+    assert choose(falling)[:4] == (1.0, (1.0,), 1.0, False)
 
 
 def test_the_recordings_have_the_simulated_values(tmp_path):

@@ -136,6 +136,18 @@ def centimetres(folder: Path, voyage: Voyage) -> Path:
     return write_table(folder / "a.csv", columns(voyage, speed=np.round(100 * voyage.at("surge", time))))
 
 
+def feet(folder: Path, voyage: Voyage) -> Path:
+    """A speed in ft/s, which is no unit of a channel."""
+    time = rows(voyage)
+    return write_table(folder / "a.csv", columns(voyage, speed=voyage.at("surge", time) / 0.3048))
+
+
+def interchanged(folder: Path, voyage: Voyage) -> Path:
+    """Latitude and longitude have each other's name."""
+    own = columns(voyage)
+    return write_table(folder / "a.csv", own | {"lat": own["lon"], "lon": own["lat"]})
+
+
 def mirrored_gyro(folder: Path, voyage: Voyage) -> Path:
     """A yaw rate that counts the other way than the heading."""
     time = rows(voyage)
@@ -191,6 +203,8 @@ TRAPS = {
     "stop_at_mid_scale": Shape(stop_at_mid_scale,
                                HEADING | SPEED | pair("thrust_left", "thrust_right", zero=50, span=50)),
     "centimetres": Shape(centimetres, SIDES | HEADING | {"surge": [{"name": "speed", "unit": "cm/s"}]}),
+    "feet": Shape(feet, SIDES | HEADING | {"surge": [{"name": "speed", "unit": "ft/s"}]}),
+    "interchanged": Shape(interchanged, COMMON | {"latitude": [{"name": "lon"}], "longitude": [{"name": "lat"}]}),
     "mirrored_gyro": Shape(mirrored_gyro, COMMON | {"yaw_rate": [{"name": "yaw_rate", "unit": "enu_deg/s"}]}),
     "setpoint_first": Shape(setpoint_first, SIDES | {"heading": [{"name": "psi", "unit": "rad"}]}
                             | {"surge": [{"name": "u", "unit": "m/s"}]}),

@@ -12,8 +12,8 @@ import yaml
 
 from usvlearn.errors import LogFormatError
 from usvlearn.inspection.candidate import Candidate, candidates
-from usvlearn.inspection.decision import PROBABLE, UNSURE, Decision
-from usvlearn.inspection.lag import Lag, find_lag
+from usvlearn.inspection.decision import PROBABLE, UNSURE, Decision, least
+from usvlearn.inspection.lag import LONG_DELAYS, Lag, find_lag
 from usvlearn.inspection.logfiles import Logs, joined, open_logs
 from usvlearn.inspection.proposal import SIDES, Proposal, propose
 from usvlearn.inspection.written import read_settings, settings_of, write_text
@@ -112,9 +112,10 @@ def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], d
         return USUAL
     top = math.ceil(MARGIN * greatest * 10) / 10
     settings["vehicle"]["surge_max"] = top
-    decisions.append(
-        Decision("vehicle", "surge_max", f"{top:g} m/s", PROBABLE, f"the greatest speed is {greatest:.2f} m/s")
-    )
+    units = [each for each in decisions if each.what == "unit" and each.channel in ("surge", "velocity_north")]
+    sure, told = least(PROBABLE, *(each.certainty for each in units)), f"the greatest speed is {greatest:.2f} m/s"
+    told += f", if {units[0].value} is the unit of the speed" if sure == UNSURE else ""
+    decisions.append(Decision("vehicle", "surge_max", f"{top:g} m/s", sure, told))
     return top
 
 
@@ -130,6 +131,10 @@ def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -
     told = f"as good: {equal} s" if len(lag.equal) > 1 else "one regression for each delay"
     if lag.delay:
         told = f"surely better than none; {told}"
+        if lag.delay > 1:
+            told += "; delays above 1 s are tried in steps of 0.25 s"
+        if lag.delay == LONG_DELAYS[-1]:
+            told = f"{lag.delay:g} s or more: it is the longest that is tried"
     elif lag.best:
         told = f"{lag.best:g} s fits best, but not surely; {told}"
     sure = PROBABLE if lag.sure else UNSURE

@@ -24,6 +24,7 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.signals import Fleet
 
 DELAYS = tuple(k / 20 for k in range(21))  # s
+LONG_DELAYS = tuple(1 + k / 4 for k in range(1, 17))  # s, which are tried if the longest of the others fits best
 BLOCK, LEAST_BLOCKS = 25, 4  # steps
 SURE, EQUAL = 3.0, 2.0  # standard errors: to be better than none, and as good as the best
 MOST_STEPS = 200_000
@@ -42,27 +43,35 @@ class Lag(NamedTuple):
 
 def find_lag(recordings: Sequence[Recording], surge_max: float = 10.0) -> Lag:
     """The delay of the commands, equal on both sides."""
-    rows = []
-    for delay in DELAYS:
-        delayed = [
-            one._replace(channels=one.channels | {side: one.channels[side]._replace(delay=delay) for side in COMMANDS})
-            for one in recordings
-        ]
+    rows: list[dict] = []
+    for delays in (DELAYS, DELAYS + LONG_DELAYS):
         try:
-            with warnings.catch_warnings(action="ignore"):
-                rows.append(_rows(align_fleet(delayed, surge_max=surge_max)))
+            rows += [_rows(_delayed(recordings, delay, surge_max)) for delay in delays[len(rows) :]]
         except UsvlearnError:
             return Lag(0.0, (), 0.0, False, np.empty(0))
-    stamps = set.intersection(*(set(each) for each in rows))
-    if len(stamps) < BLOCK * LEAST_BLOCKS:
-        return Lag(0.0, (), 0.0, False, np.empty(0))
-    common = sorted(stamps)[:MOST_STEPS]
-    errors = np.stack([_residuals(np.array([each[key] for key in common])) for each in rows])
-    return choose(errors)
+        stamps = set.intersection(*(set(each) for each in rows))
+        if len(stamps) < BLOCK * LEAST_BLOCKS:
+            return Lag(0.0, (), 0.0, False, np.empty(0))
+        common = sorted(stamps)[:MOST_STEPS]
+        errors = np.stack([_residuals(np.array([each[key] for key in common])) for each in rows])
+        found = choose(errors, delays)
+        if found.delay < delays[-1]:
+            break
+    return found
 
 
-def choose(errors: np.ndarray) -> Lag:
-    """The best of all delays by their absolute residuals, `(delays, steps)`.
+def _delayed(recordings: Sequence[Recording], delay: float, surge_max: float) -> Fleet:
+    """The recordings on the grid, with the commands of both sides delayed."""
+    delayed = [
+        one._replace(channels=one.channels | {side: one.channels[side]._replace(delay=delay) for side in COMMANDS})
+        for one in recordings
+    ]
+    with warnings.catch_warnings(action="ignore"):
+        return align_fleet(delayed, surge_max=surge_max)
+
+
+def choose(errors: np.ndarray, delays: Sequence[float] = DELAYS) -> Lag:
+    """The best of all delays by their absolute residuals, `(delays, steps)`; at the end of the search it is not sure.
 
     >>> rng = np.random.default_rng(0)
     >>> errors = np.abs(np.array(DELAYS)[:, None] - 0.2) + rng.uniform(0, 0.1, (1, 500))
@@ -82,7 +91,8 @@ def choose(errors: np.ndarray) -> Lag:
     gain, error = worse(0)
     better = best > 0 and gain > SURE * error
     sure = better or ((best == 0 or 0 in equal) and len(equal) <= 4)
-    return Lag(DELAYS[best] if better else 0.0, tuple(DELAYS[k] for k in equal), DELAYS[best], sure, means)
+    sure &= len(delays) - 1 not in equal
+    return Lag(delays[best] if better else 0.0, tuple(delays[k] for k in equal), delays[best], sure, means)
 
 
 def _rows(fleet: Fleet) -> dict[tuple[int, int, int], tuple[float, ...]]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from usvlearn.inspection.candidate import Candidate
 from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.inspection.directions import Heading, YawRate, find_headings, find_yaw_rate
-from usvlearn.inspection.places import Pair, Places, course_of, find_places, guess_places, rate_of
+from usvlearn.inspection.places import Pair, Places, course_of, find_places, guess_places, interchanged, rate_of
 from usvlearn.inspection.sides import HINT, SURE, Commands, Side, find_commands, swapped
 from usvlearn.inspection.speeds import (
     Speed,
@@ -54,6 +54,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     places = find_places(pool)
     if not places and (guessed := guess_places(*_unnamed(pool))):
         places = [guessed]
+    if places:
+        named = [each for each in pool if fit("surge", each.label) >= 1]
+        places = [interchanged(places[0], named), *places[1:]]
     channels: dict[str, dict[str, Any]] = {}
     series: dict[str, Candidate] = {}
     decisions: list[Decision] = []
@@ -97,7 +100,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     elif places:
         decisions += _tell_places_as_speed(channels)
     if places:
-        decisions += _tell_places(places[0], channels, series, bool(speeds and speeds[0].confirmed))
+        decisions += _tell_places(
+            places[0], channels, series, bool(speeds and speeds[0].confirmed and speeds[0].certainty == CERTAIN)
+        )
     missing = [name for name in (*SIDES, "heading") if name not in channels]
     missing += [] if speeds or places else ["surge"]
     order = [*SIDES, "heading", "yaw_rate", "surge"]
@@ -332,6 +337,8 @@ def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool) 
     named = fit(names[0], places.first.label) >= 1 or not places.geographic
     sure = UNSURE if not named else CERTAIN if confirmed else PROBABLE
     why = "the speed follows its rate" if confirmed else "by name and range"
+    if fit("longitude", places.first.label) >= 1:
+        why = "against the names: only with latitude and longitude interchanged, the speed follows their rate"
     told = []
     for name, candidate in zip(names, (places.first, places.second), strict=True):
         scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}

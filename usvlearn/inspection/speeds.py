@@ -22,7 +22,8 @@ from usvlearn.logs.copies import find_period
 from usvlearn.logs.relations import Relation, speed_on_positions
 
 SPEEDS = tuple(unit for unit in ("m/s", "km/h", "knots", "cm/s", "mm/s") if unit in UNITS)
-RATIO = 1.3  # by which a slope may differ from that of a unit
+RATIO = 1.3  # by which a slope may differ from that of a unit, as far as that unit is near at all
+FITS, SAME = 1.05, 0.95  # by which it may differ, and the correlation, of a unit that is certain
 FOLLOWS, SURE = 0.6, 4.0  # correlation with the rate of position, and that in standard errors
 CLOSE, LONG = 0.9, 60.0  # or a close correlation over so many seconds
 ALONG = 0.8  # mean cosine of heading and direction of a velocity over ground
@@ -100,15 +101,10 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
     score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
     if relation is not None and _enough(relation):
         if relation.correlation >= FOLLOWS and (unit := _unit(relation.slope)):
-            told = f"{relation.slope:.3g} × the rate of position (correlation {relation.correlation:.2f})"
-            if declared and declared != unit:
-                return Speed(
-                    candidate, unit, UNSURE, f"{told}, but declared as {declared}", (declared,), True, False, score
-                )
-            return Speed(candidate, unit, CERTAIN, told, (), True, False, score + 2 * relation.correlation)
+            return _near(candidate, unit, relation, declared, declared or usual, score)
         if relation.correlation >= FOLLOWS:
             told = f"{relation.slope:.3g} × the rate of position, which is no known unit"
-            others = tuple(unit for unit in SPEEDS[:3] if unit != (declared or "m/s"))
+            others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
             return Speed(candidate, declared or "m/s", UNSURE, told, others, False, True, score - 2)
     if relation is not None and relation.seconds >= LONG and relation.correlation >= STEADY:
         unit = _unit(relation.slope, TIGHT)
@@ -142,6 +138,25 @@ def read_speed(candidate: Candidate, relation: Relation | None, convention: str,
         )
     told = "neither the name nor a position tells the unit"
     return Speed(candidate, unit, UNSURE, told + doubt, others, False, follows_not, score - 2 * follows_not)
+
+
+def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, expected: str, score: float) -> Speed:
+    """A speed that follows the rate of position, in the unit that is nearest; a unit must fit closely to be certain."""
+    told = f"{relation.slope:.3g} × the rate of position (correlation {relation.correlation:.2f})"
+    if declared and declared != unit:
+        return Speed(candidate, unit, UNSURE, f"{told}, but declared as {declared}", (declared,), True, False, score)
+    fits = _unit(relation.slope, FITS) == unit
+    score += 2 * relation.correlation
+    if fits or unit == expected:
+        sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
+        return Speed(candidate, unit, sure, told, (), True, False, score)
+    told += f", which is no known unit; {unit} would give {1 / UNITS[unit][0]:.3g}"
+    return Speed(candidate, unit, UNSURE, told, (_by_span(relation),), True, False, score)
+
+
+def _by_span(relation: Relation) -> str:
+    """What reads a speed in a unit of its own, such as ft/s, as an alternative of its unit."""
+    return f"m/s, with span: {relation.slope:.3g}"
 
 
 def _enough(relation: Relation) -> bool:
