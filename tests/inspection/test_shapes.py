@@ -44,6 +44,14 @@ def test_it_is_never_sure_of_what_is_wrong(tmp_path, name):
     assert inspected(tmp_path, TRAPS[name])[1].wrong == []
 
 
+@pytest.mark.parametrize("name", ["tenths", "hundredths", "gradians"])
+def test_a_heading_beyond_degrees_is_read_with_a_span(tmp_path, name):
+    found, result = inspected(tmp_path, TRAPS[name])
+    assert {"heading unit", "heading span"} <= set(result.right)
+    own = found.recordings[0].channels["heading"]
+    assert np.abs(np.sin((own.value - voyage(0).at("heading", own.time + 0.5)) / 2)).max() < 0.01
+
+
 def test_a_top_speed_is_as_sure_as_the_unit_of_the_speed(tmp_path):
     found, _ = inspected(tmp_path, TRAPS["feet"])
     sure = {each[:2]: each.certainty for each in found.decisions}

@@ -142,6 +142,28 @@ def feet(folder: Path, voyage: Voyage) -> Path:
     return write_table(folder / "a.csv", columns(voyage, speed=voyage.at("surge", time) / 0.3048))
 
 
+def tenths(folder: Path, voyage: Voyage) -> Path:
+    """A heading in tenths of a degree, and no position."""
+    time = rows(voyage)
+    own = columns(voyage, lat=None, lon=None, heading=np.round(10 * DEG * voyage.at("heading", time) % 3600))
+    return write_table(folder / "a.csv", own)
+
+
+def hundredths(folder: Path, voyage: Voyage) -> Path:
+    """A heading in hundredths of a degree, with a position."""
+    time = rows(voyage)
+    return write_table(
+        folder / "a.csv", columns(voyage, heading=np.round(100 * DEG * voyage.at("heading", time) % 36000))
+    )
+
+
+def gradians(folder: Path, voyage: Voyage) -> Path:
+    """A heading with 400 to a turn, and no position."""
+    time = rows(voyage)
+    own = columns(voyage, lat=None, lon=None, heading=DEG * voyage.at("heading", time) / 0.9 % 400)
+    return write_table(folder / "a.csv", own)
+
+
 def interchanged(folder: Path, voyage: Voyage) -> Path:
     """Latitude and longitude have each other's name."""
     own = columns(voyage)
@@ -204,6 +226,9 @@ TRAPS = {
                                HEADING | SPEED | pair("thrust_left", "thrust_right", zero=50, span=50)),
     "centimetres": Shape(centimetres, SIDES | HEADING | {"surge": [{"name": "speed", "unit": "cm/s"}]}),
     "feet": Shape(feet, SIDES | HEADING | {"surge": [{"name": "speed", "unit": "ft/s"}]}),
+    "tenths": Shape(tenths, SIDES | SPEED | {"heading": [{"name": "heading", "unit": "deg", "span": 10}]}),
+    "hundredths": Shape(hundredths, SIDES | SPEED | {"heading": [{"name": "heading", "unit": "deg", "span": 100}]}),
+    "gradians": Shape(gradians, SIDES | SPEED | {"heading": [{"name": "heading", "unit": "deg", "span": 1.11111}]}),
     "interchanged": Shape(interchanged, COMMON | {"latitude": [{"name": "lon"}], "longitude": [{"name": "lat"}]}),
     "mirrored_gyro": Shape(mirrored_gyro, COMMON | {"yaw_rate": [{"name": "yaw_rate", "unit": "enu_deg/s"}]}),
     "setpoint_first": Shape(setpoint_first, SIDES | {"heading": [{"name": "psi", "unit": "rad"}]}

@@ -29,6 +29,10 @@ RATIO = 1.6  # by which the slope may differ from that of a unit
 NORTH = {"heading", "hdg", "hdt", "compass", "steuerkurs", "kurs", "ned", "cap", "rumbo"}  # words of angles from north
 NORTH_FORMATS = {"MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog"}  # whose headings are from north
 FULL_TURN = 6.6  # a heading in rad, within ±2π, is smaller
+FINE_TURNS = {400.0: "gradians", 3600.0: "tenths of a degree", 36000.0: "hundredths of a degree"}
+FASTEST_TURN = 60.0  # °/s, of a boat
+BEYOND = 361.0  # values above this are no degrees of one turn
+NOT_MEASURED = {"innovation", "innovations", "innov", "ratio", "ratios", "test", "residual", "uncertainty"}
 
 
 class Heading(NamedTuple):
@@ -42,10 +46,12 @@ class Heading(NamedTuple):
     agreement: float  # mean cosine of heading and course; NaN where no course is known
     score: float  # of the series
     by_format: bool = False  # whether the format of the log defines the sense
+    span: float = 1.0  # of the candidate's numbers in the unit
 
     @property
     def radians(self) -> Pair:
-        return self.candidate.scaled(*UNITS[self.unit])
+        factor, offset = UNITS[self.unit]
+        return self.candidate.scaled(factor / self.span, offset)
 
 
 def agreement(heading: Pair, course: Pair) -> float:
@@ -115,19 +121,59 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     return Heading(candidate, unit, sure, told, others, math.nan, name, by_format)
 
 
+def full_turn(candidate: Candidate) -> float:
+    """The numbers of a full turn, where they cannot be degrees of one turn; 360 otherwise.
+
+    Values beyond a turn are degrees that count on, if the boat then turns as a boat may.
+
+    >>> time = np.arange(0.0, 100.0)
+    >>> full_turn(Candidate("a", None, "", "", time, 10 * (7.0 * time % 360))), full_turn(
+    ...     Candidate("a", None, "", "", time, 7.0 * time)
+    ... )
+    (3600.0, 360.0)
+    """
+    if not candidate.size > BEYOND or candidate.extent[0] < -BEYOND:
+        return 360.0
+    turn = next((each for each in FINE_TURNS if candidate.size <= each * 1.001), 360.0)
+    time, value = candidate.evidence
+    passed, steps = np.diff(time), np.abs(np.diff(value))
+    jumps = (steps > 0.9 * turn).any()
+    steady = (passed > 0) & (passed < 1.0)
+    rates = steps[steady] / passed[steady]
+    fast = len(rates) > ENOUGH and np.quantile(rates, 0.95) > FASTEST_TURN
+    return turn if jumps or fast or candidate.size <= 400.4 else 360.0
+
+
+def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:
+    """As `read_heading`, also of tenths or hundredths of degrees, and of gradians, which are read with a span."""
+    turn = full_turn(candidate)
+    if turn == 360:
+        found = read_heading(candidate, course, convention)
+        beyond = candidate.size > BEYOND and found.unit.endswith("deg") and found.certainty != CERTAIN
+        return found._replace(certainty=UNSURE, reason=f"{found.reason}; beyond one turn") if beyond else found
+    span = float(f"{turn / 360:.6g}")
+    scaled = candidate.named(value=candidate.value / span, unit="deg")
+    found = read_heading(scaled, course, convention)
+    sure = found.certainty if found.certainty == CERTAIN else UNSURE
+    told = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {found.reason}"
+    return found._replace(candidate=candidate, span=span, certainty=sure, reason=told)
+
+
 def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: str = "") -> list[Heading]:
     """Series that may be the heading, the best first; by name, and without a name by their numbers."""
     found = []
     for each in pool:
+        if NOT_MEASURED & set(words(each.label)):
+            continue
         name, over_ground = fit("heading", each.label), fit("course", each.label)
         if name >= 1 and name > over_ground:
-            found.append(read_heading(each, course, convention))
+            found.append(read_any_turn(each, course, convention))
         elif name >= 0 and over_ground <= 0 and (each.wraps or _may_be_angle(each)):
-            read = read_heading(each, course, convention)
+            read = read_any_turn(each, course, convention)
             if each.wraps or read.agreement >= AGREES:
                 found.append(read._replace(score=read.score - 1))
         elif over_ground >= 1 and name > -3:
-            read = read_heading(each, course, convention)
+            read = read_any_turn(each, course, convention)
             told = (
                 f"a course over ground, in place of a heading: wrong where the boat drifts or backs up; {read.reason}"
             )

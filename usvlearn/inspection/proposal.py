@@ -174,7 +174,8 @@ def on_change(candidate: Candidate) -> tuple[bool, str]:
 
 def _tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
     candidate = best.candidate
-    channels["heading"] = _source(candidate, unit=best.unit, window=_window(candidate, "heading"))
+    scale = {} if best.span == 1 else {"span": best.span}
+    channels["heading"] = _source(candidate, unit=best.unit, window=_window(candidate, "heading"), **scale)
     series["heading"] = candidate
     close = [each.candidate.label for each in headings[1:] if each.score > best.score - 1]
     named = fit("heading", candidate.label)
@@ -185,10 +186,11 @@ def _tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, se
     else:
         sure, why = UNSURE, best.reason
     why += f"; others: {', '.join(close[:3])}" if close else ""
-    return [
+    told = [
         Decision("heading", "series", candidate.label, sure, why, tuple(close)),
         Decision("heading", "unit", best.unit, best.certainty, best.reason, best.alternatives),
     ]
+    return told + [Decision("heading", "span", f"{best.span:g}", best.certainty, best.reason) for _ in scale]
 
 
 def _tell_yaw_rate(

@@ -10,7 +10,7 @@ import re
 import unicodedata
 from functools import cache
 
-SPLIT = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+SPLIT = re.compile(r"[23][dD]\b|[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 GERMAN = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 
 LEFT = {"left", "l", "port", "prt", "links", "bb", "backbord", "gauche", "babord", "izquierda", "babor"}
