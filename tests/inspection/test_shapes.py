@@ -52,6 +52,13 @@ def test_a_heading_beyond_degrees_is_read_with_a_span(tmp_path, name):
     assert np.abs(np.sin((own.value - voyage(0).at("heading", own.time + 0.5)) / 2)).max() < 0.01
 
 
+def test_a_twist_that_follows_the_position_is_the_speed(tmp_path):
+    found, result = inspected(tmp_path, TRAPS["odometry"])
+    assert {"surge name", "surge unit"} <= set(result.right)
+    assert "unsure" not in [each.certainty for each in found.decisions if each.channel == "surge"]
+    assert {"north", "east"} <= set(found.proposal.channels)
+
+
 def test_a_top_speed_is_as_sure_as_the_unit_of_the_speed(tmp_path):
     found, _ = inspected(tmp_path, TRAPS["feet"])
     sure = {each[:2]: each.certainty for each in found.decisions}

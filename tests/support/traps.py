@@ -164,6 +164,14 @@ def gradians(folder: Path, voyage: Voyage) -> Path:
     return write_table(folder / "a.csv", own)
 
 
+def odometry(folder: Path, voyage: Voyage) -> Path:
+    """The names and senses of an odometry message: metres east and north, a speed that is called a twist."""
+    time = rows(voyage)
+    own = columns(voyage, lat=None, lon=None, heading=None, speed=None, yaw=enu(voyage.at("heading", time)))
+    own |= {"pose.position.x": np.interp(time, *voyage.east), "pose.position.y": np.interp(time, *voyage.north)}
+    return write_table(folder / "a.csv", own | {"twist.linear.x": voyage.at("surge", time)})
+
+
 def interchanged(folder: Path, voyage: Voyage) -> Path:
     """Latitude and longitude have each other's name."""
     own = columns(voyage)
@@ -229,6 +237,9 @@ TRAPS = {
     "tenths": Shape(tenths, SIDES | SPEED | {"heading": [{"name": "heading", "unit": "deg", "span": 10}]}),
     "hundredths": Shape(hundredths, SIDES | SPEED | {"heading": [{"name": "heading", "unit": "deg", "span": 100}]}),
     "gradians": Shape(gradians, SIDES | SPEED | {"heading": [{"name": "heading", "unit": "deg", "span": 1.11111}]}),
+    "odometry": Shape(odometry, SIDES | {"heading": [{"name": "yaw", "unit": "enu_rad"}]}
+                      | {"surge": [{"name": "twist.linear.x", "unit": "m/s"}]}
+                      | {"east": [{"name": "pose.position.x"}], "north": [{"name": "pose.position.y"}]}),
     "interchanged": Shape(interchanged, COMMON | {"latitude": [{"name": "lon"}], "longitude": [{"name": "lat"}]}),
     "mirrored_gyro": Shape(mirrored_gyro, COMMON | {"yaw_rate": [{"name": "yaw_rate", "unit": "enu_deg/s"}]}),
     "setpoint_first": Shape(setpoint_first, SIDES | {"heading": [{"name": "psi", "unit": "rad"}]}

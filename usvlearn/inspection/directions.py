@@ -14,7 +14,7 @@ import numpy as np
 
 from usvlearn.inspection.candidate import ANGLES, Candidate
 from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
-from usvlearn.inspection.places import Pair
+from usvlearn.inspection.places import Pair, Places, course_of
 from usvlearn.inspection.vocabulary import fit, words
 from usvlearn.logs.channel import UNITS
 from usvlearn.logs.relations import rate_slope
@@ -22,6 +22,7 @@ from usvlearn.logs.relations import rate_slope
 HEADINGS = ("deg", "rad", "enu_deg", "enu_rad")
 ENOUGH = 30  # courses, below which they decide nothing
 AGREES = 0.6  # mean cosine of heading and course, from which they agree
+ALONG = 0.8  # or that of local coordinates, from which it tells which of them is north
 MARGIN = 0.25  # of that, over the next best unit
 FOLLOWS, SURE = 0.6, 4.0  # correlation of a yaw rate with the heading's derivative, and that in standard errors
 CLOSE, SHORT = 0.9, 20.0  # or a close correlation over so many seconds
@@ -75,7 +76,8 @@ def agreement(heading: Pair, course: Pair) -> float:
 def read_heading(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:
     """The unit and the sense of a heading, by all evidence that there is."""
     agree = {unit: agreement(candidate.scaled(*UNITS[unit]), course) if course else math.nan for unit in HEADINGS}
-    declared = candidate.unit if candidate.unit in ANGLES else ""
+    usual = "rad" if convention == "PX4 ULog" else ""
+    declared = candidate.unit if candidate.unit in ANGLES else usual
     enu = declared.startswith("enu_")
     ranked = sorted(HEADINGS, key=lambda unit: -agree[unit] if agree[unit] == agree[unit] else 0.0)
     best = ranked[0]
@@ -119,6 +121,17 @@ def read_heading(candidate: Candidate, course: Pair | None, convention: str = ""
     by_format = enu or convention in NORTH_FORMATS
     sure = PROBABLE if by_format or NORTH & set(words(candidate.label)) else UNSURE
     return Heading(candidate, unit, sure, told, others, math.nan, name, by_format)
+
+
+def orient(places: Places, heading: Heading) -> Places | None:
+    """Local coordinates of which the heading tells which one is north; None if it does not."""
+    for each in (
+        places,
+        places._replace(first=places.second, second=places.first, north=places.east, east=places.north),
+    ):
+        if agreement(heading.radians, course_of(each)) >= ALONG:
+            return each._replace(oriented=True)
+    return None
 
 
 def full_turn(candidate: Candidate) -> float:

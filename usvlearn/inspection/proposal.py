@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from usvlearn.inspection.candidate import Candidate
 from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
-from usvlearn.inspection.directions import Heading, YawRate, find_headings, find_yaw_rate
+from usvlearn.inspection.directions import Heading, YawRate, find_headings, find_yaw_rate, orient
 from usvlearn.inspection.places import Pair, Places, course_of, find_places, guess_places, interchanged, rate_of
 from usvlearn.inspection.sides import HINT, SURE, Commands, Side, find_commands, swapped
 from usvlearn.inspection.speeds import (
@@ -64,7 +64,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     course = course_of(oriented) if oriented else None
     headings = find_headings(pool, course, convention)
     heading = headings[0] if headings else None
-    yaw, turn = None, None
+    yaw, turn, axes = None, None, CERTAIN
+    if places and heading and not oriented and (found_axes := orient(places[0], heading)):
+        places, axes = [found_axes, *places[1:]], least(PROBABLE, heading.certainty)
     if heading:
         alone = {side(each.label) for each in pool if names_side_alone(each.label)}
         turning = [each for each in pool if len(alone) < 2 or not names_side_alone(each.label)]  # L and R are sides
@@ -101,7 +103,7 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         decisions += _tell_places_as_speed(channels)
     if places:
         decisions += _tell_places(
-            places[0], channels, series, bool(speeds and speeds[0].confirmed and speeds[0].certainty == CERTAIN)
+            places[0], channels, series, bool(speeds and speeds[0].confirmed and speeds[0].certainty == CERTAIN), axes
         )
     missing = [name for name in (*SIDES, "heading") if name not in channels]
     missing += [] if speeds or places else ["surge"]
@@ -222,7 +224,9 @@ def _tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[D
         if not best.contradicted
         else UNSURE
     )
-    if fit("surge", candidate.label) < 1 or (not best.confirmed and is_part(candidate)):
+    if fit("surge", candidate.label) < 1:
+        sure = PROBABLE if best.certainty == CERTAIN else UNSURE
+    elif not best.confirmed and is_part(candidate):
         sure = UNSURE  # a part of a vector may be to the north as well as along the hull
     why = "follows the rate of position" if best.confirmed else "by name"
     if best.contradicted:
@@ -331,8 +335,12 @@ def _command_source(one: Side) -> dict[str, Any]:
     return source | keys
 
 
-def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool) -> list[Decision]:
-    """The position as auxiliary channels, for the track."""
+def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool, axes: str) -> list[Decision]:
+    """The position as auxiliary channels, for the track.
+
+    Args:
+        axes: how certain it is which coordinate is north.
+    """
     names = ("latitude", "longitude") if places.geographic else ("north", "east")
     if not places.oriented:
         return []
@@ -341,6 +349,8 @@ def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool) 
     why = "the speed follows its rate" if confirmed else "by name and range"
     if fit("longitude", places.first.label) >= 1:
         why = "against the names: only with latitude and longitude interchanged, the speed follows their rate"
+    if axes != CERTAIN:
+        sure, why = least(sure, axes), "which of them is north, is told by the heading, which follows the course then"
     told = []
     for name, candidate in zip(names, (places.first, places.second), strict=True):
         scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
@@ -373,6 +383,10 @@ def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict,
 def _tell_places_as_speed(channels: dict) -> list[Decision]:
     return [
         Decision(
-            "surge", "series", "from the position", PROBABLE, "no speed is logged: it is computed from the position"
+            "surge",
+            "series",
+            "from the position",
+            PROBABLE,
+            "no series is known to be the speed: the position tells it",
         )
     ]
