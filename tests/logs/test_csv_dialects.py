@@ -198,3 +198,15 @@ def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
         path.write_text(text)
         with pytest.raises(LogFormatError, match="column of stamps"):
             table_of(path)
+
+
+def test_times_of_a_day_as_numbers(tmp_path):
+    """Past a minute and an hour; read as seconds they would jump by 40 and 4040."""
+    rows = "".join(f"{h:02d}{m:02d}{s:02d}.5,{s}\n" for h, m in ((9, 58), (9, 59), (10, 0)) for s in range(60))
+    path = tmp_path / "a.csv"
+    path.write_text("time,speed\n" + rows)
+    table, unsure = table_of(path)
+    assert (table.time_unit, unsure) == ("hhmmss", [])
+    assert table.read(path, {"surge": Source("speed")})[0]["surge"].time.tolist() == list(range(180))
+    with pytest.warns(UserWarning, match="set data.reader.time_unit=hhmmss"):
+        Table("time").read(path, {"surge": Source("speed")})

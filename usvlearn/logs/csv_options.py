@@ -11,7 +11,7 @@ from usvlearn.errors import LogFormatError
 from usvlearn.logs.channel import QUOTED
 from usvlearn.logs.csv_dialect import AUTO, Dialect, find_dialect, split_unit
 from usvlearn.logs.csv_stamps import Stamps, parse_cells
-from usvlearn.logs.csv_table import TIME_UNITS, Table
+from usvlearn.logs.csv_table import CLOCK, TIME_UNITS, Table
 
 NAMED = {
     "time",
@@ -74,14 +74,16 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
     rivals = [each.name for each in candidates[1:] if each.rank == best.rank]
     if rivals:
         unsure.append(f"time: found {best.name!r}, but the stamps may also be {' or '.join(map(repr, rivals[:3]))}")
-    unit, doubt = _time_unit(best)
-    if doubt:
-        unsure.append(f"time_unit: {doubt}")
+    unit, unclear = _time_unit(best)
     found = {"delimiter": dialect.delimiter, "decimal": dialect.decimal, "encoding": dialect.encoding}
     table = Table(best.name, unit, **found)
     kind, doubt = table.stamp_kind(path)
     if doubt:
         unsure.append(f"dates: found {doubt}; {kind} is assumed")
+    if kind == CLOCK:
+        return Table(best.name, CLOCK, **found), unsure
+    if unclear:
+        unsure.append(f"time_unit: {unclear}")
     return (table if kind in ("number", "time") else Table(best.name, unit, dates=kind, **found)), unsure
 
 

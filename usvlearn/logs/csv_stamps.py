@@ -76,11 +76,31 @@ class Stamps:
             return OTHER_DATE, seconds, (int(first), int(second), int(year) + 2000 * (len(year) == 2))
         return UNREADABLE, np.nan, none
 
-    def seconds(self, order: str) -> tuple[np.ndarray | None, str, str]:
+    def clock_numbers(self) -> bool:
+        """Whether the stamps are times of a day written as a number, HHMMSS or HHMMSS.s.
+
+        They never have 60 to 99 as minutes or seconds, and a minute goes on by 41 after its 59th second.
+
+        >>> stamps = Stamps()
+        >>> stamps.add([f"{minute:04d}{second:02d}" for minute in (959, 1000) for second in range(60)])
+        >>> stamps.clock_numbers()
+        True
+        """
+        kinds, values = np.concatenate(self._kinds), np.concatenate(self._values)
+        values = values[(kinds == NUMBER) & np.isfinite(values)]
+        if len(values) < 2 or np.isnan(_of_number(values)).any():
+            return False
+        full = np.flatnonzero(np.diff(values // 100))
+        return bool(
+            len(full) and (values[full] % 100 >= 50).mean() > 0.8 and (values[full + 1] % 100 < 10).mean() > 0.8
+        )
+
+    def seconds(self, order: str, clock: bool = False) -> tuple[np.ndarray | None, str, str]:
         """Stamps as seconds since the first readable one; numbers in their unit; None if none is readable.
 
         Args:
             order: of a date, one of `ORDERS` or "auto".
+            clock: whether numbers are times of a day, HHMMSS.
 
         Returns:
             the stamps, the kind ("number", "time" or one of `ORDERS`), and a doubt about the order, or "".
@@ -92,6 +112,8 @@ class Stamps:
             return None, "", ""
         kind, doubt = int(counts.argmax()), ""
         values[kinds != kind] = np.nan
+        if kind == NUMBER and clock:
+            kind, values = CLOCK, _of_number(values)
         name = ("number", "year_first", order, "time")[kind]
         if kind == OTHER_DATE:
             dates = np.concatenate(self._dates)
@@ -139,6 +161,13 @@ def _seconds(hour: str, minute: str, second: str | None, fraction: str | None, h
     if hours > 24 or int(minute) > 59 or int(second or 0) > 60:
         return np.nan
     return 3600.0 * hours + 60 * int(minute) + int(second or 0) + float(f"0.{(fraction or '0')[:18]}")
+
+
+def _of_number(values: np.ndarray) -> np.ndarray:
+    """Seconds since midnight of numbers HHMMSS; NaN where there is no such time."""
+    hours, minutes, seconds = values // 10000, values // 100 % 100, values % 100
+    known = (hours >= 0) & (hours < 24) & (minutes < 60) & (seconds < 60)
+    return np.where(known, 3600 * hours + 60 * minutes + seconds, np.nan)
 
 
 def _offset(zone: str | None) -> float:

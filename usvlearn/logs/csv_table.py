@@ -18,6 +18,7 @@ from usvlearn.logs.csv_stamps import ORDERS
 from usvlearn.logs.series import Series
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+CLOCK = "hhmmss"  # in place of a unit: times of a day as numbers
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Table:
     Args:
         time: column of the stamps: numbers, date-times such as `2025-07-24 17:18:48.207`, or times of a day, which go
             on past midnight; `Date+Time` joins two columns. A date-time without a zone is taken as UTC.
-        time_unit: unit of stamps that are numbers: s, ms, us or ns.
+        time_unit: unit of stamps that are numbers: s, ms, us or ns; or hhmmss, for times of a day such as 091500.25.
         delimiter: what separates the cells; a space stands for any number of spaces and tabs.
         decimal: sign of the numbers, `.` or `,`.
         encoding: of the text, as Python names it.
@@ -60,7 +61,7 @@ class Table:
     suffixes: ClassVar[tuple[str, ...]] = (".csv", ".tsv")
 
     def __post_init__(self):
-        check_choice("data.reader.time_unit", self.time_unit, tuple(TIME_UNITS))
+        check_choice("data.reader.time_unit", self.time_unit, (*TIME_UNITS, CLOCK))
         if self.delimiter != AUTO and (len(self.delimiter) != 1 or self.delimiter in '\r\n"'):
             raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character, or {AUTO}")
         check_choice("data.reader.decimal", self.decimal, (".", ",", AUTO))
@@ -128,11 +129,11 @@ class Table:
         return series
 
     def stamp_kind(self, path: Path) -> tuple[str, str]:
-        """What the stamps are (number, time, year_first, day_first or month_first), and a doubt about it, or ""."""
+        """What the stamps are (number, hhmmss, time or one of `ORDERS`), and a doubt about it, or ""."""
         dialect = self._dialect(path)
         rows = Rows(path, dialect, self._stamp_columns(path, dialect), [])
         _, kind, doubt = rows.stamps.seconds(self.dates)
-        return kind or "number", doubt
+        return CLOCK if kind == "number" and rows.stamps.clock_numbers() else kind or "number", doubt
 
     def _dialect(self, path: Path) -> Dialect:
         """How a file is written, by the options given and by what is found."""
@@ -158,7 +159,7 @@ class Table:
 
     def _seconds(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> np.ndarray:
         """Stamps as seconds since the first readable one."""
-        time, kind, doubt = rows.stamps.seconds(self.dates)
+        time, kind, doubt = rows.stamps.seconds(self.dates, self.time_unit == CLOCK)
         if time is None:
             raise LogFormatError(
                 f"{path}, line {rows.order[0]}: expected a number or a date-time in the time column "
@@ -171,6 +172,12 @@ class Table:
             )
         if kind != "number":
             return time
+        if self.time_unit == "s" and rows.stamps.clock_numbers():
+            warnings.warn(
+                f"{path}: the numbers of {self.time!r} are times of a day, such as {rows.first_stamp[:QUOTED]!r}, but "
+                f"they are read as seconds: set data.reader.time_unit={CLOCK}",
+                stacklevel=4,
+            )
         declared = dialect.units[dialect.names.index(stamps[0])]
         if declared in TIME_UNITS and declared != self.time_unit:
             warnings.warn(
