@@ -210,3 +210,27 @@ def test_times_of_a_day_as_numbers(tmp_path):
     assert table.read(path, {"surge": Source("speed")})[0]["surge"].time.tolist() == list(range(180))
     with pytest.warns(UserWarning, match="set data.reader.time_unit=hhmmss"):
         Table("time").read(path, {"surge": Source("speed")})
+
+
+def test_a_column_that_rises_evenly_may_be_that_of_the_stamps(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("speed,millis\n" + "".join(f"{k % 7},{100 * k}\n" for k in range(50)))
+    table, unsure = table_of(path)
+    assert (table.time, table.time_unit) == ("millis", "ms")
+    assert unsure[0] == "time: found no column that is called so; 'millis' is the first one that rises evenly"
+
+
+def test_repeated_whole_seconds_are_unsure(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,speed\n" + "".join(f"2025-07-24T17:18:{k // 10:02d},{k % 7}\n" for k in range(300)))
+    table, unsure = table_of(path)
+    assert table.time == "time"
+    assert unsure[0].startswith("time: found 'time', whose stamps repeat")
+
+
+@pytest.mark.parametrize(("rows", "found"), [("", "a header and no rows"), ("1,2\n", "a header and a single row")])
+def test_a_table_of_too_few_rows_is_told(tmp_path, rows, found):
+    path = tmp_path / "a.csv"
+    path.write_text("time,speed\n" + rows)
+    with pytest.raises(LogFormatError, match=f"two rows or more, found {found}"):
+        table_of(path)

@@ -28,6 +28,8 @@ NAMED = {
 }
 PARTS = ("time", "stamp", "zeit")  # of a name that may be one of stamps
 RISING = 0.95  # share of the steps of a column of stamps that are not negative
+ADVANCING = 0.2  # share of them that are positive
+EVEN, FEWEST = -1, 9  # rank of a column that is known only by its even steps, and the least number of these
 READABLE = 0.9  # share of its cells that are stamps
 EPOCHS = {"s": (3e8, 5e9), "ms": (3e11, 5e12), "us": (3e14, 5e15), "ns": (3e17, 5e18)}  # from 1979 to 2128
 SHORTEST, LONGEST = 0.005, 5.0  # s, usual time between two rows
@@ -63,6 +65,12 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
     """
     dialect = find_dialect(path, AUTO, AUTO, AUTO, AUTO, AUTO)
     unsure = [f"decimal: found {doubt}; '.' is assumed" for doubt in dialect.doubts.values()]
+    if (count := len(dialect.sample)) < 2:
+        found = "a header and no rows" if not count else "a header and a single row"
+        raise LogFormatError(
+            f"{path}: expected a table with a header, a column of stamps and two rows or more, found {found}: "
+            "leave it out"
+        )
     candidates = sorted(_candidates(dialect), key=lambda each: -each.rank)
     if not candidates:
         listing = ", ".join(repr(name[:QUOTED]) for name in dialect.names[:40]) or "(none)"
@@ -71,7 +79,11 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
             "name the column of the stamps in data.reader.time"
         )
     best = candidates[0]
-    rivals = [each.name for each in candidates[1:] if each.rank == best.rank]
+    if best.rank < 0:
+        unsure.append(f"time: found no column that is called so; {best.name!r} is the first one that rises evenly")
+    elif not _advances(best.values):
+        unsure.append(f"time: found {best.name!r}, whose stamps repeat, as whole seconds do at a higher rate")
+    rivals = [each.name for each in candidates[1:] if each.rank == best.rank >= 0]
     if rivals:
         unsure.append(f"time: found {best.name!r}, but the stamps may also be {' or '.join(map(repr, rivals[:3]))}")
     unit, unclear = _time_unit(best)
@@ -102,16 +114,28 @@ def _candidates(dialect: Dialect) -> list[_Candidate]:
             days.append(name)
             continue
         rising = np.diff(time[np.isfinite(time)])
-        if not len(rising) or (rising >= 0).mean() < RISING or not 0.2 <= (rising > 0).mean():
+        if not len(rising) or (rising >= 0).mean() < RISING or not (rising > 0).any():
             continue
         part = any(part in bare for part in PARTS)
         rank = 4 * (kind != "number") + 3 * (bare in NAMED) + 2 * part + (unit in TIME_UNITS)
+        rank = rank if rank and (_advances(time) or kind != "number") else EVEN if _is_even(rising) else 0
         if rank:
             found.append(_Candidate(rank, name, kind, unit, time, _first(cells, dialect.decimal)))
     return [
         each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4) if each.kind == "time" and days else each
         for each in found
     ]
+
+
+def _advances(stamps: np.ndarray) -> bool:
+    """Whether enough of the steps are no repetitions."""
+    return bool((np.diff(stamps[np.isfinite(stamps)]) > 0).mean() >= ADVANCING)
+
+
+def _is_even(steps: np.ndarray) -> bool:
+    """Whether a column rises at an even rate, as stamps do whatever they are called."""
+    usual = float(np.median(steps))
+    return len(steps) >= FEWEST and usual > 0 and bool((np.abs(steps - usual) <= 0.5 * usual).mean() >= RISING)
 
 
 def _stamps(cells: list[str], decimal: str) -> tuple[np.ndarray | None, str, str]:
