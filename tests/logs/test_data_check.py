@@ -1,8 +1,23 @@
 """The data check: every mistake is found and named, and boats without one are left in peace."""
 
+import re
+
 import numpy as np
 import pytest
-from data_check import ALIGN, CONFIGURED, FAULTS, MISTAKES, TOP, boats, changed, kinds, late, times
+from data_check import (
+    ALIGN,
+    CONFIGURED,
+    FAULTS,
+    MISTAKES,
+    TOP,
+    boats,
+    changed,
+    kinds,
+    late,
+    then,
+    times,
+    with_yaw_rate,
+)
 
 import usvlearn
 from tests.support import REAL_LOGS
@@ -12,6 +27,7 @@ from usvlearn.logs.channel import COMMANDS, SURGE, Channel, Recording
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
 from usvlearn.logs.data_check import check_data, check_level, refuse
 from usvlearn.logs.recordings import align_fleet
+from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet
 from usvlearn.simulate.sensors import Sensors
 
@@ -144,6 +160,107 @@ def test_findings_say_the_number_and_the_key(logs):
     assert "10" in finding.found and "behind the commands" in finding.found
     assert finding.key.startswith("data.channels.command_left.delay=10")
     assert "found speeds" in finding.sentence() and "set data.channels" in finding.sentence()
+
+
+def frozen(name, first, last, value=None):
+    """A channel that stays at its value between two times, s."""
+
+    def change(log):
+        channel = log[name]
+        within = (channel.time >= first) & (channel.time < last)
+        stays = channel.value[within][0] if value is None else value
+        return {name: channel._replace(value=np.where(within, stays, channel.value))}
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def patrol():
+    return {plant: fleet(n=1, plant=plant, hours=0.25, mission_minutes=15.0, missions=["patrol"], seed=5,
+                         autopilot=Autopilot(lowest=-1.0), aborted_share=0.0)
+            for plant in ("heron", "vtec", "otter")}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [SURGE, "heading", "yaw_rate"])
+def test_a_channel_that_freezes_is_told_with_its_run_and_time(name, patrol):
+    for plant, recordings in patrol.items():
+        whole = changed(recordings, with_yaw_rate) if name == "yaw_rate" else recordings
+        (finding,) = (
+            each
+            for each in check_data(changed(whole, frozen(name, 300, 500)), None, ALIGN, TOP[plant], CONFIGURED)
+            if each.kind == "frozen"
+        )
+        assert (finding.about, finding.severity) == (name, WARNING)
+        first, last = (float(each) for each in re.findall(r"from (\d+) to (\d+) s", finding.found)[0])
+        assert abs(first - 300) < 3 and abs(last - 500) < 3 and recordings[0].run in finding.found
+
+
+def test_a_command_that_freezes_while_the_boat_turns_as_before_is_told(patrol):
+    for side in COMMANDS:
+        wrong = changed(patrol["heron"], frozen(side, 450, 900, 0.1))
+        found = check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED)
+        assert ("frozen", side) in [(each.kind, each.about) for each in found]
+
+
+def test_what_stays_equal_for_a_reason_is_not_frozen(patrol):
+    (log,) = patrol["heron"]
+    surge, heading = log.channels[SURGE], log.channels["heading"]
+    coarse = {SURGE: surge._replace(value=np.round(surge.value, 1)),
+              "heading": heading._replace(value=np.radians(np.round(np.degrees(heading.value))))}  # fmt: skip
+
+    def rest(log):  # the boat lies still, with thrusters that are off or idle
+        return {name: frozen(name, 400, 600, value)(log)[name]
+                for name, value in ((SURGE, 0.0), ("heading", None))}  # fmt: skip
+
+    def cruise(log):
+        return {name: frozen(name, 400, 600)(log)[name] for name in COMMANDS}
+
+    for change in (lambda log: coarse, rest, cruise, then(rest, cruise)):
+        found = check_data(changed([log], change), None, ALIGN, TOP["heron"], CONFIGURED)
+        assert "frozen" not in [each.kind for each in found], change
+
+
+def commands_before(seconds):
+    return lambda log: {name: log[name]._replace(time=log[name].time - seconds) for name in COMMANDS}
+
+
+@pytest.mark.parametrize("seconds", [3, 5, 10])
+def test_a_delay_of_seconds_is_told_with_its_key(seconds):
+    for plant in ("heron", "otter", "wamv"):
+        recordings = boats(plant, 0, 0.6)
+        for change, delay in (
+            (commands_before(seconds), seconds),  # a speed that comes late
+            (then(commands_before(seconds), set_delay(seconds)), None),  # the same, as configured
+        ):
+            found = check_data(changed(recordings, change), None, ALIGN, TOP[plant], CONFIGURED)
+            keys = [each.key for each in found if each.kind == "delay"]
+            if delay is None:
+                assert not keys, (plant, keys)
+            else:
+                (key,) = keys
+                told = float(key.split()[0].removeprefix("data.channels.command_left.delay="))
+                assert abs(told - delay) <= 1, (plant, key)
+
+
+def set_delay(seconds):
+    return lambda log: {name: log[name]._replace(delay=float(seconds)) for name in COMMANDS}
+
+
+def test_a_configured_delay_that_is_too_long_is_told():
+    found = check_data(changed(boats("heron", 0, 0.6), set_delay(5)), None, ALIGN, TOP["heron"], CONFIGURED)
+    (finding,) = [each for each in found if each.kind == "delay"]
+    assert finding.key.split()[0] in ("data.channels.command_left.delay=0", "data.channels.command_left.delay=1")
+
+
+@pytest.mark.parametrize("parts", [10, 100])
+def test_parts_of_a_degree_are_told_with_the_span(parts, logs):
+    wrong = changed(logs["heron"], times(parts, "heading"))
+    (finding,) = [each for each in check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED) if "unit" in each.kind]
+    assert finding.key == f"data.channels.heading.span={parts}"
+    radians = {**CONFIGURED, "heading": {"name": "heading", "unit": "rad"}}
+    wrong = changed(logs["heron"], times(parts * 180 / np.pi, "heading"))
+    (finding,) = [each for each in check_data(wrong, None, ALIGN, TOP["heron"], radians) if "unit" in each.kind]
+    assert finding.key == f"data.channels.heading.unit=deg data.channels.heading.span={parts}"
 
 
 def test_several_boats_are_checked_apart(logs):

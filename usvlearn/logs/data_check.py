@@ -2,8 +2,8 @@
 
 Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
 each other and with physics, on all runs of a boat together (`usvlearn.logs.relations`), and yields a finding with the
-setting that corrects it. The thresholds stand beside the checks: `scales`, `thrusters` and `delivery` of
-`usvlearn.logs.checks`; `benchmarks/data_check.md` has their rates of false alarms and misses.
+setting that corrects it. The thresholds stand beside the checks: `scales`, `thrusters`, `response`, `frozen` and
+`delivery` of `usvlearn.logs.checks`; `benchmarks/data_check.md` has their rates of false alarms and misses.
 
 A check that lacks its evidence is silent: a boat that never turns has no sides to be compared.
 """
@@ -16,7 +16,7 @@ from typing import Any
 
 from usvlearn.errors import LogFormatError, check_choice
 from usvlearn.logs.channel import Recording
-from usvlearn.logs.checks import delivery, scales, thrusters
+from usvlearn.logs.checks import delivery, frozen, response, scales, thrusters
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import WARNING, Finding
 from usvlearn.signals import Fleet
@@ -24,7 +24,7 @@ from usvlearn.signals import Fleet
 CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
     scales.zeros, scales.rest, scales.speed_scale, scales.command_scale, scales.heading_unit,
     scales.heading_sense, scales.yaw_rate,
-    thrusters.sides, thrusters.delay, thrusters.excitation,
+    thrusters.sides, thrusters.delay, thrusters.excitation, response.short_delay, frozen.frozen,
     delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
 )  # fmt: skip
 # kind of a finding -> kinds that follow from it, and are left out beside it
@@ -34,6 +34,7 @@ CONSEQUENCES = {
     "constant": ("thrust",),
     "side reversed": ("thrust",),
     "delay": ("stale",),
+    "frozen": ("delay",),
 }
 LEVELS = ("warn", "strict", "off")
 

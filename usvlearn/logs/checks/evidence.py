@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.logs.bins import HUGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
+from usvlearn.logs.bins import HUGE, OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
 from usvlearn.logs.channel import COMMANDS, DEGREES, METRES, REQUIRED, SURGE, UNITS, Channel, Recording, Source
 from usvlearn.logs.positions import local
 from usvlearn.logs.relations import Offset, Relation, angle_offset, in_series, relate, relate_sides
@@ -71,6 +71,18 @@ class Evidence:
     def series(self) -> dict[str, Series]:
         """All runs one behind the other, each value at the time of its effect; positions as metres north and east."""
         return {**dict.fromkeys(REQUIRED, NONE), **in_series(_series_of(one.channels) for one in self.recordings)}
+
+    def place(self, time: float) -> tuple[str, float]:
+        """The run in which a time of `series` lies, and the seconds since its first value."""
+        began, run = 0.0, ""
+        for one in self.recordings:
+            own = in_series([_series_of(one.channels)])
+            lasted = max((each[-1] for each, _ in own.values()), default=0.0)
+            run = one.run
+            if time <= began + lasted:
+                break
+            began += lasted + OUTAGE
+        return run, time - began
 
     @cached_property
     def edges(self) -> np.ndarray:

@@ -36,11 +36,13 @@ LIKELY = 0.15  # by which that of two units may differ from the measured one
 RESTING = 0.1  # m/s that a boat at rest does not reach
 WEAK, BEYOND = 0.05, 1.2  # of full scale
 CIRCLE = 2 * math.pi
+PARTS = (1, 10, 100)  # of a degree, in which headings are logged
 TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to follow
 TURNED_AWAY = math.radians(
     45
 )  # of the course from the heading: half the speed of the boat as a cross current makes 30°
 SLUGGISH, FRANTIC = 0.03, 10.0  # rad/s of turn for a full difference of the commands
+SWIFT = 0.3  # rad/s; ten times as much is more than a boat turns: tenths of a degree, not many turns without a wrap
 CENTURY = (700.0, 2300.0)  # us, the pulses of servos and speed controllers
 FULL = (1.0, 100.0, 1000.0)  # scales that commands usually have
 IDLE, RANGE = 1500.0, 400.0  # us
@@ -146,7 +148,7 @@ def command_scale(e: Evidence) -> Iterator[Finding]:
 
 
 def heading_unit(e: Evidence) -> Iterator[Finding]:
-    """Radians read as degrees, and degrees read as radians."""
+    """Radians read as degrees, degrees read as radians, tenths and hundredths of a degree read as degrees."""
     value = e.values["heading"]
     if len(value) < 3 or np.ptp(value) == 0:
         return
@@ -162,13 +164,22 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
             why = "jumps over that range" if wraps else f"{speeds:.1g} rad/s of turn at a full difference of commands"
             yield Finding(e.boat, "heading", "heading unit", f"{text}, {why}", "degrees that cover the turns",
                           override("heading", {"unit": unit.replace("deg", "rad")}))  # fmt: skip
-    elif 2 * CIRCLE < greatest <= 361 and np.min(value) > -361:
-        wraps = 0.8 * 360 < jumps < 361
-        frantic = speeds is not None and speeds > FRANTIC
-        if wraps or frantic:
-            text = f"headings up to {greatest:.0f} rad that jump by {jumps:.0f}"
-            yield Finding(e.boat, "heading", "heading unit", text, "radians within ±2π",
-                          override("heading", {"unit": unit.replace("rad", "deg")}))  # fmt: skip
+        return
+    rated, name = ("deg", "degrees") if unit.endswith("deg") else ("rad", "rad")
+    scale = UNITS["deg"][0] if rated == "deg" else 1.0
+    for parts in PARTS[rated == "deg" :]:  # of a degree
+        circle = 360 * parts * scale
+        least = 2 * CIRCLE if parts == 1 else 0.2 * circle
+        fits = least < greatest <= circle * 361 / 360 and np.min(value) > -circle * 361 / 360
+        wraps = 0.8 * circle < jumps < circle * 361 / 360
+        frantic = speeds is not None and speeds > (FRANTIC if rated == "rad" else SWIFT) * parts
+        if fits and (wraps or frantic):
+            text = f"headings up to {greatest / scale:.0f} {name} that jump by {jumps / scale:.0f}"
+            fix = {"unit": unit.replace("rad", "deg")} if rated == "rad" else {}
+            fix |= {"span": parts * e.settings("heading")["span"]} if parts > 1 else {}
+            expected = "radians within ±2π" if rated == "rad" else "degrees within ±360"
+            yield Finding(e.boat, "heading", "heading unit", text, expected, override("heading", fix))
+            return
 
 
 def _greatest_jump(value: np.ndarray) -> float:
