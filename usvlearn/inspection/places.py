@@ -78,7 +78,9 @@ def guess_places(pool: Sequence[Candidate], speeds: Sequence[Candidate]) -> Plac
 def interchanged(places: Places, speeds: Sequence[Candidate]) -> Places:
     """The position with latitude and longitude interchanged, if only then a speed follows its rate; else as it is."""
     other = _places(places.second, places.first, True, True) if places.geographic else None
-    for each in speeds if other else ():
+    if other is None:
+        return places
+    for each in speeds:
         own = speed_on_positions(places.north, places.east, each.evidence)
         swapped = speed_on_positions(other.north, other.east, each.evidence)
         if swapped.correlation > CLOSE and 1 - own.correlation > BETTER * (1 - swapped.correlation):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -87,16 +88,15 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
     if rivals:
         unsure.append(f"time: found {best.name!r}, but the stamps may also be {' or '.join(map(repr, rivals[:3]))}")
     unit, unclear = _time_unit(best)
-    found = {"delimiter": dialect.delimiter, "decimal": dialect.decimal, "encoding": dialect.encoding}
-    table = Table(best.name, unit, **found)
+    table = Table(best.name, unit, dialect.delimiter, dialect.decimal, dialect.encoding)
     kind, doubt = table.stamp_kind(path)
     if doubt:
         unsure.append(f"dates: found {doubt}; {kind} is assumed")
     if kind == CLOCK:
-        return Table(best.name, CLOCK, **found), unsure
+        return replace(table, time_unit=CLOCK), unsure
     if unclear:
         unsure.append(f"time_unit: {unclear}")
-    return (table if kind in ("number", "time") else Table(best.name, unit, dates=kind, **found)), unsure
+    return (table if kind in ("number", "time") else replace(table, dates=kind)), unsure
 
 
 def _candidates(dialect: Dialect) -> list[_Candidate]:
