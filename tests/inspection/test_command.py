@@ -1,5 +1,6 @@
 """The command `usvlearn inspect`: what it writes and prints, and one sentence for each bad input."""
 
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -7,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from hydra.core.override_parser.overrides_parser import OverridesParser
 
 from tests.support import ROOT
-from tests.support.exported import write_table
+from tests.support.exported import write_alog, write_table
 from tests.support.shapes import SHAPES
 from tests.support.voyages import voyage
 from usvlearn.cli.composition import recordings_of
+from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.inspect import main
 
 
@@ -51,6 +54,32 @@ def test_it_writes_a_configuration_that_reads_the_log(run, log):
     assert settings["data"]["boat"] == "my boat"
     recordings, _ = recordings_of("my_boat.yaml", {})  # as train.py composes it
     assert [one.boat for one in recordings] == ["my boat"]
+
+
+@pytest.mark.parametrize("folder", ["my boats", "it's", "a=b,c(d)", "Müller", "do$llar"])
+def test_the_printed_line_reads_any_path(run, log, folder):
+    Path(folder).mkdir()
+    code, printed = run(log, "--output", f"{folder}/b.yaml")
+    assert code == 0
+    line = next(each for each in printed.out.splitlines() if "python train.py" in each)
+    *_, given = shlex.split(line)  # as a POSIX shell does
+    (override,) = with_data_files([given])
+    found = OverridesParser.create().parse_override(override).value()
+    assert getattr(found, "text", found) == str(Path(folder, "b.yaml").resolve())
+
+
+def test_what_a_configuration_takes_for_a_reference_is_refused(run, log):
+    code, printed = run(log, "--name", "${vehicle.mass}")
+    assert code == 2
+    assert printed.err.startswith("error: --name: found '${vehicle.mass}', which a configuration takes for a reference")
+
+
+def test_missing_channels_are_told_with_a_configuration_of_their_format(run, tmp_path):
+    path = tmp_path / "a.alog"
+    write_alog(path, {"NAV_HEADING": (np.arange(500) / 10, np.arange(500.0) % 360)})
+    code, printed = run(path)
+    assert code == 2
+    assert "copy configs/data/alog.yaml and name" in printed.err
 
 
 def test_it_does_not_replace_a_file_unless_asked(run, log):

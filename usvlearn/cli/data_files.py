@@ -9,7 +9,6 @@ Such a file may come from anybody: it must be plain data that names only classes
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -22,10 +21,10 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
+from usvlearn.inspection.override import hydra_text
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
-PLAIN = re.compile(r"[\w/.:-]+")  # what Hydra takes without quotes
 SECTIONS = ("data", "vehicle")  # of such a file
 LARGEST = 1_000_000  # bytes
 
@@ -67,7 +66,7 @@ def _place(value: str) -> str:
     if not path.is_file():
         raise ConfigError(f"data: found {value!r}, but there is no such file: correct the path")
     _register(path := path.resolve())
-    return str(path) if PLAIN.fullmatch(str(path)) else "'{}'".format(str(path).replace("'", "\\'"))
+    return hydra_text(str(path))
 
 
 def _register(path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,14 @@ if TYPE_CHECKING:
 
 USAGE = "usage: usvlearn inspect LOG… [--output my_boat.yaml] [--name BOAT] [--plot] [--force]"
 LISTED = 40  # series on the screen
+EXAMPLES = {  # reader -> a configuration of its logs
+    "Alog": "alog.yaml",
+    "DataFlash": "ardupilot.yaml",
+    "Rosbag": "rosbag.yaml",
+    "Table": "csv.yaml",
+    "Tlog": "tlog.yaml",
+    "Ulog": "ulog.yaml",
+}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -43,12 +52,16 @@ def work(arguments: Sequence[str]) -> None:
     output = Path(options.output).expanduser()
     if output.suffix not in (".yaml", ".yml"):
         raise ConfigError(f"--output: found {options.output!r}, expected a name that ends in .yaml")
+    if "${" in str(output.resolve()):
+        raise ConfigError(f"--output: found {str(output)!r}, in which Hydra takes '${{' for a reference: rename it")
     if output.exists() and not options.force:
         raise ConfigError(f"--output: {output} exists: give another name, or --force to replace it")
     if not output.parent.is_dir():
         raise ConfigError(f"--output: found no folder {output.parent}: make it, or name another file")
     if options.name is not None and (options.name in ("", ".", "..") or set(options.name) & set("/\\")):
         raise ConfigError(f"--name: found {options.name!r}, expected one that can name a folder")
+    if options.name is not None and ("${" in options.name or options.name == "???"):
+        raise ConfigError(f"--name: found {options.name!r}, which a configuration takes for a reference: change it")
     console = terminal.console()
     with console.status("reading, and comparing the channels with each other"):
         found = inspect_logs(options.logs, options.name, options.output)
@@ -57,7 +70,12 @@ def work(arguments: Sequence[str]) -> None:
     if found.proposal.missing:
         raise ConfigError(
             f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: copy "
-            "configs/data/csv.yaml, alog.yaml or rosbag.yaml and name the series of the list above"
+            f"configs/data/{EXAMPLES[type(found.logs.reader).__name__]} and name the series of the list above"
+        )
+    if "${" in json.dumps(found.settings):
+        raise ConfigError(
+            f"{options.logs[0]}: found '${{' in the name of a file or a series, which a configuration takes for a "
+            "reference: rename it"
         )
     write_atomically(output, found.text.encode())
     if options.plot:
@@ -68,13 +86,14 @@ def work(arguments: Sequence[str]) -> None:
 
 
 def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
+    from usvlearn.inspection.override import shell_override
     from usvlearn.inspection.screen import hours
 
     yield f"Read back: {len(found.recordings)} run{'s' * (len(found.recordings) > 1)}, {hours(found.recordings):.2f} h."
     if plot:
         yield f"Picture: {output.with_suffix('.png')}"
     yield f"Written: {output}. To use it:"
-    yield f"    python train.py data={output}"
+    yield f"    python train.py {shell_override(str(output))}"
 
 
 def main() -> int:

@@ -13,8 +13,9 @@ import yaml
 from usvlearn.errors import LogFormatError
 from usvlearn.inspection.candidate import Candidate, candidates
 from usvlearn.inspection.decision import PROBABLE, UNSURE, Decision, least
-from usvlearn.inspection.lag import LONG_DELAYS, Lag, find_lag
+from usvlearn.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
 from usvlearn.inspection.logfiles import Logs, joined, open_logs
+from usvlearn.inspection.override import shell_override
 from usvlearn.inspection.proposal import SIDES, Proposal, propose
 from usvlearn.inspection.written import read_settings, settings_of, write_text
 from usvlearn.logs.channel import Recording
@@ -76,7 +77,7 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
     findings = check_data(recordings, _aligned(recordings), {}, vehicle["surge_max"], channels)
     head = [
         f"{settings['data']['boat']}: written by usvlearn inspect from {origin}.",
-        f"To use it: python train.py data={output}",
+        f"To use it: python train.py {shell_override(output)}",
         MEANING,
     ]
     text = write_text(settings, decisions, head, [each.sentence() for each in findings])
@@ -127,8 +128,10 @@ def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -
         return
     for side in SIDES:
         settings["data"]["channels"][side]["delay"] = lag.delay
-    equal = ", ".join(f"{each:g}" for each in lag.equal)
-    told = f"as good: {equal} s" if len(lag.equal) > 1 else "one regression for each delay"
+    between = [each for each in DELAYS if min(lag.equal) <= each <= max(lag.equal)]
+    whole = len(lag.equal) > 2 and len(between) == len(lag.equal)
+    shown = " … ".join(f"{lag.equal[k]:g}" for k in (0, -1)) if whole else ", ".join(f"{each:g}" for each in lag.equal)
+    told = f"as good: {shown} s" if len(lag.equal) > 1 else "one regression for each delay"
     if lag.delay:
         told = f"surely better than none; {told}"
         if lag.delay > 1:

@@ -110,12 +110,12 @@ def _merged(decisions: Sequence[Decision]) -> list[Decision]:
 
 
 def _unsure(found: Inspected) -> Iterator[Text]:
-    unsure = [each for each in found.decisions if each.certainty == UNSURE]
+    unsure = _merged([each for each in found.decisions if each.certainty == UNSURE])
     mass = f"vehicle mass: {MASS:g} kg: not in the logs; the parameters scale with it"
     yield Text(f"Please check ({len(unsure) + 1}):", "bold")
-    for each in _merged(unsure):
+    for each in unsure:
         others = f"; or {', '.join(each.alternatives)}" if each.alternatives else ""
-        yield Text(printable(f"  {each.channel} {each.what}: {each.value}: {each.reason}{others}"))
+        yield Text(printable(f"  {each.channel} {each.what.removesuffix(' of both')}: {each.value}{others}"))
     yield Text(f"  {mass}")
     yield Text()
 
