@@ -15,7 +15,7 @@ Thresholds, and why:
   is the cause.
 - The squares of residuals have to be less than at a usual delay by 15 % in all and by 4 standard errors of the means
   of blocks of 20 s (neighbouring residuals depend on each other), or by 30 % and 2.4: a few changes of speed make most
-  of the squares of a log of ten minutes. Simulated boats without a delay stay below 16 % and 1.8.
+  of the squares of a log of ten minutes.
 - The equation has to explain 30 % of the changes of speed, over nine minutes or more: in six minutes of a boat with a
   dead thruster, a delay of 2 s fits better at times.
 """
