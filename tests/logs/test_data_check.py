@@ -224,7 +224,7 @@ def commands_before(seconds):
     return lambda log: {name: log[name]._replace(time=log[name].time - seconds) for name in COMMANDS}
 
 
-@pytest.mark.parametrize("seconds", [3, 5, 10])
+@pytest.mark.parametrize("seconds", [4, 5, 10])
 def test_a_delay_of_seconds_is_told_with_its_key(seconds):
     for plant in ("heron", "otter", "wamv"):
         recordings = boats(plant, 0, 0.6)

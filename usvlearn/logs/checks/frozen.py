@@ -29,7 +29,7 @@ from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, STEP, Evidence, spr
 from usvlearn.logs.checks.finding import Finding, see
 
 LONGEST, MESSAGES, TIMES = 10.0, 20, 20.0  # s; messages; median stretches
-CHANGE = 0.25  # of the top speed
+CHANGE, AHEAD = 0.25, 0.1  # of the top speed: its change, and the speed of a boat that moves
 TURNED = math.radians(30)
 ONE_WAY = 0.9  # length of the mean vector of a course
 FOLLOWS, CERTAIN = 0.3, 2.5  # correlation of the turn or the speed with the commands; standard errors
@@ -97,8 +97,8 @@ def _speed(e: Evidence, name: str, value: float, part: slice) -> str | None:
 
 def _heading(e: Evidence, name: str, value: float, part: slice) -> str | None:
     speed = np.abs(e.speed[part])
-    stuck = _middle(speed) > 0 and np.nanmax(speed) - np.nanmin(speed) < 1e-9  # it froze, too, and says nothing
-    if not (stuck or _middle(speed) > MOVING * min(e.surge_max, e.fastest)):
+    stuck = _middle(speed) > 1e-6 and np.nanmax(speed) - np.nanmin(speed) < 1e-9  # it froze, too, and says nothing
+    if not (stuck or _middle(speed) > AHEAD * min(e.surge_max, e.fastest)):
         return None
     if "yaw_rate" in e.series and (turned := _turned(e.means("yaw_rate")[part])) > TURNED:
         return f"the yaw rate says turns by {math.degrees(turned):.0f}°"

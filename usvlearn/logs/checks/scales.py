@@ -36,7 +36,7 @@ LIKELY = 0.15  # by which that of two units may differ from the measured one
 RESTING = 0.1  # m/s that a boat at rest does not reach
 WEAK, BEYOND = 0.05, 1.2  # of full scale
 CIRCLE = 2 * math.pi
-PARTS = (1, 10, 100)  # of a degree, in which headings are logged
+PARTS = (1, 10, math.degrees(1), 100)  # of a degree, in which headings are logged, or converted twice
 TURNED = 0.03  # rad/s, standard deviation of a turn that a yaw rate has to follow
 TURNED_AWAY = math.radians(
     45
@@ -173,7 +173,7 @@ def heading_unit(e: Evidence) -> Iterator[Finding]:
         fits = least < greatest <= circle * 361 / 360 and np.min(value) > -circle * 361 / 360
         wraps = 0.8 * circle < jumps < circle * 361 / 360
         frantic = speeds is not None and speeds > (FRANTIC if rated == "rad" else SWIFT) * parts
-        if fits and (wraps or frantic):
+        if fits and (wraps or (frantic and isinstance(parts, int))):
             text = f"headings up to {greatest / scale:.0f} {name} that jump by {jumps / scale:.0f}"
             fix = {"unit": unit.replace("rad", "deg")} if rated == "rad" else {}
             fix |= {"span": parts * e.settings("heading")["span"]} if parts > 1 else {}
