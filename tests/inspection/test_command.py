@@ -17,6 +17,7 @@ from tests.support.voyages import voyage
 from usvlearn.cli.composition import recordings_of
 from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.inspect import main
+from usvlearn.inspection.logfiles import boats_of
 
 
 @pytest.fixture
@@ -178,6 +179,35 @@ def test_several_logs_are_one_boat(run, tmp_path):
     assert code == 0
     assert "Read back: 2 runs" in printed.out
     assert yaml.safe_load(Path("my_boat.yaml").read_text())["data"]["path"] == str(tmp_path / "logs" / "run_*.alog")
+
+
+def test_logs_of_several_boats_are_told_and_what_is_told_works(run, tmp_path):
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for name in ("heron_1", "heron_2", "otter_1", "otter_2"):
+        SHAPES["plain"].write(folder, voyage()).rename(folder / f"{name}.csv")
+    code, printed = run(folder)
+    assert code == 0
+    assert "heron and otter" in " ".join(printed.out.split())
+    settings = yaml.safe_load(Path("my_boat.yaml").read_text())
+    settings["data"] |= {"boat": None, "path": boats_of(sorted(folder.iterdir()))}
+    Path("boats.yaml").write_text(f"# @package _global_\n{yaml.safe_dump(settings)}")
+    assert [one.boat for one in recordings_of("boats.yaml", {})[0]] == ["heron", "heron", "otter", "otter"]
+
+
+def test_notes_and_hidden_files_are_no_logs(run, tmp_path, log):
+    for name in (".hidden.csv", "README.txt"):
+        (tmp_path / name).write_text("some text\nand more\n")
+    code, printed = run(tmp_path)
+    assert (code, printed.err) == (0, "")
+    assert printed.out.startswith("1 log of tables")
+
+
+def test_a_folder_of_tables_with_the_suffix_of_text(run, tmp_path, log):
+    log.rename(tmp_path / "log.txt")
+    code, printed = run(tmp_path)
+    assert (code, printed.err) == (0, "")
+    assert "Read back: 1 run" in printed.out
 
 
 @pytest.mark.parametrize("arguments", [["--output", "a.txt"], ["--output", "no/a.yaml"], ["--name", "a/b"]])

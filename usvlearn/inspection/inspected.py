@@ -14,7 +14,7 @@ from usvlearn.errors import LogFormatError
 from usvlearn.inspection.candidate import Candidate, candidates
 from usvlearn.inspection.decision import PROBABLE, UNSURE, Decision, least
 from usvlearn.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
-from usvlearn.inspection.logfiles import Logs, joined, open_logs
+from usvlearn.inspection.logfiles import Logs, boats_of, joined, open_logs
 from usvlearn.inspection.override import shell_override
 from usvlearn.inspection.proposal import SIDES, Proposal, propose
 from usvlearn.inspection.written import read_settings, settings_of, write_text
@@ -61,6 +61,13 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
     for doubt in logs.doubts:
         option, _, reason = doubt.partition(": ")
         decisions.append(Decision("reader", option, str(getattr(logs.reader, option, "")), UNSURE, reason))
+    if boats := boats_of(logs.files):
+        paths = ", ".join(f"{boat}: {pattern!r}" for boat, pattern in boats.items())
+        told = (
+            f"the names of the logs begin with {' and '.join(boats)}, but all are taken as one boat; of several boats, "
+        )
+        told += f"inspect those of each, or set data.path={{{paths}}} and data.boat=null"
+        decisions.append(Decision("boat", "path", name or logs.name, UNSURE, told))
     if proposal.missing:
         return Inspected(logs, series, proposal, decisions, {}, "", [], None, notes, [])
     settings = settings_of(logs.path, name or logs.name, logs.reader, proposal.channels, USUAL)

@@ -90,6 +90,7 @@ FORMATS = (
     TABLE,
 )
 BAGS = (".db3", ".mcap")  # of ROS 2, in a folder with metadata.yaml
+NOTES = ".txt"  # of a table, or of notes beside logs
 SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
 
 
@@ -163,7 +164,14 @@ def _files(given: str) -> list[Path]:
     if path.is_file():
         return [path]
     if path.is_dir():
-        inside = [file for file in path.rglob("*") if file.is_file() and file.suffix.lower() in SUFFIXES]
+        inside = [
+            file
+            for file in path.rglob("*")
+            if file.is_file()
+            and file.suffix.lower() in SUFFIXES
+            and not any(part.startswith(".") for part in file.relative_to(path).parts)
+        ]
+        inside = [file for file in inside if file.suffix.lower() != NOTES] or inside
         if not inside:
             raise ConfigError(
                 f"{given}: expected a folder of logs ({' '.join(dict.fromkeys(SUFFIXES))}), found none in it"
@@ -189,7 +197,9 @@ def bytes_of(log: Path) -> int:
 def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
     """One path or pattern that finds these files."""
     if len(given) == 1:
-        return str(Path(given[0]).expanduser().absolute())
+        only = Path(given[0]).expanduser().absolute()
+        notes = only.is_dir() and all(file.suffix.lower() == NOTES for file in files)
+        return f"{glob.escape(str(only))}/**/*{files[0].suffix}" if notes else str(only)
     absolute = [str(file.absolute()) for file in files]
     start, end = _common(absolute), _common([each[::-1] for each in absolute])[::-1]
     folder = Path(os.path.commonpath(absolute))
@@ -205,6 +215,26 @@ def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
         f"{given[0]} and {len(given) - 1} more: expected one folder, or all logs that a pattern finds: move these logs "
         "to a folder of their own"
     )
+
+
+def boats_of(files: Sequence[Path]) -> dict[str, str]:
+    """boat -> pattern of its logs, where the logs of one folder have several names before their numbers; else {}.
+
+    >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
+    {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}
+    """
+    groups: dict[str, list[str]] = {}
+    for file in files:
+        groups.setdefault(re.sub(r"[\W_]*\d.*$", "", file.stem), []).append(file.stem)
+    if (
+        len(groups) < 2
+        or "" in groups
+        or min(map(len, groups.values())) < 2
+        or len({file.parent for file in files}) > 1
+    ):
+        return {}
+    folder = glob.escape(str(files[0].parent))
+    return {name: f"{folder}/{glob.escape(_common(stems).rstrip('0123456789'))}*" for name, stems in groups.items()}
 
 
 def _common(texts: Sequence[str]) -> str:
