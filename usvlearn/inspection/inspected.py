@@ -63,11 +63,11 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
         decisions.append(Decision("reader", option, str(getattr(logs.reader, option, "")), UNSURE, reason))
     if boats := boats_of(logs.files):
         paths = ", ".join(f"{boat}: {pattern!r}" for boat, pattern in boats.items())
-        told = (
+        why = (
             f"the names of the logs begin with {' and '.join(boats)}, but all are taken as one boat; of several boats, "
         )
-        told += f"inspect those of each, or set data.path={{{paths}}} and data.boat=null"
-        decisions.append(Decision("boat", "path", name or logs.name, UNSURE, told))
+        why += f"inspect those of each, or set data.path={{{paths}}} and data.boat=null"
+        decisions.append(Decision("boat", "path", name or logs.name, UNSURE, why))
     if proposal.missing:
         return Inspected(logs, series, proposal, decisions, {}, "", [], None, notes, [])
     settings = settings_of(logs.path, name or logs.name, logs.reader, proposal.channels, USUAL)
