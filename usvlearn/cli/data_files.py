@@ -46,6 +46,15 @@ def with_data_files(overrides: Iterable[str]) -> list[str]:
     return [_known(each) for each in overrides]
 
 
+def has_alias(text: str) -> bool:
+    """Whether YAML has an alias; a few of them can expand to gigabytes.
+
+    >>> has_alias("a: &x [1]\\nb: *x"), has_alias("a: [1]")
+    (True, False)
+    """
+    return any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text))
+
+
 def _known(override: str) -> str:
     key, _, given = override.partition("=")
     if key.lstrip("+") != GROUP or not any(suffix in given for suffix in SUFFIXES):
@@ -74,7 +83,7 @@ def _register(path: Path) -> None:
         if path.stat().st_size > LARGEST:
             raise ConfigError(f"data: {path} has more than {LARGEST // 1000} kB: name a configuration")
         text = path.read_text(encoding="utf-8")
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text)):
+        if has_alias(text):
             raise ConfigError(f"data: {path}: has a YAML alias, which can expand to gigabytes: write out what it names")
         found = yaml.safe_load(text)
         node = OmegaConf.create(found if isinstance(found, dict) else {})

@@ -21,6 +21,8 @@ import numpy as np
 
 from usvlearn.cli.without_hydra import run_command
 from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.inspection.lag import BLOCK, DELAYS, EQUAL, LEAST_BLOCKS, SURE
+from usvlearn.logs.channel import COMMANDS as SIDES
 
 if TYPE_CHECKING:
     from usvlearn.estimator import Estimator
@@ -30,12 +32,7 @@ if TYPE_CHECKING:
 USAGE = (
     "usage: usvlearn delay data=NAME data.path=LOGS [--config-dir FOLDER] [KEY=VALUE …]; keys: usvlearn train --cfg job"
 )
-DELAYS = tuple(k / 20 for k in range(21))  # s
 MODEL = "+estimator@model=dynamic_rls"  # of configs/estimator
-SIDES = ("command_left", "command_right")
-BLOCK, LEAST_BLOCKS = 25, 4  # steps; blocks in a half
-SURE = 3.0  # standard errors by which a delay must be better than none; several delays are compared
-EQUAL = 2.0  # standard errors within which a delay is as good as the best
 
 Errors = dict[tuple[str, str], np.ndarray]  # boat, run -> (steps,) of |e|, m/s; NaN where none is counted
 
@@ -76,13 +73,9 @@ def find_halves(recordings: Sequence[Recording], model: Estimator, align: Mappin
 
 
 def _aligned(recordings: Sequence[Recording], delay: float, align: Mapping[str, Any]) -> Fleet:
-    from usvlearn.logs.recordings import align_fleet
+    from usvlearn.logs.recordings import align_fleet, delayed
 
-    delayed = [
-        one._replace(channels=one.channels | {side: one.channels[side]._replace(delay=delay) for side in SIDES})
-        for one in recordings
-    ]
-    return align_fleet(delayed, **align)
+    return align_fleet(delayed(recordings, delay), **align)
 
 
 def _errors(fleet: Fleet, model: Estimator) -> tuple[Errors, Errors]:

@@ -21,6 +21,7 @@ import usvlearn
 from usvlearn.cli.again import again
 from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.composition import plain
+from usvlearn.cli.data_files import has_alias
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.cli.settings import check_lanes, check_settings, instantiate
 from usvlearn.cli.stopping import defer_signals, end_deferral
@@ -42,7 +43,7 @@ def load(path: Path) -> Any:
         ConfigError: it is damaged, or Hydra has not written it.
     """
     try:
-        if any(isinstance(token, yaml.AliasToken) for token in yaml.scan(path.read_text())):
+        if has_alias(path.read_text()):
             raise ValueError("it has a YAML alias; a few of them can expand to gigabytes")
         return OmegaConf.to_container(OmegaConf.load(path))
     except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:

@@ -19,13 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import UsvlearnError
-from usvlearn.logs.channel import COMMANDS, Recording
-from usvlearn.logs.recordings import align_fleet
+from usvlearn.logs.channel import Recording
+from usvlearn.logs.recordings import align_fleet, delayed
 from usvlearn.signals import Fleet
 
 DELAYS = tuple(k / 20 for k in range(21))  # s
 LONG_DELAYS = tuple(1 + k / 4 for k in range(1, 17))  # s, which are tried if the longest of the others fits best
-BLOCK, LEAST_BLOCKS = 25, 4  # steps
+BLOCK, LEAST_BLOCKS = 25, 4  # steps; blocks, of logs or of a half of them
 SURE, EQUAL = 3.0, 2.0  # standard errors: to be better than none, and as good as the best
 MOST_STEPS = 200_000
 COMMON, CUT = 0.99, 2.0  # a change of the speed beyond so many times this quantile is an outlier
@@ -62,12 +62,8 @@ def find_lag(recordings: Sequence[Recording], surge_max: float = 10.0) -> Lag:
 
 def _delayed(recordings: Sequence[Recording], delay: float, surge_max: float) -> Fleet:
     """The recordings on the grid, with the commands of both sides delayed."""
-    delayed = [
-        one._replace(channels=one.channels | {side: one.channels[side]._replace(delay=delay) for side in COMMANDS})
-        for one in recordings
-    ]
     with warnings.catch_warnings(action="ignore"):
-        return align_fleet(delayed, surge_max=surge_max)
+        return align_fleet(delayed(recordings, delay), surge_max=surge_max)
 
 
 def choose(errors: np.ndarray, delays: Sequence[float] = DELAYS) -> Lag:

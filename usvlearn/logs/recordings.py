@@ -11,7 +11,7 @@ import numpy as np
 from usvlearn.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, under
 from usvlearn.logs.align import Aligned, align
-from usvlearn.logs.channel import CHANNELS, Recording
+from usvlearn.logs.channel import CHANNELS, COMMANDS, Recording
 from usvlearn.logs.positions import track
 from usvlearn.signals import Fleet, Inputs, Run, Sample, tree_map
 
@@ -65,6 +65,14 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     runs = [_side_by_side([boats[boat][k] if k < len(boats[boat]) else None for boat in boats])
             for k in range(max(map(len, boats.values())))]  # fmt: skip
     return Fleet(tuple(boats), tuple(runs), rejected)
+
+
+def delayed(recordings: Iterable[Recording], delay: float) -> list[Recording]:
+    """The recordings, with a delay of the commands of both sides, s, in place of their own."""
+    return [
+        one._replace(channels=one.channels | {side: one.channels[side]._replace(delay=delay) for side in COMMANDS})
+        for one in recordings
+    ]
 
 
 class Lane(NamedTuple):
