@@ -29,6 +29,19 @@ def local(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.n
     return meridian * (latitude - latitude[0]), normal * math.cos(latitude[0]) * turned
 
 
+def in_metres(
+    latitude: tuple[np.ndarray, np.ndarray], longitude: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The times of the latitudes, s, and metres north and east of the first position, `(n,)`, as of `local`.
+
+    Args:
+        latitude, longitude: times and values, s and rad; the longitudes are interpolated at the times of the others.
+    """
+    time, value = latitude
+    others, turned = longitude
+    return time, *local(value, np.interp(time, others, np.unwrap(turned)))
+
+
 def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | None:
     """Positions at some times, interpolated between those of the log, m north and east; None if it has none.
 
@@ -52,10 +65,8 @@ def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | Non
     if any(len(stamps) == 0 for stamps, _ in parts):
         return found
     if pair == DEGREES:
-        (stamps, latitude), (others, longitude) = parts
-        longitude = np.interp(stamps, others, np.unwrap(longitude))
-        north, east = local(latitude, longitude)
-        parts = [(stamps, north), (stamps, east)]
+        stamps, *metres = in_metres(*parts)
+        parts = [(stamps, each) for each in metres]
     for column, (stamps, value) in enumerate(parts):
         after = np.searchsorted(stamps, time)
         inside = (after > 0) & (after < len(stamps))

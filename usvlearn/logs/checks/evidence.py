@@ -11,7 +11,7 @@ import numpy as np
 
 from usvlearn.logs.bins import HUGE, OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
 from usvlearn.logs.channel import COMMANDS, DEGREES, METRES, REQUIRED, SURGE, UNITS, Channel, Recording, Source
-from usvlearn.logs.positions import local
+from usvlearn.logs.positions import in_metres
 from usvlearn.logs.relations import Offset, Relation, angle_offset, in_series, relate, relate_sides
 from usvlearn.signals import Fleet
 
@@ -169,8 +169,8 @@ def _series_of(channels: Mapping[str, Channel]) -> dict[str, Series]:
     """The channels of a run as pairs of time and value."""
     found = {name: (each.time + each.delay, each.value) for name, each in channels.items()}
     if all(name in found for name in DEGREES):
-        (time, latitude), (others, longitude) = (cleaned(found[name]) for name in DEGREES)
-        if len(time) and len(others):
-            north, east = local(latitude, np.interp(time, others, np.unwrap(longitude)))
-            found |= {METRES[0]: (time, north), METRES[1]: (time, east)}
+        latitude, longitude = (cleaned(found[name]) for name in DEGREES)
+        if len(latitude[0]) and len(longitude[0]):
+            time, *metres = in_metres(latitude, longitude)
+            found |= {name: (time, each) for name, each in zip(METRES, metres, strict=True)}
     return found
