@@ -73,6 +73,7 @@ def read(
     """
     from usvlearn.cli.checked import CheckedAlignment
     from usvlearn.cli.composition import recordings_of
+    from usvlearn.logs.setup import setups_of
 
     if isinstance(path, Mapping):
         settings["path"] = {str(boat): os.fspath(each) for boat, each in path.items()}
@@ -88,9 +89,10 @@ def read(
     if surge_max is not None:
         vehicle["surge_max"] = check_positive("surge_max", surge_max, "of m/s")
     changes = {"data": settings, "vehicle": vehicle, "align": dict(align or {}), "check": check}
-    recordings, composed = recordings_of(data, changes)
-    checked = CheckedAlignment(composed)
-    return AlignedLogs(checked(recordings, **composed["align"]), composed, tuple(checked.findings or ()))
+    found, composed = recordings_of(data, changes)
+    recordings, checked = list(found), CheckedAlignment(composed)
+    fleet = checked(recordings, **composed["align"])
+    return AlignedLogs(fleet, composed, tuple(checked.findings or ()), setups_of(composed, recordings))
 
 
 def learn(

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.state import EnsembleState
     from usvlearn.estimators.joint.reading import Identified
     from usvlearn.logs.checks.finding import Finding
+    from usvlearn.logs.setup import Setup
 
 PathLike = str | os.PathLike[str]
 
@@ -48,11 +49,13 @@ class AlignedLogs:
         fleet: all boats side by side, as estimators take them.
         settings: the whole configuration, as in train.py.
         findings: of the data check, warnings first; see `usvlearn.logs.data_check`.
+        setups: boat -> how its messages became samples.
     """
 
     fleet: Fleet
     settings: Mapping[str, Any]
     findings: tuple[Finding, ...] = ()
+    setups: Mapping[str, Setup] = field(default_factory=dict)
 
     @property
     def boats(self) -> tuple[str, ...]:
@@ -217,6 +220,7 @@ class Learned:
             step=len(last.time),
             time=float(last.time[-1]),
             version=usvlearn.__version__,
+            **({"setup": setup.json()} if (setup := self.logs.setups.get(self.boats[lane])) else {}),
         )
 
     def _lane(self, boat: str) -> int:

@@ -6,14 +6,14 @@ torch is not imported: `Online.open` continues from a checkpoint with compiled c
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from usvlearn import checkpoint
-from usvlearn.errors import CheckpointError
+from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.plans import Forecast, plan_inputs
 from usvlearn.signals import Inputs, Sample, named_leaves
 
@@ -33,6 +33,7 @@ class Online:
     Attributes:
         state: a copy of the estimator's state; it can be set. After `open` it is a dict of arrays by dotted name.
         names: of the predictions in the state's leaf `predictions`, where the estimator is an ensemble.
+        setup: how messages become samples (`usvlearn.logs.setup.Setup.json`), which `save` writes; None if unknown.
 
     Raises:
         ConfigError: `backend="kernel"` for an estimator that has none.
@@ -53,6 +54,7 @@ class Online:
         self._template: Stepper | None = Stepper(estimator, batch)  # torch's steps, and the shape of the state
         self._name, self._description = type(estimator).__name__, spec_of(estimator)
         self._live = live(estimator, self._template.state, backend) or self._template
+        self.setup: Mapping[str, Any] | None = None
 
     @classmethod
     def open(cls, path: str | Path) -> Online:
@@ -64,13 +66,23 @@ class Online:
         Raises:
             CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
         """
-        leaves, facts = checkpoint.newest(path, _read) if Path(path).is_dir() else _read(Path(path))
+        return cls.of(*(checkpoint.newest(path, read_set) if Path(path).is_dir() else read_set(Path(path))))
+
+    @classmethod
+    def of(cls, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Online:
+        """Continue, without torch, from what `read_set` has read.
+
+        Args:
+            leaves: of the state, arrays by dotted name.
+            facts: metadata: "estimator", its name; "kernel", its description; perhaps "setup".
+        """
         from usvlearn.engine.live import Live
 
         self = cls.__new__(cls)
         self._template, self._name, self._description = None, facts["estimator"], facts["kernel"]
         self._live = Live(self._description, leaves)
         self._live.current = False  # it may have been saved long ago
+        self.setup = facts.get("setup")
         return self
 
     def __copy__(self) -> Online:  # a shallow copy would let two boats learn into one state
@@ -104,6 +116,40 @@ class Online:
             ShapeError: a field is neither one number nor of the batch's shape; the state is unchanged.
         """
         return self._live.step(sample)
+
+    def published(self) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+        """What each member and rule of an ensemble predicted in the last step, and the half-width of its 90 % interval.
+
+        NaN where a member made no prediction.
+
+        Raises:
+            ConfigError: the estimator is no ensemble.
+
+        >>> from usvlearn import AID, Ensemble, Online
+        >>> list(Online(Ensemble({"aid": AID(mass=28.0)})).published())
+        ['aid', 'average']
+        """
+        self._need_names("published")
+        return self._by_name(self._live.published())
+
+    def foresee(self, inputs: Inputs) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+        """What each would predict of a step with these inputs, likewise; nothing is learned.
+
+        >>> from usvlearn import AID, Ensemble, Online
+        >>> online = Online(Ensemble({"aid": AID(mass=28.0)}))
+        >>> surge, halfwidth = online.foresee(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"]
+        """
+        self._need_names("foresee")
+        return self._by_name(self._live.foresee(inputs))
+
+    def _need_names(self, name: str) -> None:
+        if not self.names:
+            raise ConfigError(f"{name}: found the estimator {self._name}, expected an ensemble: use step and predict")
+
+    def _by_name(self, pair: tuple[np.ndarray, np.ndarray]) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+        surge, width = (np.moveaxis(each, -1, 0) for each in pair)
+        values = zip(surge.tolist(), width.tolist(), strict=True) if surge.ndim == 1 else zip(surge, width, strict=True)
+        return dict(zip(self.names, values, strict=True))
 
     def forecast(self, commands: Any, headings: Any, yaw_rates: Any = None, dt: float = 0.4) -> Forecast:
         """The speeds of the next steps under a plan, with intervals; nothing is learned, and the state stays.
@@ -156,18 +202,24 @@ class Online:
 
     def save(self, path: str | Path, **metadata: Any) -> Path:
         """Save the state and the description of the estimator; see `usvlearn.checkpoint.save`."""
-        facts = {"estimator": self._name, "kernel": self._description} | metadata
+        own = {"estimator": self._name, "kernel": self._description}
+        facts = own | ({} if self.setup is None else {"setup": self.setup}) | metadata
         return checkpoint.save(path, self.state, **facts)
 
     def load(self, path: str | Path) -> dict[str, Any]:
         """Continue from a saved state (the newest readable one if `path` is a folder); returns its metadata."""
         restore = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
         self.state, metadata = restore(path, self.state, self._name)
+        self.setup = metadata.get("setup", self.setup)
         return metadata
 
 
-def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """A parameter set from which compiled code can continue."""
+def read_set(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The leaves and the metadata of a parameter set from which compiled code can continue.
+
+    Raises:
+        CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
+    """
     from usvlearn.engine.check import check, wrong
 
     leaves, facts = checkpoint.load(path)

@@ -364,6 +364,18 @@ class Stepper:
         self.state, predicted = self.estimator(self.state, sample)
         return _plain(predicted)
 
+    def published(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._pair(self.state)
+
+    @torch.no_grad()
+    def foresee(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+        check_inputs(inputs, self.batch)
+        return self._pair(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[0])
+
+    @staticmethod
+    def _pair(state: Any) -> tuple[np.ndarray, np.ndarray]:
+        return _array(state.predictions), _array(state.halfwidths)
+
     @torch.no_grad()
     def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
         estimator: Any = self.estimator

@@ -25,7 +25,7 @@ from usvlearn.inspection.override import hydra_text
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
-SECTIONS = ("data", "vehicle")  # of such a file
+SECTIONS = ("data", "vehicle", "align")  # of such a file
 LARGEST = 1_000_000  # bytes
 
 
@@ -100,7 +100,7 @@ def _register(path: Path) -> None:
         raise ConfigError(f"data: {path}: has no section data, expected what usvlearn inspect writes: name such a file")
     if wrong := [str(key) for key in node if key not in SECTIONS]:
         hint = did_you_mean(wrong[0], SECTIONS)
-        raise ConfigError(f"data: {path}: found {wrong[0]!r}, expected only {' and '.join(SECTIONS)}{hint}")
+        raise ConfigError(f"data: {path}: found {wrong[0]!r}, expected only {', '.join(SECTIONS)}{hint}")
     try:
         check_settings(f"data: {path}", OmegaConf.to_container(node))
     except CheckpointError as error:

@@ -18,6 +18,7 @@ from usvlearn.cli.settings import check_settings, ensemble_of, instantiate
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.errors import check_positive
+from usvlearn.logs.setup import setups_of
 from usvlearn.report import terminal
 from usvlearn.report.activity_bar import Activity
 from usvlearn.report.tables import alarm_lines, error_tables, identified_table, rejection_table, summary_lines
@@ -59,13 +60,14 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     ensemble = ensemble_of(cfg)
     align = CheckedAlignment(settings, console)
     with Activity(console):
-        fleet = align(instantiate(cfg.data), **cfg.align)
+        recordings = list(instantiate(cfg.data))
+        fleet = align(recordings, **cfg.align)
     if (rejected := rejection_table(fleet.rejected)) is not None:
         console.print(rejected)
     check_measure(measure_of(cfg.get("objective"), ensemble.output), ensemble, fleet)
     run = RunFolder(
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts,
-        align.json,
+        align.json, {boat: each.json() for boat, each in setups_of(settings, recordings).items()},
     )  # fmt: skip
     console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
     truth = quantities_of([settings["data"]], cfg.vehicle.mass)

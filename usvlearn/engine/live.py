@@ -87,6 +87,21 @@ class Live:
             np.copyto(self._spare, self.states)
             return self._advance(self._predictions, inputs, np.nan, True, False)
 
+    def published(self) -> tuple[np.ndarray, np.ndarray]:
+        """What an ensemble predicted in the last step, and the half-widths of the intervals, m/s, `(*batch, names)`."""
+        with self._lock:
+            return self._pair(self.states)
+
+    def foresee(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+        """What an ensemble predicts, and the half-widths, m/s, `(*batch, names)`; the state stays as it is."""
+        with self._lock:
+            self.predict(inputs)
+            return self._pair(self._spare)
+
+    def _pair(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        predictions, widths = (self.plan.view(states, name).copy() for name in ("predictions", "halfwidths"))
+        return predictions, widths
+
     def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
         """Predictions and half-widths of a plan, m/s, `(time, *batch)`; `inputs` are arrays of this shape.
 

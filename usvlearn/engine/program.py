@@ -118,6 +118,11 @@ class Plan:
         """Leaves `(*batch, …)` by dotted name: views of the states, but for those that are bool."""
         return {name: self.typed(name, view) for name, view in self._views(states).items()}
 
+    def view(self, states: np.ndarray, name: str) -> np.ndarray:
+        """One leaf `(*batch, …)`, a view of the states."""
+        shape, offset, strides = self._layout[name]
+        return np.ndarray(shape, self.dtype, states, offset, strides)
+
     def typed(self, name: str, array: np.ndarray) -> np.ndarray:
         """The numbers of a leaf, converted to bool where the leaf is bool."""
         return array.astype(bool) if self.leaves[name].flag else array
@@ -131,10 +136,7 @@ class Plan:
         return found
 
     def _views(self, states: np.ndarray) -> dict[str, np.ndarray]:
-        return {
-            name: np.ndarray(shape, self.dtype, states, offset, strides)
-            for name, (shape, offset, strides) in self._layout.items()
-        }
+        return {name: self.view(states, name) for name in self._layout}
 
     def _table(self, whole: list[int]) -> np.ndarray:
         """The table of all rows; indices of wrappers and other parts become row numbers."""

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not_negative, check_positive
-from usvlearn.logs.channel import AUTO, CHANNELS, REQUIRED, Channel
+from usvlearn.logs.channel import AUTO, CHANNELS, COMMANDS, REQUIRED, Channel
 from usvlearn.signals import Inputs, Sample
 
 LEAST_DT = 1e-3  # s; far below the time constants of a hull; a finer grid would fill the memory
@@ -83,59 +83,17 @@ class Aligner:
     ):
         from usvlearn.jit import announced
 
-        compiled = _compiled()
-        if check_positive("dt", dt, "of s") < LEAST_DT:
-            raise ConfigError(f"dt: found {dt!r}, expected {LEAST_DT:g} s or more")
-        check_choice("inputs", inputs, compiled.INPUTS)
-        check_choice("steps", steps, compiled.STEPS)
-        check_positive("outage", outage, "of s")
-        check_not_negative("patience", patience, "of s")
-        limits = {
-            "command_left": check_positive("command_max", command_max),
-            "command_right": command_max,
-            "surge": check_positive("surge_max", surge_max, "of m/s"),
-            "yaw_rate": check_positive("yaw_rate_max", yaw_rate_max, "of rad/s"),
-            "heading": math.inf,
-        }
-        if missing := [name for name in REQUIRED if name not in channels]:
-            raise LogFormatError(f"channels: {', '.join(missing)} missing, expected {', '.join(REQUIRED)}")
-        if unknown := [name for name in channels if name not in CHANNELS]:
-            raise ConfigError(f"channels: found {', '.join(unknown)}, expected some of {', '.join(CHANNELS)}")
-        if channels["surge"].delay:
-            raise ConfigError(
-                f"data.channels.surge.delay: found {channels['surge'].delay}, expected 0: give that delay to the inputs"
-            )
-        if channels["surge"].held:
-            raise ConfigError(
-                "data.channels.surge.held: found true, expected false: an old speed is not measured again"
-            )
-        for name, channel in channels.items():
-            if channel.period == AUTO:
-                raise ConfigError(
-                    f"data.channels.{name}.period: found {AUTO}, expected a time in s: live messages do not tell it; "
-                    "take that which reading a log of this boat prints, or 0"
-                )
-            if channel.period and name != "surge":
-                raise ConfigError(f"data.channels.{name}.period: found {channel.period}, expected 0: it is for surge")
+        limits = {"surge_max": surge_max, "command_max": command_max, "yaw_rate_max": yaw_rate_max}
+        self._settings = checked(channels, dt, inputs, limits, patience, outage, steps)
         self._places = {name: CHANNELS.index(name) for name in channels}
-        logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope replaces a missing yaw rate
-        self._settings = compiled.new_settings(
-            dt=dt,
-            inputs=compiled.INPUTS.index(inputs),
-            steps=compiled.STEPS.index(steps),
-            period=channels["surge"].period,
-            patience=patience,
-            outage=outage,
-            limit=[limits[name] for name in CHANNELS],
-            logged=[name in channels for name in CHANNELS],
-            **{key: [getattr(channel, key) for channel in logged] for key in ("held", "window", "delay")},
-        )
-        self._memory = compiled.new_memory()
+        kernel = _compiled()
+        self._memory = kernel.new_memory()
         self._times, self._values = np.empty((2, len(CHANNELS), ROOM))  # recent messages
         self._room = ROOM  # messages until some are to be forgotten
         none = np.empty(0)
-        with announced(str(compiled.__file__), "alignment"):  # so that a boat's first message need not wait
+        with announced(str(kernel.__file__), "alignment"):  # so that a boat's first message need not wait
             self.feed(none.astype(np.int64), none, none)
+            self.ahead(1)
 
     def __copy__(self) -> Aligner:  # a shallow copy would share its messages
         return copy.deepcopy(self)
@@ -165,6 +123,16 @@ class Aligner:
         none = np.empty(0)
         return _samples(self.feed(none.astype(np.int64), none, none, flush=True))
 
+    def ahead(self, steps: int) -> Inputs:
+        """The inputs of the steps after the last one, as far as they are known: arrays `(steps,)`.
+
+        A command stays in force until the next message, and takes effect after its delay. The boat keeps its yaw rate.
+        A value that is older than its window at the newest message is NaN.
+        """
+        found = _compiled().ahead(self._settings, self._memory, self._times, self._values, steps)
+        dt = np.full(steps, self._settings["dt"][0])
+        return Inputs(*found, dt)
+
     def feed(self, channels: np.ndarray, times: np.ndarray, values: np.ndarray, flush: bool = False) -> np.ndarray:
         """Take many messages at once; returns rows, see `usvlearn.logs.align_kernel.COLUMNS`.
 
@@ -188,6 +156,59 @@ class Aligner:
             new[:, :, :used] = self._times[:, :used], self._values[:, :used]
             self._times, self._values = new
         self._room = self._times.shape[1] - used
+
+
+def checked(
+    channels: Mapping, dt: float, inputs: str, limits: Mapping[str, float], patience: float, outage: float, steps: str
+) -> np.ndarray:
+    """The settings of an alignment, a record of `align_kernel.SETTINGS`; arguments and errors as of `Aligner`.
+
+    Args:
+        limits: `surge_max`, `command_max` and `yaw_rate_max`.
+    """
+    if check_positive("dt", dt, "of s") < LEAST_DT:
+        raise ConfigError(f"dt: found {dt!r}, expected {LEAST_DT:g} s or more")
+    check_choice("inputs", inputs, _compiled().INPUTS)
+    check_choice("steps", steps, _compiled().STEPS)
+    check_positive("outage", outage, "of s")
+    check_not_negative("patience", patience, "of s")
+    command_max = check_positive("command_max", limits["command_max"])
+    most = {
+        **dict.fromkeys(COMMANDS, command_max),
+        "surge": check_positive("surge_max", limits["surge_max"], "of m/s"),
+        "yaw_rate": check_positive("yaw_rate_max", limits["yaw_rate_max"], "of rad/s"),
+        "heading": math.inf,
+    }
+    if missing := [name for name in REQUIRED if name not in channels]:
+        raise LogFormatError(f"channels: {', '.join(missing)} missing, expected {', '.join(REQUIRED)}")
+    if unknown := [name for name in channels if name not in CHANNELS]:
+        raise ConfigError(f"channels: found {', '.join(unknown)}, expected some of {', '.join(CHANNELS)}")
+    if channels["surge"].delay:
+        raise ConfigError(
+            f"data.channels.surge.delay: found {channels['surge'].delay}, expected 0: give that delay to the inputs"
+        )
+    if channels["surge"].held:
+        raise ConfigError("data.channels.surge.held: found true, expected false: an old speed is not measured again")
+    for name, channel in channels.items():
+        if channel.period == AUTO:
+            raise ConfigError(
+                f"data.channels.{name}.period: found {AUTO}, expected a time in s: live messages do not tell it; "
+                "take that which reading a log of this boat prints, or 0"
+            )
+        if channel.period and name != "surge":
+            raise ConfigError(f"data.channels.{name}.period: found {channel.period}, expected 0: it is for surge")
+    logged = [channels.get(name, channels["heading"]) for name in CHANNELS]  # its slope replaces a missing yaw rate
+    return _compiled().new_settings(
+        dt=dt,
+        inputs=_compiled().INPUTS.index(inputs),
+        steps=_compiled().STEPS.index(steps),
+        period=channels["surge"].period,
+        patience=patience,
+        outage=outage,
+        limit=[most[name] for name in CHANNELS],
+        logged=[name in channels for name in CHANNELS],
+        **{key: [getattr(channel, key) for channel in logged] for key in ("held", "window", "delay")},
+    )
 
 
 @cache

@@ -133,6 +133,45 @@ def forget(settings, memory, times, values):
                 times[c, k], values[c, k] = times[c, k + keep], values[c, k + keep]
 
 
+@jit(entry=True, memory=True)
+def ahead(settings, memory, times, values, steps):
+    """Inputs of the steps after the last one, `(4, steps)`; see `Aligner.ahead`."""
+    settings, memory = settings[0], memory[0]
+    found = np.full((4, steps), np.nan)
+    begin, dt = memory.tick, settings.dt
+    if math.isnan(begin):
+        return found
+    for c in (LEFT, RIGHT):
+        if _in_force(settings, memory, times, c):
+            known = memory.count[c]
+            for k in range(steps):
+                start = begin + k * dt
+                found[c, k] = mean(times[c, :known], values[c, :known], start, start + dt)
+    last = memory.count[HEADING] - 1
+    if not _in_force(settings, memory, times, HEADING):
+        return found
+    rate = math.nan
+    if not settings.logged[YAW_RATE]:
+        held = settings.held[HEADING] and memory.newest - times[HEADING, last] > _longest(settings)
+        rate = 0.0 if held else _slope(settings, memory, times, values, last)
+    elif _in_force(settings, memory, times, YAW_RATE):
+        rate = values[YAW_RATE, memory.count[YAW_RATE] - 1]
+    for k in range(steps):
+        found[HEADING, k] = (values[HEADING, last] + rate * (begin + k * dt - times[HEADING, last])) % TURN
+        found[YAW_RATE, k] = rate
+    return found
+
+
+@jit(memory=True)
+def _in_force(settings, memory, times, channel):
+    """Whether the last value of a channel is held, or within its window at the newest message."""
+    n = memory.count[channel]
+    if n == 0:
+        return False
+    age = memory.newest - (times[channel, n - 1] - settings.delay[channel])
+    return bool(settings.held[channel]) or age <= settings.window[channel] + EPSILON
+
+
 @jit(memory=True)
 def at(times, time):
     """Index of the last message stamped at or before `time`; -1 where there is none."""
@@ -337,22 +376,36 @@ def _input(settings, memory, times, values, channel, start, cut, end):
 def _heading_slope(settings, memory, times, values, start, cut, end):
     """Yaw rate, rad/s, from the unwrapped heading over about one step; NaN where unknown or impossible."""
     n = memory.count[HEADING]
-    times, values = times[HEADING, :n], values[HEADING, :n]
-    longest = 2 * settings.dt + settings.window[HEADING]
     if settings.inputs == MEAN:
-        j = before(times, cut)
+        j = before(times[HEADING, :n], cut)
     else:
-        j = at(times, start if settings.inputs == LAST else end)
+        j = at(times[HEADING, :n], start if settings.inputs == LAST else end)
     if j < 0:
         return math.nan  # counted as a stale heading
-    i = at(times, times[j] - settings.dt / 2)
-    if settings.held[HEADING] and cut - times[j] > longest:
+    if settings.held[HEADING] and cut - times[HEADING, j] > _longest(settings):
         return 0.0  # it is held: the boat keeps its heading
-    if i < 0 or times[j] - times[i] > longest:
+    slope = _slope(settings, memory, times, values, j)
+    if math.isnan(slope):
         memory.rejected[YAW_RATE, STALE] += 1
         return math.nan
-    slope = (values[j] - values[i]) / (times[j] - times[i])
     if abs(slope) > settings.limit[YAW_RATE]:
         memory.rejected[YAW_RATE, OUT_OF_RANGE] += 1
         return math.nan
     return slope
+
+
+@jit(memory=True)
+def _longest(settings):
+    """Time over which a slope of the heading is one, s."""
+    return 2 * settings.dt + settings.window[HEADING]
+
+
+@jit(memory=True)
+def _slope(settings, memory, times, values, j):
+    """Slope of the heading up to its message j, rad/s; NaN where the one before it is too old."""
+    n = memory.count[HEADING]
+    times, values = times[HEADING, :n], values[HEADING, :n]
+    i = at(times, times[j] - settings.dt / 2)
+    if i < 0 or times[j] - times[i] > _longest(settings):
+        return math.nan
+    return (values[j] - values[i]) / (times[j] - times[i])

@@ -18,6 +18,7 @@ lags behind by some tenths of a second. It is over ground, as a GPS's is. See `d
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Mapping
 
 import numpy as np
@@ -27,6 +28,7 @@ from usvlearn.logs.channel import COURSES, DEGREES, METRES, VELOCITIES, Channel
 from usvlearn.logs.positions import local
 
 PAIRS = (VELOCITIES, COURSES, DEGREES, METRES)
+LIVE_PAIRS = (VELOCITIES, COURSES)  # from which `LiveSurge` computes it
 PAIRS_TOLD = "both of " + ", or of ".join(" and ".join(pair) for pair in PAIRS)
 HEADING_AGE = 1.0  # s, of the last heading, at most
 TOGETHER = 0.02  # s, between the stamps of the two numbers of a pair, at most
@@ -117,3 +119,41 @@ def filtered(time: np.ndarray, north: np.ndarray, east: np.ndarray) -> tuple[np.
 
     found = velocities(*(np.ascontiguousarray(x, dtype=np.float64) for x in (time, north, east)))
     return found[0], found[1]
+
+
+class LiveSurge:
+    """The surge from messages that come one by one: velocities, or ground speed and course, and the last heading.
+
+    Two values belong together if their stamps are at most `TOGETHER` apart.
+
+    Args:
+        pair: the names of both channels, of `LIVE_PAIRS`.
+        held: whether an old heading stays in force.
+
+    >>> live = LiveSurge(VELOCITIES, held=False)
+    >>> live.push("heading", 0.0, np.pi / 2), live.push("velocity_north", 0.1, 0.0)
+    (None, None)
+    >>> live.push("velocity_east", 0.1, 1.5)
+    1.5
+    """
+
+    def __init__(self, pair: tuple[str, str], held: bool):
+        self.pair, self._held = pair, held
+        self._last: dict[str, tuple[float, float]] = {}
+
+    def push(self, channel: str, time: float, value: float) -> float | None:
+        """The surge after a message, m/s; None if it does not complete a pair, or if no recent heading is known.
+
+        Args:
+            channel: "heading", or one of the pair.
+            time, value: s and SI units, finite.
+        """
+        self._last[channel] = time, value
+        if channel not in self.pair or len(self._last) < 3:
+            return None
+        (since, x), (other, y), (then, heading) = (self._last[name] for name in (*self.pair, "heading"))
+        if abs(since - other) > TOGETHER or not (self._held or abs(time - then) <= HEADING_AGE):
+            return None
+        if self.pair == COURSES:
+            return x * math.cos(y - heading)
+        return x * math.cos(heading) + y * math.sin(heading)

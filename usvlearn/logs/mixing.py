@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,12 @@ class Mix:
         same = {key: value for key, value in given.items() if key not in ("weight", *rows)}
         parts = [Source(**same, **{key: row[k] for key, row in rows.items()}) for k in range(count)]
         return cls(tuple(parts), tuple(weights or [1 / count] * count))
+
+    def json(self) -> dict[str, Any]:
+        """The arguments of `of`, as JSON values."""
+        same = {key: value for key, value in asdict(self.parts[0]).items() if key not in PER_NAME}
+        rows = {key: [getattr(part, key) for part in self.parts] for key in PER_NAME}
+        return {**same, **rows, "weight": list(self.weights)}
 
 
 def listed(value: Any) -> list | None:
@@ -133,3 +139,37 @@ def mix(parts: Sequence[Channel], weights: Sequence[float]) -> tuple[Channel, in
     if most > 1 + TOLERANCE:
         value = np.where(np.abs(value) <= LIMIT * most, np.clip(value, -1.0, 1.0), value)  # nonsense stays as it is
     return first._replace(time=time[keep], value=value, order=order[keep]), int((~keep).sum())
+
+
+class LiveMix:
+    """`mix` of messages that come one by one, each at a place of its own.
+
+    >>> both = LiveMix(Mix.of({"name": ["bow", "stern"], "held": True}))
+    >>> both.push(0, 0.0, 0.2), both.push(1, 0.5, 1.0), both.push(0, 1.0, 0.4)
+    (None, 0.6, 0.7)
+    """
+
+    def __init__(self, given: Mix):
+        self._weights, self._most = given.weights, sum(map(abs, given.weights))
+        self._held, self._window = given.parts[0].held, given.parts[0].window
+        self._last: list[tuple[float, float] | None] = [None] * len(given.parts)
+
+    def push(self, part: int, time: float, value: float) -> float | None:
+        """The sum after a message of one part; None while another part has no recent value.
+
+        Args:
+            part: its place.
+            time, value: s and share of full scale, finite.
+        """
+        self._last[part] = time, value
+        total, oldest = 0.0, math.inf
+        for last, weight in zip(self._last, self._weights, strict=True):
+            if last is None:
+                return None
+            total += weight * last[1]
+            oldest = min(oldest, last[0])
+        if not (self._held or time - oldest <= self._window):
+            return None
+        if self._most > 1 + TOLERANCE and abs(total) <= LIMIT * self._most:
+            return min(max(total, -1.0), 1.0)
+        return total

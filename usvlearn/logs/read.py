@@ -90,7 +90,7 @@ def read_recordings(
             for name, place in path.items()
             for recording in read_recordings(place, reader, channels, str(name))
         ]
-    sources = _sources(channels)
+    sources = sources_of(channels)
     root, files = _find(path, reader.suffixes, getattr(reader, "marker", None))
     if boat is None:
         boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else printable(root.resolve().name)
@@ -207,8 +207,12 @@ def _natural(path: Path) -> list[list]:
     return [[int(piece) if place % 2 else piece for place, piece in enumerate(part)] for part in parts]
 
 
-def _sources(channels: Mapping[str, Source | Mix | Mapping | None]) -> dict[str, Source | Mix]:
-    """The channels that are logged, checked."""
+def sources_of(channels: Mapping[str, Source | Mix | Mapping | None]) -> dict[str, Source | Mix]:
+    """The channels that are logged, from their declarations; see `read_recordings`.
+
+    Raises:
+        ConfigError: a channel is unknown, has an illegal option, or is missing.
+    """
     known = (*CHANNELS, *AUXILIARY)
     for name in channels:
         if name not in known:

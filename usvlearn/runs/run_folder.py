@@ -59,15 +59,17 @@ class RunFolder:
         names: of the estimators, as `Ensemble.names`.
         forecasts: as `Ensemble.forecasts`.
         data_check: what the data check found, for `results.json`; None if nothing was checked.
+        setups: boat -> `usvlearn.logs.setup.Setup.json`, which its sets contain.
     """
 
     def __init__(
         self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None,
-        data_check: Sequence[Mapping[str, str]] | None = None,
+        data_check: Sequence[Mapping[str, str]] | None = None, setups: Mapping[str, Any] | None = None,
     ):  # fmt: skip
         self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
         self._forecasts, self._widths = forecasts, widths_of(names, forecasts)
         self._checked = {} if data_check is None else {"data_check": data_check}
+        self._setups = setups or {}
         self.metadata = {"version": usvlearn.__version__, **metadata}
         self._pending: list[dict[str, np.ndarray]] = []  # those since the last save
         self._saved = self._reached = BEGIN
@@ -223,6 +225,8 @@ class RunFolder:
         facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[lane], "step": place.step, "time": time}
         copied = tree_map(lambda leaf: leaf[lane].detach().numpy().copy(), state)
         built = {"kernel": of_lane(self.metadata.get("kernel"), len(self.fleet.boats), lane)}
+        if boat in self._setups:
+            built["setup"] = self._setups[boat]
         return Set(_set(self.path, boat, place), copied, facts | self.metadata | built)
 
     @cached_property

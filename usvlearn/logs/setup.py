@@ -1,0 +1,157 @@
+"""How the messages of one boat become samples: its channels, the options of the alignment, its mass and top speed.
+
+Each parameter set contains it, so that a node aboard needs no other configuration, and a live boat is aligned as the
+logs were from which the set was learned.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from usvlearn.errors import ConfigError, check_positive, under
+from usvlearn.logs.align import Aligner
+from usvlearn.logs.channel import AUTO, CHANNELS, SURGE, Channel, Recording, Source
+from usvlearn.logs.derived_surge import LIVE_PAIRS, pair_of
+from usvlearn.logs.mixing import Mix, parts_of
+from usvlearn.logs.read import sources_of
+
+KEY = "setup"  # of a set's metadata
+
+
+@dataclass(frozen=True)
+class Setup:
+    """The setup of one boat.
+
+    Attributes:
+        channels: the logged channels, as `usvlearn.logs.read.read_recordings` takes them.
+        align: options of `Aligner`.
+        mass: kg, added mass included; None if it is not known.
+        surge_max: top speed, m/s, by which the data check judges speeds; None if it is not known.
+        reader: the class that reads logs of this boat, which says what the names of the channels are.
+
+    >>> names = {"command_left": "L", "command_right": "R", "heading": "psi", "surge": "v"}
+    >>> setup = Setup({name: Source(each) for name, each in names.items()}, {"dt": 0.2})
+    >>> Setup.of(setup.json()) == setup
+    True
+    """
+
+    channels: Mapping[str, Source | Mix]
+    align: Mapping[str, Any] = field(default_factory=dict)
+    mass: float | None = None
+    surge_max: float | None = None
+    reader: str | None = None
+
+    @classmethod
+    def of(cls, given: Any) -> Setup:
+        """From what `json` returns.
+
+        Raises:
+            ConfigError: it is something else, or a value is outside its legal range.
+        """
+        if not isinstance(given, Mapping) or not isinstance(given.get("channels"), Mapping):
+            raise ConfigError(f"{KEY}: found {type(given).__name__}, expected channels and the options of an alignment")
+        channels = {name: each for name, each in given["channels"].items()}
+        for name, each in channels.items():
+            if not isinstance(each, Mapping):
+                raise ConfigError(f"{KEY}: data.channels.{name}: found {each!r:.60}, expected {{name: …, unit: …}}")
+        align, vehicle = given.get("align") or {}, given.get("vehicle") or {}
+        if not isinstance(align, Mapping) or not isinstance(vehicle, Mapping):
+            raise ConfigError(f"{KEY}: found an alignment or a vehicle that is no mapping, expected options by name")
+        for name, value in vehicle.items():
+            if value is not None:
+                check_positive(f"vehicle.{name}", value)
+        reader = given.get("reader")
+        return cls(
+            sources_of(channels), dict(align), vehicle.get("mass"), vehicle.get("surge_max"),
+            reader if isinstance(reader, str) else None,
+        )  # fmt: skip
+
+    def json(self) -> dict[str, Any]:
+        """As JSON values."""
+        channels = {
+            name: each.json() if isinstance(each, Mix) else asdict(each) for name, each in self.channels.items()
+        }
+        vehicle = {"mass": self.mass, "surge_max": self.surge_max}
+        return {"channels": channels, "align": dict(self.align), "vehicle": vehicle, "reader": self.reader}
+
+    @property
+    def parts(self) -> dict[str, Source]:
+        """What is received: channels, and each source of a command that has several, such as "command_left[0]"."""
+        return parts_of(self.channels)
+
+    @property
+    def aligned(self) -> dict[str, Source]:
+        """The channels that are aligned; those of a command with several sources have the options of the first.
+
+        A surge that is computed from a pair has the window and the period of the pair's first.
+        """
+        found = {name: each.parts[0] if isinstance(each, Mix) else each for name, each in self.channels.items()}
+        if SURGE not in found and (pair := pair_of(found)) is not None:
+            found[SURGE] = found[pair[0]]
+        return {name: found[name] for name in CHANNELS if name in found}
+
+    def aligner(self, **options: Any) -> Aligner:
+        """An aligner of live messages.
+
+        Args:
+            **options: in place of those of the setup.
+
+        Raises:
+            ConfigError: an option is not legal, or the surge would have to be computed from positions.
+        """
+        if SURGE not in self.channels and pair_of(self.channels) not in LIVE_PAIRS:
+            raise ConfigError(
+                "data.channels: found no surge, nor velocities or ground speed and course, expected one of them: live "
+                "messages do not give it from positions"
+            )
+        options = {**self.align, **options}
+        known = list(inspect.signature(Aligner).parameters)[1:]
+        for name in options:
+            if name not in known:
+                raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join(known)}")
+        with under("align", known):
+            return Aligner(self.aligned, **options)
+
+
+def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> dict[str, Setup]:
+    """The setup of each boat whose logs were read.
+
+    Args:
+        settings: the whole configuration, plain; a simulated boat has no channels in it.
+        recordings: what was read, in which periods have been found.
+
+    >>> from usvlearn.simulate.fleet import fleet
+    >>> setups_of({"align": {"dt": 0.4}}, fleet(n=1, hours=0.01))["heron"].channels["surge"].name
+    'surge'
+    """
+    data, vehicle = settings.get("data") or {}, settings.get("vehicle") or {}
+    declared = sources_of(data["channels"]) if data.get("channels") else {}
+    reader = (data.get("reader") or {}).get("_target_") if isinstance(data.get("reader"), Mapping) else None
+    found: dict[str, Setup] = {}
+    for one in recordings:
+        if one.boat in found:
+            continue
+        channels = dict(declared) or {name: _own(name, each) for name, each in one.channels.items()}
+        for name, each in channels.items():
+            if isinstance(each, Source) and each.period == AUTO:
+                channels[name] = settled(each, one.channels.get(SURGE))
+        found[one.boat] = Setup(
+            channels, dict(settings.get("align") or {}), vehicle.get("mass"), vehicle.get("surge_max"), reader
+        )
+    return found
+
+
+def settled(source: Source, surge: Channel | None) -> Source:
+    """A source with a period in place of "auto": that which was found for the speed, else 0."""
+    values = {**asdict(source), "period": surge.period if surge is not None and surge.period != AUTO else 0.0}
+    return Source(**values)
+
+
+def _own(name: str, channel: Channel) -> Source:
+    """The source of a channel that no configuration describes: SI units under its own name."""
+    period = 0.0 if channel.period == AUTO or not math.isfinite(float(channel.period)) else float(channel.period)
+    return Source(name, held=channel.held, window=channel.window, delay=channel.delay, period=period)
