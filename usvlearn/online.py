@@ -33,6 +33,7 @@ class Online:
     Attributes:
         state: a copy of the estimator's state; it can be set. After `open` it is a dict of arrays by dotted name.
         names: of the predictions in the state's leaf `predictions`, where the estimator is an ensemble.
+        description: how the estimator is built (`Estimator.spec`); None if it has no compiled code.
         setup: how messages become samples (`usvlearn.logs.setup.Setup.json`), which `save` writes; None if unknown.
 
     Raises:
@@ -52,7 +53,7 @@ class Online:
         from usvlearn.rollouts import Stepper, live
 
         self._template: Stepper | None = Stepper(estimator, batch)  # torch's steps, and the shape of the state
-        self._name, self._description = type(estimator).__name__, spec_of(estimator)
+        self._name, self.description = type(estimator).__name__, spec_of(estimator)
         self._live = live(estimator, self._template.state, backend) or self._template
         self.setup: Mapping[str, Any] | None = None
 
@@ -79,8 +80,8 @@ class Online:
         from usvlearn.engine.live import Live
 
         self = cls.__new__(cls)
-        self._template, self._name, self._description = None, facts["estimator"], facts["kernel"]
-        self._live = Live(self._description, leaves)
+        self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]
+        self._live = Live(self.description, leaves)
         self._live.current = False  # it may have been saved long ago
         self.setup = facts.get("setup")
         return self
@@ -99,9 +100,9 @@ class Online:
 
     @property
     def names(self) -> tuple[str, ...]:
-        if self._template is not None or self._description is None:
+        if self._template is not None or self.description is None:
             return getattr(getattr(self._template, "estimator", None), "names", ())
-        return (*self._description.get("columns", ()), *self._description.get("rules", ()))
+        return (*self.description.get("columns", ()), *self.description.get("rules", ()))
 
     def predict(self, inputs: Inputs) -> float | np.ndarray:
         """The predicted surge at the end of the step, m/s; nothing is learned."""
@@ -116,6 +117,14 @@ class Online:
             ShapeError: a field is neither one number nor of the batch's shape; the state is unchanged.
         """
         return self._live.step(sample)
+
+    def leaf(self, name: str) -> np.ndarray:
+        """A copy of one leaf of the state, `(*batch, …)`; KeyError if there is none.
+
+        Args:
+            name: dotted, such as "members.aid.theta".
+        """
+        return self._live.leaf(name)
 
     def published(self) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
         """What each member and rule of an ensemble predicted in the last step, and the half-width of its 90 % interval.
@@ -189,8 +198,8 @@ class Online:
 
         batch = self._live.batch
         leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
-        if self._description is not None:
-            members = members_of(self._description)
+        if self.description is not None:
+            members = members_of(self.description)
         else:  # an ensemble that runs in torch; its reader alone is described
             from usvlearn.estimator import spec_of
 
@@ -202,7 +211,7 @@ class Online:
 
     def save(self, path: str | Path, **metadata: Any) -> Path:
         """Save the state and the description of the estimator; see `usvlearn.checkpoint.save`."""
-        own = {"estimator": self._name, "kernel": self._description}
+        own = {"estimator": self._name, "kernel": self.description}
         facts = own | ({} if self.setup is None else {"setup": self.setup}) | metadata
         return checkpoint.save(path, self.state, **facts)
 

@@ -364,6 +364,9 @@ class Stepper:
         self.state, predicted = self.estimator(self.state, sample)
         return _plain(predicted)
 
+    def leaf(self, name: str) -> np.ndarray:
+        return self.leaves[name]
+
     def published(self) -> tuple[np.ndarray, np.ndarray]:
         return self._pair(self.state)
 

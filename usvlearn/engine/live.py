@@ -75,6 +75,11 @@ class Live:
         with self._lock:
             self.states[:] = packed
 
+    def leaf(self, name: str) -> np.ndarray:
+        """One leaf of the state, copied."""
+        with self._lock:
+            return self.plan.typed(name, self.plan.view(self.states, name).copy())
+
     def step(self, sample: Sample) -> Any:
         """Predict, then learn; returns the prediction, m/s: a float, or an array `(*batch,)`."""
         with self._lock:

@@ -1,0 +1,1 @@
+"""The node aboard: it listens, predicts, learns, warns and saves. Imports neither torch nor Hydra."""

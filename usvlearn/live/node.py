@@ -1,0 +1,213 @@
+"""The core of the node aboard: messages in, predictions out. It has no clock, reads no file and writes none.
+
+A message is converted to SI units, mixed with others where a command has several sources, and aligned as in a replay
+(`usvlearn.logs.align`). Each sample that it completes is predicted, then learned from. So a recorded session that is
+replayed gives the same predictions.
+
+At each step two predictions are published: of the speed that was measured, which judges the model, and of the next
+one under the commands in force, which is what planners want.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError
+from usvlearn.live import watched
+from usvlearn.logs.channel import CHANNELS, SURGE
+from usvlearn.logs.derived_surge import LiveSurge, pair_of
+from usvlearn.logs.mixing import LiveMix, Mix
+from usvlearn.logs.setup import Setup
+from usvlearn.online import Online
+from usvlearn.signals import Inputs, Sample
+
+PATIENCE = 0.1  # s, for which a live step waits for late messages
+LONGEST = 600  # steps of a forecast, at most
+
+
+class Step(NamedTuple):
+    """One step of the grid. A number is NaN where it is not known."""
+
+    time: float  # of its end, s, as the messages are stamped
+    measured: float  # m/s
+    speed: float  # that was predicted of it, m/s, and the ends of its 90 % interval
+    low: float
+    high: float
+    next: float  # of the next step under the commands in force, likewise
+    next_low: float
+    next_high: float
+    forecasts: dict[float, tuple[float, float, float]]  # horizon, s -> surge and ends of its interval, m/s
+    members: dict[str, float]  # the prediction of each member and rule, m/s
+    alarms: tuple[str, ...]  # sentences about alarms that were raised in this step
+
+
+class Node:
+    """Learns from the messages of one boat.
+
+    Args:
+        setup: how its messages become samples.
+        online: what predicts and learns.
+        patience: s, for which a step waits for late messages, in place of that of the setup.
+
+    Attributes:
+        steps, learned, alarms: how many there were.
+        alarm: the side whose thruster seems to have failed; None without an alarm.
+        horizons: s, of the forecasts.
+        dt: s, of a step.
+
+    Raises:
+        ConfigError: the setup cannot be used live, or the estimator is not of one boat.
+
+    >>> from usvlearn import AID, Ensemble
+    >>> from usvlearn.logs.channel import REQUIRED, Source
+    >>> node = Node(Setup({name: Source(name) for name in REQUIRED}), Online(Ensemble({"aid": AID(mass=28.0)})))
+    >>> steps = [step for k in range(12) for name in REQUIRED for step in node.push(name, 1e9 + 0.1 * k, 0.5)]
+    >>> [round(step.time - 1e9, 1) for step in steps], 0.0 < steps[-1].next < 1.0
+    ([0.0, 0.4, 0.8], True)
+    """
+
+    def __init__(self, setup: Setup, online: Online, patience: float = PATIENCE):
+        self.setup, self.online, self.patience = setup, online, patience
+        self.parts = setup.parts
+        self._channels = {part: part.partition("[")[0] for part in self.parts}
+        self.steps = self.learned = self.alarms = 0
+        self.alarm: str | None = None
+        self._shell: dict[str, Counter[str]] = {}
+        self._before: dict[str, Counter[str]] = {}  # counts of earlier aligners
+        description = online.description
+        if description is None:
+            raise ConfigError("estimator: found one without compiled code, expected one that has it")
+        self._output = description.get("output")
+        self.horizons = watched.horizons(description)
+        self.origin = math.nan  # stamps are counted from here, s
+        self._begin()
+
+    def _begin(self) -> None:
+        """A new grid of time."""
+        setup = self.setup
+        self._aligner = setup.aligner(patience=self.patience)
+        self.dt = float(setup.align.get("dt", 0.4))
+        self._mixes = {name: LiveMix(each) for name, each in setup.channels.items() if isinstance(each, Mix)}
+        pair = None if SURGE in setup.channels else pair_of(setup.channels)
+        self._derived = None if pair is None else LiveSurge(pair, setup.channels["heading"].held)  # type: ignore[union-attr]
+        self.origin = math.nan
+
+    @property
+    def counts(self) -> dict[str, dict[str, int]]:
+        total: dict[str, Counter[str]] = {}
+        for source in (self._shell, self._before, self._aligner.rejected):
+            for channel, causes in source.items():
+                total.setdefault(channel, Counter()).update(causes)
+        return {channel: dict(causes) for channel, causes in total.items()}
+
+    def drop(self, part: str, cause: str) -> None:
+        """Count a message that could not be used."""
+        self._shell.setdefault(self._channels.get(part, part), Counter())[cause] += 1
+
+    def relative(self, stamp: float) -> float:
+        """A stamp as the aligner counts it, s since the beginning of the segment."""
+        if math.isnan(self.origin):
+            self.origin = float(math.floor(stamp))
+        return stamp - self.origin
+
+    def push(self, part: str, stamp: float, raw: float) -> list[Step]:
+        """Take one message; returns the steps that it completes.
+
+        Args:
+            part: a channel, or one of several sources of a command, such as "command_left[0]": see `Setup.parts`.
+            stamp: s; it may be any number, on any clock.
+            raw: the value as the source has it.
+
+        Raises:
+            ConfigError: there is no such part.
+        """
+        source = self.parts.get(part)
+        if source is None:
+            raise ConfigError(f"part: found {part!r}, expected one of {', '.join(self.parts)}")
+        if not (math.isfinite(stamp) and math.isfinite(raw)):
+            self.drop(part, "not_a_number" if math.isfinite(stamp) else "no_time")
+            return []
+        time, channel = self.relative(stamp), self._channels[part]
+        value: float | None = float(source.convert(np.float64(raw)))  # type: ignore[arg-type]
+        if (mix := self._mixes.get(channel)) is not None:
+            assert value is not None
+            value = mix.push(int(part[len(channel) + 1 : -1]), time, value)
+            if value is None:
+                self.drop(part, "alone")
+                return []
+        found = self._feed(channel, time, value) if channel in CHANNELS else []
+        if self._derived is not None and (channel == "heading" or channel in self._derived.pair):
+            assert value is not None
+            surge = self._derived.push(channel, time, value)
+            if surge is not None:
+                found += self._feed(SURGE, time, surge)
+        return found
+
+    def _feed(self, channel: str, time: float, value: float) -> list[Step]:
+        return [self._step(at, sample) for at, sample in self._aligner.push(channel, time, value)]
+
+    def finish(self) -> list[Step]:
+        """Make the steps up to the newest message, without waiting for late ones."""
+        return [self._step(at, sample) for at, sample in self._aligner.flush()]
+
+    def restart(self) -> list[Step]:
+        """Begin anew, because the clock of the stamps began anew; returns the last steps before that."""
+        found = self.finish()
+        for channel, causes in self._aligner.rejected.items():
+            self._before.setdefault(channel, Counter()).update(causes)
+        self._begin()
+        return found
+
+    def _step(self, time: float, sample: Sample) -> Step:
+        """Predict, learn, and look ahead."""
+        predicted = self.online.step(sample)
+        made = math.isfinite(predicted)
+        self.steps += made
+        self.learned += bool(made and sample.measured)
+        every = self.online.published() if made and self.online.names else {}
+        members = {name: surge for name, (surge, _) in every.items()}
+        width = every[self._output][1] if every else math.nan
+        alarms = self._alarms() if made else ()
+        after, after_width, forecasts = self._outlook()
+        return Step(
+            time + self.origin,
+            sample.surge if sample.measured or sample.inputs.dt == 0 else math.nan,
+            predicted, predicted - width, predicted + width,
+            after, after - after_width, after + after_width,
+            forecasts, members, alarms,
+        )  # fmt: skip
+
+    def _outlook(self) -> tuple[float, float, dict[float, tuple[float, float, float]]]:
+        """The next speed under the commands in force, the half-width of its interval, and the forecasts."""
+        last = max(self.horizons, default=0.0)
+        steps = min(max(round(last / self.dt), 1), LONGEST)
+        ahead = self._aligner.ahead(steps)
+        first = Inputs(*(float(x[0]) for x in ahead))
+        if not all(map(math.isfinite, first)):
+            return math.nan, math.nan, {}
+        if self.online.names:
+            surge, width = self.online.foresee(first)[self._output]
+        else:
+            surge, width = self.online.predict(first), math.nan
+        forecasts = {}
+        if self.horizons:
+            commands = np.clip(np.stack([ahead.command_left, ahead.command_right], -1), -1.0, 1.0)
+            turns = np.clip(ahead.yaw_rate, -10.0, 10.0)
+            found = self.online.forecast(commands, ahead.heading, turns, self.dt)
+            for horizon in self.horizons:
+                k = min(max(round(horizon / self.dt), 1), steps) - 1
+                forecasts[horizon] = float(found.surge[k]), float(found.low[k]), float(found.high[k])
+        return float(surge), float(width), forecasts
+
+    def _alarms(self) -> tuple[str, ...]:
+        """Sentences about the alarms that this step has raised."""
+        found = watched.thrusters(self.online)
+        before, self.alarm = self.alarm, found and found.alarm
+        if found is None or found.alarm is None or before is not None:
+            return ()
+        self.alarms += 1
+        return (f"the {found.alarm} thruster seems to have {found.left[found.alarm]:.0%} of its thrust left",)

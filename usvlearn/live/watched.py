@@ -1,0 +1,89 @@
+"""What the node tells about its estimators beside predictions: thrusters, networks, identified quantities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.estimators.ensemble.monitors.state import CALM, DOUBT
+from usvlearn.online import Online
+
+SIDES = ("left", "right")
+
+
+class Thrusters(NamedTuple):
+    """What the monitors of an ensemble say of the thrusters."""
+
+    alarm: str | None  # the side that seems to have lost thrust, while an alarm is on
+    left: dict[str, float]  # side -> share of its thrust that remains
+
+
+def thrusters(online: Online) -> Thrusters | None:
+    """The thrusters now; None if nobody watches them. `usvlearn.evaluation.metrics.alarms` does so for a run."""
+    try:
+        raised, evidence, sums = (online.leaf(f"monitors.thrusters.{name}") for name in ("raised", "evidence", "sums"))
+    except KeyError:
+        return None
+    share = 1 + np.where(evidence > CALM, sums[:, 0] / (sums[:, 1] + DOUBT), 0.0)
+    side = SIDES[int(evidence[0] < evidence[1])]
+    return Thrusters(side if raised.any() else None, dict(zip(SIDES, share.tolist(), strict=True)))
+
+
+def identified(online: Online) -> dict[str, tuple[float, float, float, str]]:
+    """Value, ends of the 90 % interval and unit of each identified quantity; {} without a reader."""
+    from usvlearn.estimators.joint.reading import reader_of
+    from usvlearn.identified import members_of
+
+    if online.description is None or reader_of(members_of(online.description)) is None:
+        return {}
+    found: Any = online.identified()
+    return {name: (each.value, each.low, each.high, each.unit) for name, each in found.items()}
+
+
+def networks(online: Online) -> dict[str, dict[str, Any]]:
+    """Whether each network is certified contracting, by which condition, its rate, and its equilibrium at rest.
+
+    The rate K is that of a step, rounded so that the verdict stays true; the time constant is −dt/ln K, s. The
+    equilibrium is that without thrust at the last heading which is nearest to the speed, m/s. None where there is none.
+    """
+    from usvlearn.identified import members_of
+
+    if online.description is None:
+        return {}
+    found = {}
+    for name, description in members_of(online.description).items():
+        if description is not None and description["kind"] == "rnn":
+            found[name] = _network(online, f"members.{name}." if name else "", description["numbers"]["scale"])
+    return found
+
+
+def _network(online: Online, prefix: str, scale: float) -> dict[str, Any]:
+    from certify import exact
+    from certify.equilibria import equilibria
+    from certify.rounding import float_above, float_below
+    from certify.weights import ShallowWeights
+
+    weights = ShallowWeights(*(np.asarray(online.leaf(f"{prefix}weights.{w}"), float) for w in ("a", "w1", "W2", "b")))
+    unknown = {"contracting": False, "condition": None, "rate": None, "time_constant": None, "equilibrium": None}
+    if not all(np.isfinite(w).all() for w in weights):
+        return unknown
+    conditions = exact.conditions(weights.a, weights.w1)
+    held = [name for name, condition in conditions.items() if condition.margin > 0]
+    K = max(exact.extreme_slopes(weights.a, weights.w1))
+    rate, dt = (float_above if held else float_below)(K), float(online.leaf(f"{prefix}dt"))
+    constant = -dt / math.log(rate) if 0 < rate < 1 and dt > 0 else None
+    u, speed = online.leaf(f"{prefix}inputs_before"), float(online.leaf(f"{prefix}surge"))
+    places = equilibria(weights, [float(u[0]), float(u[1]), 0.0, 0.0], -1.0, 1.0)
+    nearest = min((each.x / scale for each in places), key=lambda v: abs(v - speed), default=None)
+    return {
+        "contracting": bool(held), "condition": held[0] if held else None, "rate": rate, "time_constant": constant,
+        "equilibrium": nearest,
+    }  # fmt: skip
+
+
+def horizons(description: Mapping[str, Any]) -> tuple[float, ...]:
+    """Of the forecasts of a described ensemble, s."""
+    return tuple((description.get("forecasts") or {}).get("vectors", {}).get("horizons", ()))
