@@ -12,7 +12,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,6 +59,8 @@ class Node:
         alarm: the side whose thruster seems to have failed; None without an alarm.
         horizons: s, of the forecasts.
         dt: s, of a step.
+        derived: the surge that the last message completed, m/s; None where it did not, or where surge is received.
+        took: is called with channel, time and value, s and SI units, of each message that is aligned.
 
     Raises:
         ConfigError: the setup cannot be used live, or the estimator is not of one boat.
@@ -81,9 +84,11 @@ class Node:
         description = online.description
         if description is None:
             raise ConfigError("estimator: found one without compiled code, expected one that has it")
-        self._output = description.get("output")
+        self._output = str(description.get("output"))
         self.horizons = watched.horizons(description)
         self.origin = math.nan  # stamps are counted from here, s
+        self.derived: float | None = None
+        self.took: Callable[[str, float, float], None] = lambda *_: None
         self._begin()
 
     def _begin(self) -> None:
@@ -104,9 +109,14 @@ class Node:
                 total.setdefault(channel, Counter()).update(causes)
         return {channel: dict(causes) for channel, causes in total.items()}
 
-    def drop(self, part: str, cause: str) -> None:
-        """Count a message that could not be used."""
-        self._shell.setdefault(self._channels.get(part, part), Counter())[cause] += 1
+    def drop(self, part: str, cause: str, count: int = 1) -> None:
+        """Count messages that could not be used."""
+        self._shell.setdefault(self._channels.get(part, part), Counter())[cause] += count
+
+    def warm(self) -> None:
+        """Compile all that a step needs, so that none waits for it."""
+        if self.horizons:
+            self.online.forecast([[0.0, 0.0]], 0.0, 0.0, 0.4)
 
     def relative(self, stamp: float) -> float:
         """A stamp as the aligner counts it, s since the beginning of the segment."""
@@ -132,22 +142,23 @@ class Node:
             self.drop(part, "not_a_number" if math.isfinite(stamp) else "no_time")
             return []
         time, channel = self.relative(stamp), self._channels[part]
-        value: float | None = float(source.convert(np.float64(raw)))  # type: ignore[arg-type]
+        value = float(source.convert(np.float64(raw)))  # type: ignore[arg-type]
         if (mix := self._mixes.get(channel)) is not None:
-            assert value is not None
-            value = mix.push(int(part[len(channel) + 1 : -1]), time, value)
-            if value is None:
+            mixed = mix.push(int(part[len(channel) + 1 : -1]), time, value)
+            if mixed is None:
                 self.drop(part, "alone")
                 return []
+            value = mixed
         found = self._feed(channel, time, value) if channel in CHANNELS else []
+        self.derived = None
         if self._derived is not None and (channel == "heading" or channel in self._derived.pair):
-            assert value is not None
-            surge = self._derived.push(channel, time, value)
-            if surge is not None:
-                found += self._feed(SURGE, time, surge)
+            self.derived = self._derived.push(channel, time, value)
+            if self.derived is not None:
+                found += self._feed(SURGE, time, self.derived)
         return found
 
     def _feed(self, channel: str, time: float, value: float) -> list[Step]:
+        self.took(channel, time, value)
         return [self._step(at, sample) for at, sample in self._aligner.push(channel, time, value)]
 
     def finish(self) -> list[Step]:
@@ -164,11 +175,11 @@ class Node:
 
     def _step(self, time: float, sample: Sample) -> Step:
         """Predict, learn, and look ahead."""
-        predicted = self.online.step(sample)
+        predicted = float(self.online.step(sample))
         made = math.isfinite(predicted)
         self.steps += made
         self.learned += bool(made and sample.measured)
-        every = self.online.published() if made and self.online.names else {}
+        every: Any = self.online.published() if made and self.online.names else {}
         members = {name: surge for name, (surge, _) in every.items()}
         width = every[self._output][1] if every else math.nan
         alarms = self._alarms() if made else ()
@@ -190,7 +201,8 @@ class Node:
         if not all(map(math.isfinite, first)):
             return math.nan, math.nan, {}
         if self.online.names:
-            surge, width = self.online.foresee(first)[self._output]
+            foreseen: Any = self.online.foresee(first)
+            surge, width = foreseen[self._output]
         else:
             surge, width = self.online.predict(first), math.nan
         forecasts = {}

@@ -129,9 +129,10 @@ class Aligner:
         A command stays in force until the next message, and takes effect after its delay. The boat keeps its yaw rate.
         A value that is older than its window at the newest message is NaN.
         """
-        found = _compiled().ahead(self._settings, self._memory, self._times, self._values, steps)
-        dt = np.full(steps, self._settings["dt"][0])
-        return Inputs(*found, dt)
+        left, right, heading, yaw_rate = _compiled().ahead(
+            self._settings, self._memory, self._times, self._values, steps
+        )
+        return Inputs(left, right, heading, yaw_rate, np.full(steps, self._settings["dt"][0]))
 
     def feed(self, channels: np.ndarray, times: np.ndarray, values: np.ndarray, flush: bool = False) -> np.ndarray:
         """Take many messages at once; returns rows, see `usvlearn.logs.align_kernel.COLUMNS`.

@@ -103,18 +103,21 @@ class Setup:
         Raises:
             ConfigError: an option is not legal, or the surge would have to be computed from positions.
         """
+        self.check_live()
+        with under("align", self.align):
+            return Aligner(self.aligned, **{**self.align, **options})
+
+    def check_live(self) -> None:
+        """Raise a ConfigError if it cannot be used live; the values of the alignment are checked by `aligner`."""
         if SURGE not in self.channels and pair_of(self.channels) not in LIVE_PAIRS:
             raise ConfigError(
                 "data.channels: found no surge, nor velocities or ground speed and course, expected one of them: live "
                 "messages do not give it from positions"
             )
-        options = {**self.align, **options}
         known = list(inspect.signature(Aligner).parameters)[1:]
-        for name in options:
+        for name in self.align:
             if name not in known:
                 raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join(known)}")
-        with under("align", known):
-            return Aligner(self.aligned, **options)
 
 
 def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> dict[str, Setup]:

@@ -1,0 +1,52 @@
+"""A simulated boat as messages, and sessions of a node for it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+import usvlearn
+from usvlearn.live.session import Session
+from usvlearn.live.start import Middleware, Options
+from usvlearn.logs.channel import REQUIRED, Recording
+from usvlearn.simulate.fleet import fleet
+
+PLAIN = Middleware("test", "usvlearn.logs.alog.Alog", {name: {"name": name.upper()} for name in REQUIRED})
+
+
+@cache
+def boat(hours: float = 0.1, seed: int = 0) -> Recording:
+    """A simulated boat."""
+    return fleet(n=1, hours=hours, seed=seed)[0]
+
+
+def messages(recording: Recording, start: float = 1.7e9) -> Iterator[tuple[str, float, float]]:
+    """Its messages as they came: channel, stamp in s, value in SI units."""
+    rows = [
+        (place, name, start + time, value)
+        for name, channel in recording.channels.items()
+        for time, value, place in zip(*(x.tolist() for x in channel[:3]), strict=True)
+    ]
+    yield from (row[1:] for row in sorted(rows, key=lambda row: row[0]))
+
+
+@cache
+def learned_set(folder: Path) -> Path:
+    """A parameter set of the default ensemble that has learned from some minutes."""
+    return usvlearn.learn(usvlearn.read(data="simulated", hours=0.05)).save(folder / "start.safetensors")
+
+
+def ready(folder: Path, start: Path | None, **options) -> Session:
+    """A session that listens."""
+    session = Session(Options(folder, start, **options), PLAIN)
+    session.start()
+    assert session.wait(300)
+    return session
+
+
+def same(one: float, other: float) -> bool:
+    """Equal to the last bit, NaN included."""
+    return np.float64(one).tobytes() == np.float64(other).tobytes() or (np.isnan(one) and np.isnan(other))

@@ -1,0 +1,59 @@
+"""What a node says about itself, once a second."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from usvlearn.errors import printable
+
+SHOWN = 8  # numbers of an interval's quantity
+
+
+class Health(NamedTuple):
+    """The health of a node."""
+
+    state: str  # "compiling", "waiting" (a channel never came), "stale", "ok"
+    sentence: str  # for a person
+    counts: dict[str, dict[str, int]]  # channel -> cause -> messages that were not used
+    ages: dict[str, float]  # part -> s since its last message, infinite if none came
+    steps: int
+    learned: int
+    alarms: int
+    alarm: str | None  # the side whose thruster seems to have failed, while the alarm is on
+    uptime: float  # s
+    saved: float  # s since the last save; infinite: none yet
+    contraction: dict[str, dict[str, Any]]  # network -> see `usvlearn.live.watched.networks`
+    identified: dict[str, tuple[float, float, float, str]]  # quantity -> value, low, high, unit
+    warnings: tuple[str, ...]  # sentences
+
+    def json(self) -> dict[str, Any]:
+        """As JSON values: a number that is not finite becomes null."""
+        found: dict[str, Any] = _finite(self._asdict())
+        return found
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return printable(value) if isinstance(value, str) else value
+
+
+COMPILING = Health("compiling", "compiling, once on this machine", {}, {}, 0, 0, 0, None, 0.0, math.inf, {}, {}, ())
+
+
+def seconds(value: float) -> str:
+    """A duration for a person.
+
+    >>> seconds(3.2), seconds(7260.0), seconds(math.inf)
+    ('3 s', '2.0 h', 'never')
+    """
+    if not math.isfinite(value):
+        return "never"
+    if value < 120:
+        return f"{value:.0f} s"
+    return f"{value / 60:.0f} min" if value < 7200 else f"{value / 3600:.1f} h"

@@ -1,0 +1,72 @@
+"""The operator's page: what a node says to the person who watches it, as lines of plain ASCII text."""
+
+from __future__ import annotations
+
+import textwrap
+from typing import Any
+
+from usvlearn.live.health import Health, seconds
+from usvlearn.live.node import Step
+
+WIDTH = 78
+QUANTITIES = ("steady_speed_full", "time_constant", "stopping_distance", "thrust_ratio")  # those that are shown
+COUNTED = 6  # channels with rejected messages
+
+
+def page(health: Health, step: Step | None = None) -> list[str]:
+    """The page, lines of at most `WIDTH` characters.
+
+    >>> from usvlearn.live.health import COMPILING
+    >>> page(COMPILING)[0]
+    'State       compiling: compiling, once on this machine'
+    """
+    lines = [_line("State", health.sentence if health.state == "ok" else f"{health.state}: {health.sentence}")]
+    saved = "not yet" if health.saved == float("inf") else f"{seconds(health.saved)} ago"
+    lines.append(_line("Running", f"{seconds(health.uptime)}, last saved {saved}"))
+    if step is not None:
+        lines += _speeds(step)
+    alarm = f"the {health.alarm} thruster" if health.alarm else "none"
+    lines.append(_line("Alarm", f"{alarm} ({health.alarms} so far)"))
+    for name, network in health.contraction.items():
+        lines.append(_line(f"Network {name}"[:11], _network(network)))
+    shown = [(name, health.identified[name]) for name in QUANTITIES if name in health.identified]
+    for name, (value, low, high, unit) in shown:
+        lines.append(_line(name[:20].replace("_", " "), f"{value:.3g} ({low:.3g} ... {high:.3g}) {unit}", 21))
+    ages = ", ".join(f"{part} {seconds(age)}" for part, age in health.ages.items())
+    lines += _wrapped("Received", ages + " ago" if ages else "nothing yet")
+    counts = [f"{name} {cause} {n}" for name, causes in health.counts.items() for cause, n in causes.items()]
+    lines += _wrapped("Not used", ", ".join(counts[:COUNTED]) or "none")
+    lines += [part for each in health.warnings for part in _wrapped("Warning", each)]
+    return [line.encode("ascii", "replace").decode() for line in lines]
+
+
+def _speeds(step: Step) -> list[str]:
+    found = [
+        _line("Speed", f"measured {step.measured:.2f}, predicted {_interval(step.speed, step.low, step.high)} m/s")
+    ]
+    found.append(_line("Next", f"{_interval(step.next, step.next_low, step.next_high)} m/s under these commands"))
+    if step.forecasts:
+        horizon, each = list(step.forecasts.items())[-1]
+        found.append(_line(f"In {horizon:g} s", f"{_interval(*each)} m/s under these commands"))
+    return found
+
+
+def _interval(value: float, low: float, high: float) -> str:
+    return f"{value:.2f} ({low:.2f} ... {high:.2f})"
+
+
+def _network(network: dict[str, Any]) -> str:
+    if network["rate"] is None:
+        return "its weights are not finite"
+    verdict = f"contracting by {network['condition']}" if network["contracting"] else "not certified contracting"
+    constant = "" if network["time_constant"] is None else f" ({network['time_constant']:.3g} s)"
+    rest = "" if network["equilibrium"] is None else f", equilibrium at rest {network['equilibrium']:.2f} m/s"
+    return f"{verdict}, K = {network['rate']:.4f} a step{constant}{rest}"
+
+
+def _line(title: str, text: str, width: int = 11) -> str:
+    return f"{title:<{width}} {text}"[:WIDTH]
+
+
+def _wrapped(title: str, text: str) -> list[str]:
+    return textwrap.wrap(f"{title:<11} {text}", WIDTH, subsequent_indent=" " * 12) or [title]

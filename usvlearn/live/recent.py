@@ -1,0 +1,77 @@
+"""The messages of the last minutes, on which a node runs the data check that a replay runs on its logs."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Sequence
+
+import numpy as np
+
+from usvlearn.logs.channel import Channel, Recording, Source
+from usvlearn.logs.mixing import Mix
+from usvlearn.logs.setup import Setup
+
+MOST = 20_000  # messages of a channel, at most: half an hour at 10 Hz
+LEAST = 300  # of each channel; with fewer nothing is checked
+
+
+class Recent:
+    """Keeps the last messages of each channel, in SI units."""
+
+    def __init__(self, setup: Setup):
+        self._setup, self._count = setup, 0
+        self._columns: dict[str, tuple[array, array, array]] = {}
+
+    def add(self, channel: str, time: float, value: float) -> None:
+        """Keep one message, s and SI units."""
+        columns = self._columns.get(channel)
+        if columns is None:
+            columns = self._columns[channel] = array("d"), array("d"), array("q")
+        self._count += 1
+        columns[0].append(time)
+        columns[1].append(value)
+        columns[2].append(self._count)
+        if len(columns[0]) >= 2 * MOST:
+            for column in columns:
+                del column[:MOST]
+
+    def clear(self) -> None:
+        """Forget all: the stamps begin anew."""
+        self._columns.clear()
+
+    def copy(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Time, value and place of the messages of each channel."""
+        return {
+            name: (np.array(columns[0]), np.array(columns[1]), np.array(columns[2]))
+            for name, columns in self._columns.items()
+        }
+
+    def findings(
+        self,
+        columns: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+        boat: str,
+        horizons: Sequence[float] = (),
+    ) -> list[str]:
+        """What the data check says of `copy`: sentences, warnings only."""
+        from usvlearn.logs.checks.finding import WARNING
+        from usvlearn.logs.data_check import check_data
+
+        channels: dict[str, Channel] = {}
+        aligned = self._setup.aligned
+        for name, (time, value, order) in columns.items():
+            source = aligned.get(name) or self._source(name)
+            if len(time) < LEAST and not source.held:
+                return []
+            channels[name] = Channel(time, value, order, source.held, source.window, source.delay, source.period)
+        if not all(name in channels for name in aligned):
+            return []
+        recording = Recording(boat, "live", channels, {})
+        declared = self._setup.json()["channels"]
+        top = math.inf if self._setup.surge_max is None else self._setup.surge_max
+        found = check_data([recording], None, self._setup.align, top, declared, horizons)
+        return [each.sentence() for each in found if each.severity == WARNING]
+
+    def _source(self, name: str) -> Source:
+        given = self._setup.channels[name]
+        return given.parts[0] if isinstance(given, Mix) else given

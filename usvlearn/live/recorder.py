@@ -1,0 +1,133 @@
+"""Records a live session as a MOOS log, with the set and the configuration by which train.py replays it bit for bit.
+
+Of record 3 of a folder there are `record_0003.alog`, all messages as they came; `record_0003.yaml`, a configuration of
+data; `record_0003.safetensors`, the parameter set with which it began. Stamps and values have all their digits.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TextIO
+
+from usvlearn.checkpoint import SUFFIX, write_atomically
+from usvlearn.errors import printable
+from usvlearn.logs.channel import AUXILIARY, SURGE
+from usvlearn.logs.setup import Setup
+
+NAME = re.compile(r"record_(\d{4,9})\.alog")
+FLUSH = 1.0  # s, after which what is buffered is written
+APP = "usvlearn"
+
+
+def variable(part: str) -> str:
+    """The variable of a part in a record.
+
+    >>> variable("command_left[0]")
+    'COMMAND_LEFT_0'
+    """
+    return part.upper().replace("[", "_").replace("]", "")
+
+
+class Recorder:
+    """Writes one record. A full disk ends it: what was written stays, and `problem` says what happened.
+
+    Args:
+        folder: of the records.
+        setup: of the messages.
+        save: writes the parameter set with which the record begins to a path.
+        boat: its name.
+
+    Attributes:
+        path: of the log.
+        problem: a sentence; None while all is written.
+    """
+
+    def __init__(self, folder: Path, setup: Setup, save: Any, boat: str = "boat"):
+        self.problem: str | None = None
+        self._file: TextIO | None = None
+        self._rows: list[str] = []
+        self._written = -math.inf
+        names = [NAME.fullmatch(path.name) for path in folder.glob("record_*.alog")]
+        number = 1 + max((int(found[1]) for found in names if found), default=0)
+        self.path = folder / f"record_{number:04d}.alog"
+        self._logs_speed = SURGE in setup.channels
+        try:
+            save(self.path.with_suffix(SUFFIX))
+            write_atomically(self.path.with_suffix(".yaml"), configuration(self.path, setup, boat).encode())
+            self._file = self.path.open("x", encoding="utf-8", newline="\n")
+            self._file.write(f"%% LOG FILE: {self.path.name}\n%% LOGSTART {time.time():.3f}\n")
+        except OSError as error:
+            self._stop(error)
+
+    def write(self, part: str, time: float, raw: float) -> None:
+        """Add one message; `time` as the node aligned it, s."""
+        if self._file is not None:
+            self._rows.append(f"{time!r} {variable(part)} {APP} {raw!r}\n")
+
+    def flush(self, clock: float, at_once: bool = False) -> None:
+        """Write what is buffered, if it is time; `clock` in s."""
+        if self._file is None or not (at_once or clock - self._written >= FLUSH):
+            return
+        rows, self._rows, self._written = "".join(self._rows), [], clock
+        try:
+            self._file.write(rows)
+            self._file.flush()
+        except OSError as error:
+            self._stop(error)
+
+    def close(self) -> None:
+        """Write the rest, and close the file."""
+        self.flush(math.inf, at_once=True)
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+        self._file = None
+
+    def _stop(self, error: OSError) -> None:
+        self.problem = f"the record {self.path.name} ends here ({error.strerror or error}): make room on the disk"
+        if self._file is not None:
+            with suppress(OSError):
+                self._file.close()
+        self._file, self._rows = None, []
+
+
+def configuration(path: Path, setup: Setup, boat: str = "boat") -> str:
+    """The YAML that describes a record to train.py; JSON values are YAML.
+
+    A surge that the node has computed is recorded as SURGE, in m/s, and not computed anew.
+    """
+    channels: dict[str, Any] = {}
+    for name, given in setup.json()["channels"].items():
+        if isinstance(given["name"], list):
+            given = {**given, "name": [variable(f"{name}[{k}]") for k in range(len(given["name"]))], "field": None}
+        else:
+            given = {**given, "name": variable(name), "field": None}
+        channels[name] = given
+    if SURGE not in channels:
+        source = setup.aligned[SURGE]
+        channels[SURGE] = {"name": variable(SURGE), "unit": "m/s", "window": source.window, "period": source.period}
+        channels = {name: each for name, each in channels.items() if name not in AUXILIARY}
+    data = {
+        "_target_": "usvlearn.logs.read.read_recordings", "_convert_": "all", "path": path.name,
+        "boat": printable(boat), "reader": {"_target_": "usvlearn.logs.alog.Alog"}, "channels": channels,
+    }  # fmt: skip
+    settings: Mapping[str, Any] = {
+        "vehicle": {"mass": setup.mass, "surge_max": setup.surge_max}, "align": dict(setup.align), "data": data,
+    }  # fmt: skip
+    lines = [f"{key}: {json.dumps({k: v for k, v in each.items() if v is not None})}" for key, each in settings.items()]
+    stem = path.stem
+    return "\n".join(
+        [
+            "# @package _global_",
+            f"# A recorded session. From the folder of this file, `python train.py data={stem}.yaml",
+            f"# resume={stem}{SUFFIX}` replays it, with the same predictions to the last bit.",
+            *lines,
+            "",
+        ]
+    )

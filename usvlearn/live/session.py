@@ -1,0 +1,354 @@
+"""A node with all around it: its folder, its clock, the thread that compiles and the one that writes.
+
+What the middlewares share. It is called from one thread.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import usvlearn
+from usvlearn.errors import UsvlearnError
+from usvlearn.live import watched
+from usvlearn.live.health import COMPILING, Health, seconds
+from usvlearn.live.recent import Recent
+from usvlearn.live.recorder import Recorder
+from usvlearn.live.sets import Sets
+from usvlearn.live.start import Begin, Middleware, Options, begin
+from usvlearn.lock import Lock
+from usvlearn.logs.channel import SURGE, Source
+from usvlearn.logs.setup import KEY
+
+if TYPE_CHECKING:
+    from usvlearn.live.board import Board
+    from usvlearn.live.node import Node, Step
+
+REPORT = 5.0  # s between two reports of what is identified and of the networks
+TELL = 10.0  # s between two status files
+SILENT = 1.0  # s without a message, from which on a channel is reported, at least
+WARNINGS = 20  # sentences, at most
+
+
+class Session:
+    """One node aboard.
+
+    Args:
+        options: of the user.
+        middleware: what is assumed of it.
+
+    Attributes:
+        sources: part -> what is received: see `Setup.parts`.
+        sentence: what the node starts from.
+        state: see `Health`.
+
+    Raises:
+        ConfigError: another node has the folder, there is nothing to start from, or a channel is not legal.
+        CheckpointError: no set of the folder can be read.
+    """
+
+    def __init__(self, options: Options, middleware: Middleware):
+        self.options, self.middleware = options, middleware
+        self._lock = Lock(options.folder, "folder of the node")
+        try:
+            self._sets = Sets(options.folder, options.keep)
+            self._begin: Begin = begin(self._sets, options, middleware)
+            self.setup = self._begin.setup
+            self.setup.check_live()
+        except BaseException:
+            self._lock.release()
+            raise
+        self.sources: dict[str, Source] = self.setup.parts
+        self.sentence = self._begin.sentence
+        self.state = "compiling"
+        self.last: Step | None = None
+        self._node: Node | None = None
+        self._failure: BaseException | None = None
+        self._thread: threading.Thread | None = None
+        self._recorder: Recorder | None = None
+        self._board: Board | None = None
+        self._recent = Recent(self.setup)
+        self._writer = ThreadPoolExecutor(1, thread_name_prefix="usvlearn-writer")
+        self._saving: Future[Path] | None = None
+        self._checking: Future[list[str]] | None = None
+        self._telling: Future[None] | None = None
+        self._began = time.monotonic()
+        self._heard: dict[str, float] = {}  # part -> monotonic time of its last message
+        self._early = 0  # messages that came while code was compiled
+        self._saved, self._due, self._reported, self._told = math.inf, self._began, -math.inf, -math.inf
+        self._learned = 0  # at the last save
+        self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
+        self._contraction: dict[str, dict[str, Any]] = {}
+        self._identified: dict[str, tuple[float, float, float, str]] = {}
+
+    # what the shell calls
+
+    def start(self) -> None:
+        """Begin to compile, or to load compiled code, in a thread."""
+        self._thread = threading.Thread(target=self._make, name="usvlearn-compile", daemon=True)
+        self._thread.start()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until the node is ready, s; returns whether it is."""
+        if self._thread is not None:
+            self._thread.join(timeout)
+        return self._ready()
+
+    def push(self, part: str, stamp: float, raw: float) -> list[Step]:
+        """Take one message; returns the steps that it completes. See `Node.push`."""
+        self._heard[part] = time.monotonic()
+        if self.state == "compiling" and not self._ready():
+            self._early += 1
+            return []
+        node = self._node
+        assert node is not None
+        found = node.push(part, stamp, raw)
+        if self._recorder is not None and math.isfinite(stamp):
+            self._recorder.write(part, node.relative(stamp), raw)
+            if node.derived is not None:
+                self._recorder.write(SURGE, node.relative(stamp), node.derived)
+        self._took(found)
+        return found
+
+    def drop(self, part: str, cause: str) -> None:
+        """Count a message that the shell could not use."""
+        if self._node is not None:
+            self._node.drop(part, cause)
+
+    def restart(self) -> list[Step]:
+        """The clock of the stamps began anew: a new segment, and a new record."""
+        if self._node is None:
+            return []
+        found = self._node.restart()
+        self._recent.clear()
+        self._took(found)
+        if self._recorder is not None:
+            self._record()
+        return found
+
+    def tick(self, now: float = math.nan, clock: float | None = None) -> Health:
+        """The health, once a second; saves what is due.
+
+        Args:
+            now: not used; stamps of messages may be on any clock.
+            clock: `time.monotonic()`.
+        """
+        clock = time.monotonic() if clock is None else clock
+        if not self._ready():
+            return COMPILING._replace(uptime=clock - self._began, ages=self._ages(clock), warnings=self.warnings)
+        node = self._node
+        assert node is not None
+        self._finished()
+        if self._recorder is not None:
+            self._recorder.flush(clock)
+            if self._recorder.problem:
+                self._warnings["record"] = self._recorder.problem
+        ages = self._ages(clock)
+        if clock - self._reported >= REPORT:
+            self._reported = clock
+            self._contraction, self._identified = watched.networks(node.online), watched.identified(node.online)
+        outage = min(ages.values(), default=math.inf) > float(self.setup.align.get("outage", 5.0))
+        if clock - self._due >= self.options.save_period or (outage and node.learned > self._learned):
+            self._save_soon(clock)
+        health = self._health(ages, clock)
+        self.state = health.state
+        if clock - self._told >= TELL and (self._telling is None or self._telling.done()):
+            self._told = clock
+            self._telling = self._writer.submit(self._tell, health.json())
+        if self._board is not None:
+            self._board.health(health)
+        return health
+
+    def save(self) -> Path | None:
+        """Write a set now; None before the node is ready, or if it could not be written."""
+        if self._node is None:
+            return None
+        try:
+            path = self._sets.save(*self._set())
+        except OSError as error:
+            self._warnings["save"] = self._unsaved(error)
+            return None
+        self._saved, self._learned = time.monotonic(), self._node.learned
+        return path
+
+    def close(self) -> None:
+        """Make the last steps, save, end the record, release the folder."""
+        if self._node is not None:
+            self._took(self._node.finish())
+            self._writer.shutdown(wait=True)
+            if self._node.learned > self._learned or self._saved == math.inf:
+                self.save()
+            try:
+                self._tell(self._health(self._ages(time.monotonic()), time.monotonic()).json() | {"state": "ended"})
+            except OSError:
+                pass
+        if self._recorder is not None:
+            self._recorder.close()
+        if self._board is not None:
+            self._board.close()
+        self._writer.shutdown(wait=True)
+        self._lock.release()
+
+    def __enter__(self) -> Session:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences about what is wrong now."""
+        return tuple(self._warnings.values())[:WARNINGS]
+
+    # inside
+
+    def _make(self) -> None:
+        """Make the node; in a thread, because compiling takes minutes on a small computer."""
+        try:
+            from usvlearn.live.node import Node
+            from usvlearn.online import Online
+
+            node = Node(self.setup, Online.of(self._begin.leaves, self._begin.facts), self.options.patience)
+            node.warm()
+            node.took = self._recent.add
+            self._node = node
+        except BaseException as error:  # told by the thread that owns the session
+            self._failure = error
+
+    def _ready(self) -> bool:
+        """Whether the node is ready; raises what went wrong as it was made."""
+        if self._failure is not None:
+            raise self._failure
+        if self.state != "compiling":
+            return True
+        if self._node is None:
+            return False
+        self.state = "waiting"
+        self._node.online.setup = self.setup.json()
+        if self._early:
+            self._node.drop("messages", "compiling", self._early)
+        if self.options.record:
+            self._record()
+        if self.options.tensorboard is not None:
+            from usvlearn.live.board import Board
+
+            self._board = Board(self.options.tensorboard)
+        return True
+
+    def _record(self) -> None:
+        """Begin a record, with a set of now."""
+        assert self._node is not None
+        if self._recorder is not None:
+            self._recorder.close()
+        leaves, facts = self._set()
+        from usvlearn import checkpoint
+
+        self._recorder = Recorder(
+            self.options.folder / "records", self.setup, lambda path: checkpoint.save(path, leaves, **facts),
+            self.options.boat,
+        )  # fmt: skip
+
+    def _took(self, steps: list[Step]) -> None:
+        if steps:
+            self.last = steps[-1]
+            if self._board is not None:
+                for step in steps:
+                    self._board.step(step)
+
+    def _ages(self, clock: float) -> dict[str, float]:
+        return {
+            part: (clock - self._heard[part]) * self.options.warp if part in self._heard else math.inf
+            for part in self.sources
+        }
+
+    def _health(self, ages: Mapping[str, float], clock: float) -> Health:
+        node = self._node
+        assert node is not None
+        state, sentence = self._judged(ages, node.dt)
+        counts = f"{node.steps} steps, {node.learned} learned" + (f", {node.alarms} alarms" if node.alarms else "")
+        return Health(
+            state, f"{sentence}; {counts}", node.counts, dict(ages), node.steps, node.learned, node.alarms, node.alarm,
+            clock - self._began, clock - self._saved, self._contraction, self._identified, self.warnings,
+        )  # fmt: skip
+
+    def _judged(self, ages: Mapping[str, float], dt: float) -> tuple[str, str]:
+        """The state, and what is missing and since when."""
+        never = [part for part, age in ages.items() if age == math.inf]
+        if never:
+            return "waiting", f"waiting for {', '.join(self._told_of(part) for part in never)}"
+        old = []
+        for part, age in ages.items():
+            source = self.sources[part]
+            longest = source.window + float(source.period) + 2 * dt
+            if not source.held and age > max(SILENT * self.options.warp, longest):
+                old.append(f"{self._told_of(part)} for {seconds(age)}")
+        return ("stale", f"no {', no '.join(old)}") if old else ("ok", "ok")
+
+    def _told_of(self, part: str) -> str:
+        return f"{part} ({self.sources[part].name})"
+
+    def _set(self) -> tuple[dict[str, Any], dict[str, Any]]:
+        """A set of now: copies of the leaves, and the metadata."""
+        node = self._node
+        assert node is not None
+        facts = {
+            "estimator": self._begin.facts["estimator"], "kernel": self._begin.facts["kernel"],
+            KEY: self.setup.json(), "boat": self.options.boat, "run": "live", "step": node.steps,
+            "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
+        }  # fmt: skip
+        return node.online.state, facts
+
+    def _save_soon(self, clock: float) -> None:
+        """Write a set in the thread, unless one is being written."""
+        if self._saving is None:
+            assert self._node is not None
+            self._due, self._learned = clock, self._node.learned
+            self._saving = self._writer.submit(self._sets.save, *self._set())
+            if self._checking is None:
+                self._checking = self._writer.submit(
+                    self._recent.findings, self._recent.copy(), self.options.boat, self._node.horizons
+                )
+
+    def _finished(self) -> None:
+        """Look at what the thread has done."""
+        if self._saving is not None and self._saving.done():
+            saving, self._saving = self._saving, None
+            try:
+                saving.result()
+                self._saved = time.monotonic()
+                self._warnings.pop("save", None)
+            except OSError as error:
+                self._warnings["save"] = self._unsaved(error)
+                self._due = time.monotonic() - self.options.save_period + min(60.0, self.options.save_period)
+        if self._checking is not None and self._checking.done():
+            checking, self._checking = self._checking, None
+            for key in [key for key in self._warnings if key.startswith("check")]:
+                del self._warnings[key]
+            try:
+                self._warnings |= {f"check {k}": each for k, each in enumerate(checking.result())}
+            except UsvlearnError as error:
+                self._warnings["check"] = f"the data cannot be checked: {error}"
+        if self._telling is not None and self._telling.done():
+            telling, self._telling = self._telling, None
+            if isinstance(telling.exception(), OSError):
+                self._warnings["status"] = f"the status cannot be written ({telling.exception()})"
+            else:
+                self._warnings.pop("status", None)
+
+    def _unsaved(self, error: OSError) -> str:
+        return (
+            f"no set can be saved in {self.options.folder} ({error.strerror or error}): make room on the disk; "
+            "the sets saved before are complete"
+        )
+
+    def _tell(self, health: Mapping[str, Any]) -> None:
+        last = None if self.last is None else {"time": self.last.time, "speed": self.last.speed, "next": self.last.next}
+        self._sets.tell(
+            {**health, "middleware": self.middleware.name, "boat": self.options.boat, "began_from": self.sentence,
+             "written": time.time(), "last": last}
+        )  # fmt: skip

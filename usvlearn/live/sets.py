@@ -1,0 +1,109 @@
+"""The folder of a node: its parameter sets, the newest of which it starts from, and its status."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import warnings
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usvlearn import checkpoint
+from usvlearn.errors import CheckpointError
+from usvlearn.online import read_set
+
+NAME = re.compile(r"live_(\d{8,18})\.safetensors")  # sorted behind the sets of a run, which begin with a digit
+STATUS = "status.json"
+LARGEST = 1_000_000  # bytes of a status
+
+
+class Sets:
+    """The parameter sets of a folder. Those that a node has written are numbered; the oldest of them are removed.
+
+    Args:
+        folder: it is made.
+        keep: how many of its own sets a node keeps, at least 2.
+    """
+
+    def __init__(self, folder: Path, keep: int = 100):
+        self.folder, self._keep = folder, max(keep, 2)
+        folder.mkdir(parents=True, exist_ok=True)
+        numbers = [int(found[1]) for path in folder.iterdir() if (found := NAME.fullmatch(path.name))]
+        self._count = itertools.count(1 + max(numbers, default=0))
+
+    def newest(self) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]] | None:
+        """The newest readable set: leaves, metadata, path, and sentences about those that cannot be read.
+
+        Returns:
+            None if there is no set.
+
+        Raises:
+            CheckpointError: there are sets, and none can be read.
+        """
+        if not checkpoint.checkpoints(self.folder):
+            return None
+        return newest(self.folder)
+
+    def save(self, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
+        """Write a set, then remove the oldest of the node's own.
+
+        Raises:
+            OSError: the disk is full, or the like; the sets that are there stay.
+        """
+        path = self.folder / f"live_{next(self._count):08d}{checkpoint.SUFFIX}"
+        checkpoint.save(path, dict(leaves), **facts)
+        own = sorted((each for each in self.folder.iterdir() if NAME.fullmatch(each.name)), key=lambda each: each.name)
+        for old in own[: -self._keep]:
+            with suppress(OSError):
+                old.unlink()
+        return path
+
+    def tell(self, status: Mapping[str, Any]) -> None:
+        """Write the status, which `usvlearn live status` reads."""
+        checkpoint.write_atomically(self.folder / STATUS, json.dumps(status, indent=1).encode())
+
+
+def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]]:
+    """A set, or the newest readable one of a folder or of a run with one boat; as `Sets.newest`.
+
+    Raises:
+        CheckpointError: none can be read.
+    """
+    if not path.is_dir():
+        return *read_set(path), path, []
+    last: list[Path] = []
+
+    def read(each: Path) -> tuple[Any, dict[str, Any]]:
+        last[:] = [each]
+        leaves, facts = read_set(each)
+        return leaves, facts
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        leaves, facts = checkpoint.newest(path, read)
+    return leaves, facts, last[0], [str(each.message) for each in caught]
+
+
+def status_of(folder: Path) -> dict[str, Any]:
+    """What a node wrote last; {} if it wrote nothing.
+
+    Raises:
+        CheckpointError: the file is damaged, or something else.
+    """
+    path = folder / STATUS
+    try:
+        if path.stat().st_size > LARGEST:
+            raise ValueError("it is too large")
+        found = json.loads(path.read_text())
+        if not isinstance(found, dict):
+            raise ValueError("it is no object")
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, RecursionError) as error:
+        raise CheckpointError(f"{path}: is not the status of a node ({error}): remove it") from error
+    return found

@@ -1,0 +1,210 @@
+"""From where a node starts: the newest readable set of its folder, else a given one, else a prior; and its setup."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
+from usvlearn.live.node import PATIENCE
+from usvlearn.live.sets import Sets, newest
+from usvlearn.logs.channel import AUXILIARY, CHANNELS
+from usvlearn.logs.mixing import SOURCE_KEYS
+from usvlearn.logs.read import sources_of
+from usvlearn.logs.setup import KEY, Setup
+
+HOW = ("name", "field", "unit", "zero", "span", "held", "window", "weight")  # what depends on the middleware
+LARGEST_FILE = 1_000_000  # bytes
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user of a node gives, whatever the middleware.
+
+    Attributes:
+        folder: of the node: its sets, status and records.
+        start: a set, a folder of sets or a run's folder, to start from if the folder has no set.
+        mass, surge_max: kg and m/s, of a prior, if there is no set at all.
+        channels: changes to the channels: channel -> option of a `Source` -> value.
+        boat: its name.
+        record: whether to record the session.
+        save_period: s between two sets.
+        keep: how many sets are kept.
+        patience: s, for which a step waits for late messages.
+        tensorboard: a folder, or None.
+        warp: how many times faster than a clock the stamps run.
+    """
+
+    folder: Path
+    start: Path | None = None
+    mass: float | None = None
+    surge_max: float | None = None
+    channels: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    boat: str = "boat"
+    record: bool = False
+    save_period: float = 300.0
+    keep: int = 100
+    patience: float = PATIENCE
+    tensorboard: Path | None = None
+    warp: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_positive("save_period", self.save_period, "of s")
+        check_not_negative("patience", self.patience, "of s")
+        check_positive("warp", self.warp)
+        if isinstance(self.keep, bool) or not isinstance(self.keep, int) or self.keep < 2:
+            raise ConfigError(f"keep: found {self.keep!r}, expected a number of sets, 2 or more")
+
+
+class Middleware(NamedTuple):
+    """What a node assumes of a middleware where neither a set nor the user says otherwise."""
+
+    name: str
+    reader: str  # the class that reads its logs; the names in a set that was learned from such logs are its own
+    channels: Mapping[str, Mapping[str, Any]]
+
+
+class Begin(NamedTuple):
+    """How a node begins."""
+
+    leaves: dict[str, np.ndarray]
+    facts: dict[str, Any]
+    setup: Setup
+    sentence: str  # what it starts from
+    warnings: list[str]
+
+
+def begin(sets: Sets, options: Options, middleware: Middleware) -> Begin:
+    """Read the set from which a node starts, or make a prior.
+
+    Raises:
+        CheckpointError: there are sets, and none of them can be read.
+        ConfigError: there is no set, and no mass and top speed for a prior; or a channel is not legal.
+    """
+    leaves, facts, sentence, told = _set(sets, options)
+    setup = _setup(facts, options, middleware)
+    return Begin(leaves, facts, setup, sentence, told)
+
+
+def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str, Any], str, list[str]]:
+    if (found := sets.newest()) is not None:
+        leaves, facts, path, told = found
+        return leaves, facts, f"continuing from {path.name} of {sets.folder}", told
+    if options.start is not None:
+        leaves, facts, path, told = newest(options.start)
+        return leaves, facts, f"starting from {path}", told
+    if options.mass is None or options.surge_max is None:
+        raise ConfigError(
+            f"{sets.folder}: found no parameter set, and no mass and top speed for a prior: give a set to start from "
+            "(start), or mass in kg and surge_max in m/s"
+        )
+    from usvlearn.live.prior import prior
+
+    leaves, facts = prior(options.mass, options.surge_max)
+    sentence = f"starting from the prior of a boat of {options.mass:g} kg and {options.surge_max:g} m/s"
+    return leaves, facts, sentence, []
+
+
+def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -> Setup:
+    """The set's own setup, with what depends on the middleware, and with the changes of the user."""
+    try:
+        known = None if facts.get(KEY) is None else Setup.of(facts[KEY])
+    except ConfigError as error:
+        raise CheckpointError(f"the set's {error}: use another set") from error
+    own = {} if known is None else known.json()["channels"]
+    if known is not None and known.reader == middleware.reader:
+        channels = {name: dict(each) for name, each in own.items()}
+    else:  # the names in the set are those of another kind of log
+        channels = {name: dict(each) for name, each in middleware.channels.items()}
+        for name, given in own.items():
+            if name in channels:
+                channels[name] |= {key: value for key, value in given.items() if key not in HOW}
+    for name, changes in options.channels.items():
+        if name not in (*CHANNELS, *AUXILIARY):
+            raise ConfigError(
+                f"channels: found {name!r}, expected one of {', '.join(CHANNELS)}{did_you_mean(name, CHANNELS)}"
+            )
+        channels[name] = channels.get(name, {}) | dict(changes)
+    declared = sources_of(channels)
+    align = {} if known is None else dict(known.align)
+    align["patience"] = options.patience
+    mass = options.mass if options.mass is not None else None if known is None else known.mass
+    top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
+    return Setup(declared, align, mass, top, middleware.reader)
+
+
+def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Changes to channels from text by dotted key, as on a command line or in a mission file.
+
+    Args:
+        given: such as {"surge": "NAV_SPEED"}, the name, or {"surge.unit": "knots"}; several names are comma-separated.
+
+    Raises:
+        ConfigError: a key is not known, or a value is not a number where one is needed.
+
+    >>> channel_options({"surge": "NAV_SPEED", "command_left.span": "-100", "command_left.held": "true"})
+    {'surge': {'name': 'NAV_SPEED'}, 'command_left': {'span': -100.0, 'held': True}}
+    """
+    found: dict[str, dict[str, Any]] = {}
+    for dotted, text in given.items():
+        channel, _, key = dotted.partition(".")
+        key = key or "name"
+        if channel not in (*CHANNELS, *AUXILIARY) or key not in SOURCE_KEYS:
+            known = [*CHANNELS, *(f"surge.{each}" for each in SOURCE_KEYS)]
+            raise ConfigError(
+                f"{dotted}: found no such option of a channel, such as surge or surge.unit{did_you_mean(dotted, known)}"
+            )
+        found.setdefault(channel, {})[key] = _value(dotted, key, str(text).strip())
+    return found
+
+
+def _value(dotted: str, key: str, text: str) -> Any:
+    """A value from text, of the type that the option of a `Source` has."""
+    items = [each.strip() for each in text.split(",")]
+    if key in ("name", "unit", "field"):
+        return (items if key == "name" and len(items) > 1 else text) or None
+    if key == "held":
+        if text.lower() not in ("true", "false"):
+            raise ConfigError(f"{dotted}: found {text!r}, expected true or false")
+        return text.lower() == "true"
+    try:
+        values = [float(each) for each in items]
+    except ValueError as error:
+        raise ConfigError(f"{dotted}: found {text!r}, expected a number") from error
+    if not all(map(math.isfinite, values)):
+        raise ConfigError(f"{dotted}: found {text!r}, expected a finite number")
+    return values if len(values) > 1 or key == "weight" else values[0]
+
+
+def channels_of(path: Path) -> dict[str, dict[str, Any]]:
+    """The channels of a configuration of data, such as `usvlearn inspect` writes.
+
+    Raises:
+        ConfigError: there is no such file, or it holds no channels.
+        MissingExtraError: PyYAML is not installed.
+    """
+    from usvlearn.errors import MissingExtraError
+
+    try:
+        import yaml
+    except ImportError as error:
+        raise MissingExtraError("PyYAML", "aboard", "--channels") from error
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ConfigError(f"channels: {path} has more than {LARGEST_FILE // 1000} kB: name a configuration")
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(
+            f"channels: {path} cannot be read ({getattr(error, 'strerror', 'no text')}): correct the path"
+        ) from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ConfigError(f"channels: {path} is no legal YAML: name a file that usvlearn inspect wrote") from error
+    channels = (found.get("data") or {}).get("channels") if isinstance(found, dict) else None
+    if not isinstance(channels, dict) or not all(isinstance(each, dict) for each in channels.values()):
+        raise ConfigError(f"channels: {path} has no data.channels: name a file that usvlearn inspect wrote")
+    return channels
