@@ -45,6 +45,9 @@ OURS = {
     "usvlearn.identified": LIGHT | {"usvlearn.engine", "usvlearn.estimators"},
     "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.checkpoint",
                                 "usvlearn.engine", "usvlearn.identified", "usvlearn.plans"},
+    "usvlearn.live": LIGHT | {"usvlearn.live", "usvlearn.logs", "usvlearn.online", "usvlearn.checkpoint",
+                              "usvlearn.lock", "usvlearn.identified", "usvlearn.estimators", "usvlearn.tensorboard",
+                              "certify"},
     "usvlearn.evaluation": LEARNS | {"usvlearn.evaluation", "usvlearn.identified", "certify"},
     "usvlearn.runs": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.lock", "usvlearn.tensorboard",
                                "usvlearn.engine"},
@@ -72,7 +75,7 @@ CERTIFY = {
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",
             "usvlearn.engine", "usvlearn.online", "usvlearn.identified", "usvlearn.logs", "usvlearn.evaluation",
-            "usvlearn.lock", "usvlearn.plans", "usvlearn.inspection",
+            "usvlearn.lock", "usvlearn.plans", "usvlearn.inspection", "usvlearn.live",
             "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
@@ -206,7 +209,7 @@ def test_a_log_is_read_and_shown_without_torch(tmp_path):
 
 def test_kernels_run_without_torch():
     """Nor does any part of them import it, at any depth."""
-    code = "import usvlearn.engine.free_runs, usvlearn.engine.live, usvlearn.engine.run, usvlearn.online"
+    code = "import usvlearn.engine.free_runs, usvlearn.engine.single_steps, usvlearn.engine.run, usvlearn.online"
     assert not loaded(code) & {*HEAVY, "hydra", "rich"} - {"numba", "scipy"}  # which numba imports where it is there
     for path in MODULES:
         if within(name_of(path), ["usvlearn.engine"]):

@@ -52,7 +52,7 @@ def voyage(steps: int = 600) -> list[Sample]:
 def test_nothing_here_imports_torch():
     code = (
         "import sys; sys.modules['torch'] = None\n"
-        "import usvlearn.logs.read, usvlearn.logs.alog, usvlearn.engine.live, usvlearn.engine.run\n"
+        "import usvlearn.logs.read, usvlearn.logs.alog, usvlearn.engine.single_steps, usvlearn.engine.run\n"
         "from usvlearn import Aligner, Inputs, Online, Sample, checkpoint"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -77,7 +77,7 @@ class Online:
             leaves: of the state, arrays by dotted name.
             facts: metadata: "estimator", its name; "kernel", its description; perhaps "setup".
         """
-        from usvlearn.engine.live import Live
+        from usvlearn.engine.single_steps import Live
 
         self = cls.__new__(cls)
         self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]

@@ -332,7 +332,7 @@ def _derivative(tensors: Sequence[Tensor]) -> str | None:
 
 
 class Stepper:
-    """The steps of one state by torch, without gradients, on numbers of any type; as `engine.live.Live`."""
+    """The steps of one state by torch, without gradients, on numbers of any type; as `engine.single_steps.Live`."""
 
     def __init__(self, estimator: Estimator, batch: Sequence[int]):
         self.estimator, self.batch = estimator, tuple(batch)
@@ -396,7 +396,7 @@ class Stepper:
 
 
 def live(estimator: Estimator, state: Any, backend: str) -> Any:
-    """An `engine.live.Live` of a state, or None where torch has to make the steps.
+    """An `engine.single_steps.Live` of a state, or None where torch has to make the steps.
 
     Raises:
         ConfigError: as `choose`.
@@ -406,7 +406,7 @@ def live(estimator: Estimator, state: Any, backend: str) -> Any:
     obstacle = _out_of_reach([*_leaves(state), *estimator.parameters(), *estimator.buffers()])
     if (description := _description(estimator, obstacle, backend)) is None:
         return None
-    from usvlearn.engine.live import Live
+    from usvlearn.engine.single_steps import Live
 
     return Live(description, _arrays(state))
 

@@ -59,8 +59,14 @@ def test_a_run_and_a_sweep_use_it(mine):
             (text, ["other.yaml: has no section data"])
             for text in ("- 1\n", "", "3", "a,b\n1,2\n", "vehicle: {mass: 3}")
         ),
-        ("data: {}\nhydra: {job: {env_set: {A: b}}}", ["other.yaml: found 'hydra', expected only data, vehicle, align"]),
-        ("data: {}\nvehicel: {mass: 3}", ["found 'vehicel', expected only data, vehicle, align: did you mean vehicle?"]),
+        (
+            "data: {}\nhydra: {job: {env_set: {A: b}}}",
+            ["other.yaml: found 'hydra', expected only data, vehicle, align"],
+        ),
+        (
+            "data: {}\nvehicel: {mass: 3}",
+            ["found 'vehicel', expected only data, vehicle, align: did you mean vehicle?"],
+        ),
         ("data: {a: &a [1], b: *a}", ["other.yaml: has a YAML alias"]),
         ("data: " + 20_000 * "[", ["other.yaml: is nested too deeply"]),
         ("data: {path: " + 1_000_000 * "a" + "}", ["other.yaml has more than 1000 kB"]),

@@ -59,7 +59,7 @@ def test_a_setup_that_is_damaged_is_refused():
         (good | {"align": {"dt": -1.0}}, "align.dt: found -1.0"),
         (good | {"vehicle": {"mass": "heavy"}}, "vehicle.mass: found 'heavy'"),
         (good | {"channels": good["channels"] | {"surge": 3}}, "data.channels.surge: found 3"),
-        (good | {"channels": good["channels"] | {"surge": {"name": "v", "period": "auto"}}}, "surge.period: found auto"),
+        (good | {"channels": good["channels"] | {"surge": {"name": "v", "period": "auto"}}}, "period: found auto"),
     ):  # fmt: skip
         with pytest.raises(ConfigError, match=message):
             Setup.of(damage).aligner()

@@ -26,7 +26,7 @@ from usvlearn.logs.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
 
 if TYPE_CHECKING:
-    from usvlearn.live.board import Board
+    from usvlearn.live.live_board import Board
     from usvlearn.live.node import Node, Step
 
 REPORT = 5.0  # s between two reports of what is identified and of the networks
@@ -235,7 +235,7 @@ class Session:
         if self.options.record:
             self._record()
         if self.options.tensorboard is not None:
-            from usvlearn.live.board import Board
+            from usvlearn.live.live_board import Board
 
             self._board = Board(self.options.tensorboard)
         return True

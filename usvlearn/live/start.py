@@ -18,7 +18,7 @@ from usvlearn.logs.mixing import SOURCE_KEYS
 from usvlearn.logs.read import sources_of
 from usvlearn.logs.setup import KEY, Setup
 
-HOW = ("name", "field", "unit", "zero", "span", "held", "window", "weight")  # what depends on the middleware
+NAMES = ("name", "field", "unit", "zero", "span", "weight")  # what depends on the middleware
 LARGEST_FILE = 1_000_000  # bytes
 
 
@@ -123,7 +123,8 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
         channels = {name: dict(each) for name, each in middleware.channels.items()}
         for name, given in own.items():
             if name in channels:
-                channels[name] |= {key: value for key, value in given.items() if key not in HOW}
+                own_options = {key: value for key, value in given.items() if key not in NAMES}
+                channels[name] = own_options | channels[name]
     for name, changes in options.channels.items():
         if name not in (*CHANNELS, *AUXILIARY):
             raise ConfigError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from typing import Any
 
@@ -20,20 +21,22 @@ def page(health: Health, step: Step | None = None) -> list[str]:
     >>> page(COMPILING)[0]
     'State       compiling: compiling, once on this machine'
     """
-    lines = [_line("State", health.sentence if health.state == "ok" else f"{health.state}: {health.sentence}")]
-    saved = "not yet" if health.saved == float("inf") else f"{seconds(health.saved)} ago"
+    lines = _wrapped("State", health.sentence if health.state == "ok" else f"{health.state}: {health.sentence}")
+    saved = f"{seconds(health.saved)} ago" if math.isfinite(health.saved) else "not yet"
     lines.append(_line("Running", f"{seconds(health.uptime)}, last saved {saved}"))
     if step is not None:
         lines += _speeds(step)
     alarm = f"the {health.alarm} thruster" if health.alarm else "none"
     lines.append(_line("Alarm", f"{alarm} ({health.alarms} so far)"))
     for name, network in health.contraction.items():
-        lines.append(_line(f"Network {name}"[:11], _network(network)))
+        lines += _wrapped(f"Network {name}"[:11], _network(network))
     shown = [(name, health.identified[name]) for name in QUANTITIES if name in health.identified]
     for name, (value, low, high, unit) in shown:
         lines.append(_line(name[:20].replace("_", " "), f"{value:.3g} ({low:.3g} ... {high:.3g}) {unit}", 21))
-    ages = ", ".join(f"{part} {seconds(age)}" for part, age in health.ages.items())
-    lines += _wrapped("Received", ages + " ago" if ages else "nothing yet")
+    heard = [
+        f"{part} {seconds(age)} ago" if math.isfinite(age) else f"{part} never" for part, age in health.ages.items()
+    ]
+    lines += _wrapped("Received", ", ".join(heard) or "nothing yet")
     counts = [f"{name} {cause} {n}" for name, causes in health.counts.items() for cause, n in causes.items()]
     lines += _wrapped("Not used", ", ".join(counts[:COUNTED]) or "none")
     lines += [part for each in health.warnings for part in _wrapped("Warning", each)]

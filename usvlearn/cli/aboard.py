@@ -1,0 +1,68 @@
+"""The command `usvlearn live …`: a node aboard, which listens, predicts, learns, warns and saves."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from usvlearn.errors import ConfigError, did_you_mean, exit_on_user_error
+
+USAGE = """usage: usvlearn live moos MISSION.moos [ALIAS]      on a MOOSDB
+       usvlearn live mavlink udpin:127.0.0.1:14550  beside an autopilot
+       usvlearn live ros2 [--ros-args …]            as a node of ROS 2
+       usvlearn live status FOLDER                  what a running or dead node last knew
+       usvlearn live warm                           compile everything, when a boat's computer is set up
+       usvlearn live systemd COMMAND …              print a systemd unit that starts one of the first three
+Each has --help. A node starts from the newest readable set of its folder, else from --start SET, else from a prior by
+--mass and --surge-max. It needs no torch."""
+SHELLS = {"moos": "usvlearn.live.moos.app", "mavlink": "usvlearn.live.mavlink", "ros2": "usvlearn.live.ros2"}
+
+
+def status(arguments: Sequence[str]) -> int:
+    """Print what a node last knew."""
+    from usvlearn.live.told import status_lines
+
+    if len(arguments) != 1 or arguments[0].startswith("-"):
+        print("usage: usvlearn live status FOLDER")
+        return 0 if arguments in (["-h"], ["--help"]) else 2
+    print(*status_lines(Path(arguments[0]).expanduser()), sep="\n")
+    return 0
+
+
+def warm(arguments: Sequence[str]) -> int:
+    """As `usvlearn warm`."""
+    from usvlearn.cli import warm as command
+
+    sys.argv = ["usvlearn live warm", *arguments]
+    return command.main()
+
+
+COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"status": status, "warm": warm}
+
+
+def work(arguments: Sequence[str]) -> int:
+    """Do one of the commands; returns the exit code.
+
+    Raises:
+        ConfigError: there is no such command.
+    """
+    name, *rest = arguments
+    if name in COMMANDS:
+        return COMMANDS[name](rest)
+    if name in SHELLS:
+        found: int = importlib.import_module(SHELLS[name]).main(rest)
+        return found
+    known = [*SHELLS, *COMMANDS]
+    raise ConfigError(f"live: found {name!r}, expected one of {', '.join(known)}{did_you_mean(name, known)}")
+
+
+def main() -> int:
+    """The command; returns the exit code."""
+    arguments = sys.argv[1:]
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(USAGE)
+        return 0
+    with exit_on_user_error():
+        return work(arguments)
