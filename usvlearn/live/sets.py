@@ -36,18 +36,10 @@ class Sets:
         numbers = [int(found[1]) for path in folder.iterdir() if (found := NAME.fullmatch(path.name))]
         self._count = itertools.count(1 + max(numbers, default=0))
 
-    def newest(self) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]] | None:
-        """The newest readable set: leaves, metadata, path, and sentences about those that cannot be read.
-
-        Returns:
-            None if there is no set.
-
-        Raises:
-            CheckpointError: there are sets, and none can be read.
-        """
-        if not checkpoint.checkpoints(self.folder):
-            return None
-        return newest(self.folder)
+    @property
+    def any(self) -> bool:
+        """Whether there is a set, readable or not."""
+        return bool(checkpoint.checkpoints(self.folder))
 
     def save(self, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
         """Write a set, then remove the oldest of the node's own.
@@ -69,7 +61,10 @@ class Sets:
 
 
 def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]]:
-    """A set, or the newest readable one of a folder or of a run with one boat; as `Sets.newest`.
+    """A set, or the newest readable one of a folder or of a run with one boat.
+
+    Returns:
+        Leaves, metadata, the path, and sentences about newer sets that cannot be read.
 
     Raises:
         CheckpointError: none can be read.

@@ -92,12 +92,18 @@ def begin(sets: Sets, options: Options, middleware: Middleware) -> Begin:
 
 
 def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str, Any], str, list[str]]:
-    if (found := sets.newest()) is not None:
-        leaves, facts, path, told = found
-        return leaves, facts, f"continuing from {path.name} of {sets.folder}", told
+    damaged = []
+    if sets.any:
+        try:
+            leaves, facts, path, told = newest(sets.folder)
+            return leaves, facts, f"continuing from {path.name} of {sets.folder}", told
+        except CheckpointError as error:
+            if options.start is None and (options.mass is None or options.surge_max is None):
+                raise
+            damaged = [str(error)]
     if options.start is not None:
         leaves, facts, path, told = newest(options.start)
-        return leaves, facts, f"starting from {path}", told
+        return leaves, facts, f"starting from {path}", [*damaged, *told]
     if options.mass is None or options.surge_max is None:
         raise ConfigError(
             f"{sets.folder}: found no parameter set, and no mass and top speed for a prior: give a set to start from "
@@ -107,7 +113,7 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
 
     leaves, facts = prior(options.mass, options.surge_max)
     sentence = f"starting from the prior of a boat of {options.mass:g} kg and {options.surge_max:g} m/s"
-    return leaves, facts, sentence, []
+    return leaves, facts, sentence, damaged
 
 
 def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -> Setup:

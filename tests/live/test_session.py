@@ -1,0 +1,200 @@
+"""A session in use: what it starts from, what it saves, what it says, and what goes wrong aboard."""
+
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.live import PLAIN, boat, learned_set, messages, ready
+from usvlearn import checkpoint
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.live.session import Session
+from usvlearn.live.start import Middleware, Options, channel_options
+from usvlearn.live.told import status_lines
+from usvlearn.logs.channel import REQUIRED
+from usvlearn.logs.setup import Setup
+
+MINUTE = list(messages(boat(0.02)))
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory) -> Path:
+    return learned_set(tmp_path_factory.mktemp("start"))
+
+
+def test_a_node_continues_from_the_newest_set_that_can_be_read(tmp_path, start):
+    with ready(tmp_path, start) as session:
+        assert str(start) in session.sentence
+        for message in MINUTE:
+            session.push(*message)
+        first, newest = session.save(), session.save()
+        before = checkpoint.load(first)[0]
+    newest.write_bytes(newest.read_bytes()[:-7])
+    with ready(tmp_path, None) as session:
+        assert session.sentence == f"continuing from {first.name} of {tmp_path}"
+        assert any("damaged" in each for each in session.tick().warnings)
+        after = session._node.online.state
+    assert all(np.array_equal(before[name], after[name], equal_nan=True) for name in before)
+    facts = checkpoint.load(first)[1]
+    assert Setup.of(facts["setup"]).channels["surge"].name == "SURGE"
+
+
+def test_without_a_set_a_node_starts_from_the_prior_of_a_mass_and_a_top_speed(tmp_path):
+    with pytest.raises(ConfigError, match=r"found no parameter set.*give a set.*or mass in kg and surge_max"):
+        Session(Options(tmp_path), PLAIN)
+    with ready(tmp_path, None, mass=28.0, surge_max=2.74) as session:
+        steps = [step for message in messages(boat(0.05)) for step in session.push(*message)]
+    errors = [abs(step.measured - step.speed) for step in steps[len(steps) // 2 :] if math.isfinite(step.speed)]
+    assert np.nanmean(errors) < 0.1
+
+
+def test_what_is_saved_is_bounded_and_the_last_is_of_the_end(tmp_path, start):
+    with ready(tmp_path, start, save_period=0.01, keep=3) as session:
+        for k, message in enumerate(MINUTE):
+            session.push(*message)
+            if k % 50 == 0:
+                session.tick()
+                session._writer.submit(int).result()  # what the thread had to write is written
+        steps = session._node.steps
+    found = checkpoint.checkpoints(tmp_path)
+    assert 2 <= len(found) <= 3
+    assert checkpoint.load(found[-1])[1]["step"] >= steps
+    assert not list(tmp_path.glob(".*.tmp"))
+
+
+def test_an_outage_saves_once(tmp_path, start):
+    with ready(tmp_path, start) as session:
+        for message in MINUTE:
+            session.push(*message)
+        clock = time.monotonic()
+        for k in range(30):
+            health = session.tick(clock=clock + k)
+            session._writer.submit(int).result()
+        assert len(checkpoint.checkpoints(tmp_path)) == 1
+        assert health.state == "stale" and health.sentence.startswith("no command_left (COMMAND_LEFT) for 29 s, no")
+
+
+def test_what_is_missing_is_said(tmp_path, start):
+    with ready(tmp_path, start) as session:
+        for part, stamp, value in MINUTE:
+            if part != "heading":
+                session.push(part, stamp, value)
+        health = session.tick()
+        assert health.state == "waiting" and "waiting for heading (HEADING)" in health.sentence
+        assert health.ages["heading"] == math.inf
+
+
+def test_two_nodes_do_not_share_a_folder(tmp_path, start):
+    with ready(tmp_path, start):
+        with pytest.raises(ConfigError, match="is writing there"):
+            Session(Options(tmp_path, start), PLAIN)
+    ready(tmp_path, start).close()
+
+
+def test_a_disk_that_is_full_ends_no_learning(tmp_path, start, monkeypatch):
+    with ready(tmp_path, start, save_period=0.001, record=True) as session:
+        for message in MINUTE[:200]:
+            session.push(*message)
+        good = session.save()
+
+        def full(path, content):
+            raise OSError(28, "No space left on device", str(path))
+
+        monkeypatch.setattr(checkpoint, "write_atomically", full)
+        session._recorder._file.close()
+        session._recorder._file = open("/dev/full", "w")
+        for message in MINUTE[200:]:
+            session.push(*message)
+        for k in range(3):
+            health = session.tick(clock=time.monotonic() + k)
+            session._writer.submit(int).result()
+        learned = health.learned
+        assert any("no set can be saved" in each and "make room" in each for each in health.warnings)
+        assert any("record_0001.alog ends here" in each for each in health.warnings)
+        assert learned > 50
+        monkeypatch.undo()
+        session.tick(clock=time.monotonic() + 100)
+        session._writer.submit(int).result()
+        assert not any("no set" in each for each in session.tick(clock=time.monotonic() + 101).warnings)
+    assert checkpoint.load(good) and len(checkpoint.checkpoints(tmp_path)) >= 2
+
+
+@pytest.mark.parametrize("jump", [3600.0, -3600.0])
+def test_a_clock_that_jumps_begins_a_new_segment(tmp_path, start, jump):
+    with ready(tmp_path, start) as session:
+        steps = [step for part, stamp, value in MINUTE for step in session.push(part, stamp, value)]
+        later = [step for part, stamp, value in MINUTE for step in session.push(part, stamp + jump + 80.0, value)]
+        assert len(later) > 0.9 * len(steps)
+        assert all(math.isfinite(step.speed) for step in later[-20:])
+        assert abs(later[-1].time - steps[-1].time - jump - 80.0) < 2.0
+
+
+def test_a_reboot_is_a_new_segment_and_a_new_record(tmp_path, start):
+    with ready(tmp_path, start, record=True) as session:
+        for repeat in range(2):
+            steps = [step for part, stamp, value in MINUTE for step in session.push(part, stamp % 1e5, value)]
+            if not repeat:
+                session.restart()
+        assert math.isnan(steps[0].speed) and math.isfinite(steps[-1].speed)
+    names = sorted(path.name for path in (tmp_path / "records").iterdir())
+    assert names == [f"record_000{k}.{kind}" for k in (1, 2) for kind in ("alog", "safetensors", "yaml")]
+
+
+def test_bad_messages_are_counted(tmp_path, start):
+    with ready(tmp_path, start) as session:
+        for message in MINUTE:
+            session.push(*message)
+        before = session._node.online.state["members.aid.theta"]
+        stamp = MINUTE[-1][1]
+        for value in (math.nan, math.inf, 1e308, -1e308, 50.0):
+            session.push("surge", stamp + 0.01, value)
+        session.push("heading", math.nan, 1.0)
+        session.push("command_left", math.inf, 1.0)
+        session.drop("surge", "wrong_type")
+        counts = session.tick().counts
+        assert counts["surge"]["not_a_number"] == 2 and counts["surge"]["out_of_range"] == 3
+        assert counts["surge"]["wrong_type"] == 1
+        assert counts["heading"]["no_time"] == counts["command_left"]["no_time"] == 1
+        assert np.array_equal(before, session._node.online.state["members.aid.theta"])
+
+
+def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
+    """A set that was learned from CSV says nothing about the variables of a MOOSDB, but its delays hold."""
+    leaves, facts = checkpoint.load(start)
+    channels = facts["setup"]["channels"]
+    for side in ("command_left", "command_right"):
+        channels[side] |= {"name": "pwm", "span": 400.0, "delay": 0.3}
+    facts["setup"]["reader"] = "usvlearn.logs.csv_table.Table"
+    path = checkpoint.save(tmp_path / "csv.safetensors", leaves, **facts)
+    names = {name: {"name": name.upper(), "held": True} for name in REQUIRED} | {"surge": {"name": "NAV_SPEED"}}
+    own = Middleware("test", "usvlearn.logs.alog.Alog", names)
+    changes = channel_options({"command_left.span": "-100", "surge.unit": "knots"})
+    with Session(Options(tmp_path / "node", path, channels=changes), own) as session:
+        left, surge = session.sources["command_left"], session.sources["surge"]
+    assert (left.name, left.span, left.delay, left.held) == ("COMMAND_LEFT", -100.0, 0.3, True)
+    assert (surge.name, surge.unit) == ("NAV_SPEED", "knots")
+    same = Middleware("test", "usvlearn.logs.csv_table.Table", own.channels)
+    with Session(Options(tmp_path / "node2", path), same) as session:
+        assert session.sources["command_left"].name == "pwm" and session.sources["command_left"].span == 400.0
+
+
+def test_the_status_of_a_folder_is_told(tmp_path, start):
+    folder = tmp_path / "node"
+    with pytest.raises(ConfigError, match="found no folder"):
+        status_lines(folder)
+    folder.mkdir()
+    assert status_lines(folder) == [f"{folder}: no node has written here"]
+    with ready(folder, start) as session:
+        for message in MINUTE:
+            session.push(*message)
+        session.tick()
+        session._writer.submit(int).result()
+        lines = "\n".join(status_lines(folder))
+        assert "Node        running" in lines and "Network     rnn: contracting by" in lines
+    lines = "\n".join(status_lines(folder))
+    assert "Node        ended" in lines and "Identified  steady_speed_full" in lines and "Sets        1," in lines
+    (folder / "status.json").write_text("[1]")
+    with pytest.raises(CheckpointError, match="is not the status of a node"):
+        status_lines(folder)
