@@ -1,0 +1,58 @@
+"""Where a node starts that has no parameter set: the default ensemble before its first measurement, without torch.
+
+The ensemble is made of the boat's mass m and top speed U. Each number of its state and of its description is
+
+    c mᵃ Uᵇ
+
+with whole a and b, because it is a physical quantity that is formed of m, U and constants. The file beside this module
+contains the numbers c, which are those of m = 1 kg and U = 1 m/s, and the powers a, b of the numbers that vary.
+`python -m usvlearn.cli.prior_file` makes it anew from the configuration, with torch.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from usvlearn import checkpoint
+from usvlearn.errors import check_positive
+
+FILE = Path(__file__).with_name("prior.safetensors")
+
+
+def prior(mass: float, surge_max: float) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The state and the facts from which `Online.of` starts.
+
+    Args:
+        mass: of the boat with its added mass, kg.
+        surge_max: its top speed, m/s.
+
+    Returns:
+        The leaves of the state by dotted name, and the estimator's name and description, as in a parameter set.
+
+    Raises:
+        ConfigError: one of them is no positive number.
+
+    >>> leaves, facts = prior(mass=28.0, surge_max=2.74)
+    >>> facts["estimator"], facts["kernel"]["members"]["aid"]["numbers"]["scale"]
+    ('Ensemble', 28.0)
+    """
+    check_positive("mass", mass, "of kg")
+    check_positive("surge_max", surge_max, "of m/s")
+    leaves, facts = checkpoint.load(FILE)
+    for name, (a, b) in facts["powers"]["state"].items():
+        leaves[name] = _scaled(leaves[name], a, b, mass, surge_max)
+    for path, (a, b) in facts["powers"]["kernel"].items():
+        *parents, last = path.split(".")
+        entry = facts["kernel"]
+        for parent in parents:
+            entry = entry[parent]
+        entry[last] = _scaled(entry[last], a, b, mass, surge_max).tolist()
+    return leaves, {"estimator": facts["estimator"], "kernel": facts["kernel"]}
+
+
+def _scaled(c: Any, a: Any, b: Any, mass: float, surge_max: float) -> np.ndarray:
+    """c mᵃ Uᵇ of arrays, or lists, of one shape; a and b may also be one number each."""
+    return np.asarray(c) * float(mass) ** np.array(a) * float(surge_max) ** np.array(b)
