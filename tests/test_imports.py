@@ -58,8 +58,6 @@ OURS = {
                                 "certify"},
     "usvlearn.report": LEARNS | {"usvlearn.evaluation", "usvlearn.identified", "usvlearn.lock", "usvlearn.online",
                                  "usvlearn.report", "usvlearn.runs", "usvlearn.tensorboard", "certify"},
-    "usvlearn.live": LIGHT | {"usvlearn.checkpoint", "usvlearn.live", "usvlearn.lock", "usvlearn.logs",
-                              "usvlearn.online", "usvlearn.plans", "certify"},
     "usvlearn.cli": {"usvlearn"},  # everything
     "usvlearn.learned": LEARNS | {"usvlearn.engine", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.report",
                                   "usvlearn.runs"},

@@ -180,6 +180,32 @@ def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
         assert session.sources["command_left"].name == "pwm" and session.sources["command_left"].span == 400.0
 
 
+def test_a_set_of_an_older_version_tells_its_channels_by_its_configuration(tmp_path, start):
+    leaves, facts = checkpoint.load(start)
+    channels = {name: {"name": name.upper(), "unit": "1"} for name in REQUIRED}
+    channels |= {"latitude": {"name": "LAT"}, "longitude": {"name": "LON"}, "yaw_rate": {"name": None}}
+    channels["surge"]["period"] = "auto"
+    reader = {"_target_": PLAIN.reader}
+    facts["configuration"] = {"data": {"channels": channels, "reader": reader}, "align": {"dt": 0.5}, "vehicle": {}}
+    del facts["setup"]
+    path = checkpoint.save(tmp_path / "old.safetensors", leaves, **facts)
+    with Session(Options(tmp_path / "node", path), PLAIN) as session:
+        assert set(session.sources) == set(REQUIRED), "a position that only a track needs is not waited for"
+        assert session.setup.align["dt"] == 0.5 and session.sources["surge"].period == 0.0
+
+
+def test_the_data_check_of_a_replay_watches_the_live_data(tmp_path, start):
+    """Speeds in km/h that are taken for m/s."""
+    with ready(tmp_path, start) as session:
+        for part, stamp, value in messages(boat(0.2)):
+            session.push(part, stamp, 3.6 * value if part == "surge" else value)
+        clock = time.monotonic()
+        assert session.tick(clock=clock + 301.0).warnings == ()
+        session._writer.submit(int).result()
+        (warning,) = session.tick(clock=clock + 302.0).warnings
+    assert "surge" in warning and "km/h" in warning
+
+
 def test_the_status_of_a_folder_is_told(tmp_path, start):
     folder = tmp_path / "node"
     with pytest.raises(ConfigError, match="found no folder"):

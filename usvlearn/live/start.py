@@ -16,7 +16,7 @@ from usvlearn.live.sets import Sets, newest
 from usvlearn.logs.channel import AUXILIARY, CHANNELS
 from usvlearn.logs.mixing import SOURCE_KEYS
 from usvlearn.logs.read import sources_of
-from usvlearn.logs.setup import KEY, Setup
+from usvlearn.logs.setup import Setup
 
 NAMES = ("name", "field", "unit", "zero", "span", "weight")  # what depends on the middleware
 LARGEST_FILE = 1_000_000  # bytes
@@ -119,7 +119,7 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
 def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -> Setup:
     """The set's own setup, with what depends on the middleware, and with the changes of the user."""
     try:
-        known = None if facts.get(KEY) is None else Setup.of(facts[KEY])
+        known = Setup.of_set(facts)
     except ConfigError as error:
         raise CheckpointError(f"the set's {error}: use another set") from error
     own = {} if known is None else known.json()["channels"]
@@ -142,7 +142,7 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     align["patience"] = options.patience
     mass = options.mass if options.mass is not None else None if known is None else known.mass
     top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
-    return Setup(declared, align, mass, top, middleware.reader)
+    return Setup(declared, align, mass, top, middleware.reader).live()
 
 
 def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from usvlearn.errors import ConfigError, check_positive, under
@@ -61,14 +61,48 @@ class Setup:
         align, vehicle = given.get("align") or {}, given.get("vehicle") or {}
         if not isinstance(align, Mapping) or not isinstance(vehicle, Mapping):
             raise ConfigError(f"{KEY}: found an alignment or a vehicle that is no mapping, expected options by name")
-        for name, value in vehicle.items():
-            if value is not None:
-                check_positive(f"vehicle.{name}", value)
+        for name in ("mass", "surge_max"):
+            if vehicle.get(name) is not None:
+                check_positive(f"vehicle.{name}", vehicle[name])
         reader = given.get("reader")
         return cls(
             sources_of(channels), dict(align), vehicle.get("mass"), vehicle.get("surge_max"),
             reader if isinstance(reader, str) else None,
         )  # fmt: skip
+
+    @classmethod
+    def of_set(cls, facts: Mapping[str, Any]) -> Setup | None:
+        """That of a parameter set, from its metadata; None if it has none.
+
+        Sets that a run of an older version has saved have its configuration, where a period may not be settled.
+
+        Raises:
+            ConfigError: as of `of`.
+        """
+        if facts.get(KEY) is not None:
+            return cls.of(facts[KEY])
+        settings = facts.get("configuration")
+        if not isinstance(settings, Mapping) or not isinstance(data := settings.get("data"), Mapping):
+            return None
+        if not isinstance(channels := data.get("channels"), Mapping):
+            return None
+        settled = {
+            name: {**each, "period": 0.0} if isinstance(each, Mapping) and each.get("period") == AUTO else each
+            for name, each in channels.items()
+            if each is not None
+        }
+        reader = data.get("reader")
+        return cls.of(
+            {
+                "channels": settled, "align": settings.get("align"), "vehicle": settings.get("vehicle"),
+                "reader": reader.get("_target_") if isinstance(reader, Mapping) else None,
+            }
+        )  # fmt: skip
+
+    def live(self) -> Setup:
+        """Without channels that only the track of a log needs."""
+        needed = {*CHANNELS, *(() if SURGE in self.channels else pair_of(self.channels) or ())}
+        return replace(self, channels={name: each for name, each in self.channels.items() if name in needed})
 
     def json(self) -> dict[str, Any]:
         """As JSON values."""
