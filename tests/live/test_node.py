@@ -47,7 +47,7 @@ def test_the_next_prediction_is_that_of_the_next_step_where_the_commands_stay(st
 
 
 def test_the_intervals_of_a_simulated_boat_hold(start):
-    """90 % intervals of this speed, and of that in 2 s where the commands stay, contain most of an hour's speeds."""
+    """90 % intervals of this speed, and of that in 2 s where the commands stay, contain most speeds of a mission."""
     one, log = node(start), boat(1.0, seed=3)
     steps = [step for message in messages(log, 0.0) for step in one.push(*message)]
     seen = [step for step in steps if math.isfinite(step.measured) and math.isfinite(step.low)]
