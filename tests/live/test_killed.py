@@ -14,7 +14,7 @@ from tests.support.live import learned_set
 from usvlearn import checkpoint
 from usvlearn.live.sets import newest
 
-LOST = 0.7  # s, of learning: the save period, and what a busy disk takes
+LOST = 1.0  # s, of learning: the save period, and what a busy disk takes
 NODE = """
 import itertools, sys, time
 from tests.support.live import boat, messages, ready
@@ -52,14 +52,14 @@ def killed(folder, start, after: float) -> list[tuple[float, int]]:
 def check(folder, start, times: int) -> None:
     rng, before = np.random.default_rng(0), 0
     for _ in range(times):
-        said = killed(folder, start, float(rng.uniform(0.8, 1.6)))
+        said = killed(folder, start, float(rng.uniform(0.8, 2.0)))
         _, facts, path, told = newest(folder)
         assert path == checkpoint.checkpoints(folder)[-1] and told == []
         number = int(path.stem.removeprefix("live_"))
-        assert number > before
-        before = number
         long_ago = [steps for clock, steps in said if clock < said[-1][0] - LOST]
-        assert facts["step"] >= max(long_ago, default=0)
+        assert (facts["step"] if number > before else 0) >= max(long_ago, default=0)
+        assert number >= before
+        before = number
         assert len(checkpoint.checkpoints(folder)) <= 4
 
 
