@@ -206,6 +206,29 @@ def test_the_data_check_of_a_replay_watches_the_live_data(tmp_path, start):
     assert "surge" in warning and "km/h" in warning
 
 
+def test_tensorboard_shows_a_session(tmp_path, start, monkeypatch):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    board = tmp_path / "board"
+    with ready(tmp_path / "node", start, tensorboard=board) as session:
+        for k, message in enumerate(MINUTE):
+            session.push(*message)
+            if k % 100 == 0:
+                session.tick()
+    shown = EventAccumulator(str(board / "members" / "ensemble"))
+    shown.Reload()
+    assert len(shown.Scalars("1 overview/MAE (m/s)")) >= 8
+    assert (board / "identified").is_dir() and (board / "members" / "rnn").is_dir()
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ConfigError, match="TensorBoard is not installed here"):
+        Session(Options(tmp_path / "other", start, tensorboard=board), PLAIN)
+
+
+def test_a_node_that_has_learned_nothing_writes_no_set(tmp_path, start):
+    ready(tmp_path, start).close()
+    assert checkpoint.checkpoints(tmp_path) == []
+
+
 def test_the_status_of_a_folder_is_told(tmp_path, start):
     folder = tmp_path / "node"
     with pytest.raises(ConfigError, match="found no folder"):

@@ -5,16 +5,17 @@ What the middlewares share. It is called from one thread.
 
 from __future__ import annotations
 
+import importlib.util
 import math
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import usvlearn
-from usvlearn.errors import UsvlearnError
+from usvlearn.errors import ConfigError, UsvlearnError
 from usvlearn.live import watched
 from usvlearn.live.health import COMPILING, Health, seconds
 from usvlearn.live.recent import Recent
@@ -54,6 +55,10 @@ class Session:
 
     def __init__(self, options: Options, middleware: Middleware):
         self.options, self.middleware = options, middleware
+        if options.tensorboard is not None and importlib.util.find_spec("tensorboard") is None:
+            raise ConfigError(
+                "tensorboard: TensorBoard is not installed here: run `pip install tensorboard`, or leave it out"
+            )
         self._lock = Lock(options.folder, "folder of the node")
         try:
             self._sets = Sets(options.folder, options.keep)
@@ -81,7 +86,7 @@ class Session:
         self._heard: dict[str, float] = {}  # part -> monotonic time of its last message
         self._early = 0  # messages that came while code was compiled
         self._saved, self._due, self._reported, self._told = math.inf, self._began, -math.inf, -math.inf
-        self._learned = 0  # at the last save
+        self._learned = self._hoped = 0  # at the last save, and at the one that is being made
         self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
         self._contraction: dict[str, dict[str, Any]] = {}
         self._identified: dict[str, tuple[float, float, float, str]] = {}
@@ -160,8 +165,7 @@ class Session:
         if clock - self._told >= TELL and (self._telling is None or self._telling.done()):
             self._told = clock
             self._telling = self._writer.submit(self._tell, health.json())
-        if self._board is not None:
-            self._board.health(health)
+        self._draw(health=health)
         return health
 
     def save(self) -> Path | None:
@@ -181,7 +185,8 @@ class Session:
         if self._node is not None:
             self._took(self._node.finish())
             self._writer.shutdown(wait=True)
-            if self._node.learned > self._learned or self._saved == math.inf:
+            self._finished()
+            if self._node.learned > self._learned:
                 self.save()
             try:
                 self._tell(self._health(self._ages(time.monotonic()), time.monotonic()).json() | {"state": "ended"})
@@ -189,8 +194,7 @@ class Session:
                 pass
         if self._recorder is not None:
             self._recorder.close()
-        if self._board is not None:
-            self._board.close()
+        self._draw(close=True)
         self._writer.shutdown(wait=True)
         self._lock.release()
 
@@ -237,7 +241,10 @@ class Session:
         if self.options.tensorboard is not None:
             from usvlearn.live.live_board import Board
 
-            self._board = Board(self.options.tensorboard)
+            try:
+                self._board = Board(self.options.tensorboard)
+            except OSError as error:
+                self._warnings["board"] = f"nothing is shown in TensorBoard ({error.strerror or error})"
         return True
 
     def _record(self) -> None:
@@ -256,9 +263,22 @@ class Session:
     def _took(self, steps: list[Step]) -> None:
         if steps:
             self.last = steps[-1]
-            if self._board is not None:
-                for step in steps:
-                    self._board.step(step)
+            self._draw(steps)
+
+    def _draw(self, steps: Sequence[Step] = (), health: Health | None = None, close: bool = False) -> None:
+        """Show in TensorBoard; a full disk ends that, and nothing else."""
+        if self._board is None:
+            return
+        try:
+            for step in steps:
+                self._board.step(step)
+            if health is not None:
+                self._board.health(health)
+            if close:
+                self._board.close()
+        except OSError as error:
+            self._board = None
+            self._warnings["board"] = f"TensorBoard's files end here ({error.strerror or error}): make room on the disk"
 
     def _ages(self, clock: float) -> dict[str, float]:
         return {
@@ -307,7 +327,7 @@ class Session:
         """Write a set in the thread, unless one is being written."""
         if self._saving is None:
             assert self._node is not None
-            self._due, self._learned = clock, self._node.learned
+            self._due, self._hoped = clock, self._node.learned
             self._saving = self._writer.submit(self._sets.save, *self._set())
             if self._checking is None:
                 self._checking = self._writer.submit(
@@ -320,7 +340,7 @@ class Session:
             saving, self._saving = self._saving, None
             try:
                 saving.result()
-                self._saved = time.monotonic()
+                self._saved, self._learned = time.monotonic(), self._hoped
                 self._warnings.pop("save", None)
             except OSError as error:
                 self._warnings["save"] = self._unsaved(error)
