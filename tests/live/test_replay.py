@@ -1,10 +1,15 @@
 """A recorded session that train.py replays gives the same predictions to the last bit."""
 
+import math
+
 import numpy as np
 import pytest
 
 from tests.support import commands
-from tests.support.live import boat, learned_set, messages, ready
+from tests.support.live import PLAIN, boat, learned_set, messages
+from usvlearn.live.session import Session
+from usvlearn.live.start import Middleware, Options
+from usvlearn.logs.derived_surge import VELOCITIES
 
 
 @pytest.fixture(scope="module")
@@ -21,14 +26,51 @@ def replayed(records, number=1):
     return np.concatenate([each["predictions"] for each in arrays])[:, 0]
 
 
-def test_live_is_replay(tmp_path, start):
-    steps = []
-    with ready(tmp_path / "node", start, record=True) as session:
-        names = session._node.online.names
-        for part, stamp, value in messages(boat()):
-            steps += session.push(part, stamp, value)
+def live(folder, start, posts, middleware=PLAIN) -> np.ndarray:
+    """The predictions of a recorded session, `(steps, members and rules)`."""
+    with Session(Options(folder, start, record=True), middleware) as session:
+        session.start()
+        assert session.wait(300)
+        names, steps = session._node.online.names, []
+        for post in posts:
+            steps += session.push(*post)
         steps += session._node.finish()
-    predicted = np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
-    found = replayed(tmp_path / "node" / "records")
-    np.testing.assert_array_equal(found, predicted)
+    return np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
+
+
+def test_live_is_replay(tmp_path, start):
+    predicted = live(tmp_path, start, messages(boat()))
+    np.testing.assert_array_equal(replayed(tmp_path / "records"), predicted)
     assert np.isfinite(predicted).mean() > 0.9
+
+
+def test_live_is_replay_where_the_node_mixes_commands_and_computes_the_surge(tmp_path, start):
+    """Throttle and steering make both commands, velocities to the north and east the surge; clocks jump."""
+    channels = {
+        "command_left": {"name": ["throttle", "steering"], "weight": [1.0, 1.0], "window": 0.5},
+        "command_right": {"name": ["throttle", "steering"], "weight": [1.0, -1.0], "window": 0.5},
+        "heading": {"name": "psi", "unit": "deg", "window": 0.25},
+        **{name: {"name": name, "unit": "cm/s", "window": 0.3} for name in VELOCITIES},
+    }
+    predicted = live(tmp_path, start, steered(), Middleware("test", PLAIN.reader, channels))
+    np.testing.assert_array_equal(replayed(tmp_path / "records"), predicted)
+    assert np.isfinite(predicted).mean() > 0.8
+
+
+def steered():
+    """Messages of a boat with throttle and steering, in which the clock jumps and some values are no numbers."""
+    now = {"command_left": 0.0, "command_right": 0.0, "heading": 0.0}
+    for k, (part, stamp, value) in enumerate(messages(boat(0.05))):
+        stamp += 3600.0 * (k > 1500)
+        now[part] = value
+        if part.startswith("command"):
+            throttle = (now["command_left"] + now["command_right"]) / 2
+            steering = (now["command_left"] - now["command_right"]) / 2
+            for side in ("command_left", "command_right"):
+                yield f"{side}[0]", stamp, throttle if k % 97 else math.nan
+                yield f"{side}[1]", stamp, steering
+        elif part == "heading":
+            yield "heading", stamp, math.degrees(value)
+        else:
+            yield "velocity_north", stamp, 100.0 * value * math.cos(now["heading"])
+            yield "velocity_east", stamp + 0.004, 100.0 * value * math.sin(now["heading"])
