@@ -41,7 +41,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"error: found the command {name!r}, expected one of {', '.join(COMMANDS)}: {hint}", file=sys.stderr)
         return 2
     sys.argv = [f"usvlearn {name}", *rest]
-    return importlib.import_module(COMMANDS[name][0]).main() or 0
+    try:
+        return importlib.import_module(COMMANDS[name][0]).main() or 0
+    except ModuleNotFoundError as error:
+        if (package := (error.name or "").partition(".")[0]) in ("", "usvlearn", "certify"):
+            raise
+        print(
+            f"error: usvlearn {name} needs the package {package}, which is not installed (usvlearn-aboard leaves it "
+            "out): use an environment where all of usvlearn is installed, by `pip install .`",
+            file=sys.stderr,
+        )
+        return 2
 
 
 if __name__ == "__main__":

@@ -48,9 +48,19 @@ class MissingExtraError(UsvlearnError, ImportError):
     """An optional dependency that is not installed."""
 
     def __init__(self, package: str, extra: str, purpose: str):
-        super().__init__(
-            f"{purpose} needs the package {package}, which is not installed: run `pip install 'usvlearn[{extra}]'`"
-        )
+        name = f"{_distribution(extra)}[{extra}]"
+        super().__init__(f"{purpose} needs the package {package}, which is not installed: run `pip install '{name}'`")
+
+
+def _distribution(extra: str) -> str:
+    """The one to install an extra of: usvlearn, or usvlearn-aboard where that is installed and has this extra."""
+    from importlib.metadata import PackageNotFoundError, metadata  # takes a moment to import
+
+    try:
+        aboard = metadata("usvlearn-aboard").get_all("Provides-Extra") or []
+    except PackageNotFoundError:
+        aboard = []
+    return "usvlearn-aboard" if extra in aboard else "usvlearn"
 
 
 def check_choice(name: str, value: str, choices: tuple[str, ...]) -> str:
