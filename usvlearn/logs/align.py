@@ -93,6 +93,7 @@ class Aligner:
         none = np.empty(0)
         with announced(str(kernel.__file__), "alignment"):  # so that a boat's first message need not wait
             self.feed(none.astype(np.int64), none, none)
+            self._make_room(0)
             self.ahead(1)
 
     def __copy__(self) -> Aligner:  # a shallow copy would share its messages
