@@ -75,6 +75,32 @@ def test_a_home_that_cannot_be_written_to(tmp_path):
     assert done.stdout == "3.0\n" and list((tmp_path / "other").glob("usvlearn-*/kernels-*/**/*.nb*"))
 
 
+READ_ONLY = """
+import errno, tempfile
+real = tempfile.TemporaryFile
+def refuse(*arguments, dir=None, **options):
+    if str(dir).startswith({kept!r}):
+        raise OSError(errno.EROFS, "read-only")
+    return real(*arguments, dir=dir, **options)
+tempfile.TemporaryFile = refuse
+"""
+
+
+def test_machine_code_that_can_only_be_read_is_used(tmp_path):
+    """As on a disk that is mounted read-only, or where another user has made it."""
+    kept, other = tmp_path / "kept", tmp_path / "other"
+    other.mkdir()
+    python(PREPARE, NUMBA_CACHE_DIR=str(kept))
+    before = sorted(kept.rglob("*"))
+    for _ in range(2):  # the second time it is copied already
+        done = python(
+            READ_ONLY.format(kept=str(kept)) + PREPARE + "print(*samples.prepare_all.stats.cache_hits.values())",
+            NUMBA_CACHE_DIR=str(kept), TMPDIR=str(other),
+        )  # fmt: skip
+        assert done.stdout == "3.0\n1\n" and done.stderr == ""
+    assert sorted(kept.rglob("*")) == before and len(list(other.glob("usvlearn-*/*"))) == 1
+
+
 @pytest.fixture
 def copied(tmp_path, monkeypatch):
     """A copy of the package's sources, and the folder that the kernels of runs have there."""
@@ -207,6 +233,7 @@ def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
         "usvlearn: compiling the alignment",
         "usvlearn: compiling the simulator",
         "usvlearn: compiling the kernels of runs and single steps",
+        "usvlearn: compiling the kernels of forecasts",
         "usvlearn: compiling the kernels of free runs",
     ]
 

@@ -12,12 +12,13 @@ import ast
 import hashlib
 import io
 import os
+import shutil
 import stat
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, overload
@@ -50,12 +51,25 @@ def folder(source: Path) -> Path:
     name = f"kernels-{digest.hexdigest()[:12]}"
     try:
         base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-        found = Path(base) / "usvlearn" / name
+    except RuntimeError:  # no home
+        return _temporary() / name
+    found = Path(base) / "usvlearn" / name
+    try:
         found.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=found):
             return found
-    except (OSError, RuntimeError):  # no home, or none that can be written to
-        return _temporary() / name
+    except OSError:
+        return _copied(found, _temporary() / name)
+
+
+def _copied(found: Path, own: Path) -> Path:
+    """A folder of this user with the machine code of one that cannot be written to; numba would not use that one."""
+    with suppress(OSError):
+        if found.is_dir() and not own.exists():
+            part = tempfile.mkdtemp(dir=own.parent)
+            shutil.copytree(found, part, dirs_exist_ok=True)
+            os.rename(part, own)
+    return own
 
 
 def sources(path: Path) -> set[Path]:
