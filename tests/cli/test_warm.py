@@ -2,20 +2,74 @@
 
 import sys
 
+import numpy as np
 import pytest
 
 from tests.support import ROOT
-from tests.support.commands import run
+from tests.support.ardupilot import dataflash, tlog
+from tests.support.commands import python, run
 from usvlearn.__main__ import main
+from usvlearn.cli import warm
+from usvlearn.logs import binary_kernel, position_kernel
+from usvlearn.logs.dataflash import DataFlash
+from usvlearn.logs.derived_surge import filtered
+from usvlearn.logs.tlog import Tlog
+
+NODE = """
+from pathlib import Path
+from usvlearn.live.session import Session
+from usvlearn.live.start import Middleware, Options
+names = ("command_left", "command_right", "heading", "surge")
+options = Options(Path({folder!r}), mass=28.0, surge_max=2.7, record=True)
+made = Middleware("test", "usvlearn.logs.csv_table.Table", {{name: {{"name": name}} for name in names}})
+with Session(options, made) as session:
+    session.start()
+    assert session.wait(60)
+    steps = [each for k in range(600) for name in names for each in session.push(name, 1e9 + 0.1 * k, 0.5)]
+    assert len(steps) > 100 and session.tick().contraction
+"""
 
 
-def test_a_run_after_it_compiles_nothing(tmp_path):
+def test_a_run_and_a_node_after_it_compile_nothing(tmp_path):
     kept = {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": str(ROOT)}
     first = run("warm", folder=tmp_path, script="usvlearn/__main__.py", **kept)
-    assert first.returncode == 0 and first.stderr.count("usvlearn: compiling") == 4, first.stderr
+    assert first.returncode == 0 and first.stderr.count("usvlearn: compiling") == 5, first.stderr
     assert f"kept in {tmp_path / 'kept'}" in first.stdout
+    files = sorted((tmp_path / "kept").rglob("*.nb*"))
+    node = python(NODE.format(folder=str(tmp_path / "node")), **kept)
+    assert node.stderr == "" and sorted((tmp_path / "kept").rglob("*.nb*")) == files
     second = run("data.hours=0.01", "hydra.run.dir=run", folder=tmp_path, **kept)
     assert second.returncode == 0 and "usvlearn: compiling" not in second.stderr, second.stderr
+    assert sorted((tmp_path / "kept").rglob("*.nb*")) == files
+
+
+def test_readers_that_were_warmed_compile_nothing(tmp_path):
+    entries = [binary_kernel.scan_dataflash, binary_kernel.dataflash_stamps, binary_kernel.scan_tlog,
+               binary_kernel.gather, position_kernel.velocities]  # fmt: skip
+    warm._compile_readers()
+    before = [list(each.signatures) for each in entries]
+    assert all(before)
+    for reader, content in ((DataFlash(), dataflash()), (Tlog(), tlog())):
+        path = tmp_path / "log.bin"
+        path.write_bytes(content)
+        assert reader.survey(path)
+    filtered(*np.ones((3, 10)))
+    assert [list(each.signatures) for each in entries] == before
+
+
+@pytest.mark.parametrize("arguments, expected", [
+    ([], (False, False)), (["float32"], (True, False)), (["readers", "float32"], (True, True)),
+])  # fmt: skip
+def test_arguments(arguments, expected, capsys, monkeypatch, tmp_path):
+    found, kept = [], [tmp_path / "kept", tmp_path / "kept", tmp_path / "temporary" / "usvlearn-0"]
+    monkeypatch.setattr(warm, "warm", lambda *options: found.append(options) or kept[len(found) - 1])
+    monkeypatch.setattr(warm.tempfile, "gettempdir", lambda: str(tmp_path / "temporary"))
+    monkeypatch.setattr(sys, "argv", ["usvlearn warm", *arguments])
+    assert (warm.main(), warm.warm_live(arguments)) == (0, 0)
+    assert found == [(*expected, False), (*expected, True)]
+    assert capsys.readouterr() == (f"usvlearn: everything is compiled; it is kept in {kept[0]}\n" * 2, "")
+    assert warm.main() == 0
+    assert capsys.readouterr().err.startswith("warning: a restart of the computer empties this folder")
 
 
 @pytest.mark.parametrize("argument, code", [("--help", 0), ("float64", 2)])
@@ -23,5 +77,5 @@ def test_other_arguments(argument, code, capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["usvlearn"])
     assert main(["warm", argument]) == code
     said = capsys.readouterr()
-    assert "usage: usvlearn warm [float32]" in (said.err if code else said.out)
-    assert not code or said.err.startswith("error: found 'float64', expected nothing or float32")
+    assert "usage: usvlearn warm [float32] [readers]" in (said.err if code else said.out)
+    assert not code or said.err.startswith("error: found 'float64', expected nothing, float32 or readers")

@@ -1,50 +1,92 @@
-"""The command `usvlearn warm [float32]`: compile all that a boat needs ahead of its first run. It needs no torch."""
+"""The command `usvlearn warm [float32] [readers]`: compile all that is needed, ahead of the first run; without torch.
+
+`usvlearn live warm` compiles what a live node needs, which is less.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import sys
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-USAGE = "usage: usvlearn warm [float32]; float32 also compiles the estimators' kernels of that precision"
+WORDS = "float32 also compiles the estimators' kernels of that precision, readers those for binary logs and positions"
 
 
-def warm(float32: bool = False) -> Path:
-    """Compile estimators, alignment and, where torch is installed, the simulator; returns the folder of the code.
+def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Path:
+    """Compile estimators, forecasts, alignment and, where torch is installed, the simulator.
 
     What is compiled already is only read.
 
     Args:
         float32: compile the estimators' kernels for float32, too.
+        readers: compile what reads binary logs, and what computes speeds from positions.
+        live: compile only what a live node needs: neither free runs nor the simulator.
+
+    Returns:
+        The folder of the code.
     """
+    from usvlearn.crc import masked_crc32c
     from usvlearn.engine import dispatch
-    from usvlearn.engine.first_use import compile_steps
+    from usvlearn.engine.first_use import compile_plans
     from usvlearn.engine.free_runs import compile_free_runs
     from usvlearn.jit import folder
     from usvlearn.logs.align import Aligner
     from usvlearn.logs.channel import REQUIRED, Source
 
+    masked_crc32c(b"")  # of TensorBoard's files
     Aligner({name: Source(name) for name in REQUIRED})
-    if importlib.util.find_spec("torch") is not None:
+    if not live and importlib.util.find_spec("torch") is not None:
         from usvlearn.simulate.fleet import fleet
 
         fleet(n=1, hours=0.01)
     for dtype in map(np.dtype, (np.float64, np.float32) if float32 else (np.float64,)):
-        compile_steps(dtype)
-        compile_free_runs(dtype)
+        compile_plans(dtype)
+        if not live:
+            compile_free_runs(dtype)
+    if readers:
+        _compile_readers()
     return folder(Path(dispatch.__file__)).parent
 
 
+def _compile_readers() -> None:
+    """Read empty logs, and no positions."""
+    from usvlearn.jit import announced
+    from usvlearn.logs import binary_kernel, position_kernel
+
+    data, none = np.zeros(0, np.uint8), np.zeros(0)
+    with announced(str(binary_kernel.__file__), "readers of binary logs"):
+        places, layouts, *_ = binary_kernel.scan_dataflash(data, np.zeros(256, np.int64))
+        binary_kernel.dataflash_stamps(data, places, layouts, *np.zeros((3, 1), np.int64))
+        starts, lengths, *_ = binary_kernel.scan_tlog(data, np.full(binary_kernel.IDS, -1, np.int16))
+        binary_kernel.gather(data, starts, lengths, 0, 1)
+    position_kernel.velocities(none, none, none)
+
+
 def main() -> int:
-    """The command; returns the exit code."""
-    arguments = sys.argv[1:]
+    """The command `usvlearn warm`; returns the exit code."""
+    return _command(sys.argv[1:], "usvlearn warm", live=False)
+
+
+def warm_live(arguments: Sequence[str]) -> int:
+    """The command `usvlearn live warm`; returns the exit code."""
+    return _command(list(arguments), "usvlearn live warm", live=True)
+
+
+def _command(arguments: list[str], name: str, live: bool) -> int:
+    usage = f"usage: {name} [float32] [readers]; {WORDS}"
     if arguments in (["-h"], ["--help"]):
-        print(USAGE)
+        print(usage)
         return 0
-    if arguments not in ([], ["float32"]):
-        print(f"error: found {' '.join(arguments)!r}, expected nothing or float32: {USAGE}", file=sys.stderr)
+    if not {*arguments} <= {"float32", "readers"}:
+        found = " ".join(arguments)
+        print(f"error: found {found!r}, expected nothing, float32 or readers: {usage}", file=sys.stderr)
         return 2
-    print(f"usvlearn: everything is compiled; it is kept in {warm(bool(arguments))}")
+    kept = warm("float32" in arguments, "readers" in arguments, live)
+    print(f"usvlearn: everything is compiled; it is kept in {kept}")
+    if kept.is_relative_to(tempfile.gettempdir()):
+        print("warning: a restart of the computer empties this folder: set NUMBA_CACHE_DIR to another", file=sys.stderr)
     return 0
