@@ -17,6 +17,8 @@ import pytest
 
 from usvlearn import Aligner, Inputs, Online, Sample, checkpoint
 from usvlearn.errors import CheckpointError
+from usvlearn.live.prior import prior
+from usvlearn.live.watched import networks
 from usvlearn.logs.channel import Source
 
 RUN = os.environ.get("USVLEARN_RUN")
@@ -51,7 +53,8 @@ def voyage(steps: int = 600) -> list[Sample]:
 
 def test_nothing_here_imports_torch():
     code = (
-        "import sys; sys.modules['torch'] = None\n"
+        "import sys; sys.modules.update(torch=None, scipy=None, hydra=None, rich=None)\n"
+        "import usvlearn.live.session, usvlearn.live.prior, usvlearn.live.systemd, usvlearn.cli.warm, certify.assess\n"
         "import usvlearn.logs.read, usvlearn.logs.alog, usvlearn.engine.single_steps, usvlearn.engine.run\n"
         "from usvlearn import Aligner, Inputs, Online, Sample, checkpoint"
     )
@@ -82,6 +85,14 @@ def test_a_set_is_opened_predicts_learns_and_is_saved(sets, tmp_path):
     if any(name in boat.state for name in due):  # after ten minutes, 30 s ahead
         ahead = boat.forecast([[0.5, 0.5]] * 75, 1.0)
         assert np.isfinite(ahead.low).all() and (ahead.high - ahead.low).max() < 1.0
+
+
+def test_a_boat_without_a_set_starts_from_a_prior_whose_network_is_certified():
+    boat = Online.of(*prior(mass=28.0, surge_max=2.7))
+    errors = [abs(boat.step(sample) - sample.surge) for sample in voyage(300)]
+    assert np.nanmean(errors[-100:]) < 0.1
+    (found,) = networks(boat).values()
+    assert found["contracting"] and 0 < found["rate"] < 1 and np.isfinite(found["equilibrium"])
 
 
 def test_bad_samples_are_data(sets):
