@@ -7,7 +7,9 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from usvlearn.cli.warm import warm_live
 from usvlearn.errors import ConfigError, did_you_mean, exit_on_user_error
+from usvlearn.live import systemd
 
 USAGE = """usage: usvlearn live moos MISSION.moos [ALIAS]      on a MOOSDB
        usvlearn live mavlink udpin:127.0.0.1:14550  beside an autopilot
@@ -31,15 +33,7 @@ def status(arguments: Sequence[str]) -> int:
     return 0
 
 
-def warm(arguments: Sequence[str]) -> int:
-    """As `usvlearn warm`."""
-    from usvlearn.cli import warm as command
-
-    sys.argv = ["usvlearn live warm", *arguments]
-    return command.main()
-
-
-COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"status": status, "warm": warm}
+COMMANDS: dict[str, Callable[[Sequence[str]], int]] = {"status": status, "warm": warm_live, "systemd": systemd.main}
 
 
 def work(arguments: Sequence[str]) -> int:
