@@ -1,5 +1,6 @@
 """The core of the node: what it publishes of each step."""
 
+import io
 import math
 from itertools import pairwise
 
@@ -13,6 +14,7 @@ from usvlearn.live.health import COMPILING
 from usvlearn.live.node import Node
 from usvlearn.live.operator_page import WIDTH, page
 from usvlearn.live.posts import KINDS, TABLE, of_health, of_step, told
+from usvlearn.live.status_line import StatusLine
 from usvlearn.logs.align import Aligner
 from usvlearn.logs.channel import REQUIRED, Source
 from usvlearn.logs.derived_surge import COURSES, VELOCITIES
@@ -168,3 +170,26 @@ def test_posts_are_those_of_the_table(start):
     assert "state=ok" in told(health)
     lines = page(health._replace(warnings=("ü" * 200,), sentence="x " * 100), steps[-1])
     assert all(len(line) <= WIDTH and line.isascii() for line in lines)
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_the_line_in_a_terminal_is_replaced_and_a_file_has_only_changes(start):
+    one = node(start)
+    steps = [step for message in messages(boat(0.02)) for step in one.push(*message)]
+    health = COMPILING._replace(state="ok", sentence="ok; 12 steps", steps=12, counts={"surge": {"stale": 2}})
+    terminal, file = Terminal(), io.StringIO()
+    for stream in (terminal, file):
+        line = StatusLine("node", stream)
+        for _ in range(3):
+            line.show(health, steps[-1])
+        line.say("an alarm\x1b[2J")
+        line.show(health._replace(state="stale", sentence="no surge (V) for 3 s; 12 steps"), None, "no link")
+        line.show(health._replace(state="stale", sentence="no surge (V) for 4 s; 12 steps"), None, "no link")
+        line.close()
+    assert file.getvalue().splitlines() == ["node: ok", r"node: an alarm\x1b[2J", "node: no surge (V); no link"]
+    assert terminal.getvalue().count("\r") >= 6 and "predicted" in terminal.getvalue()
+    assert terminal.getvalue().endswith("not saved yet\n")
