@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-import yaml
 from hydra.core.config_store import ConfigStore
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep
@@ -21,12 +20,12 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
+from usvlearn.foreign_yaml import read_yaml
 from usvlearn.inspection.override import hydra_text
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
 SECTIONS = ("data", "vehicle", "align")  # of such a file
-LARGEST = 1_000_000  # bytes
 
 
 def with_data_files(overrides: Iterable[str]) -> list[str]:
@@ -44,15 +43,6 @@ def with_data_files(overrides: Iterable[str]) -> list[str]:
     usvlearn.errors.ConfigError: data: found 'nowhere/my_boat.yaml', but there is no such file: correct the path
     """
     return [_known(each) for each in overrides]
-
-
-def has_alias(text: str) -> bool:
-    """Whether YAML has an alias; a few of them can expand to gigabytes.
-
-    >>> has_alias("a: &x [1]\\nb: *x"), has_alias("a: [1]")
-    (True, False)
-    """
-    return any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text))
 
 
 def _known(override: str) -> str:
@@ -80,21 +70,8 @@ def _place(value: str) -> str:
 
 def _register(path: Path) -> None:
     try:
-        if path.stat().st_size > LARGEST:
-            raise ConfigError(f"data: {path} has more than {LARGEST // 1000} kB: name a configuration")
-        text = path.read_text(encoding="utf-8")
-        if has_alias(text):
-            raise ConfigError(f"data: {path}: has a YAML alias, which can expand to gigabytes: write out what it names")
-        found = yaml.safe_load(text)
-        node = OmegaConf.create(found if isinstance(found, dict) else {})
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"data: {path} is no text in UTF-8: name a file that usvlearn inspect wrote") from error
-    except yaml.MarkedYAMLError as error:
-        line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
-        raise ConfigError(f"data: {path}{line}: is not legal YAML ({error.problem}): correct that line") from error
-    except RecursionError as error:
-        raise ConfigError(f"data: {path}: is nested too deeply: name a configuration") from error
-    except (OmegaConfBaseException, yaml.YAMLError) as error:
+        node = OmegaConf.create(read_yaml(GROUP, path))
+    except OmegaConfBaseException as error:
         raise ConfigError(f"data: {path}: {str(error).splitlines()[0]}: correct the file") from error
     if GROUP not in node:
         raise ConfigError(f"data: {path}: has no section data, expected what usvlearn inspect writes: name such a file")

@@ -21,13 +21,13 @@ import usvlearn
 from usvlearn.cli.again import again
 from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.composition import plain
-from usvlearn.cli.data_files import has_alias
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.cli.settings import check_lanes, check_settings, instantiate
 from usvlearn.cli.stopping import defer_signals, end_deferral
 from usvlearn.cli.submitted import wait_for_all
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.measure import measure_of
+from usvlearn.foreign_yaml import has_alias
 from usvlearn.lock import Lock
 from usvlearn.report.terminal import console
 from usvlearn.sweeps.jobs import LANES, SweepNote, check_sweep, note_sweep, noted_sweep, run_job, write_lanes

@@ -19,7 +19,6 @@ from usvlearn.logs.read import sources_of
 from usvlearn.logs.setup import Setup
 
 NAMES = ("name", "field", "unit", "zero", "span", "weight")  # what depends on the middleware
-LARGEST_FILE = 1_000_000  # bytes
 
 
 @dataclass(frozen=True)
@@ -192,26 +191,14 @@ def channels_of(path: Path) -> dict[str, dict[str, Any]]:
     """The channels of a configuration of data, such as `usvlearn inspect` writes.
 
     Raises:
-        ConfigError: there is no such file, or it holds no channels.
-        MissingExtraError: PyYAML is not installed.
+        ConfigError: there is no such file, it holds no channels, or PyYAML is not installed.
     """
-    from usvlearn.errors import MissingExtraError
-
     try:
-        import yaml
+        from usvlearn.foreign_yaml import read_yaml
     except ImportError as error:
-        raise MissingExtraError("PyYAML", "aboard", "--channels") from error
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ConfigError(f"channels: {path} has more than {LARGEST_FILE // 1000} kB: name a configuration")
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"channels: {path} cannot be read ({getattr(error, 'strerror', 'no text')}): correct the path"
-        ) from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ConfigError(f"channels: {path} is no legal YAML: name a file that usvlearn inspect wrote") from error
-    channels = (found.get("data") or {}).get("channels") if isinstance(found, dict) else None
-    if not isinstance(channels, dict) or not all(isinstance(each, dict) for each in channels.values()):
+        raise ConfigError("channels: PyYAML is not installed here: run `pip install pyyaml`") from error
+    data = read_yaml("channels", path).get("data")
+    channels = data.get("channels") if isinstance(data, dict) else None
+    if not isinstance(channels, dict) or not all(isinstance(each, dict | None) for each in channels.values()):
         raise ConfigError(f"channels: {path} has no data.channels: name a file that usvlearn inspect wrote")
-    return channels
+    return {name: each for name, each in channels.items() if each is not None}

@@ -1,0 +1,58 @@
+"""Reads YAML that may come from anybody: plain data, of bounded size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from usvlearn.errors import ConfigError
+
+LARGEST = 1_000_000  # bytes
+
+
+def has_alias(text: str) -> bool:
+    """Whether YAML has an alias; a few of them can expand to gigabytes.
+
+    >>> has_alias("a: &x [1]\\nb: *x"), has_alias("a: [1]")
+    (True, False)
+    """
+    return any(isinstance(token, yaml.AliasToken) for token in yaml.scan(text))
+
+
+def read_yaml(key: str, path: Path) -> dict[Any, Any]:
+    """The content of a file, as dictionaries, lists and scalars; {} if it is no mapping.
+
+    Args:
+        key: the option that names the file, for the error.
+        path: of the file.
+
+    Raises:
+        ConfigError: it cannot be read, or is no legal YAML.
+
+    >>> read_yaml("data", Path("nowhere.yaml"))
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: data: nowhere.yaml cannot be read (No such file or directory): correct the path
+    """
+    try:
+        if path.stat().st_size > LARGEST:
+            raise ConfigError(f"{key}: {path} has more than {LARGEST // 1000} kB: name a configuration")
+        text = path.read_text(encoding="utf-8")
+        if has_alias(text):
+            raise ConfigError(
+                f"{key}: {path}: has a YAML alias, which can expand to gigabytes: write out what it names"
+            )
+        found = yaml.safe_load(text)
+    except OSError as error:
+        raise ConfigError(f"{key}: {path} cannot be read ({error.strerror or error}): correct the path") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{key}: {path} is no text in UTF-8: name a file that usvlearn inspect wrote") from error
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f", line {error.problem_mark.line + 1}"
+        raise ConfigError(f"{key}: {path}{line}: is not legal YAML ({error.problem}): correct that line") from error
+    except RecursionError as error:
+        raise ConfigError(f"{key}: {path}: is nested too deeply: name a configuration") from error
+    except (yaml.YAMLError, ValueError) as error:
+        raise ConfigError(f"{key}: {path}: {str(error).splitlines()[0]}: correct the file") from error
+    return found if isinstance(found, dict) else {}
