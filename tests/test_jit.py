@@ -232,8 +232,9 @@ def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
     assert [line.partition(",")[0] for line in said] == [
         "usvlearn: compiling the alignment",
         "usvlearn: compiling the simulator",
-        "usvlearn: compiling the kernels of runs and single steps",
+        "usvlearn: compiling the kernels of single steps",
         "usvlearn: compiling the kernels of forecasts",
+        "usvlearn: compiling the kernels of runs",
         "usvlearn: compiling the kernels of free runs",
     ]
 

@@ -1,4 +1,4 @@
-"""What a run and `Online` need is compiled together, when it is first used."""
+"""What a run, single steps and plans need is compiled when it is first used, for all estimators together."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from usvlearn.engine import dispatch, forecasting
-from usvlearn.engine.program import plan_for
+from usvlearn.engine.program import Plan, plan_for
 from usvlearn.family import WIDTH
 from usvlearn.jit import NUMBA, announced
 from usvlearn.rows import ROW, prepare_all
@@ -18,20 +18,37 @@ COMPILING = threading.RLock()  # a fork waits for it
 
 @cache
 def compile_steps(dtype: np.dtype) -> None:
-    """Compile what a run and `Online` need, for all estimators, unless that is done or cached on the disk."""
+    """Compile what `Online` needs, for all estimators, unless that is done or cached on the disk."""
     if NUMBA.DISABLE_JIT:  # plain Python, for a debugger
         return
-    plan = plan_for({"kind": "persistence", "size": 0, "numbers": {}}, (), dtype)
-    lanes, numbers, work = np.zeros((1, plan.size), dtype), np.zeros((1, 1), dtype), np.zeros(plan.work, dtype)
+    plan, numbers, work = _smallest(dtype)
+    with COMPILING, announced(dispatch.__file__, f"kernels of single steps, {dtype}"):
+        dispatch.surge_limit(plan.program, numbers[0])
+        dispatch.step_once.disable_compile(False)
+        state = np.zeros(plan.size, dtype)
+        dispatch.step_once(plan.program, state, numbers[0], work, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False)
+        dispatch.step_once.disable_compile()  # from now on other types, such as int, are converted
+
+
+@cache
+def compile_runs(dtype: np.dtype) -> None:
+    """Compile what a run needs, likewise. A program that makes single steps alone does not load it, to save memory."""
+    if NUMBA.DISABLE_JIT:
+        return
+    plan, numbers, work = _smallest(dtype)
     samples, masks, column = np.zeros((1, 1), dtype), np.zeros((1, 1), bool), np.zeros(1, np.int64)
     rows, picks = np.zeros((1, 1, ROW), dtype), np.zeros((1, 1, 1), dtype)
-    with COMPILING, announced(dispatch.__file__, f"kernels of runs and single steps, {dtype}"):
+    with COMPILING, announced(dispatch.__file__, f"kernels of runs, {dtype}"):
         limit = dispatch.surge_limit(plan.program, numbers[0])
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
-        dispatch.run(plan.program, lanes, numbers, rows, column, False, column, samples, picks, work, 0, 0)
-        dispatch.step_once.disable_compile(False)
-        dispatch.step_once(plan.program, lanes[0], numbers[0], work, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False)
-        dispatch.step_once.disable_compile()  # from now on other types, such as int, are converted
+        states = np.zeros((1, plan.size), dtype)
+        dispatch.run(plan.program, states, numbers, rows, column, False, column, samples, picks, work, 0, 0)
+
+
+def _smallest(dtype: np.dtype) -> tuple[Plan, np.ndarray, np.ndarray]:
+    """The plan of one estimator without numbers, its numbers, and an array to work in."""
+    plan = plan_for({"kind": "persistence", "size": 0, "numbers": {}}, (), dtype)
+    return plan, np.zeros((1, 1), dtype), np.zeros(plan.work, dtype)
 
 
 @cache

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 
 from usvlearn.engine.dispatch import Whole, mask_diverged, step, surge_max
-from usvlearn.engine.first_use import compile_steps
+from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import plan_for
 from usvlearn.engine.run import in_parallel, prepared
@@ -64,7 +64,7 @@ def assess(program, states, others, q, rows, columns, learning, totals, work, fi
 @cache
 def compile_free_runs(dtype: np.dtype) -> None:
     """Compile what free runs need, unless that is done or cached on the disk."""
-    compile_steps(dtype)
+    compile_runs(dtype)
     none, rows = np.zeros((1, 1), dtype), np.zeros((1, 1, ROW), dtype)
     column, program = np.zeros(1, np.int64), np.zeros((2, WIDTH), np.int64)
     with announced(__file__, f"kernels of free runs, {dtype}"):

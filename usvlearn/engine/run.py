@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.engine import dispatch as step
-from usvlearn.engine.first_use import compile_steps
+from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import Plan, plan_for
 from usvlearn.rows import ROW, prepare_all
@@ -54,7 +54,7 @@ def roll(
         work = np.empty(plan.work, plan.dtype)
         step.run(plan.program, states, plan.numbers, rows, columns, free, picked, predictions, picks, work, first, last)
 
-    compile_steps(plan.dtype)
+    compile_runs(plan.dtype)
     rows, columns = prepared(samples, plan)
     in_parallel(some, plan.lanes, threads)
     kept, begin = {}, 0
