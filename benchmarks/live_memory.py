@@ -1,14 +1,15 @@
-"""Memory and processor time of a live node at 10 Hz: `python benchmarks/live_memory.py [SECONDS]`.
+"""Memory and processor time of a live node at 10 Hz: `python benchmarks/live_memory.py [SECONDS [MODULE…]]`.
 
 A node that starts from the prior gets messages of a simulated boat in real time: heading, yaw rate and both commands at
-10 Hz, the speed at 5 Hz. It predicts, learns, records and saves; only the middleware is missing. Run it where no torch
-is installed, since what is installed counts: numba imports SciPy where it finds it. The first run compiles.
+10 Hz, the speed at 5 Hz. It predicts, learns, records and saves; only the middleware is missing, whose modules can be
+named: they are imported at the end. Run it where no torch is installed, since what is installed counts: numba imports
+SciPy where it finds it. The first run compiles. Linux only.
 """
 
 from __future__ import annotations
 
+import importlib
 import math
-import os
 import resource
 import sys
 import tempfile
@@ -28,16 +29,19 @@ def memory() -> dict[str, float]:
 
 
 def processor() -> float:
+    """Seconds of processor time of this process."""
     used = resource.getrusage(resource.RUSAGE_SELF)
     return used.ru_utime + used.ru_stime
 
 
 def row(what: str) -> None:
+    """Print a row of the table."""
     found = memory()
     print(f"| {what} | {found['VmRSS']:.0f} | {found['RssFile']:.0f} | {found['RssAnon']:.0f} | {processor():.1f} |")
 
 
-def sail(seconds: float) -> None:
+def sail(seconds: float, modules: list[str]) -> None:
+    """Run a node for some seconds, and print its memory and processor time as a table."""
     print("| after | resident, MB | of which files | own | CPU, s |\n|---|---|---|---|---|")
     row("start of Python")
     import numpy  # noqa: F401
@@ -58,12 +62,10 @@ def sail(seconds: float) -> None:
                 time.sleep(0.1)
             row("loading of compiled code")
             began = time.monotonic()
-            speed, counted, k = 0.0, None, 0
-            steps = 0
+            speed, counted, steps, k = 0.0, (0.0, 0.0), 0, 0
             while (now := time.monotonic() - began) < seconds:
-                if counted is None and now >= min(WARM_UP, seconds / 2):
+                if not counted[0] and now >= min(WARM_UP, seconds / 2):
                     counted = now, processor()
-                    row(f"{now:.0f} s")
                 left, right = 0.5 + 0.3 * math.sin(0.05 * k * PERIOD), 0.5 + 0.3 * math.cos(0.03 * k * PERIOD)
                 speed += PERIOD * (0.5 * (left + right) - 0.3 * speed * abs(speed))
                 values = {"heading": 0.02 * k * PERIOD, "yaw_rate": 0.02, "command_left": left,
@@ -72,16 +74,18 @@ def sail(seconds: float) -> None:
                     if k % every == 0:
                         steps += len(session.push(name, 1e9 + k * PERIOD, values[name]))
                 if k % 10 == 0:
-                    session.tick(1e9 + k * PERIOD)
+                    session.tick()
                 k += 1
                 time.sleep(max(0.0, began + k * PERIOD - time.monotonic()))
+            share = (processor() - counted[1]) / (time.monotonic() - began - counted[0])
             row(f"{now:.0f} s, {steps} steps")
-            since, used = counted or (0.0, 0.0)
-            share = (processor() - used) / (time.monotonic() - began - since)
-            print(f"\n{share:.1%} of a core; most resident {memory()['VmHWM']:.0f} MB; "
-                  f"modules {len(sys.modules)}, SciPy {'scipy' in sys.modules}, torch {'torch' in sys.modules}, "
-                  f"threads {len(os.listdir('/proc/self/task'))}")  # fmt: skip
+            for module in modules:
+                importlib.import_module(module)
+                row(f"import of {module}")
+            installed = [name for name in ("scipy", "torch", "tensorboard") if name in sys.modules]
+            print(f"\n{share:.1%} of a core; at most {memory()['VmHWM']:.0f} MB resident; {len(sys.modules)} modules, "
+                  f"of which {', '.join(installed) or 'neither SciPy nor torch'}")  # fmt: skip
 
 
 if __name__ == "__main__":
-    sail(float(sys.argv[1]) if sys.argv[1:] else 300.0)
+    sail(float(sys.argv[1]) if sys.argv[1:] else 300.0, sys.argv[2:])
