@@ -94,7 +94,7 @@ def test_systemd_finds_nothing_wrong(tmp_path):
 def test_the_command_prints_it(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("NUMBA_CACHE_DIR", "code")
-    assert main(["--folder", "node", "--user", "boat", "moos", "a b.moos", "--verbose"]) == 0
+    assert main(["--folder", "a/../node", "--user", "boat", "moos", "a b.moos", "--verbose"]) == 0
     text = capsys.readouterr().out
     words = [sys.executable, "-m", "usvlearn", "live", "moos", "a b.moos", "--verbose"]
     assert text == unit(words, tmp_path / "node", "boat", tmp_path, tmp_path / "code")

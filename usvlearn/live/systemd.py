@@ -120,8 +120,8 @@ def main(arguments: Sequence[str]) -> int:
         raise ConfigError(f"command: found {' '.join(command)!r}, expected moos, mavlink or ros2 and its arguments")
     user = given.get("--user") or getpass.getuser()
     started = [sys.executable, "-m", "usvlearn", "live", *command]
-    here = Path.cwd()
-    print(unit(started, here / Path(folder).expanduser(), user, here, _cache(user)), end="")
+    place = Path(os.path.abspath(Path(folder).expanduser()))  # systemd refuses paths with ..
+    print(unit(started, place, user, Path.cwd(), _cache(user)), end="")
     return 0
 
 
@@ -137,6 +137,6 @@ def _cache(user: str) -> Path | None:
     """Where `usvlearn live warm` of that user keeps compiled code; None if the user has no home."""
     base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
     try:
-        return Path.cwd() / base if base else Path(f"~{user}").expanduser() / ".cache"
+        return Path(os.path.abspath(base)) if base else Path(f"~{user}").expanduser() / ".cache"
     except RuntimeError:
         return None
