@@ -206,6 +206,24 @@ def test_the_data_check_of_a_replay_watches_the_live_data(tmp_path, start):
     assert "surge" in warning and "km/h" in warning
 
 
+@pytest.mark.parametrize("rate", [5.0, 10.0, 100.0])
+def test_the_data_check_is_silent_about_regular_messages(tmp_path, start, rate):
+    """Also where a speed comes just as often as its window is long."""
+    log = boat(0.1)
+    times = np.arange(0.0, 300.0, 1 / rate)
+    with ready(tmp_path, start) as session:
+        for time_ in times.tolist():
+            for name in REQUIRED:
+                each = log.channels[name]
+                session.push(
+                    name,
+                    1.7e9 + time_,
+                    float(np.interp(time_, each.time, np.unwrap(each.value) if name == "heading" else each.value)),
+                )
+        columns = session._recent.copy()
+        assert session._recent.findings(columns, "heron", (2.0,)) == []
+
+
 def test_tensorboard_shows_a_session(tmp_path, start, monkeypatch):
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

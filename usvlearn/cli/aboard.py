@@ -16,7 +16,7 @@ USAGE = """usage: usvlearn live moos MISSION.moos [ALIAS]      on a MOOSDB
        usvlearn live ros2 [--ros-args …]            as a node of ROS 2
        usvlearn live status FOLDER                  what a running or dead node last knew
        usvlearn live warm                           compile everything, when a boat's computer is set up
-       usvlearn live systemd COMMAND …              print a systemd unit that starts one of the first three
+       usvlearn live systemd --folder DIR COMMAND … print a systemd unit that starts one of the first three
 Each has --help. A node starts from the newest readable set of its folder, else from --start SET, else from a prior by
 --mass and --surge-max. It needs no torch."""
 SHELLS = {"moos": "usvlearn.live.moos.app", "mavlink": "usvlearn.live.mavlink", "ros2": "usvlearn.live.ros2"}

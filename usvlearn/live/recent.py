@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usvlearn.errors import LogFormatError
 from usvlearn.logs.channel import Channel, Recording, Source
 from usvlearn.logs.mixing import Mix
 from usvlearn.logs.setup import Setup
@@ -56,6 +57,7 @@ class Recent:
         """What the data check says of `copy`: sentences, warnings only."""
         from usvlearn.logs.checks.finding import WARNING
         from usvlearn.logs.data_check import check_data
+        from usvlearn.logs.recordings import align_fleet
 
         channels: dict[str, Channel] = {}
         aligned = self._setup.aligned
@@ -69,7 +71,11 @@ class Recent:
         recording = Recording(boat, "live", channels, {})
         declared = self._setup.json()["channels"]
         top = math.inf if self._setup.surge_max is None else self._setup.surge_max
-        found = check_data([recording], None, self._setup.align, top, declared, horizons)
+        try:
+            fleet = align_fleet([recording], **self._setup.align)
+        except LogFormatError:  # the check says why
+            fleet = None
+        found = check_data([recording], fleet, self._setup.align, top, declared, horizons)
         return [each.sentence() for each in found if each.severity == WARNING]
 
     def _source(self, name: str) -> Source:

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from usvlearn.logs.align_kernel import EPSILON
 from usvlearn.logs.channel import CHANNELS, COMMANDS, SURGE
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
@@ -67,7 +68,7 @@ def _remedy(e: Evidence, name: str, cause: str) -> str:
 def stale(e: Evidence) -> Iterator[Finding]:
     """Inputs that are older than their window, and speeds that serve no step."""
     if e.fleet is None:  # nothing could be aligned, perhaps for this reason
-        shares = {name: float(not e.settings(name)["held"] and _interval(e, name, 0.5) > _window(e, name))
+        shares = {name: float(not e.settings(name)["held"] and _interval(e, name, 0.5) > _window(e, name) + EPSILON)
                   for name in CHANNELS}  # fmt: skip
     else:
         lane, counts = e.fleet.boats.index(e.boat) if e.boat in e.fleet.boats else 0, _rejected(e)
