@@ -1,0 +1,274 @@
+"""What is done with each message and each second, without I/O and clock: finds the vehicle, asks, pushes, answers.
+
+The vehicle is the first autopilot that is heard, or the one of a given system id. Its servo outputs count only while
+it is armed, as in a telemetry log that `usvlearn.logs.tlog` reads.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from fnmatch import fnmatchcase
+from itertools import pairwise
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from usvlearn.live.mavlink.boot_clock import BootClock
+from usvlearn.live.mavlink.frames import Frames
+from usvlearn.live.mavlink.intervals import Intervals
+from usvlearn.live.mavlink.routes import (
+    ATTITUDE,
+    GLOBAL,
+    HUD,
+    NED,
+    VELOCITIES,
+    Route,
+    find_routes,
+    instance_of,
+    number_of,
+    value_of,
+    velocity_of,
+)
+from usvlearn.live.mavlink.servo_parameters import ServoParameters
+from usvlearn.live.mavlink.telemetry import INFO, WARNING, Telemetry
+from usvlearn.logs.mavlink_messages import MESSAGES
+from usvlearn.logs.tlog import ARMED, GROUND_STATION, HEARTBEAT, NO_AUTOPILOT, PARAM_VALUE
+
+if TYPE_CHECKING:
+    from usvlearn.live.health import Health
+    from usvlearn.live.node import Step
+    from usvlearn.live.session import Session
+
+SILENT = 5.0  # s without a heart-beat, after which no vehicle is there
+SELDOM = 5  # ticks between two reports of what changes seldom
+REPLACED = 10.0  # s without a message, after which another one gives its numbers
+RANKS = (NED, GLOBAL, HUD)  # where the velocity comes from, the best first
+
+
+class Vehicle:
+    """Stands between a link and a session.
+
+    Args:
+        session: what learns.
+        dialect: of `load_dialect`.
+        hz: wanted rate of the messages.
+        system: id of the vehicle; None: the first that is heard.
+        say: takes a sentence for the operator.
+
+    Attributes:
+        telemetry: whose queue holds what is to be sent.
+
+    Raises:
+        ConfigError: a channel of the session cannot come from MAVLink.
+    """
+
+    def __init__(
+        self, session: Session, dialect: ModuleType, hz: float, system: int | None, say: Callable[[str], None]
+    ):
+        self._session, self._wanted, self._say = session, system, say
+        self._frames, self.telemetry = Frames(dialect), Telemetry(dialect, system or 1)
+        self._routes: dict[int, list[Route]] = {}
+        routes = find_routes(session.sources)
+        for route in routes:
+            self._routes.setdefault(route.number, []).append(route)
+        self._replaceable = [route for route in routes if route.replaceable]
+        self._servos = ServoParameters([route.function for route in routes if route.function is not None])
+        self._intervals = Intervals(hz)
+        for number in self._routes:
+            self._intervals.wish(number)
+        self.address: tuple[int, int] | None = None  # of the vehicle: system and component
+        self._others: set[int] = set()  # other vehicles
+        self._clock, self._armed = BootClock(), False
+        self._beat = -math.inf  # when the last heart-beat of the vehicle was received
+        self._came = dict.fromkeys(RANKS, math.inf)  # when a velocity was received or first wished; inf: not wished
+        self._source = NED  # from which message the velocity comes now
+        self._instances: dict[int, int] = {}  # message -> the least number of equal senders
+        self._heading = math.nan  # rad
+        self._state, self._ticks = "", 0  # of the session's health; how many seconds have been reported
+        self._told: set[str] = set()  # problems and warnings that last
+
+    def is_connected(self, now: float) -> bool:
+        """Whether the vehicle is heard; `now` in s of a steady clock."""
+        return now - self._beat < SILENT
+
+    # ------------------------------------------------------------ receiving
+
+    def receive(self, data: bytes, now: float, whole: bool = False) -> bool:
+        """Take what a link has received; returns whether a frame of the vehicle was in it.
+
+        Args:
+            data: any bytes.
+            now: s of a steady clock.
+            whole: `data` is a datagram.
+        """
+        heard = False
+        for message in self._frames.take(data, whole):
+            sender = message.get_srcSystem(), message.get_srcComponent()
+            number = message.get_msgId()
+            if number == HEARTBEAT:
+                self._hear_heartbeat(message, sender, now)
+            if self.address is None:
+                continue
+            heard |= sender == self.address
+            if number == PARAM_VALUE and sender == self.address:
+                self._servos.learn(message.param_id, message.param_value)
+            elif number in MESSAGES and number != HEARTBEAT:
+                self._take(message, number, sender, now)
+        return heard
+
+    def new_link(self) -> None:
+        """The link was opened anew."""
+        self._frames.clear()
+
+    def _hear_heartbeat(self, message: Any, sender: tuple[int, int], now: float) -> None:
+        if message.autopilot == NO_AUTOPILOT or message.type == GROUND_STATION:
+            return
+        system = sender[0]
+        if self.address is None and system == (self._wanted or system):
+            self.address, self._came[NED] = sender, now
+            self.telemetry.system = system
+            self._announce(f"listening to system {system}, component {sender[1]}", INFO, now)
+        if sender == self.address:
+            if not self.is_connected(now) and self._beat > -math.inf:
+                self._say(f"system {system} is heard again")
+            self._beat, armed = now, bool(message.base_mode & ARMED)
+            self.telemetry.old = message.get_msgbuf()[0] == 0xFE
+            if armed != self._armed:
+                self._say("armed: learning" if armed else "disarmed: nothing is learned")
+            self._armed = armed
+        elif self.address is not None and system != self.address[0] and system not in self._others:
+            self._others.add(system)
+            choice = f"listening to system {self.address[0]} only; --system {system} would choose the other"
+            self._announce(f"a second vehicle, system {system}, is heard: {choice}", WARNING, now)
+
+    def _take(self, message: Any, number: int, sender: tuple[int, int], now: float) -> None:
+        """One message with numbers, of any sender."""
+        own = sender == self.address
+        stamp = self._stamp(message, number, own, now)
+        if own:
+            self._intervals.arrived(number)
+            if number == ATTITUDE:
+                self._heading = message.yaw
+            if number in RANKS and self._replaceable:
+                self._take_velocity(message, number, stamp, now)
+        for route in self._routes.get(number, ()):
+            if (own if route.sender is None else fnmatchcase(f"{sender[0]}.{sender[1]}", route.sender)) and (
+                self._is_instance(message, number, route.instance) and not (own and route.replaceable)
+            ):
+                self._push_route(route, message, stamp, now)
+
+    def _stamp(self, message: Any, number: int, own: bool, now: float) -> float | None:
+        """The vehicle's time of a message, s; None if it is doubted, or while the time is unknown."""
+        name = MESSAGES[number].stamp
+        if not own or name is None:
+            stamp = self._clock.of_receipt(now)
+        elif name == "time_boot_ms":
+            boots = self._clock.boots
+            found = self._clock.stamp(1e-3 * message.time_boot_ms, now)
+            if self._clock.boots > boots:
+                self._reboot(now)
+            return found
+        else:
+            bits = 64 if MESSAGES[number].fields[name].dtype == "<u8" else 32
+            stamp = self._clock.of_micros(message.time_usec, bits, now)
+        return stamp if math.isfinite(stamp) else None
+
+    def _reboot(self, now: float) -> None:
+        self._tell(self._session.restart(), now)
+        self._servos.ask_again()
+        self._intervals.again()
+        self._announce("the vehicle's clock began anew: a new segment", INFO, now)
+
+    def _is_instance(self, message: Any, number: int, wanted: int | None) -> bool:
+        """Whether a message comes from the wanted one of equal senders: by default from that of the least number."""
+        found = instance_of(message)
+        if found is None or found == wanted:
+            return wanted is None or found == wanted
+        least = self._instances[number] = min(found, self._instances.get(number, found))
+        return wanted is None and found == least
+
+    def _push_route(self, route: Route, message: Any, stamp: float | None, now: float) -> None:
+        if route.is_output and not self._armed:
+            self._session.drop(route.part, "disarmed")
+        elif stamp is None:
+            self._session.drop(route.part, "no_time")
+        elif route.function is None:
+            self._push(route.part, stamp, value_of(message, route.fields), now)
+        elif (share := self._servos.share(route.function, message)) is None:
+            self._session.drop(route.part, "no_parameters")
+        else:
+            self._push(route.part, stamp, share, now)
+
+    def _take_velocity(self, message: Any, number: int, stamp: float | None, now: float) -> None:
+        """Push the velocity from the best message that comes."""
+        self._came[number] = now
+        if not all(self._is_missing(better, now) for better in RANKS[: RANKS.index(number)]):
+            return
+        if number != self._source:
+            self._source = number
+            self._announce(f"the speed comes from {MESSAGES[number].name} now", WARNING, now)
+        found = velocity_of(message, self._heading)
+        for route in self._replaceable:
+            if stamp is None:
+                self._session.drop(route.part, "no_time")
+            elif number == NED:
+                self._push(route.part, stamp, number_of(message, route.fields[0]), now)
+            elif found is not None:
+                self._push(route.part, stamp, route.raw(found[VELOCITIES[route.fields[0]]]), now)
+
+    def _push(self, part: str, stamp: float, raw: float, now: float) -> None:
+        self._tell(self._session.push(part, stamp, raw), now)
+
+    def _tell(self, steps: list[Step], now: float) -> None:
+        for step in steps:
+            if self.is_connected(now):
+                self.telemetry.step(step)
+            for alarm in step.alarms:
+                self._announce(alarm, WARNING, now)
+
+    # ------------------------------------------------------------ each second
+
+    def tick(self, now: float) -> Health:
+        """Do what is due each second, and return the session's health; `now` in s of a steady clock."""
+        health = self._session.tick(self._clock.now(now), now)
+        self.telemetry.heartbeat()
+        if self.is_connected(now) and self.address is not None:
+            self._wish_replacement(now)
+            for number in self._intervals.due(now):
+                self.telemetry.ask_interval(self.address, number, self._intervals.micros)
+            for name in self._servos.to_ask():
+                self.telemetry.ask_parameter(self.address, name)
+        self._report(health, now)
+        return health
+
+    def _report(self, health: Health, now: float) -> None:
+        """Tell what has changed since the last second, and the numbers that change seldom."""
+        self._ticks += 1
+        if self._ticks % SELDOM == 0 and self.is_connected(now):
+            self.telemetry.health(self._clock.now(now), health)
+        problems = [self._servos.problem] if self._servos.problem else self._servos.remarks
+        for sentence in dict.fromkeys((*problems, *health.warnings)):
+            if sentence not in self._told:
+                self._announce(sentence, WARNING, now)
+        self._told = {*problems, *health.warnings}
+        if health.state != self._state and (self._armed or self.address is None):  # disarmed, no command comes
+            self._state = health.state
+            self._announce(health.sentence, WARNING if health.state == "stale" else INFO, now)
+
+    def _wish_replacement(self, now: float) -> None:
+        """Ask for the next source of the velocity while the better ones are silent."""
+        for number, after in pairwise(RANKS):
+            if not self._replaceable or not self._is_missing(number, now):
+                return
+            self._intervals.wish(after)
+            self._came[after] = min(self._came[after], now)
+
+    def _is_missing(self, number: int, now: float) -> bool:
+        """Whether a message with the velocity was asked for and does not come."""
+        return now - self._came[number] > REPLACED
+
+    def _announce(self, sentence: str, severity: int, now: float) -> None:
+        """Tell the operator here and, if the vehicle is heard, ashore."""
+        self._say(sentence)
+        if self.is_connected(now):
+            self.telemetry.say(f"usvlearn: {sentence}", severity, now)
