@@ -1,7 +1,11 @@
 """A synthetic boat with an autopilot that speaks MAVLink as ArduPilot does, and a session that only records."""
 
+import contextlib
 import math
+import socket
 import struct
+import threading
+import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -147,6 +151,45 @@ class MavBoat:
         return round(trim + share * (high - trim if share > 0 else trim - low))
 
 
+class OnTheAir(threading.Thread):
+    """A boat that sails in real time, or faster, and sends datagrams to a node.
+
+    Args:
+        boat: what sails.
+        port: of the node, on the loopback.
+        seconds: how long, in the boat's time.
+        warp: how much faster than real time.
+        begin: the boat's time at the beginning, s.
+
+    Attributes:
+        sent: each frame with the boat's time at which it was sent, as in a telemetry log.
+    """
+
+    def __init__(self, boat: MavBoat, port: int, seconds: float, warp: float = 1.0, begin: float = 0.0):
+        super().__init__(daemon=True)
+        self.boat, self.seconds, self.warp, self.time, self.sent = boat, seconds, warp, begin, b""
+        self._begin, self._node = begin, ("127.0.0.1", port)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.setblocking(False)
+        self.ended = threading.Event()
+
+    def run(self) -> None:
+        first = time.monotonic()
+        while self.time - self._begin < self.seconds and not self.ended.is_set():
+            self.time = self._begin + self.warp * (time.monotonic() - first)
+            frames = self.boat.due(self.time)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    frames += self.boat.hear(self.socket.recv(4096))
+            for frame in frames:
+                self.sent += record(self.time, frame)
+                self.socket.sendto(frame, self._node)
+            time.sleep(0.001)
+        self.ended.set()
+        self.socket.close()
+
+
 class RecordingSession:
     """Keeps what it is given; of a live session it has only what a shell uses."""
 
@@ -167,8 +210,8 @@ class RecordingSession:
     def drop(self, part: str, cause: str) -> None:
         self.dropped.append((part, cause))
 
-    def tick(self, now: float, clock: float):
-        self.ticks.append((now, clock))
+    def tick(self, now: float):
+        self.ticks.append(now)
         return COMPILING._replace(state=self.state, sentence=f"the session is {self.state}")
 
     def restart(self) -> list:

@@ -6,28 +6,53 @@ import signal
 import threading
 import time
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
 
 from usvlearn.errors import ConfigError
+from usvlearn.live.arguments import add_arguments as add_common_arguments
+from usvlearn.live.arguments import options_of
 from usvlearn.live.mavlink.frames import load_dialect
 from usvlearn.live.mavlink.links import Link, Place, parse_place
+from usvlearn.live.mavlink.routes import CHANNELS
 from usvlearn.live.mavlink.vehicle import Vehicle
+from usvlearn.live.session import Session
+from usvlearn.live.start import Middleware
 
-if TYPE_CHECKING:
-    from usvlearn.live.session import Session
-
+MIDDLEWARE = Middleware("mavlink", "usvlearn.logs.tlog.Tlog", CHANNELS)
 TICK = 1.0  # s
 BATCH = 64  # datagrams that are handled before anything else is done
 PER_STEP = 4  # messages of each kind that are asked for in a step
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """The options of `usvlearn live mavlink`."""
+    """The options of `usvlearn live mavlink` that other middlewares do not have."""
     parser.add_argument("connection", help="udpin:HOST:PORT, udpout:HOST:PORT, or a serial port as DEVICE,BAUD")
     parser.add_argument("--system", type=int, help="system id of the vehicle (default: the first that is heard)")
     parser.add_argument("--rate", type=float, help=f"messages of each kind a second (default: {PER_STEP} in a step)")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command `usvlearn live mavlink`; returns the exit code.
+
+    Raises:
+        UsvlearnError: an option outside its range, or nothing to start from.
+        MissingExtraError: pymavlink is not installed.
+    """
+    parser = ArgumentParser("usvlearn live mavlink", description="A node beside an autopilot that speaks MAVLink.")
+    add_arguments(parser)
+    add_common_arguments(parser)
+    given = parser.parse_args(arguments)
+    place = check_arguments(given)
+    session = Session(options_of(given), MIDDLEWARE)
+    try:
+        print(session.sentence, flush=True)
+        session.start()
+        with _until_signal() as stopped:
+            run(session, given, place, stopped)
+    finally:
+        session.close()
+    return 0
 
 
 def check_arguments(given: Namespace) -> Place:
@@ -46,45 +71,37 @@ def check_arguments(given: Namespace) -> Place:
 
 
 def run(
-    session: Session, given: Namespace, show: Callable | None = None, clock: Callable[[], float] = time.monotonic
-) -> int:
-    """Listen to a vehicle until SIGTERM or SIGINT, then save; returns the exit code.
+    session: Session,
+    given: Namespace,
+    place: Place,
+    stopped: threading.Event,
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
+    """Listen to a vehicle until `stopped` is set.
 
     Args:
-        session: what learns; it is started and closed here.
+        session: what learns; it has been started.
         given: of `add_arguments`.
-        show: takes the session's health each second.
+        place: of `check_arguments`.
+        stopped: ends the run.
         clock: a steady clock, s.
     """
-    place = check_arguments(given)
-    vehicle = Vehicle(
-        session,
-        load_dialect(),
-        given.rate or PER_STEP / float(session.setup.align.get("dt", 0.4)),
-        given.system,
-        say=_say,
-    )
-    link = Link(place, say=_say)
-    session.start()
+    rate = given.rate or PER_STEP / float(session.setup.align.get("dt", 0.4))
+    vehicle = Vehicle(session, load_dialect(), rate, given.system, say=_say)
+    link, due = Link(place, say=_say), clock()
     try:
-        with _until_signal() as stopped:
-            due = clock()
-            while not stopped.is_set():
-                now = clock()
-                if link.open(now):
-                    vehicle.new_link()
-                link.wait(due - now)
-                _read(link, vehicle, clock)
-                if (now := clock()) >= due:
-                    health = vehicle.tick(now)
-                    due = max(due + TICK, now)
-                    if show is not None:
-                        show(health)
-                link.write(vehicle.telemetry.queue, now)
+        while not stopped.is_set():
+            now = clock()
+            if link.open(now):
+                vehicle.new_link()
+            link.wait(due - now)
+            _read(link, vehicle, clock)
+            if (now := clock()) >= due:
+                vehicle.tick(now)
+                due = max(due + TICK, now)
+            link.write(vehicle.telemetry.queue, now)
     finally:
         link.close()
-        session.close()
-    return 0
 
 
 def _read(link: Link, vehicle: Vehicle, clock: Callable[[], float]) -> None:

@@ -125,11 +125,11 @@ class Vehicle:
             return
         system = sender[0]
         if self.address is None and system == (self._wanted or system):
-            self.address, self._came[NED] = sender, now
+            self.address, self._came[NED], self._beat = sender, now, now
             self.telemetry.system = system
             self._announce(f"listening to system {system}, component {sender[1]}", INFO, now)
         if sender == self.address:
-            if not self.is_connected(now) and self._beat > -math.inf:
+            if not self.is_connected(now):
                 self._say(f"system {system} is heard again")
             self._beat, armed = now, bool(message.base_mode & ARMED)
             self.telemetry.old = message.get_msgbuf()[0] == 0xFE
@@ -230,7 +230,7 @@ class Vehicle:
 
     def tick(self, now: float) -> Health:
         """Do what is due each second, and return the session's health; `now` in s of a steady clock."""
-        health = self._session.tick(self._clock.now(now), now)
+        health = self._session.tick(self._clock.now(now))
         self.telemetry.heartbeat()
         if self.is_connected(now) and self.address is not None:
             self._wish_replacement(now)

@@ -1,0 +1,148 @@
+"""The whole node beside a boat that sails in a simulator and talks MAVLink over UDP."""
+
+import argparse
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pymavlink", reason="needs the package pymavlink")
+
+from tests.support import ROOT, commands
+from tests.support.live import learned_set
+from tests.support.mavboat import MavBoat, Motion, OnTheAir, turning
+from tests.support.voyages import voyage
+from usvlearn import checkpoint
+from usvlearn.errors import ConfigError
+from usvlearn.live.mavlink import MIDDLEWARE, check_arguments, main, run
+from usvlearn.live.session import Session
+from usvlearn.live.start import Options
+
+HERE, WARP = "127.0.0.1", 40.0
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind((HERE, 0))
+        return one.getsockname()[1]
+
+
+def sailing(seed: int = 0):
+    """The motion of a simulated boat on patrol."""
+    made = voyage(seed=seed, minutes=6.0, lowest=0.0)
+    names = "command_left", "command_right", "heading", "yaw_rate", "surge"
+    time = np.arange(0.0, 360.0, 0.02)
+    columns = [made.at(name, time) for name in names]
+
+    def motion(at: float) -> Motion:
+        k = min(round(at / 0.02), len(time) - 1)
+        return Motion(*(float(column[k]) for column in columns))
+
+    return motion
+
+
+class Listening:
+    """A session that listens in a thread of its own, in warped time."""
+
+    def __init__(self, session: Session, port: int, warp: float = 1.0):
+        self.session, self.stopped, self.error = session, threading.Event(), None
+        self._given = argparse.Namespace(connection=f"udpin:{HERE}:{port}", system=None, rate=None)
+        self._warp = warp
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self):
+        try:
+            clock = lambda: self._warp * time.monotonic()  # noqa: E731
+            run(self.session, self._given, check_arguments(self._given), self.stopped, clock)
+        except BaseException as error:
+            self.error = error
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.stopped.set()
+        self._thread.join(10)
+        assert not self._thread.is_alive() and self.error is None, self.error
+
+
+def replayed(records) -> np.ndarray:
+    """Predictions of a record as train.py replays it."""
+    done = commands.run(
+        "data=record_0001.yaml", "resume=record_0001.safetensors", "hydra.run.dir=again", folder=records
+    )
+    assert done.returncode == 0, done.stderr
+    arrays = [np.load(path) for path in sorted((records / "again" / "predictions").glob("*.npz"))]
+    return np.concatenate([each["predictions"] for each in arrays])[:, 0]
+
+
+def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path):
+    port, steps = free_port(), []
+    session = Session(Options(tmp_path / "node", learned_set(tmp_path), record=True, warp=WARP), MIDDLEWARE)
+    session.start()
+    assert session.wait(300)
+    took = session._took
+    session._took = lambda found: (steps.extend(found), took(found))
+    boat = OnTheAir(MavBoat(sailing(), booted=-100.0), port, 300.0, WARP)
+    with Listening(session, port, WARP):
+        boat.start()
+        boat.join(60)
+        time.sleep(0.3)
+    session.close()
+    names = session._node.online.names
+    predicted = np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
+    np.testing.assert_array_equal(replayed(tmp_path / "node" / "records"), predicted)
+    measured, speed = (np.array([getattr(step, name) for step in steps]) for name in ("measured", "speed"))
+    errors = np.abs(measured - speed)[len(steps) // 2 :]
+    assert np.nanmean(errors) < 0.1 and np.isfinite(errors).mean() > 0.9
+    assert len(steps) > 0.9 * 300 / 0.4  # nothing was lost on the way
+    told = {name for _, name, _ in boat.boat.values}
+    assert {"USV_PRED", "USV_NEXT", "USV_ERR", "USV_LOW", "USV_HIGH"} <= told and all(len(name) <= 10 for name in told)
+    assert [text for _, text in boat.boat.texts if "listening to system 1" in text]
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_saves_and_ends_with_code_0(tmp_path, number):
+    port, folder = free_port(), tmp_path / "node"
+    command = [sys.executable, "-m", "usvlearn", "live", "mavlink", f"udpin:{HERE}:{port}", "--folder", str(folder),
+               "--mass", "28", "--surge-max", "2.7"]  # fmt: skip
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"}
+    boat = OnTheAir(MavBoat(turning, booted=-20.0), port, 120.0)
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+    ) as node:
+        boat.start()
+        try:
+            end = time.monotonic() + 90
+            while not any(name == "USV_PRED" for _, name, _ in boat.boat.values) and time.monotonic() < end:
+                assert node.poll() is None
+                time.sleep(0.1)
+            node.send_signal(number)
+            said, _ = node.communicate(timeout=20)
+        finally:
+            boat.ended.set()
+            node.kill()
+    assert node.returncode == 0, said
+    assert "listening to system 1, component 1" in said and "starting from the prior" in said
+    assert len(checkpoint.checkpoints(folder)) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["tcp:a:1"], "connection: found 'tcp:a:1', expected udpin"),
+        (["udpin:a:1", "--system", "0"], "--system: found 0, expected an id of 1 to 255"),
+        (["udpin:a:1", "--rate", "1000"], "--rate: found 1000, expected 0.5 to 200"),
+    ],
+)
+def test_options_outside_their_range_are_refused(arguments, message):
+    with pytest.raises(ConfigError) as caught:
+        main(arguments)
+    assert str(caught.value).startswith(message)
