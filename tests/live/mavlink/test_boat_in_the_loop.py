@@ -1,6 +1,7 @@
 """The whole node beside a boat that sails in a simulator and talks MAVLink over UDP."""
 
 import argparse
+import math
 import os
 import signal
 import socket
@@ -16,7 +17,7 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support import ROOT, commands
 from tests.support.live import learned_set
-from tests.support.mavboat import MavBoat, Motion, OnTheAir, turning
+from tests.support.mavboat import MavBoat, Motion, OnTheAir, mavlink, turning
 from tests.support.voyages import voyage
 from usvlearn import checkpoint
 from usvlearn.errors import ConfigError
@@ -83,29 +84,89 @@ def replayed(records) -> np.ndarray:
     return np.concatenate([each["predictions"] for each in arrays])[:, 0]
 
 
-def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path):
-    port, steps = free_port(), []
-    session = Session(Options(tmp_path / "node", learned_set(tmp_path), record=True, warp=WARP), MIDDLEWARE)
-    session.start()
-    assert session.wait(300)
-    took = session._took
+def sailed(session: Session, boat: MavBoat, seconds: float, meddle=lambda time, air: []) -> list:
+    """The steps of a session beside a boat; `meddle` takes the boat's time and the boat on the air."""
+    port, steps, took = free_port(), [], session._took
     session._took = lambda found: (steps.extend(found), took(found))
-    boat = OnTheAir(MavBoat(sailing(), booted=-100.0), port, 300.0, WARP)
+    air = OnTheAir(boat, port, seconds, WARP, lambda time: meddle(time, air))
     with Listening(session, port, WARP):
-        boat.start()
-        boat.join(60)
+        air.start()
+        air.join(60)
         time.sleep(0.3)
     session.close()
+    return steps
+
+
+def begun(folder, start, **options) -> Session:
+    session = Session(Options(folder, start, warp=WARP, **options), MIDDLEWARE)
+    session.start()
+    assert session.wait(300)
+    return session
+
+
+@pytest.fixture(scope="module")
+def start(tmp_path_factory):
+    return learned_set(tmp_path_factory.mktemp("start"))
+
+
+def errors_of(steps) -> np.ndarray:
+    return np.array([abs(step.measured - step.speed) for step in steps])
+
+
+def test_a_boat_in_the_loop_is_learned_as_in_a_replay(tmp_path, start):
+    session, boat = begun(tmp_path / "node", start, record=True), MavBoat(sailing(), booted=-100.0)
+    steps = sailed(session, boat, 300.0)
     names = session._node.online.names
     predicted = np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
     np.testing.assert_array_equal(replayed(tmp_path / "node" / "records"), predicted)
-    measured, speed = (np.array([getattr(step, name) for step in steps]) for name in ("measured", "speed"))
-    errors = np.abs(measured - speed)[len(steps) // 2 :]
+    errors = errors_of(steps[len(steps) // 2 :])
     assert np.nanmean(errors) < 0.1 and np.isfinite(errors).mean() > 0.9
     assert len(steps) > 0.9 * 300 / 0.4  # nothing was lost on the way
-    told = {name for _, name, _ in boat.boat.values}
+    told = {name for _, name, _ in boat.values}
     assert {"USV_PRED", "USV_NEXT", "USV_ERR", "USV_LOW", "USV_HIGH"} <= told and all(len(name) <= 10 for name in told)
-    assert [text for _, text in boat.boat.texts if "listening to system 1" in text]
+    assert [text for _, text in boat.texts if "listening to system 1" in text]
+
+
+def test_a_boat_that_does_everything_wrong_is_learned_all_the_same(tmp_path, start):
+    boat, rng, done = MavBoat(sailing(), booted=-100.0), np.random.default_rng(0), set()
+    stranger = MavBoat(lambda time: Motion(1.0, 1.0, 1.0, 0.0, 9.0), sender=(9, 1))
+    stranger.intervals = dict.fromkeys((30, 32, 36), 0.1)
+
+    def once(name: str) -> bool:
+        return name not in done and not done.add(name)
+
+    def meddle(time: float, air: OnTheAir) -> list[bytes]:
+        found = []
+        if 40 < time < 60:  # garbage, cut frames, wrong checksums, numbers that are none
+            frame = bytearray(boat.packed(boat.message(30, time)))
+            frame[rng.integers(1, len(frame))] ^= 64
+            nan = mavlink.MAVLink_attitude_message(round(1000 * (time - boat.booted)), 0, 0, math.nan, 0, 0, math.inf)
+            found += [rng.bytes(rng.integers(1, 300)), bytes(frame), bytes(frame[: rng.integers(len(frame))])]
+            found += [boat.packed(nan)]
+        air.mute = 80 < time < 110
+        if time > 140 and once("reboot"):
+            boat.reboot(time)
+        if 180 < time < 200:
+            found += stranger.due(time)
+        boat.armed = not 220 < time < 235
+        if time > 255 and once("ahead"):
+            boat.booted -= 3600.0
+        if time > 285 and once("back"):
+            boat.booted += 3600.0
+        return found
+
+    session = begun(tmp_path / "node", start)
+    steps = sailed(session, boat, 340.0, meddle)
+    assert done == {"reboot", "ahead", "back"}
+    health = session.tick()
+    assert health.counts["heading"]["not_a_number"] > 100 and health.counts["command_left"]["disarmed"] > 100
+    times = np.array([step.time for step in steps if np.isfinite(step.speed)])
+    (breaks,) = np.nonzero(np.abs(np.diff(times)) > 5.0)
+    assert len(breaks) >= 5  # silence, reboot, disarmed, ahead, back; and steps after each
+    assert np.nanmean(errors_of(steps[-60:])) < 0.15 and max(step.measured for step in steps[20:]) < 4.0
+    assert np.isfinite(errors_of(steps)).sum() > 0.6 * 340 / 0.4
+    texts = " ".join(text for _, text in boat.texts)
+    assert texts.count("the vehicle's clock began anew") == 2 and "system 9" in texts
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])

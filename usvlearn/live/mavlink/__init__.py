@@ -95,7 +95,7 @@ def run(
             if link.open(now):
                 vehicle.new_link()
             link.wait(due - now)
-            _read(link, vehicle, clock)
+            _listen(link, vehicle, clock)
             if (now := clock()) >= due:
                 vehicle.tick(now)
                 due = max(due + TICK, now)
@@ -104,13 +104,15 @@ def run(
         link.close()
 
 
-def _read(link: Link, vehicle: Vehicle, clock: Callable[[], float]) -> None:
+def _listen(link: Link, vehicle: Vehicle, clock: Callable[[], float]) -> None:
+    """Handle and answer what has arrived."""
     for _ in range(BATCH):
         now = clock()
         if not (data := link.read(now)):
             return
         if vehicle.receive(data, now, link.whole):
             link.answer()
+        link.write(vehicle.telemetry.queue, now)
 
 
 def _say(sentence: str) -> None:
