@@ -20,7 +20,7 @@ from tests.support.live import learned_set
 from tests.support.mavboat import MavBoat, Motion, OnTheAir, mavlink, turning
 from tests.support.voyages import voyage
 from usvlearn import checkpoint
-from usvlearn.errors import ConfigError
+from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.live.mavlink import MIDDLEWARE, check_arguments, main, run
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options
@@ -207,3 +207,10 @@ def test_options_outside_their_range_are_refused(arguments, message):
     with pytest.raises(ConfigError) as caught:
         main(arguments)
     assert str(caught.value).startswith(message)
+
+
+def test_without_pymavlink_the_extra_is_named(monkeypatch, tmp_path):
+    for name in [name for name in sys.modules if name.partition(".")[0] == "pymavlink"] + ["pymavlink"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(MissingExtraError, match=r"live mavlink needs the package pymavlink.*\[mavlink\]"):
+        main(["udpin:127.0.0.1:14550", "--folder", str(tmp_path)])

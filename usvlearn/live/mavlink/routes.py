@@ -65,7 +65,7 @@ class Route(NamedTuple):
     @property
     def replaceable(self) -> bool:
         """Whether GLOBAL_POSITION_INT and VFR_HUD can give it, too."""
-        return self.number == NED and len(self.fields) == 1 and self.fields[0] in VELOCITIES
+        return self.number == NED and self.sender is None and len(self.fields) == 1 and self.fields[0] in VELOCITIES
 
     def raw(self, value: float) -> float:
         """The raw number that the source converts to this SI value."""

@@ -131,6 +131,7 @@ class Vehicle:
         if sender == self.address:
             if not self.is_connected(now):
                 self._say(f"system {system} is heard again")
+                self._ask_again()  # it may have booted
             self._beat, armed = now, bool(message.base_mode & ARMED)
             self.telemetry.old = message.get_msgbuf()[0] == 0xFE
             if armed != self._armed:
@@ -175,9 +176,12 @@ class Vehicle:
 
     def _reboot(self, now: float) -> None:
         self._tell(self._session.restart(), now)
+        self._ask_again()
+        self._announce("the vehicle's clock began anew: a new segment", INFO, now)
+
+    def _ask_again(self) -> None:
         self._servos.ask_again()
         self._intervals.again()
-        self._announce("the vehicle's clock began anew: a new segment", INFO, now)
 
     def _is_instance(self, message: Any, number: int, wanted: int | None) -> bool:
         """Whether a message comes from the wanted one of equal senders: by default from that of the least number."""
