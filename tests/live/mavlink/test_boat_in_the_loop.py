@@ -1,6 +1,7 @@
 """The whole node beside a boat that sails in a simulator and talks MAVLink over UDP."""
 
 import argparse
+import io
 import math
 import os
 import signal
@@ -24,6 +25,7 @@ from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.live.mavlink import MIDDLEWARE, check_arguments, main, run
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options
+from usvlearn.live.status_line import StatusLine
 
 HERE, WARP = "127.0.0.1", 40.0
 
@@ -53,6 +55,7 @@ class Listening:
 
     def __init__(self, session: Session, port: int, warp: float = 1.0):
         self.session, self.stopped, self.error = session, threading.Event(), None
+        self.said = io.StringIO()
         self._given = argparse.Namespace(connection=f"udpin:{HERE}:{port}", system=None, rate=None)
         self._warp = warp
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -60,7 +63,14 @@ class Listening:
     def _run(self):
         try:
             clock = lambda: self._warp * time.monotonic()  # noqa: E731
-            run(self.session, self._given, check_arguments(self._given), self.stopped, clock)
+            run(
+                self.session,
+                self._given,
+                check_arguments(self._given),
+                self.stopped,
+                StatusLine("node", self.said),
+                clock,
+            )
         except BaseException as error:
             self.error = error
 
@@ -89,11 +99,10 @@ def sailed(session: Session, boat: MavBoat, seconds: float, meddle=lambda time, 
     port, steps, took = free_port(), [], session._took
     session._took = lambda found: (steps.extend(found), took(found))
     air = OnTheAir(boat, port, seconds, WARP, lambda time: meddle(time, air))
-    with Listening(session, port, WARP):
+    with session, Listening(session, port, WARP):
         air.start()
         air.join(60)
         time.sleep(0.3)
-    session.close()
     return steps
 
 
@@ -191,7 +200,8 @@ def test_a_signal_saves_and_ends_with_code_0(tmp_path, number):
             boat.ended.set()
             node.kill()
     assert node.returncode == 0, said
-    assert "listening to system 1, component 1" in said and "starting from the prior" in said
+    for sentence in ("starting from the prior", "listening to system 1, component 1", "saved; ends"):
+        assert f"usvlearn: {sentence}" in said
     assert len(checkpoint.checkpoints(folder)) == 1
 
 

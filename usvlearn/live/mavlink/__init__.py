@@ -18,6 +18,7 @@ from usvlearn.live.mavlink.routes import CHANNELS
 from usvlearn.live.mavlink.vehicle import Vehicle
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware
+from usvlearn.live.status_line import StatusLine
 
 MIDDLEWARE = Middleware("mavlink", "usvlearn.logs.tlog.Tlog", CHANNELS)
 TICK = 1.0  # s
@@ -44,14 +45,15 @@ def main(arguments: Sequence[str]) -> int:
     add_common_arguments(parser)
     given = parser.parse_args(arguments)
     place = check_arguments(given)
-    session = Session(options_of(given), MIDDLEWARE)
-    try:
-        print(session.sentence, flush=True)
+    line = StatusLine("usvlearn")
+    with Session(options_of(given), MIDDLEWARE) as session, _until_signal() as stopped:
+        line.say(session.sentence)
         session.start()
-        with _until_signal() as stopped:
-            run(session, given, place, stopped)
-    finally:
-        session.close()
+        try:
+            run(session, given, place, stopped, line)
+        finally:
+            line.close()
+    line.say("saved; ends")
     return 0
 
 
@@ -75,6 +77,7 @@ def run(
     given: Namespace,
     place: Place,
     stopped: threading.Event,
+    line: StatusLine,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
     """Listen to a vehicle until `stopped` is set.
@@ -84,11 +87,12 @@ def run(
         given: of `add_arguments`.
         place: of `check_arguments`.
         stopped: ends the run.
+        line: for the operator.
         clock: a steady clock, s.
     """
     rate = given.rate or PER_STEP / float(session.setup.align.get("dt", 0.4))
-    vehicle = Vehicle(session, load_dialect(), rate, given.system, say=_say)
-    link, due = Link(place, say=_say), clock()
+    vehicle = Vehicle(session, load_dialect(), rate, given.system, say=line.say)
+    link, due = Link(place, say=line.say), clock()
     try:
         while not stopped.is_set():
             now = clock()
@@ -97,7 +101,7 @@ def run(
             link.wait(due - now)
             _listen(link, vehicle, clock)
             if (now := clock()) >= due:
-                vehicle.tick(now)
+                line.show(vehicle.tick(now), session.last, vehicle.condition(now))
                 due = max(due + TICK, now)
             link.write(vehicle.telemetry.queue, now)
     finally:
@@ -113,10 +117,6 @@ def _listen(link: Link, vehicle: Vehicle, clock: Callable[[], float]) -> None:
         if vehicle.receive(data, now, link.whole):
             link.answer()
         link.write(vehicle.telemetry.queue, now)
-
-
-def _say(sentence: str) -> None:
-    print(sentence, flush=True)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from usvlearn.live.mavlink.boot_clock import BootClock
-from usvlearn.live.mavlink.frames import Frames
+from usvlearn.live.mavlink.frames import V1, Frames
 from usvlearn.live.mavlink.intervals import Intervals
 from usvlearn.live.mavlink.routes import (
     ATTITUDE,
@@ -91,6 +91,14 @@ class Vehicle:
         """Whether the vehicle is heard; `now` in s of a steady clock."""
         return now - self._beat < SILENT
 
+    def condition(self, now: float) -> str:
+        """Why nothing is learned, as far as the vehicle is concerned; empty if it is heard and armed."""
+        if self.address is None:
+            return "no vehicle is heard" if self._wanted is None else f"system {self._wanted} is not heard"
+        if not self.is_connected(now):
+            return f"system {self.address[0]} is silent"
+        return "" if self._armed else "disarmed"
+
     # ------------------------------------------------------------ receiving
 
     def receive(self, data: bytes, now: float, whole: bool = False) -> bool:
@@ -130,13 +138,9 @@ class Vehicle:
             self._announce(f"listening to system {system}, component {sender[1]}", INFO, now)
         if sender == self.address:
             if not self.is_connected(now):
-                self._say(f"system {system} is heard again")
                 self._ask_again()  # it may have booted
-            self._beat, armed = now, bool(message.base_mode & ARMED)
-            self.telemetry.old = message.get_msgbuf()[0] == 0xFE
-            if armed != self._armed:
-                self._say("armed: learning" if armed else "disarmed: nothing is learned")
-            self._armed = armed
+            self._beat, self._armed = now, bool(message.base_mode & ARMED)
+            self.telemetry.old = message.get_msgbuf()[0] == V1
         elif self.address is not None and system != self.address[0] and system not in self._others:
             self._others.add(system)
             choice = f"listening to system {self.address[0]} only; --system {system} would choose the other"
@@ -257,7 +261,7 @@ class Vehicle:
         self._told = {*problems, *health.warnings}
         if health.state != self._state and (self._armed or self.address is None):  # disarmed, no command comes
             self._state = health.state
-            self._announce(health.sentence, WARNING if health.state == "stale" else INFO, now)
+            self._text(health.sentence, WARNING if health.state == "stale" else INFO, now)
 
     def _wish_replacement(self, now: float) -> None:
         """Ask for the next source of the velocity while the better ones are silent."""
@@ -272,7 +276,11 @@ class Vehicle:
         return now - self._came[number] > REPLACED
 
     def _announce(self, sentence: str, severity: int, now: float) -> None:
-        """Tell the operator here and, if the vehicle is heard, ashore."""
+        """Tell the operator here and ashore."""
         self._say(sentence)
+        self._text(sentence, severity, now)
+
+    def _text(self, sentence: str, severity: int, now: float) -> None:
+        """Tell the operator ashore, if the vehicle is heard."""
         if self.is_connected(now):
             self.telemetry.say(f"usvlearn: {sentence}", severity, now)
