@@ -7,6 +7,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -193,7 +194,8 @@ class RecordingSession:
     """Keeps what it is given; of a live session it has only what a shell uses."""
 
     def __init__(self, sources, dt: float = 0.4):
-        self.sources, self.dt, self.state = sources, dt, "ok"
+        self.sources, self.state, self.last = sources, "ok", None
+        self.setup = SimpleNamespace(align={"dt": dt})
         self.pushed, self.dropped, self.restarts, self.ticks, self.closed = [], [], [], [], False
         self.steps = []  # what the next push returns
 

@@ -1,9 +1,11 @@
 """The whole node beside a boat that sails in a simulator and talks MAVLink over UDP."""
 
 import argparse
+import contextlib
 import io
 import math
 import os
+import pty
 import signal
 import socket
 import subprocess
@@ -18,7 +20,7 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support import ROOT, commands
 from tests.support.live import learned_set
-from tests.support.mavboat import MavBoat, Motion, OnTheAir, mavlink, turning
+from tests.support.mavboat import MavBoat, Motion, OnTheAir, RecordingSession, mavlink, turning
 from tests.support.voyages import voyage
 from usvlearn import checkpoint
 from usvlearn.errors import ConfigError, MissingExtraError
@@ -26,6 +28,7 @@ from usvlearn.live.mavlink import MIDDLEWARE, check_arguments, main, run
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options
 from usvlearn.live.status_line import StatusLine
+from usvlearn.logs.channel import Source
 
 HERE, WARP = "127.0.0.1", 40.0
 
@@ -53,10 +56,10 @@ def sailing(seed: int = 0):
 class Listening:
     """A session that listens in a thread of its own, in warped time."""
 
-    def __init__(self, session: Session, port: int, warp: float = 1.0):
+    def __init__(self, session: Session, connection: str, warp: float = 1.0):
         self.session, self.stopped, self.error = session, threading.Event(), None
         self.said = io.StringIO()
-        self._given = argparse.Namespace(connection=f"udpin:{HERE}:{port}", system=None, rate=None)
+        self._given = argparse.Namespace(connection=connection, system=None, rate=None)
         self._warp = warp
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -99,7 +102,7 @@ def sailed(session: Session, boat: MavBoat, seconds: float, meddle=lambda time, 
     port, steps, took = free_port(), [], session._took
     session._took = lambda found: (steps.extend(found), took(found))
     air = OnTheAir(boat, port, seconds, WARP, lambda time: meddle(time, air))
-    with session, Listening(session, port, WARP):
+    with session, Listening(session, f"udpin:{HERE}:{port}", WARP):
         air.start()
         air.join(60)
         time.sleep(0.3)
@@ -176,6 +179,26 @@ def test_a_boat_that_does_everything_wrong_is_learned_all_the_same(tmp_path, sta
     assert np.isfinite(errors_of(steps)).sum() > 0.6 * 340 / 0.4
     texts = " ".join(text for _, text in boat.texts)
     assert texts.count("the vehicle's clock began anew") == 2 and "system 9" in texts
+
+
+def test_a_boat_at_a_serial_line_is_heard_and_answered():
+    other, own = pty.openpty()
+    os.set_blocking(other, False)
+    boat = MavBoat(turning, booted=-100.0)
+    session = RecordingSession({part: Source(**each) for part, each in MIDDLEWARE.channels.items()})
+    with Listening(session, f"{os.ttyname(own)},115200") as node:
+        begun = time.monotonic()
+        while (now := time.monotonic() - begun) < 20.0 and len(session.channel("command_left")[0]) < 20:
+            frames = boat.due(now)
+            with contextlib.suppress(BlockingIOError):
+                frames += boat.hear(os.read(other, 4096))
+            os.write(other, b"\xfd\x05noise".join(frames))
+            time.sleep(0.005)
+    os.close(own)
+    os.close(other)
+    time_of, share = session.channel("command_left")
+    assert len(share) >= 20 and abs(share[-1] - turning(time_of[-1] - 100.0).left) < 0.01
+    assert "listening to system 1" in node.said.getvalue() and any("listening to" in text for _, text in boat.texts)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
