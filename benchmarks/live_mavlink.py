@@ -208,8 +208,8 @@ def main() -> None:
             *table(head, rows),
             "",
             "MB is the resident memory where SciPy is installed, which numba then imports. In one process, without a",
-            f"network: {decoding:.0f} us to decode a message, {plain:.0f} us (median) until it is aligned, {ending:.0f} us",
-            "where it ends a step, with the step of the ensemble and its forecasts.",
+            f"network: {decoding:.0f} us to decode a message, {plain:.0f} us (median) until it is aligned,",
+            f"{ending:.0f} us where it ends a step, with the step of the ensemble and its forecasts.",
             "",
         ],
     )

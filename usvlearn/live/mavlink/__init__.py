@@ -46,7 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     given = parser.parse_args(arguments)
     place = check_arguments(given)
     line = StatusLine("usvlearn")
-    with Session(options_of(given), MIDDLEWARE) as session, _until_signal() as stopped:
+    with _until_signal() as stopped, Session(options_of(given), MIDDLEWARE) as session:
         line.say(session.sentence)
         session.start()
         try:
