@@ -143,7 +143,7 @@ def test_parameters_are_the_last_in_the_log(tmp_path):
 @pytest.mark.parametrize(
     ("parameters", "words"),
     [
-        ({}, "found no such parameters in this log: name the servo's column, with its zero and span"),
+        ({}, "found no such parameters: name the servo's column, with its zero and span"),
         ({"SERVO1_FUNCTION": 70.0, "SERVO3_FUNCTION": 26.0},
          "one throttle at servo 1 (70) and steering at servo 3 (26): set field: throttle for command_left and for "),
         ({"SERVO2_FUNCTION": 33.0, "SERVO3_FUNCTION": 0.0}, "found servo 2: 33: name the servo's column"),

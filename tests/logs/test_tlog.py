@@ -149,7 +149,7 @@ def test_commands_count_while_the_vehicle_is_armed(tmp_path):
 
 def test_a_log_without_parameters_names_no_servo(tmp_path):
     message = refused(write(tmp_path, tlog(parameters={})), "SERVO_OUTPUT_RAW", "throttle_left")
-    assert "found no such parameters in this log: name the servo's column" in message
+    assert "found no such parameters: name the servo's column" in message
     assert len(PARAMETERS) == 10
 
 

@@ -109,7 +109,7 @@ def _no_servo(name: str, found: Mapping[int, list[int]]) -> str:
     expected = f"expected a servo with SERVOn_FUNCTION {FUNCTIONS[name]} ({name.replace('_', ' ')}), found"
     advice = "name the servo's column, with its zero and span (1500 and 400)"
     if not found:
-        return f"{expected} no such parameters in this log: {advice}"
+        return f"{expected} no such parameters: {advice}"
     if FUNCTIONS["throttle"] in found and name in ("throttle_left", "throttle_right"):
         throttle, steering = found[FUNCTIONS["throttle"]][0], found.get(FUNCTIONS["steering"], [None])[0]
         rudder = f" and steering at servo {steering} (26)" if steering is not None else ""
