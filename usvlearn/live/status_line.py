@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import sys
 from typing import TextIO
@@ -10,6 +11,8 @@ from typing import TextIO
 from usvlearn.errors import printable
 from usvlearn.live.health import Health, seconds
 from usvlearn.live.node import Step
+
+DURATION = re.compile(r" for \d[\d.]* \w+")
 
 
 class StatusLine:
@@ -52,7 +55,7 @@ class StatusLine:
             self._write(f"{self._erased()}{text}")
             self._shown = len(text)
             return
-        missing = health.sentence.partition(";")[0].partition(" for ")[0]  # without seconds, which change
+        missing = DURATION.sub("", health.sentence.partition(";")[0])  # durations change
         told = f"{missing}{'; ' if link else ''}{link}"
         if told != self._told:
             self._told = told

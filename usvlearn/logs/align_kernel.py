@@ -10,9 +10,8 @@ import math
 import numpy as np
 
 from usvlearn.jit import jit
-from usvlearn.logs.channel import CHANNELS
+from usvlearn.logs.channel import CHANNELS, EPSILON
 
-EPSILON = 1e-6  # s, below which two stamps are one
 SLACK = 1.0  # s, by which a channel may lag behind the newest message of any other
 LATEST = 1e12  # s; at later stamps, adding a step would not change the time
 RESETS = 3  # so many messages in a row, of several channels, far behind: the clock was set back

@@ -16,6 +16,7 @@ from usvlearn.errors import ConfigError, LogFormatError, check_choice
 LISTED, QUOTED = 60, 60  # names in an error, and characters of one
 COMMANDS, SURGE = ("command_left", "command_right"), "surge"
 CHANNELS = (*COMMANDS, "heading", "yaw_rate", SURGE)
+EPSILON = 1e-6  # s, below which two stamps are one
 SLOWEST = 10.0  # s, the longest period
 AUTO = "auto"  # a period that is found from the logs
 REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be computed from the heading

@@ -19,8 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usvlearn.logs.align_kernel import EPSILON
-from usvlearn.logs.channel import CHANNELS, COMMANDS, SURGE
+from usvlearn.logs.channel import CHANNELS, COMMANDS, EPSILON, SURGE
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
 from usvlearn.logs.copies import find_period
