@@ -1,4 +1,7 @@
-"""The numbers in a ROS message: at a dotted path, and all of them."""
+"""The numbers and the stamp of a ROS message, from a bag or from rclpy: a number at a dotted path, or all of them.
+
+Messages from a bag are dataclasses of the package rosbags; those of rclpy name their fields by a method.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,54 @@ from usvlearn.logs.series import ELEMENTS, Series
 
 PATHS = 256  # of one topic, at most
 DEEPEST = 10  # messages within each other
+CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt comes from a clock that was never set
+CLOCKS = ("header", "receive")  # where a message's time is taken from
+_ODOMETRY = {"surge": "twist.twist.linear.x", "yaw_rate": "twist.twist.angular.z", "heading": "pose.pose.orientation"}
+_TWIST = {"surge": "twist.linear.x", "yaw_rate": "twist.angular.z"}
+FIELDS: dict[str, dict[str, str]] = {  # type of message -> channel -> its field, where none is named
+    "nav_msgs/msg/Odometry": _ODOMETRY,
+    "geometry_msgs/msg/TwistWithCovarianceStamped": {name: _ODOMETRY[name] for name in _TWIST},
+    "geometry_msgs/msg/TwistStamped": _TWIST,
+    "geometry_msgs/msg/Twist": {name: field.removeprefix("twist.") for name, field in _TWIST.items()},
+    "geometry_msgs/msg/PoseStamped": {"heading": "pose.orientation"},
+    "geometry_msgs/msg/PoseWithCovarianceStamped": {"heading": _ODOMETRY["heading"]},
+    "sensor_msgs/msg/Imu": {"heading": "orientation", "yaw_rate": "angular_velocity.z"},
+}
+
+
+def default_field(kind: str, part: str) -> str:
+    """The field of a channel in a type of message, where the configuration names none; `data` of a type not known.
+
+    Args:
+        kind: type of the message, such as `nav_msgs/msg/Odometry`.
+        part: a channel, or one of several sources of a command, such as `command_left[0]`.
+
+    >>> default_field("nav_msgs/msg/Odometry", "surge"), default_field("std_msgs/msg/Float64", "command_left[0]")
+    ('twist.twist.linear.x', 'data')
+    """
+    return FIELDS.get(kind, {}).get(part.partition("[")[0], "data")
+
+
+def stamp_of(message: Any, received: int, clock: str = "header", limit: float = CLOCK_LIMIT) -> int:
+    """The time of a message, ns: the stamp of its header, or its receipt.
+
+    Args:
+        message: of any type.
+        received: time of its receipt, ns.
+        clock: one of `CLOCKS`. With `header`, a message without a header has the time of its receipt, and also one
+            whose stamp is further than `limit` from it.
+        limit: s.
+
+    >>> from types import SimpleNamespace as Message
+    >>> message = Message(header=Message(stamp=Message(sec=3, nanosec=500_000_000)))
+    >>> stamp_of(message, 4 * 10**9), stamp_of(message, 9 * 10**9), stamp_of(message, 4 * 10**9, clock="receive")
+    (3500000000, 9000000000, 4000000000)
+    """
+    stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
+    if clock == "receive" or not hasattr(stamp, "nanosec"):
+        return received
+    time = stamp.sec * 10**9 + stamp.nanosec
+    return time if abs(time - received) <= limit * 1e9 else received
 
 
 def read_field(message, field: str, where: str) -> float:
@@ -31,23 +82,37 @@ def _read_one(message, field: str, where: str) -> float:
     for step in field.split("."):
         if step.isdigit() and hasattr(value, "__len__") and int(step) < len(value):
             value = value[int(step)]
-        elif is_dataclass(value) and hasattr(value, step):
+        elif step in _fields(value):
             value = getattr(value, step)
         else:
             raise LogFormatError(f"{where}: no field {step!r} in {field!r}. {_listing(value)}")
     if all(hasattr(value, axis) for axis in "xyzw"):
         return yaw(value.x, value.y, value.z, value.w)
     try:
-        return float(value)
+        return float(value[0] if isinstance(value, bytes) and len(value) == 1 else value)  # rclpy's octet is bytes
     except (TypeError, ValueError):
         raise LogFormatError(f"{where}: expected a number in {field!r}. {_listing(value)}") from None
 
 
 def _listing(value) -> str:
-    if not is_dataclass(value):
+    names = _fields(value)
+    if not names and not is_dataclass(value):
         return f"It holds {type(value).__name__} {str(value)[:40]!r}: name a field that is a number"
-    names = ", ".join(item.name for item in fields(value) if not item.name.startswith("__"))
-    return f"The fields here are: {names or 'none'}; name one of them"
+    shown = ", ".join(name for name in names if not name.startswith("__"))
+    return f"The fields here are: {shown or 'none'}; name one of them"
+
+
+def _fields(value: Any) -> tuple[str, ...]:
+    """The names of a message's fields; none of what is no message."""
+    return _fields_of(type(value))
+
+
+@lru_cache(maxsize=256)
+def _fields_of(kind: type) -> tuple[str, ...]:
+    if is_dataclass(kind):
+        return tuple(item.name for item in fields(kind))
+    listed = getattr(kind, "get_fields_and_field_types", None)  # of rclpy
+    return () if listed is None else tuple(listed())
 
 
 def yaw(x: float, y: float, z: float, w: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from usvlearn.errors import LogFormatError, MissingExtraError, check_choice, check_positive, printable
 from usvlearn.logs.channel import Channel, Source, build_channel, match_name
 from usvlearn.logs.decompress import MB, Total, limit_chunks, limited
-from usvlearn.logs.message_fields import Collected, read_field
+from usvlearn.logs.message_fields import CLOCKS, Collected, default_field, read_field, stamp_of
 from usvlearn.logs.rosbag_scan import Scan
 from usvlearn.logs.rosbag_types import check_type
 from usvlearn.logs.series import Series
@@ -23,15 +23,15 @@ from usvlearn.logs.series import Series
 LARGE = 1 << 16  # bytes of a message that a survey looks into
 IMAGES = {f"sensor_msgs/msg/{name}" for name in ("Image", "CompressedImage", "PointCloud", "PointCloud2", "LaserScan")}
 Found = TypeVar("Found")
-CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt comes from a clock that was never set
 
 
 @dataclass(frozen=True)
 class Rosbag:
     """Reads a ROS bag. `Source.name` is a topic, `Source.field` a field of its messages.
 
-    A field is a dotted path (`twist.linear.x`; default `data`; a number indexes an array). Several,
-    comma-separated, give their Euclidean norm. A quaternion gives its yaw in rad, counter-clockwise about z.
+    A field is a dotted path (`twist.linear.x`; a number indexes an array). By default it is that of `default_field`:
+    in an Odometry, an Imu or a TwistStamped the channel's own, else `data`. Several, comma-separated, give their
+    Euclidean norm. A quaternion gives its yaw in rad, counter-clockwise about z.
 
     A folder with the `metadata.yaml` of a ROS 2 bag is one log, of all its files. If fewer messages are found than the
     bag announces, its files are read without their metadata; a warning tells what is still missing.
@@ -57,7 +57,7 @@ class Rosbag:
     suffixes: ClassVar[tuple[str, ...]] = (".bag", ".active", ".mcap", ".db3")
 
     def __post_init__(self):
-        check_choice("data.reader.clock", self.clock, ("header", "receive"))
+        check_choice("data.reader.clock", self.clock, CLOCKS)
         check_positive("data.reader.chunk_limit", self.chunk_limit, "of MB")
 
     @property
@@ -155,11 +155,12 @@ class Rosbag:
         for number, (connection, received, data) in enumerate(bag.messages(wanted)):
             total.message(data)
             message = bag.deserialize(data, connection.msgtype)
-            seconds = (self._stamp(message, received) - start) * 1e-9
+            seconds = (stamp_of(message, received, self.clock) - start) * 1e-9
             for channel in readings[connection.topic]:
                 where = f"{path}: data.channels.{channel}.field"
                 time[channel].append(seconds)
-                value[channel].append(read_field(message, sources[channel].field or "data", where))
+                field = sources[channel].field or default_field(connection.msgtype, channel)
+                value[channel].append(read_field(message, field, where))
                 order[channel].append(number)
 
         channels, dropped = {}, {}
@@ -190,17 +191,9 @@ class Rosbag:
                 unread.add(topic)
                 topics.pop(topic, None)
                 continue
-            seconds = (self._stamp(message, received) - start) * 1e-9
+            seconds = (stamp_of(message, received, self.clock) - start) * 1e-9
             topics.setdefault(topic, Collected(topic, connection.msgtype)).add(seconds, number, message)
         return [series for _, each in sorted(topics.items()) for series in each.series()]
-
-    def _stamp(self, message, received: int) -> int:
-        """Nanoseconds since 1970."""
-        clock: Any = getattr(getattr(message, "header", None), "stamp", None)
-        if self.clock == "receive" or not hasattr(clock, "nanosec"):
-            return received
-        stamp = clock.sec * 10**9 + clock.nanosec
-        return stamp if abs(stamp - received) <= CLOCK_LIMIT * 1e9 else received
 
 
 class _FewerMessages(Exception):
