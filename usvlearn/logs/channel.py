@@ -137,8 +137,7 @@ def match_name(pattern: str, available: Iterable[str], where: str) -> str:
     '/left_thruster'
     """
     names = sorted(set(available))
-    exact = [name for name in names if name.lstrip("/") == pattern.lstrip("/")]
-    found = exact or [name for name in names if fnmatch.fnmatchcase(name, pattern)]
+    found = matching(pattern, names)
     if len(found) == 1:
         return found[0]
     if found:
@@ -150,6 +149,17 @@ def match_name(pattern: str, available: Iterable[str], where: str) -> str:
     raise LogFormatError(
         f"{where}: no channel {pattern!r}.{hint} The log has: {_listing(names) or 'nothing'}: name one of them"
     )
+
+
+def matching(pattern: str, names: Iterable[str]) -> list[str]:
+    """The names that a pattern chooses: those equal to it but for a leading slash, else those that it matches.
+
+    >>> matching("*/odom", ["/a/odom", "/b/odom", "/odometry"])
+    ['/a/odom', '/b/odom']
+    """
+    names = list(names)
+    exact = [name for name in names if name.lstrip("/") == pattern.lstrip("/")]
+    return exact or [name for name in names if fnmatch.fnmatchcase(name, pattern)]
 
 
 def _listing(names: Sequence[str]) -> str:

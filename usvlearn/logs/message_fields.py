@@ -54,8 +54,8 @@ def stamp_of(message: Any, received: int, clock: str = "header", limit: float = 
     Args:
         message: of any type.
         received: time of its receipt, ns.
-        clock: one of `CLOCKS`. With `header`, a message without a header has the time of its receipt, and also one
-            whose stamp is further than `limit` from it.
+        clock: one of `CLOCKS`. With `header`, a message without a stamp has the time of its receipt, and so has one
+            whose stamp is 0, or further than `limit` from it.
         limit: s.
 
     >>> from types import SimpleNamespace as Message
@@ -67,7 +67,7 @@ def stamp_of(message: Any, received: int, clock: str = "header", limit: float = 
     if clock == "receive" or not hasattr(stamp, "nanosec"):
         return received
     time = stamp.sec * 10**9 + stamp.nanosec
-    return time if abs(time - received) <= limit * 1e9 else received
+    return time if time and abs(time - received) <= limit * 1e9 else received
 
 
 def read_field(message, field: str, where: str) -> float:

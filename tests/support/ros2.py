@@ -1,0 +1,118 @@
+"""Messages like those of rclpy, made of the definitions in the package rosbags; and a session that notes what it gets."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+ZERO = {"bool": False, "string": "", "octet": b"\x00", "float32": 0.0, "float64": 0.0}
+
+
+def rclpy_class(kind: str, store: Any = None) -> type:
+    """A class of messages as rclpy has it: default values, checked types, and a method that lists the fields.
+
+    Args:
+        kind: such as `nav_msgs/msg/Odometry`.
+        store: of rosbags; that of ROS 2 Jazzy by default.
+    """
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import Stores, get_typestore
+
+    store = store or get_typestore(Stores.ROS2_JAZZY)
+    definitions = dict(store.fielddefs[kind][1])
+
+    def zero(description: Any) -> Any:
+        node, inner = description
+        if node == Nodetype.BASE:
+            return ZERO.get(inner[0], 0)
+        if node == Nodetype.NAME:
+            return rclpy_class(inner, store)()
+        element, length = inner
+        if element[0] == Nodetype.BASE and element[1][0].startswith("float"):
+            return np.zeros(length) if node == Nodetype.ARRAY else []
+        return [zero(element) for _ in range(length)] if node == Nodetype.ARRAY else []
+
+    class Message:
+        def __init__(self, **values: Any):
+            unknown = values.keys() - definitions.keys()
+            assert not unknown, unknown
+            for name, description in definitions.items():
+                object.__setattr__(self, name, zero(description))
+            for name, value in values.items():
+                setattr(self, name, value)
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            assert name in definitions, name
+            node, inner = definitions[name]
+            if node == Nodetype.BASE:  # rclpy refuses an int for a float, and text for bytes
+                expected = type(ZERO.get(inner[0], 0))
+                assert isinstance(value, expected), (name, value)
+            object.__setattr__(self, name, value)
+
+        @classmethod
+        def get_fields_and_field_types(cls) -> dict[str, str]:
+            return {name: str(description) for name, description in definitions.items()}
+
+    Message.__name__ = kind.rpartition("/")[2]
+    return Message
+
+
+def like_rclpy(message: Any, store: Any) -> Any:
+    """A message of rosbags, of any ROS, as rclpy would have given it."""
+    made = rclpy_class(message.__msgtype__, store)()
+    for name in made.get_fields_and_field_types():
+        value = getattr(message, name)
+        object.__setattr__(made, name, like_rclpy(value, store) if hasattr(value, "__msgtype__") else value)
+    return made
+
+
+class NotedSession:
+    """Takes what a session takes, and notes it."""
+
+    def __init__(self, sources: dict[str, Any] | None = None):
+        self.sources = sources or {}
+        self.pushed: list[tuple[str, float, float]] = []
+        self.dropped: list[tuple[str, str]] = []
+        self.restarts = 0
+        self.closed = 0
+        self.health = health()
+        self.steps: list[Any] = []  # what the next push returns
+
+    def start(self) -> None: ...
+
+    def push(self, part: str, stamp: float, raw: float) -> list[Any]:
+        self.pushed.append((part, stamp, raw))
+        steps, self.steps = self.steps, []
+        return steps
+
+    def drop(self, part: str, cause: str) -> None:
+        self.dropped.append((part, cause))
+
+    def restart(self) -> list[Any]:
+        self.restarts += 1
+        return []
+
+    def tick(self, now: float, clock: float) -> Any:
+        return self.health
+
+    def close(self) -> None:
+        self.closed += 1
+
+    def numbers(self, part: str) -> list[float]:
+        return [raw for name, _, raw in self.pushed if name == part]
+
+    @property
+    def finite(self) -> bool:
+        return all(math.isfinite(stamp) for _, stamp, _ in self.pushed)
+
+
+def health(**values: Any) -> SimpleNamespace:
+    """A `usvlearn.live.health.Health`, ok unless said otherwise."""
+    ok = {
+        "state": "ok", "sentence": "ok", "counts": {}, "ages": {}, "steps": 0, "learned": 0, "alarms": 0, "alarm": None,
+        "uptime": 0.0, "saved": math.inf, "contraction": {}, "identified": {}, "warnings": (),
+    }  # fmt: skip
+    return SimpleNamespace(**(ok | values))
