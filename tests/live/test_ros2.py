@@ -23,7 +23,7 @@ from usvlearn.live.ros2_inputs import DEFAULTS, NS, Messages, plan
 from usvlearn.live.ros2_outputs import CLASSES, UNKNOWN, Outputs, message_class
 from usvlearn.live.ros2_parameters import OWN, given_by
 from usvlearn.logs.channel import Source
-from usvlearn.logs.message_fields import FIELDS, default_field, numbers, read_field
+from usvlearn.logs.message_fields import FIELDS, default_field, read_field
 from usvlearn.logs.read import sources_of
 from usvlearn.logs.rosbag import Rosbag
 
@@ -65,15 +65,18 @@ def test_fields_of_rclpy_are_read_as_those_of_a_bag():
     assert read_field(message, "pose.covariance.35", "") == 0.0
     array = rclpy_class("std_msgs/msg/Float64MultiArray")(data=[0.5, 0.25])
     assert read_field(array, "data.1", "") == 0.25
-    assert read_field(rclpy_class("std_msgs/msg/Byte")(data=b"5"), "data", "") == 53.0  # not the digit 5
+    for raw, number in ((b"5", 53.0), (b"\xfe", -2.0)):  # not the digit 5; with a sign, as from a bag
+        assert read_field(rclpy_class("std_msgs/msg/Byte")(data=raw), "data", "") == number
     assert read_field(rclpy_class("std_msgs/msg/Bool")(data=True), "data", "") == 1.0
-    with pytest.raises(LogFormatError, match=r"surge: no field 'speed' in 'twist.speed'. .*covariance, twist|twist, cov"):
+    with pytest.raises(
+        LogFormatError, match=r"surge: no field 'speed' in 'twist.speed'. .*covariance, twist|twist, cov"
+    ):
         read_field(message, "twist.speed", "surge")
-    with pytest.raises(LogFormatError, match="expected a number in 'header'. The fields here are: stamp, frame_id"):
+    with pytest.raises(LogFormatError, match=r"expected a number in 'header'\. The fields here are: stamp, frame_id"):
         read_field(message, "header", "surge")
     with pytest.raises(LogFormatError, match="It holds str"):
         read_field(rclpy_class("std_msgs/msg/String")(data="fast"), "data", "surge")
-    with pytest.raises(LogFormatError, match="no field 'data.9'|no field '9'"):
+    with pytest.raises(LogFormatError, match="no field '9'"):
         read_field(array, "data.9", "surge")
 
 
@@ -86,7 +89,11 @@ def chosen(sources, graph, current=None, namespace="/", remap=None):
 
 
 def test_a_topic_is_chosen_by_name_pattern_namespace_and_remapping():
-    sources = {"surge": Source("*odom"), "command_left": Source("left"), "command_right": Source("/x/right", field="data.1")}
+    sources = {
+        "surge": Source("*odom"),
+        "command_left": Source("left"),
+        "command_right": Source("/x/right", field="data.1"),
+    }
     graph = {"/a/odom": [ODOMETRY], "/b/odom": [ODOMETRY], "/a/left": [NUMBER], "/other": [NUMBER],
              "/x/right": ["std_msgs/msg/Float64MultiArray"]}  # fmt: skip
     found = chosen(sources, graph, namespace="/a")
@@ -135,7 +142,9 @@ def test_a_message_has_the_stamp_of_its_header_or_the_clock_of_its_receipt():
     assert session.pushed == [("surge", START + 0.25, 1.5), ("heading", START + 0.25, pytest.approx(0.5))]
     messages.take("/left", {"command_left": "data"}, rclpy_class(NUMBER)(data=0.5), (START + 2) * NS)
     assert session.pushed[-1] == ("command_left", START + 2, 0.5) and not messages.sentences()
-    for wrong in (0.0, START - 3600.0, START + 3600.0):  # never set, or a clock that is wrong by an hour
+    messages.take("/odom", FIELDS_OF, odometry(0.0), int((START + 2.5) * NS))  # the stamp was never set
+    assert session.pushed[-1][1] == START + 2.5 and not messages.sentences()
+    for wrong in (START - 3600.0, START + 3600.0):  # a clock that is wrong by an hour
         messages.take("/odom", FIELDS_OF, odometry(wrong), (START + 3) * NS)
         assert session.pushed[-1][1] == START + 3
         (sentence,) = messages.sentences()
@@ -143,7 +152,7 @@ def test_a_message_has_the_stamp_of_its_header_or_the_clock_of_its_receipt():
     messages.take("/odom", FIELDS_OF, odometry(START + 3.5), (START + 3) * NS)
     assert session.pushed[-1][1] == START + 3.5 and not messages.sentences()
     receive = Messages(session, clock="receive")
-    receive.take("/odom", FIELDS_OF, odometry(START), (START + 0.5) * NS)
+    receive.take("/odom", FIELDS_OF, odometry(START), int((START + 0.5) * NS))
     assert session.pushed[-1][1] == START + 0.5 and session.restarts == 0
 
 
@@ -219,7 +228,9 @@ def test_a_bag_of_ros_1_gives_what_its_messages_would_have_given_live(tmp_path):
         pose = types["geometry_msgs/msg/Pose"](
             position=types["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0), orientation=quaternion(x=x, y=y, z=z, w=w)
         )
-        twist = types["geometry_msgs/msg/Twist"](linear=vector(*rng.normal(size=3)), angular=vector(*rng.normal(size=3)))
+        twist = types["geometry_msgs/msg/Twist"](
+            linear=vector(*rng.normal(size=3)), angular=vector(*rng.normal(size=3))
+        )
         return types[ODOMETRY](
             header=head(stamp), child_frame_id="base_link",
             pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
@@ -245,7 +256,7 @@ def test_a_bag_of_ros_1_gives_what_its_messages_would_have_given_live(tmp_path):
                 data = store.serialize_ros1(message, message.__msgtype__)
                 bag.write(connections[topic], received, data)
     sources = {
-        "command_left": Source("*left", span=0.5), "command_right": Source("/usv/thrust", field="data.2", zero=1.0),
+        "command_left": Source("*left", span=2.0), "command_right": Source("/usv/thrust", field="data.2", zero=1.0),
         "heading": Source("*odom", unit="enu_rad"), "yaw_rate": Source("*odom", unit="enu_rad/s"),
         "surge": Source("usv/odom"), "ground_speed": Source("*odom", "twist.twist.linear.x, twist.twist.linear.y"),
     }  # fmt: skip
@@ -328,7 +339,8 @@ def test_the_health_is_a_diagnostic_of_the_model_and_one_of_the_inputs(out):
 
 def test_parameters_are_json_without_nan(out):
     told = health(
-        identified={"lag": (1.0, -math.inf, math.nan, "s")}, contraction={"rnn": {"contracting": False, "rate": math.inf}}
+        identified={"lag": (1.0, -math.inf, math.nan, "s")},
+        contraction={"rnn": {"contracting": False, "rate": math.inf}},
     )
     content = json.loads(out.parameters(START, told).data, parse_constant=pytest.fail)
     assert content["identified"] == {"lag": {"value": 1.0, "low": None, "high": None, "unit": "s"}}
@@ -340,13 +352,16 @@ def test_parameters_are_json_without_nan(out):
 
 def test_parameters_are_options_or_channels():
     given = given_by({
-        "folder": "~/boat", "mass": 36, "record": True, "keep": 5, "clock": "receive", "use_sim_time": True, "start": "",
-        "channels.command_left.name": ["/a", "/b"], "channels.command_left.span": [1.0, -1.0],
+        "folder": "~/boat", "mass": 36, "record": True, "keep": 5, "clock": "receive", "use_sim_time": True,
+        "start": "", "channels.command_left.name": ["/a", "/b"], "channels.command_left.span": [1.0, -1.0],
         "channels.surge.field": "twist.linear.x", "qos_overrides./a.publisher.depth": 4,
     })  # fmt: skip
     assert given.options == {"folder": Path("~/boat").expanduser(), "mass": 36, "record": True, "keep": 5}
     assert given.own == OWN | {"clock": "receive"}
-    assert given.channels == {"command_left": {"name": ["/a", "/b"], "span": [1.0, -1.0]}, "surge": {"field": "twist.linear.x"}}
+    assert given.channels == {
+        "command_left": {"name": ["/a", "/b"], "span": [1.0, -1.0]},
+        "surge": {"field": "twist.linear.x"},
+    }
 
 
 @over(

@@ -4,7 +4,6 @@ Skipped without rclpy, which comes with ROS 2.
 """
 
 import importlib
-import json
 import os
 import time
 from collections.abc import Callable, Iterator

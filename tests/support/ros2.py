@@ -1,14 +1,15 @@
-"""Messages like those of rclpy, made of the definitions in the package rosbags; and a session that notes what it gets."""
+"""Messages like those of rclpy, made of the definitions in the package rosbags; and a session that notes its calls."""
 
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-ZERO = {"bool": False, "string": "", "octet": b"\x00", "float32": 0.0, "float64": 0.0}
+from usvlearn.live.health import COMPILING, Health
+
+ZERO = {"bool": False, "string": "", "byte": b"\x00", "float32": 0.0, "float64": 0.0}
 
 
 def rclpy_class(kind: str, store: Any = None) -> type:
@@ -109,10 +110,10 @@ class NotedSession:
         return all(math.isfinite(stamp) for _, stamp, _ in self.pushed)
 
 
-def health(**values: Any) -> SimpleNamespace:
-    """A `usvlearn.live.health.Health`, ok unless said otherwise."""
-    ok = {
-        "state": "ok", "sentence": "ok", "counts": {}, "ages": {}, "steps": 0, "learned": 0, "alarms": 0, "alarm": None,
-        "uptime": 0.0, "saved": math.inf, "contraction": {}, "identified": {}, "warnings": (),
-    }  # fmt: skip
-    return SimpleNamespace(**(ok | values))
+def health(**values: Any) -> Health:
+    """A health that is ok, unless said otherwise."""
+    return (
+        COMPILING._replace(state="ok", sentence="ok", **values)
+        if "state" not in values
+        else COMPILING._replace(**values)
+    )

@@ -14,6 +14,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -32,8 +33,8 @@ READER = "usvlearn.logs.rosbag.Rosbag"  # the names in a set that it was learned
 HERE = Path(__file__).parent
 LAUNCH, EXAMPLE = HERE / "ros2_launch.py", HERE / "ros2_example.yaml"
 MISSING = (
-    "rclpy cannot be imported{}: source your ROS 2 in this shell (source /opt/ros/DISTRIBUTION/setup.bash), and use the "
-    "Python for which it is built"
+    "rclpy cannot be imported{}: source your ROS 2 in this shell (source /opt/ros/DISTRIBUTION/setup.bash), and use "
+    "the Python for which it is built"
 )
 
 
@@ -112,9 +113,7 @@ class Shell:
         own = {publisher.topic_name for publisher in self._publishers.values()}
         names = [name for name, _ in node.get_topic_names_and_types() if name not in own]
         current = {topic: kind for topic, (kind, _) in self._subscriptions.items()}
-        found = plan(
-            self._session.sources, names, kinds_of, node.resolve_topic_name, node.get_namespace(), current
-        )
+        found = plan(self._session.sources, names, kinds_of, node.resolve_topic_name, node.get_namespace(), current)
         self._fields, problems = found.fields, dict(found.problems)
         for topic, kind in found.topics.items():
             if current.get(topic) == kind:
@@ -241,8 +240,24 @@ def main(arguments: argparse.Namespace) -> int:
 
 
 def session_of(arguments: argparse.Namespace, given: Given) -> Any:
-    """The session of command line and parameters."""
-    raise NotImplementedError
+    """The session of the command line and of the parameters, which come first.
+
+    Raises:
+        ConfigError: no folder is named, or as of `Session`.
+    """
+    from usvlearn.live.session import Session
+    from usvlearn.live.start import Middleware, Options
+
+    known = {each.name for each in fields(Options)}
+    options = {name: value for name, value in vars(arguments).items() if name in known and value is not None}
+    options |= given.options
+    if not options.get("folder"):
+        raise ConfigError("folder: found none, expected the folder of the node: name it as an argument or a parameter")
+    channels = {name: dict(each) for name, each in (options.get("channels") or {}).items()}
+    for name, each in given.channels.items():
+        channels[name] = channels.get(name, {}) | each
+    options |= {"channels": channels, "folder": Path(options["folder"]).expanduser()}
+    return Session(Options(**options), Middleware("ros2", READER, DEFAULTS))
 
 
 def _refuse(parameters: Any) -> Any:

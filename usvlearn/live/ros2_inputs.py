@@ -1,4 +1,7 @@
-"""From ROS 2 to a session: which topics hold its parts, and the number and the stamp of each message. No rclpy here."""
+"""From ROS 2 to a session: which topics hold its parts, and the number and the stamp of each message.
+
+rclpy is not imported.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ SIMULATED_LIMIT = 60.0  # s between a stamp and a simulated clock, which may be 
 LISTED = 5  # topics in a sentence
 
 # What is read where neither a parameter set nor a parameter says otherwise. Units are those of REP 103.
-DEFAULTS = {
+DEFAULTS: dict[str, dict[str, Any]] = {
     "command_left": {"name": "*thrusters/left/thrust", "window": 0.5},
     "command_right": {"name": "*thrusters/right/thrust", "window": 0.5},
     "heading": {"name": "*odometry/filtered", "unit": "enu_rad"},

@@ -1,4 +1,4 @@
-"""From a session to ROS 2: the messages of steps and of health. The classes of the messages are given; no rclpy here."""
+"""From a session to ROS 2: the messages of steps and of health. Their classes are given, so rclpy is not imported."""
 
 from __future__ import annotations
 
@@ -59,8 +59,9 @@ class Outputs:
 
     def time(self, stamp: float) -> Any:
         """A stamp in s as a Time."""
-        seconds, rest = divmod(round(stamp * NS), NS) if math.isfinite(stamp) else (0, 0)
-        return self._types["Time"](sec=min(max(seconds, -(2**31)), 2**31 - 1), nanosec=rest)
+        stamp = min(max(stamp, -(2.0**31)), 2.0**31 - 1) if math.isfinite(stamp) else 0.0
+        whole = math.floor(stamp)
+        return self._types["Time"](sec=whole, nanosec=min(round((stamp - whole) * NS), NS - 1))
 
     def speed(self, stamp: float, surge: float, low: float, high: float) -> Any:
         """A surge with its 90 % interval, m/s, as a TwistWithCovarianceStamped.

@@ -66,7 +66,7 @@ def given_by(parameters: Mapping[str, Any]) -> Given:
         if name in OWN:
             found.own[name] = value
         elif value != "":  # an empty text leaves the default, as a launch file may pass it
-            found.options[name] = Path(value).expanduser() if name in PATHS else value
+            found.options[name] = Path(str(value)).expanduser() if name in PATHS else value
     if found.own["clock"] not in CLOCKS:
         raise ConfigError(f"parameter clock: found {found.own['clock']!r}, expected one of {', '.join(CLOCKS)}")
     return found
