@@ -13,16 +13,18 @@ import math
 import signal
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import fields
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from usvlearn.errors import ConfigError
+from usvlearn.live.arguments import add_arguments, options_of
 from usvlearn.live.ros2_inputs import DEFAULTS, NS, Messages, plan
 from usvlearn.live.ros2_outputs import CLASSES, NAME, Outputs, message_class
-from usvlearn.live.ros2_parameters import Given, given_by
+from usvlearn.live.ros2_parameters import given_by, with_parameters
+from usvlearn.live.session import Session
+from usvlearn.live.start import Middleware
 
 QUEUE = 100  # messages of a topic that wait for the node: 1 s at 100 Hz
 DEPTH = 10  # messages of ours that wait for a slow subscriber
@@ -56,19 +58,21 @@ class Shell:
 
     Args:
         node: an `rclpy.node.Node`.
-        session: a `usvlearn.live.session.Session` that has been started.
-        frame: of the boat, for the headers of predictions.
+        session: that has been started.
+        frame_id: of the boat, for the headers of predictions.
         clock: "header" or "receive": where the times of messages are taken from.
         members: whether to publish the prediction of each member, too.
     """
 
-    def __init__(self, node: Any, session: Any, frame: str = "base_link", clock: str = "header", members: bool = False):
+    def __init__(
+        self, node: Any, session: Session, frame_id: str = "base_link", clock: str = "header", members: bool = False
+    ):
         qos = importlib.import_module("rclpy.qos")
         self._node, self._session = node, session
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._messages = Messages(session, clock, simulated)
         types = {name: message_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}
-        self._outputs = Outputs(types, frame)
+        self._outputs = Outputs(types, frame_id)
         self._listen = qos.QoSProfile(
             depth=QUEUE, reliability=qos.ReliabilityPolicy.BEST_EFFORT, durability=qos.DurabilityPolicy.VOLATILE
         )
@@ -171,11 +175,11 @@ class Shell:
         self._ticks += 1
 
 
-def run(session: Any, node: Any, **options: Any) -> int:
+def run(session: Session, node: Any, **options: Any) -> int:
     """Serve until SIGINT or SIGTERM; returns the exit code.
 
     Args:
-        session: a `usvlearn.live.session.Session`; it is started, and closed at the end.
+        session: it is started, and closed at the end.
         node: an `rclpy.node.Node`.
         **options: of `Shell`.
     """
@@ -200,64 +204,50 @@ def run(session: Any, node: Any, **options: Any) -> int:
     return 0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of `usvlearn live ros2` beside those of every node."""
-    parser.add_argument("--launch-file", action="store_true", help="print the path of a launch file, and end")
-    parser.add_argument("--example", action="store_true", help="print an example of a file of parameters, and end")
-    parser.add_argument(
-        "--ros-args", nargs=argparse.REMAINDER, default=[], metavar="…",
-        help="all that follows goes to ROS: -p NAME:=VALUE, --params-file FILE, -r FROM:=TO",
-    )  # fmt: skip
+def parser() -> argparse.ArgumentParser:
+    """The arguments before --ros-args."""
+    made = argparse.ArgumentParser(
+        prog="usvlearn live ros2",
+        description="A node of ROS 2 that learns how its boat moves, and predicts its speed. Source your ROS 2 before.",
+        epilog="What follows --ros-args goes to ROS: -p NAME:=VALUE, --params-file FILE, -r FROM:=TO. The options of a "
+        "node are parameters, too, with _ for -: -p save_period:=60.0 comes before --save-period. Options of channels "
+        "are parameters such as channels.surge.name.",
+    )
+    made.add_argument("place", nargs="?", metavar="FOLDER", help="as --folder")
+    made.add_argument("--launch-file", action="store_true", help="print the path of a launch file, and end")
+    made.add_argument("--example", action="store_true", help="print an example of a file of parameters, and end")
+    add_arguments(made)
+    return made
 
 
-def main(arguments: argparse.Namespace) -> int:
-    """The command; returns the exit code. Parameters of ROS come before the options of the command line.
+def main(arguments: Sequence[str]) -> int:
+    """The command; returns the exit code.
 
     Raises:
-        ConfigError: rclpy is missing, or an option is not legal.
+        ConfigError: rclpy is missing, or an option or parameter is not legal.
     """
-    if arguments.launch_file:
-        print(LAUNCH)
+    own = list(arguments[: arguments.index("--ros-args")] if "--ros-args" in arguments else arguments)
+    given = parser().parse_args(own)
+    if given.launch_file or given.example:
+        print(LAUNCH if given.launch_file else EXAMPLE.read_text().rstrip())
         return 0
-    if arguments.example:
-        print(EXAMPLE.read_text(), end="")
-        return 0
-    rclpy = ros()
+    if given.place is not None:
+        given.folder = given.place
+    options, rclpy = options_of(given), ros()
+    signals = importlib.import_module("rclpy.signals").SignalHandlerOptions.NO
     try:
-        signals = importlib.import_module("rclpy.signals").SignalHandlerOptions.NO
-        rclpy.init(args=["--ros-args", *arguments.ros_args], signal_handler_options=signals)
+        rclpy.init(args=list(arguments[len(own) :]), signal_handler_options=signals)
     except Exception as error:  # rclpy has its own errors for arguments that cannot be parsed
-        raise ConfigError(f"--ros-args: found {' '.join(arguments.ros_args)!r}: {error}") from error
+        raise ConfigError(f"--ros-args: {' '.join(str(error).split())}: see usvlearn live ros2 --help") from error
     try:
         node = rclpy.create_node(NAME, automatically_declare_parameters_from_overrides=True)
-        given = given_by({name: each.value for name, each in node.get_parameters_by_prefix("").items()})
+        parameters = given_by({name: each.value for name, each in node.get_parameters_by_prefix("").items()})
         node.add_on_set_parameters_callback(_refuse)
-        session = session_of(arguments, given)
+        session = Session(with_parameters(options, parameters), Middleware("ros2", READER, DEFAULTS))
         node.get_logger().info(session.sentence)
-        return run(session, node, frame=given.own["frame_id"], clock=given.own["clock"], members=given.own["members"])
+        return run(session, node, **parameters.own)
     finally:
         rclpy.try_shutdown()
-
-
-def session_of(arguments: argparse.Namespace, given: Given) -> Any:
-    """The session of the command line and of the parameters, which come first.
-
-    Raises:
-        ConfigError: no folder is named, or as of `Session`.
-    """
-    from usvlearn.live.session import Session
-    from usvlearn.live.start import Middleware, Options
-
-    known = {each.name for each in fields(Options)}
-    options = {name: value for name, value in vars(arguments).items() if name in known and value is not None}
-    options |= given.options
-    if not options.get("folder"):
-        raise ConfigError("folder: found none, expected the folder of the node: name it as an argument or a parameter")
-    channels = {name: dict(each) for name, each in (options.get("channels") or {}).items()}
-    for name, each in given.channels.items():
-        channels[name] = channels.get(name, {}) | each
-    options |= {"channels": channels, "folder": Path(options["folder"]).expanduser()}
-    return Session(Options(**options), Middleware("ros2", READER, DEFAULTS))
 
 
 def _refuse(parameters: Any) -> Any:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.live.start import Options
 from usvlearn.logs.channel import AUXILIARY, CHANNELS
 from usvlearn.logs.message_fields import CLOCKS
 from usvlearn.logs.mixing import SOURCE_KEYS
@@ -16,7 +18,7 @@ PATHS = ("folder", "start", "tensorboard")
 OWN = {"frame_id": "base_link", "clock": "header", "members": False}  # and their defaults
 KINDS: dict[str, tuple[type, ...]] = {  # of all options; a whole number is legal where a number is
     **dict.fromkeys((*PATHS, "boat", "frame_id", "clock"), (str,)),
-    **dict.fromkeys(("mass", "surge_max", "save_period", "patience", "warp"), (float, int)),
+    **dict.fromkeys(("mass", "surge_max", "save_period", "patience"), (float, int)),
     "keep": (int,),
     **dict.fromkeys(("record", "members"), (bool,)),
 }
@@ -70,6 +72,14 @@ def given_by(parameters: Mapping[str, Any]) -> Given:
     if found.own["clock"] not in CLOCKS:
         raise ConfigError(f"parameter clock: found {found.own['clock']!r}, expected one of {', '.join(CLOCKS)}")
     return found
+
+
+def with_parameters(options: Options, given: Given) -> Options:
+    """The options of the command line, with the parameters in their place."""
+    channels = {name: dict(each) for name, each in options.channels.items()}
+    for name, each in given.channels.items():
+        channels[name] = channels.get(name, {}) | each
+    return replace(options, **given.options, channels=channels)
 
 
 def _unknown(name: str, known: Iterable[str]) -> ConfigError:

@@ -109,7 +109,7 @@ def _listing(value) -> str:
 
 def _fields(value: Any) -> tuple[str, ...]:
     """The names of a message's fields; none of what is no message."""
-    return _fields_of(type(value))
+    return _fields_of(value.__class__)
 
 
 @lru_cache(maxsize=256)
