@@ -122,15 +122,14 @@ class Shell:
         for topic, kind in found.topics.items():
             if current.get(topic) == kind:
                 continue
+            if topic in current:  # first: DDS lets a topic have one type in a process
+                node.destroy_subscription(self._subscriptions.pop(topic)[1])
             try:
-                receive = self._receiver(topic)
-                subscription = node.create_subscription(message_class(kind), topic, receive, self._listen)
-            except ConfigError as error:
-                problems |= dict.fromkeys(found.fields[topic], f"{topic}: {error}")
+                made = node.create_subscription(message_class(kind), topic, self._receiver(topic), self._listen)
+            except (ConfigError, RuntimeError) as error:  # rclpy raises a RuntimeError
+                problems |= dict.fromkeys(found.fields[topic], f"{topic}: {' '.join(str(error).split())}")
                 continue
-            if topic in current:
-                node.destroy_subscription(self._subscriptions[topic][1])
-            self._subscriptions[topic] = kind, subscription
+            self._subscriptions[topic] = kind, made
             node.get_logger().info(f"reads {', '.join(found.fields[topic])} from {topic}, {kind}")
         for part, problem in problems.items():
             if self._problems.get(part) != problem:
