@@ -16,7 +16,7 @@ import pytest
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 80))
 
-from tests.support.ros2 import NotedSession, health
+from tests.support.ros2 import NotedSession, Peer, health
 from usvlearn.live.node import Step
 from usvlearn.live.ros2 import Shell
 from usvlearn.live.ros2_outputs import message_class
@@ -35,31 +35,6 @@ SOURCES = {
     "surge": Source("*odom", unit="m/s"),
 }
 PATIENCE = 20.0  # s, for what takes milliseconds on an idle computer
-
-
-class Peer:
-    """A node in a context of its own, as if in another process: DDS lets a topic have one type in each context."""
-
-    def __init__(self, name: str, parameters: Sequence[str] = ()):
-        self.context = importlib.import_module("rclpy.context").Context()
-        rclpy.init(args=["--ros-args", *(word for each in parameters for word in ("-p", each))], context=self.context)
-        self.node = rclpy.create_node(name, context=self.context, automatically_declare_parameters_from_overrides=True)
-        self.executor = importlib.import_module("rclpy.executors").SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-
-    def publisher(self, topic: str, kind: str, qos: Any = 10) -> Any:
-        return self.node.create_publisher(message_class(kind), topic, qos)
-
-    def listen(self, topic: str, kind: str, qos: Any = 10) -> list[Any]:
-        """The messages of a topic, as they come."""
-        found: list[Any] = []
-        self.node.create_subscription(message_class(kind), topic, found.append, qos)
-        return found
-
-    def close(self) -> None:
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
 
 class Sea(Peer):

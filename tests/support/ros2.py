@@ -1,13 +1,16 @@
-"""Messages like those of rclpy, made of the definitions in the package rosbags; and a session that notes its calls."""
+"""A node of a real rclpy; messages like those of rclpy, where it is missing; and a session that notes its calls."""
 
 from __future__ import annotations
 
+import importlib
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from usvlearn.live.health import COMPILING, Health
+from usvlearn.live.ros2_outputs import message_class
 
 ZERO = {"bool": False, "string": "", "byte": b"\x00", "float32": 0.0, "float64": 0.0}
 
@@ -68,6 +71,35 @@ def like_rclpy(message: Any, store: Any) -> Any:
         value = getattr(message, name)
         object.__setattr__(made, name, like_rclpy(value, store) if hasattr(value, "__msgtype__") else value)
     return made
+
+
+class Peer:
+    """A node in a context of its own, as if in another process: DDS lets a topic have one type in each context."""
+
+    def __init__(self, name: str, parameters: Sequence[str] = ()):
+        self.context = importlib.import_module("rclpy.context").Context()
+        rclpy: Any = importlib.import_module("rclpy")
+        rclpy.init(args=["--ros-args", *(word for each in parameters for word in ("-p", each))], context=self.context)
+        self.node = rclpy.create_node(name, context=self.context, automatically_declare_parameters_from_overrides=True)
+        self.executor = importlib.import_module("rclpy.executors").SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def message(self, kind: str, **values: Any) -> Any:
+        return message_class(kind)(**values)
+
+    def publisher(self, topic: str, kind: str, qos: Any = 10) -> Any:
+        return self.node.create_publisher(message_class(kind), topic, qos)
+
+    def listen(self, topic: str, kind: str, qos: Any = 10) -> list[Any]:
+        """The messages of a topic, as they come."""
+        found: list[Any] = []
+        self.node.create_subscription(message_class(kind), topic, found.append, qos)
+        return found
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
 
 
 class NotedSession:
