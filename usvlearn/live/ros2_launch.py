@@ -13,7 +13,7 @@ ARGUMENTS = {  # name -> default and meaning
     "params": ("", "file of parameters; `usvlearn live ros2 --example` prints one"),
     "namespace": ("", "namespace of the node; topics with * are looked for below it"),
     "name": ("usvlearn", "name of the node, with which its topics begin"),
-    "use_sim_time": ("false", "whether the clock is that of /clock"),
+    "use_sim_time": ("", "true: the clock is that of /clock; by default as the file of parameters says"),
     "command": ("usvlearn", "the command usvlearn, where it is not on the PATH"),
 }
 
@@ -32,7 +32,8 @@ def generate_launch_description() -> Any:
 def _nodes(context: Any, given: Any) -> list[Any]:
     value = {name: given(name).perform(context) for name in ARGUMENTS}
     parameters: list[Any] = [value["params"]] if value["params"] else []
-    parameters.append({"use_sim_time": value["use_sim_time"].lower() == "true"})
+    if value["use_sim_time"]:
+        parameters.append({"use_sim_time": value["use_sim_time"].lower() == "true"})
     node = importlib.import_module("launch_ros.actions").Node(
         executable=value["command"],
         arguments=["live", "ros2", value["folder"]],
