@@ -19,9 +19,10 @@ from tests.support import ROOT, over
 from tests.support.ros2 import NotedSession, health, like_rclpy, rclpy_class
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.live import ros2, ros2_launch
+from usvlearn.live.arguments import options_of
 from usvlearn.live.ros2_inputs import DEFAULTS, NS, Messages, plan
 from usvlearn.live.ros2_outputs import CLASSES, UNKNOWN, Outputs, message_class
-from usvlearn.live.ros2_parameters import OWN, given_by
+from usvlearn.live.ros2_parameters import OWN, given_by, with_parameters
 from usvlearn.logs.channel import Source
 from usvlearn.logs.message_fields import FIELDS, default_field, read_field
 from usvlearn.logs.read import sources_of
@@ -404,10 +405,25 @@ def test_the_example_of_parameters_is_legal_and_so_are_the_defaults():
     assert sources["heading"].unit == sources_of(DEFAULTS)["heading"].unit == "enu_rad"
 
 
+def test_parameters_come_before_the_options_of_the_command_line():
+    line = ["boat", "--mass", "28", "--keep", "7", "--channel", "surge=/v", "--channel", "surge.unit=knots"]
+    options = options_of(ros2.parser().parse_args(line))
+    given = given_by({"mass": 36.0, "folder": "other", "channels.surge.name": "/odom", "channels.heading.unit": "rad"})
+    found = with_parameters(options, given)
+    assert (found.mass, found.keep, found.folder) == (36.0, 7, Path("other"))
+    assert found.channels == {"surge": {"name": "/odom", "unit": "knots"}, "heading": {"unit": "rad"}}
+
+
+def test_the_command_prints_its_launch_file_and_its_example(capsys):
+    assert ros2.main(["--launch-file"]) == ros2.main(["--example"]) == 0
+    printed = capsys.readouterr().out
+    assert printed == f"{ros2.LAUNCH}\n{ros2.EXAMPLE.read_text()}"
+
+
 def test_without_rclpy_one_sentence_says_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(ConfigError, match=r"rclpy cannot be imported.*: source your ROS 2 in this shell"):
-        ros2.ros()
+        ros2.main(["boat", "--ros-args", "-p", "mass:=3.0"])
 
 
 def test_the_launch_file_is_one_that_ros_2_finds_and_needs_no_usvlearn():

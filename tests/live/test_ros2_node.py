@@ -259,6 +259,7 @@ def test_what_is_known_is_published(sea, reliable):
     assert at_sea.until(lambda: all(heard.values()), lambda: at_sea.shell.publish([STEP]))
     assert heard["surge_predicted"][0].twist.twist.linear.x == 1.5
     assert heard["surge_predicted"][0].header.stamp.nanosec == 500_000_000
+    assert heard["surge_next"][0].header.stamp.nanosec == 750_000_000  # a step of 0.25 s later
     assert heard["surge_next"][0].twist.covariance[0] == pytest.approx((0.125 / 1.645) ** 2, rel=1e-3)
     assert list(heard["forecast"][0].data) == [10.0, 2.0, 1.0, 3.0] and list(heard["members"][0].data) == [1.5]
     assert heard["alarm"][0].data == "left is lost"

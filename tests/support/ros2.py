@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from usvlearn.live.health import COMPILING, Health
 from usvlearn.live.ros2_outputs import message_class
+from usvlearn.logs.setup import Setup
 
 ZERO = {"bool": False, "string": "", "byte": b"\x00", "float32": 0.0, "float64": 0.0}
 
@@ -107,6 +107,7 @@ class NotedSession:
 
     def __init__(self, sources: dict[str, Any] | None = None):
         self.sources = sources or {}
+        self.setup = Setup(self.sources, {"dt": 0.25})
         self.pushed: list[tuple[str, float, float]] = []
         self.dropped: list[tuple[str, str]] = []
         self.restarts = 0
@@ -136,10 +137,6 @@ class NotedSession:
 
     def numbers(self, part: str) -> list[float]:
         return [raw for name, _, raw in self.pushed if name == part]
-
-    @property
-    def finite(self) -> bool:
-        return all(math.isfinite(stamp) for _, stamp, _ in self.pushed)
 
 
 def health(**values: Any) -> Health:

@@ -69,6 +69,7 @@ class Shell:
     ):
         qos = importlib.import_module("rclpy.qos")
         self._node, self._session = node, session
+        self._dt = float(session.setup.align.get("dt", 0.4))  # s
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._messages = Messages(session, clock, simulated)
         types = {name: message_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}
@@ -143,13 +144,13 @@ class Shell:
         return receive
 
     def publish(self, steps: list[Any]) -> None:
-        """Publish steps; what is not known is not published."""
+        """Publish steps, each speed with the time for which it is predicted; what is not known is not published."""
         out, send = self._outputs, self._publishers
         for step in steps:
             if not math.isnan(step.speed):
                 send["predicted"].publish(out.speed(step.time, step.speed, step.low, step.high))
             if not math.isnan(step.next):
-                send["next"].publish(out.speed(step.time, step.next, step.next_low, step.next_high))
+                send["next"].publish(out.speed(step.time + self._dt, step.next, step.next_low, step.next_high))
             if step.forecasts:
                 send["forecast"].publish(out.forecast(step.forecasts))
             if "members" in send and step.members:
