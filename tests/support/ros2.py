@@ -111,6 +111,7 @@ class NotedSession:
         self.pushed: list[tuple[str, float, float]] = []
         self.dropped: list[tuple[str, str]] = []
         self.restarts = 0
+        self.last = None
         self.closed = 0
         self.health = health()
         self.steps: list[Any] = []  # what the next push returns

@@ -25,6 +25,7 @@ from usvlearn.live.ros2_outputs import CLASSES, NAME, Outputs, message_class
 from usvlearn.live.ros2_parameters import given_by, with_parameters
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware
+from usvlearn.live.status_line import StatusLine
 
 QUEUE = 100  # messages of a topic that wait for the node: 1 s at 100 Hz
 DEPTH = 10  # messages of ours that wait for a slow subscriber
@@ -95,7 +96,7 @@ class Shell:
         self._subscriptions: dict[str, tuple[str, Any]] = {}  # topic -> type, subscription
         self._fields: dict[str, dict[str, str]] = {}  # topic -> part -> field
         self._problems: dict[str, str] = {}
-        self._ticks = 0
+        self._ticks, self._line = 0, StatusLine(node.get_name())
         clocks = importlib.import_module("rclpy.clock")
         steady = clocks.Clock(clock_type=clocks.ClockType.STEADY_TIME)  # it goes on while simulated time stands still
         self._timer = node.create_timer(TICK, self.tick, clock=steady)
@@ -173,6 +174,11 @@ class Shell:
         if self._ticks % PARAMETERS_EVERY == 0:
             self._publishers["parameters"].publish(self._outputs.parameters(now / NS, health))
         self._ticks += 1
+        self._line.show(health, self._session.last)
+
+    def close(self) -> None:
+        """End the line in the terminal."""
+        self._line.close()
 
 
 def run(session: Session, node: Any, **options: Any) -> int:
@@ -192,10 +198,11 @@ def run(session: Session, node: Any, **options: Any) -> int:
     executor = importlib.import_module("rclpy.executors").SingleThreadedExecutor()
     try:
         session.start()
-        Shell(node, session, **options)
+        shell = Shell(node, session, **options)
         executor.add_node(node)
         while not stop.is_set():
             executor.spin_once(timeout_sec=WAIT)
+        shell.close()
     finally:
         session.close()
         for number, handler in before.items():
