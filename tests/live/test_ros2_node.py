@@ -7,6 +7,8 @@ import importlib
 import json
 import math
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -16,7 +18,9 @@ import pytest
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 80))
 
+from tests.support import ROOT
 from tests.support.ros2 import NotedSession, Peer, health
+from usvlearn.errors import ConfigError
 from usvlearn.live.node import Step
 from usvlearn.live.ros2 import Shell
 from usvlearn.live.ros2_outputs import message_class
@@ -197,6 +201,32 @@ def test_a_type_that_is_not_installed_is_told(sea, monkeypatch):
     at_sea.publisher("/thrusters/left", NUMBER)
     expected = "command_left: /thrusters/left: found messages of type heron_msgs/msg/Drive, which is not installed here"
     assert at_sea.until(lambda: any(expected in told(each, "inputs") for each in listened))
+
+
+@pytest.mark.parametrize("name", ["left thruster", "1st", "/a//b"])
+def test_a_name_that_is_no_topic_is_refused(sea, name):
+    with pytest.raises(ConfigError, match=r"channels: found the topic '.*': topic name .*: name another"):
+        sea(sources={"surge": Source(name)})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["-p", "masss:=3.0"], "parameter masss: found no such parameter: did you mean mass?"),
+        (["-p", "mass:=heavy"], "parameter mass: found 'heavy', expected a number"),
+        (["-p", "mass:=28.0", "-p", "surge_max:=2.7", "-p", "channels.surge.unit:=furlong"], "found 'furlong'"),
+        (["-p", "mass"], "--ros-args: "),
+        (["--params-file", "missing.yaml"], "--ros-args: "),
+        ([], "found no parameter set, and no mass and top speed for a prior"),
+    ],
+)
+def test_what_a_user_mistypes_ends_the_command_with_a_sentence(tmp_path, arguments, sentence):
+    command = [sys.executable, "-m", "usvlearn", "live", "ros2", "node", "--ros-args", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 2 and last.startswith("error: ") and sentence in last
+    assert "Traceback" not in done.stderr
 
 
 # time

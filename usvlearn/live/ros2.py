@@ -26,6 +26,7 @@ from usvlearn.live.ros2_parameters import given_by, with_parameters
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware
 from usvlearn.live.status_line import StatusLine
+from usvlearn.logs.channel import QUOTED
 
 QUEUE = 100  # messages of a topic that wait for the node: 1 s at 100 Hz
 DEPTH = 10  # messages of ours that wait for a slow subscriber
@@ -116,10 +117,17 @@ class Shell:
                 kinds[topic] = [each.topic_type for each in node.get_publishers_info_by_topic(topic)]
             return kinds[topic]
 
+        def resolve(name: str) -> str:
+            try:
+                return node.resolve_topic_name(name)
+            except RuntimeError as error:  # of rclpy
+                reason = str(error).partition(", at ")[0].rpartition(": ")[2]
+                raise ConfigError(f"channels: found the topic {name[:QUOTED]!r}: {reason}: name another") from error
+
         own = {publisher.topic_name for publisher in self._publishers.values()}
         names = [name for name, _ in node.get_topic_names_and_types() if name not in own]
         current = {topic: kind for topic, (kind, _) in self._subscriptions.items()}
-        found = plan(self._session.sources, names, kinds_of, node.resolve_topic_name, node.get_namespace(), current)
+        found = plan(self._session.sources, names, kinds_of, resolve, node.get_namespace(), current)
         self._fields, problems = found.fields, dict(found.problems)
         for topic, kind in found.topics.items():
             if current.get(topic) == kind:

@@ -57,7 +57,8 @@ def plan(
         current: topic -> type that is subscribed to; it stays while somebody publishes it, or nobody publishes.
 
     >>> sources = {"surge": Source("*/odom"), "heading": Source("*/odom"), "command_left": Source("thrust")}
-    >>> found = plan(sources, ["/boat/odom"], lambda topic: ["nav_msgs/msg/Odometry"], lambda name: "/" + name)
+    >>> graph = {"/boat/odom": ["nav_msgs/msg/Odometry"]}
+    >>> found = plan(sources, graph, lambda topic: graph.get(topic, []), lambda name: "/" + name)
     >>> found.topics, found.fields["/boat/odom"]["heading"]
     ({'/boat/odom': 'nav_msgs/msg/Odometry'}, 'pose.pose.orientation')
     >>> found.problems
@@ -67,7 +68,7 @@ def plan(
     names = sorted(name for name in names if name.startswith(below))
     found = Plan({}, {}, {})
     for part, source in sources.items():
-        chosen = matching(source.name, names) if "*" in source.name else [resolve(source.name)]
+        chosen = matching(source.name, names) if set("*?[") & set(source.name) else [resolve(source.name)]
         kept = [topic for topic in chosen if topic in current]
         if len(chosen) > 1:
             found.problems[part] = f"{_listing(chosen)} match {source.name}: set channels.{part}.name to one of them"
