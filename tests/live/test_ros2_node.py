@@ -21,6 +21,7 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 80))
 from tests.support import ROOT
 from tests.support.ros2 import NotedSession, Peer, health
 from usvlearn.errors import ConfigError
+from usvlearn.live import ros2_launch
 from usvlearn.live.node import Step
 from usvlearn.live.ros2 import Shell
 from usvlearn.live.ros2_outputs import message_class
@@ -325,6 +326,19 @@ def test_the_health_is_published_each_second_as_a_diagnostic(sea):
     assert "surge: no topic below / matches *odom yet" in told(own[-1], "inputs")
     at_sea.session.health = health(state="stale", ages={"surge": 12.0})
     assert at_sea.until(lambda: own[-1].status[0].level == b"\2")
+
+
+def test_launch_reads_the_launch_file():
+    launch = pytest.importorskip("launch", reason="needs launch and launch_ros: source a ROS 2")
+    pytest.importorskip("launch_ros.actions", reason="needs launch_ros: source a ROS 2")
+    declared = ros2_launch.generate_launch_description().entities[:-1]
+    assert [each.name for each in declared] == list(ros2_launch.ARGUMENTS)
+    context = launch.LaunchContext()
+    for each in declared:
+        each.visit(context)
+    (node,) = ros2_launch._nodes(context, importlib.import_module("launch.substitutions").LaunchConfiguration)
+    words = ["".join(part.perform(context) for part in word) for word in node.cmd[:4]]
+    assert words == ["usvlearn", "live", "ros2", "~/usvlearn"]
 
 
 def told(message: Any, name: str) -> str:
