@@ -160,6 +160,13 @@ def test_bad_messages_are_counted(tmp_path, start):
         assert np.array_equal(before, session._node.online.state["members.aid.theta"])
 
 
+def test_a_number_that_is_too_large_to_convert_is_one_more_bad_message(tmp_path, start):
+    changes = channel_options({"command_left.span": "0.001"})
+    with ready(tmp_path, start, channels=changes) as session:
+        session.push("command_left", 1.0, 1e308)
+        assert session.tick().counts == {"command_left": {"not_a_number": 1}}
+
+
 def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
     """A set that was learned from CSV says nothing about the variables of a MOOSDB, but its delays hold."""
     leaves, facts = checkpoint.load(start)

@@ -101,9 +101,10 @@ class Source:
             raise ConfigError(f"period: found {self.period!r}, expected a time of 0 to {SLOWEST:g} s, or {AUTO}")
 
     def convert(self, raw: np.ndarray) -> np.ndarray:
-        """Raw values to SI units; shape unchanged."""
+        """Raw values to SI units; shape unchanged. What is too large for a number becomes infinite."""
         factor, offset = UNITS[self.unit]
-        return factor * (raw - self.zero) / self.span + offset
+        with np.errstate(over="ignore"):
+            return factor * (raw - self.zero) / self.span + offset
 
 
 class Channel(NamedTuple):
