@@ -41,11 +41,10 @@ def live(folder, start, posts, middleware=PLAIN) -> np.ndarray:
 def test_live_is_replay(tmp_path, start):
     """Also where messages come late: a record says for how long the node has waited for them."""
     posts = list(messages(boat()))
-    for k in range(100, len(posts) - 40, 50):
-        posts.insert(k + 20, posts.pop(k))
-    predicted = live(tmp_path, start, posts)
+    late = [(k + 20.5 if part == "command_left" and k > 3000 else k) for k, (part, _, _) in enumerate(posts)]
+    predicted = live(tmp_path, start, [posts[k] for k in np.argsort(late)])
     np.testing.assert_array_equal(replayed(tmp_path / "records"), predicted)
-    assert np.isfinite(predicted).mean() > 0.9
+    assert np.isfinite(predicted).mean() > 0.3
 
 
 def test_live_is_replay_where_the_node_mixes_commands_and_computes_the_surge(tmp_path, start):
