@@ -1,0 +1,319 @@
+"""The client against a database: what it delivers, and that it comes back after every fault.
+
+All tests of this file but those of nonsense run against the stand-in and against a real MOOSDB, where one is.
+"""
+
+import asyncio
+import contextlib
+import math
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+
+import pytest
+
+from tests.support import ROOT
+from tests.support.moosdb import Moosdb
+from tests.support.real_moosdb import ISOLATED, why_not
+from usvlearn.live.moos import client as module
+from usvlearn.live.moos import wire
+from usvlearn.live.moos.client import OUTBOX, UNSENT, Client
+from usvlearn.live.moos.wire import Message
+
+
+async def until(condition: Callable[[], object], seconds: float = 15.0) -> None:
+    """Wait for a condition."""
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "the condition did not come true"
+        await asyncio.sleep(0.002)
+
+
+class Listener(Client):
+    """A client that keeps what it receives."""
+
+    def __init__(self, port: int, name: str = "pUSVLearn", **options):
+        self.received: list[Message] = []
+        super().__init__(name, "127.0.0.1", port, self.received.append, **options)
+
+    def values(self, key: str) -> list[float]:
+        return [message.value for message in self.received if message.key == key]
+
+
+@contextlib.asynccontextmanager
+async def running(*clients: Client):
+    tasks = [asyncio.create_task(client.run()) for client in clients]
+    try:
+        yield
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+def in_loop(scenario, database, *arguments) -> None:
+    """Run a scenario with a started database."""
+
+    async def work():
+        await database.start()
+        try:
+            await scenario(database, *arguments)
+        finally:
+            database.thaw()
+            database.kill()
+            await asyncio.sleep(0.05)
+
+    asyncio.run(work())
+
+
+async def receives(database):
+    listener, boat = Listener(database.port), Client("boat", "127.0.0.1", database.port, print)
+    begin = time.time()
+    async with running(boat):
+        await until(lambda: boat.connected)
+        boat.notify("OLD", 3.0)
+        boat.notify("WORDS", "a b")
+        await boat.drain()
+        await asyncio.sleep(1.2)
+        for name in ("OLD", "WORDS", "NAV_SPEED"):
+            listener.register(name)
+        async with running(listener):
+            await until(lambda: len(listener.received) == 2)
+            assert listener.community == "usv" and listener.trouble == ""
+            last = next(each for each in listener.received if each.key == "OLD")
+            assert last.value == 3.0 and last.source == "boat" and begin <= last.time < time.time() - 1.0
+            for k in range(500):
+                boat.notify("NAV_SPEED", k)
+                if k % 7 == 0:
+                    await asyncio.sleep(0.001)
+            await until(lambda: len(listener.values("NAV_SPEED")) == 500)
+            assert listener.values("NAV_SPEED") == list(range(500))
+            words = next(each for each in listener.received if each.key == "WORDS")
+            assert (words.data, words.text) == (wire.TEXT, "a b")
+            await until(lambda: listener.round_trip < 1.0)
+            assert abs(listener.now() - time.time()) < 0.1
+
+
+def test_posts_arrive_in_order_and_the_last_value_comes_at_registration(database):
+    in_loop(receives, database)
+
+
+async def killed(database, times):
+    listener, boat = Listener(database.port), Client("boat", "127.0.0.1", database.port, print)
+    listener.register("K")
+    sent = 0
+
+    async def sail():
+        nonlocal sent
+        while True:
+            boat.notify("K", sent)
+            sent += 1
+            await asyncio.sleep(0.01)
+
+    async with running(listener, boat):
+        sailing = asyncio.create_task(sail())
+        for kill in range(times):
+            count = len(listener.received)
+            await until(lambda count=count: len(listener.received) > count + 3)
+            database.kill()
+            await asyncio.sleep(0.02 * (kill % 3))
+            await database.start()
+        count = len(listener.received)
+        await until(lambda: len(listener.received) > count + 3)
+        sailing.cancel()
+    found = listener.values("K")
+    assert found == sorted(set(found))  # none twice, none out of order
+    assert listener.counts["connected"] == times + 1 and listener.counts["lost"] >= times
+    assert not listener.counts["garbage"] and not boat.counts["outbox"]
+    assert sent - len(found) <= 60 * times  # what was in flight, or came before the new registration
+
+
+def test_a_database_that_is_killed_ten_times(database, monkeypatch):
+    monkeypatch.setattr(module, "FIRST", 0.05)
+    in_loop(killed, database, 10)
+
+
+@pytest.mark.slow
+def test_a_database_that_is_killed_two_hundred_times(database):
+    in_loop(killed, database, 200)
+
+
+async def frozen(database):
+    listener = Listener(database.port)
+    listener.register("A")
+    boat = Client("boat", "127.0.0.1", database.port, print)
+    async with running(listener):
+        await until(lambda: listener.connected)
+        database.freeze()
+        for k in range(20_000):  # 40 MB
+            listener.notify("APPCAST", "x" * 2000)
+            if k % 100 == 0:
+                await asyncio.sleep(0)
+        writer = listener._writer
+        assert writer is not None
+        assert writer.transport.get_write_buffer_size() < 2 * UNSENT
+        assert len(listener._outbox) <= OUTBOX and listener.counts["outbox"] > 1000
+        await until(lambda: listener.counts["silent"])
+        assert not listener.connected and "was silent" in listener.trouble
+        database.thaw()
+        await until(lambda: listener.connected)
+        async with running(boat):
+            boat.notify("A", 1.0)
+            await until(lambda: listener.received)
+
+
+def test_a_database_that_is_frozen(database, monkeypatch):
+    monkeypatch.setattr(module, "SILENCE", 2.0)
+    in_loop(frozen, database)
+
+
+async def taken(database):
+    first, second = Listener(database.port), Listener(database.port)
+    async with running(second):
+        async with running(first):
+            await until(lambda: first.connected != second.connected)
+            one, other = (first, second) if first.connected else (second, first)
+            await until(lambda: other.counts["name_taken"] > 1)
+            assert one.connected and not other.connected and "already exists" in other.trouble
+            if one is second:  # the one that ends must be the one that is connected
+                return
+        await until(lambda: second.connected)
+
+
+def test_a_name_that_is_taken_is_asked_for_again(database):
+    in_loop(taken, database)
+
+
+async def full(database):
+    client, listener = Client("a", "127.0.0.1", database.port, print), Listener(database.port, "b")
+    for k in range(OUTBOX + 10):
+        client.notify("K", k)
+    assert client.counts["outbox"] == 10
+    listener.register("K")
+    async with running(listener):
+        await until(lambda: listener.connected)
+        await asyncio.sleep(0.2)
+        async with running(client):
+            await until(lambda: len(listener.received) == OUTBOX)
+    assert listener.values("K") == list(range(10, OUTBOX + 10))
+
+
+def test_the_outbox_drops_the_oldest(database):
+    in_loop(full, database)
+
+
+async def jumping(database):
+    shift = [0.0]
+    client = Listener(database.port, clock=lambda: time.time() + shift[0])
+    async with running(client):
+        await until(lambda: client.connected)
+        for shift[0] in (0.0, 3600.0, -3600.0):
+            await until(lambda: abs(client.now() - time.time()) < 0.1)
+        assert client.counts == {"connected": 1}
+
+
+def test_a_clock_that_jumps_by_an_hour_follows_that_of_the_database(database):
+    in_loop(jumping, database)
+
+
+async def gone(database):
+    client = Client("a", "127.0.0.1", database.port, print)
+    database.kill()
+    async with running(client):
+        await until(lambda: client.counts["unreachable"] > 1)
+        assert "no MOOSDB at 127.0.0.1" in client.trouble
+        await database.start()
+        await until(lambda: client.connected)
+
+
+def test_a_database_that_starts_later(database):
+    in_loop(gone, database)
+
+
+# what only a server of our own can send
+
+
+@pytest.mark.parametrize("raw", [b"\xff" * 64, b"\x08\0\0\0", wire.encode([Message("N")])[:8] + b"\1" + b"\0" * 54])
+def test_garbage_ends_the_connection_and_a_new_one_begins(raw):
+    async def scenario(database):
+        client = Listener(database.port)
+        client.register("A")
+        async with running(client):
+            await until(lambda: client.connected)
+            database.inject(raw)
+            await until(lambda: client.counts["garbage"] == 1)
+            await until(lambda: "pUSVLearn" in database.links and client.connected)
+            database.post("A", 1.0)
+            await until(lambda: client.received)
+
+    in_loop(scenario, Moosdb())
+
+
+def test_a_stream_that_is_cut_at_every_byte(monkeypatch):
+    """Its end comes there, or a pause: whatever is complete is delivered, and nothing else."""
+    monkeypatch.setattr(module, "FIRST", 0.001)
+    monkeypatch.setattr(module, "LONGEST", 0.001)
+    welcome = wire.encode([Message(wire.WELCOME, data=wire.NUMBER, text="asynchronous")])
+    first, second = (wire.encode([Message("N", "A", value=value)]) for value in (1.0, 2.0))
+    stream = welcome + first + second
+    ends = range(len(stream) + 1)
+    links: list[list[float]] = []  # the values that each connection delivered
+
+    async def serve(reader, writer):
+        links.append([])
+        end, paused = (len(links) - 1) % len(ends), len(links) > len(ends)
+        writer.write(stream[:end])
+        await asyncio.sleep(0.002)
+        if paused:
+            writer.write(stream[end:])
+        with contextlib.suppress(OSError):
+            writer.write_eof()
+            await reader.read()  # until the client has left
+        writer.transport.abort()
+
+    async def work():
+        client = Client("a", "127.0.0.1", 0, lambda message: links[-1].append(message.value))
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        client.port = server.sockets[0].getsockname()[1]
+        async with running(client):
+            await until(lambda: len(links) > 2 * len(ends), 60)
+        server.close()
+        assert not client.counts["garbage"]
+        await asyncio.sleep(0.02)
+
+    asyncio.run(work())
+    expected = [[1.0, 2.0][: (end >= len(welcome + first)) + (end >= len(stream))] for end in ends]
+    assert links[: len(ends)] == expected
+    assert links[len(ends) : 2 * len(ends)] == [[1.0, 2.0]] * len(ends)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -1e308])
+def test_any_number_is_delivered(value):
+    async def scenario(database):
+        client = Listener(database.port)
+        client.register("A")
+        async with running(client):
+            await until(lambda: client.connected)
+            database.post("A", value)
+            await until(lambda: client.received)
+            assert repr(client.received[0].value) == repr(value)
+
+    in_loop(scenario, Moosdb())
+
+
+def test_against_a_real_database():
+    """This file again, in a network namespace of its own, if a MOOSDB is on PATH."""
+    if shutil.which("MOOSDB") is None:
+        pytest.skip("no MOOSDB is on PATH")
+    if not why_not():
+        pytest.skip("this is the run in a network of its own")
+    if shutil.which("unshare") is None or subprocess.run([*ISOLATED, "true"], capture_output=True).returncode:
+        pytest.skip("no network namespace can be made here, and a MOOSDB listens on every interface")
+    tests = f"'{sys.executable}' -m pytest -q -p no:cacheprovider -k 'real and not against' '{__file__}'"
+    done = subprocess.run(
+        [*ISOLATED, "sh", "-c", f"ip link set lo up && {tests}"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " passed" in done.stdout

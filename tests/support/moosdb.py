@@ -1,0 +1,200 @@
+"""A stand-in for a MOOSDB: what a client sees of one, on loopback, and the faults that it can have.
+
+It keeps one value a variable, fixes a variable's type at the first post, sends the last value to whoever registers,
+answers timing messages, disconnects whoever is silent, and refuses a second client of one name.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fnmatch
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+from usvlearn.live.moos import wire
+from usvlearn.live.moos.wire import Message, WireError
+
+
+class _Link:
+    """One connected client."""
+
+    def __init__(self, name: str, writer: asyncio.StreamWriter):
+        self.name, self.writer, self.heard = name, writer, time.monotonic()
+        self.intervals: dict[str, float] = {}
+        self.patterns: dict[str, tuple[str, str]] = {}
+        self.sent: dict[str, float] = {}
+
+    def wants(self, message: Message) -> bool:
+        if message.key in self.intervals:
+            last, interval = self.sent.get(message.key), self.intervals[message.key]
+            return not interval or last is None or message.time - last >= interval
+        return any(
+            fnmatch.fnmatchcase(message.source, app) and fnmatch.fnmatchcase(message.key, variable)
+            for app, variable in self.patterns.values()
+        )
+
+    def send(self, *messages: Message) -> None:
+        self.sent |= {message.key: message.time for message in messages}
+        self.writer.write(wire.encode(messages))
+
+
+class Moosdb:
+    """The database; all methods but `in_thread` belong to the loop that it runs in.
+
+    Attributes:
+        posted: all that was accepted, in order.
+        refused: posts of another type than the variable's first.
+        values: variable -> its last post.
+        timeout: s of silence after which a client is disconnected.
+    """
+
+    def __init__(self, warp: float = 1.0, clock: Callable[[], float] = time.time, timeout: float = 5.0):
+        self.port, self.warp, self.clock, self.timeout = 0, warp, clock, timeout
+        self.posted: list[Message] = []
+        self.refused: list[Message] = []
+        self.values: dict[str, Message] = {}
+        self.links: dict[str, _Link] = {}
+        self._server: asyncio.Server | None = None
+        self._awake: asyncio.Event | None = None
+        self._keeper: asyncio.Task[None] | None = None
+
+    def now(self) -> float:
+        return self.warp * self.clock()
+
+    async def start(self) -> None:
+        """Begin to listen, on the port of before if there was one."""
+        self._awake = asyncio.Event()
+        self._awake.set()
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+        self._keeper = asyncio.create_task(self._keep())
+
+    def kill(self) -> None:
+        """End as after SIGKILL: all connections break, and all values are lost."""
+        assert self._server and self._keeper
+        self._server.close()
+        self._keeper.cancel()
+        for link in self.links.values():
+            link.writer.transport.abort()
+        self.links, self.values = {}, {}
+
+    def freeze(self) -> None:
+        """Neither read nor write, as after SIGSTOP; connections stay open."""
+        assert self._awake
+        self._awake.clear()
+
+    def thaw(self) -> None:
+        assert self._awake
+        self._awake.set()
+
+    def post(self, key: str, value: float | str, source: str = "boat", at: float | None = None, aux: str = "") -> None:
+        """As if a client had posted it; `at` is its stamp, MOOS time."""
+        text = isinstance(value, str)
+        number, words = (wire.NOTHING, str(value)) if text else (float(value), "")
+        kind = wire.TEXT if text else wire.NUMBER
+        self._accept(Message(wire.NOTIFY, key, kind, number, words, self.now() if at is None else at, source, aux))
+
+    def inject(self, raw: bytes) -> None:
+        """Send bytes to every client."""
+        for link in self.links.values():
+            link.writer.write(raw)
+
+    def _accept(self, message: Message) -> None:
+        before = self.values.get(message.key)
+        if before is not None and before.data != message.data:
+            self.refused.append(message)
+            return
+        self.values[message.key] = message
+        self.posted.append(message)
+        for link in self.links.values():
+            if link.wants(message):
+                link.send(message)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        link = None
+        try:
+            link = await self._welcome(reader, writer)
+            while link is not None and self._awake:
+                messages = await wire.read(reader)
+                await self._awake.wait()
+                link.heard = time.monotonic()
+                for message in messages:
+                    self._handle(link, message)
+        except (OSError, asyncio.IncompleteReadError, WireError):
+            pass
+        finally:
+            if link is not None and self.links.get(link.name) is link:
+                del self.links[link.name]
+            writer.transport.abort()
+
+    async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> _Link | None:
+        async with asyncio.timeout(5.0):
+            if await reader.readexactly(len(wire.PROTOCOL)) != wire.PROTOCOL:
+                return None
+            (hello,) = await wire.read(reader)
+        assert self._awake
+        await self._awake.wait()
+        if hello.kind != wire.DATA or hello.text in self.links:
+            reason = f'A client of this name ("{hello.text}") already exists'
+            writer.write(wire.encode([Message(wire.POISON, data=wire.TEXT, text=reason)]))
+            await writer.drain()
+            writer.close()
+            return None
+        link = self.links[hello.text] = _Link(hello.text, writer)
+        skew = self.now() - hello.time
+        link.send(Message(wire.WELCOME, "", wire.NUMBER, skew, "asynchronous", self.now(), community="usv"))
+        return link
+
+    def _handle(self, link: _Link, message: Message) -> None:
+        kind, key = message.kind, message.key
+        if kind == wire.NOTIFY:
+            self._accept(message._replace(community=message.community or "usv"))
+        elif kind == wire.REGISTER:
+            link.intervals[key] = message.value
+            if key in self.values:
+                link.send(self.values[key])
+        elif kind == wire.UNREGISTER:
+            link.intervals.pop(key, None)
+        elif kind == wire.WILDCARD:
+            parts = dict(part.split("=", 1) for part in message.text.split(","))
+            app, variable = link.patterns[message.text] = parts["AppPattern"], parts["VarPattern"]
+            for value in self.values.values():
+                if fnmatch.fnmatchcase(value.source, app) and fnmatch.fnmatchcase(value.key, variable):
+                    link.send(value)
+        elif kind == wire.TIMING:
+            link.send(message._replace(value=self.now(), value2=0.0))
+
+    async def _keep(self) -> None:
+        """Disconnect clients that are silent."""
+        while True:
+            await asyncio.sleep(min(1.0, self.timeout / 5))
+            for link in list(self.links.values()):
+                if self._awake and self._awake.is_set() and time.monotonic() - link.heard > self.timeout:
+                    link.writer.transport.abort()
+
+    @contextlib.contextmanager
+    def in_thread(self) -> Iterator[Callable[..., None]]:
+        """Run in a thread of its own; yields what calls a method there and waits: `call(db.post, "A", 1.0)`."""
+        loop = asyncio.new_event_loop()
+        thread = threading.Thread(target=loop.run_forever)
+        thread.start()
+
+        def call(method: Callable[..., object], *arguments: object, **named: object) -> None:
+            async def work() -> None:
+                result = method(*arguments, **named)
+                if asyncio.iscoroutine(result):
+                    await result
+
+            asyncio.run_coroutine_threadsafe(work(), loop).result(20)
+
+        try:
+            call(self.start)
+            yield call
+            call(self.kill)
+        finally:
+            call(asyncio.sleep, 0.05)  # the handlers of connections end
+            loop.call_soon_threadsafe(loop.stop)
+            thread.join()
+            loop.close()
