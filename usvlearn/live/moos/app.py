@@ -1,0 +1,274 @@
+"""The app on a MOOSDB: it subscribes to the boat's variables, and publishes predictions and what every app does.
+
+Messages are handled as they come, and what a step gives is published at once. AppTick paces only the rest: health,
+status and AppCasts. Nothing here waits: compiling and saving have threads of their own, and while there is no
+database, posts wait in a bounded outbox.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import resource
+import signal
+import time
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from usvlearn.errors import ConfigError
+from usvlearn.live import posts
+from usvlearn.live.health import COMPILING, Health
+from usvlearn.live.moos import wire
+from usvlearn.live.moos.appcast import AppCasts
+from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, Settings, interface, parser, settings_of
+from usvlearn.live.moos.client import Client
+from usvlearn.live.moos.wire import Message
+from usvlearn.live.operator_page import page
+from usvlearn.live.session import Session
+
+REQUEST = "APPCAST_REQ"
+SECOND, STATUS, SELDOM = 1.0, 2.0, 5.0  # s between two reports of health, of status, and of what changes seldom
+OLD = 1.0  # s: what is older than the subscription by more than this is no news
+SELDOM_POSTS = {each.name for each in posts.TABLE if each.when == posts.SELDOM}
+
+
+class App:
+    """The app.
+
+    Args:
+        session: the node; the app closes it.
+        settings: of the app.
+
+    Raises:
+        ConfigError: a channel's name is a pattern.
+    """
+
+    def __init__(self, session: Session, settings: Settings):
+        self.session, self.settings = session, settings
+        self.client = Client(settings.name, settings.host, settings.port, self.take, settings.warp)
+        self.casts = AppCasts(settings.name)
+        self.casts.config_warnings = list(session.warnings)
+        self._feeds: dict[str, list[tuple[str, str]]] = {}  # variable -> parts, and the app whose posts count or ""
+        for part, source in session.sources.items():
+            variable, _, app = source.name.partition("@")
+            if any(each in variable for each in "*?"):
+                raise ConfigError(
+                    f"{part}: found {source.name!r}, expected the name of one variable: {part} = VARIABLE"
+                )
+            self._feeds.setdefault(variable, []).append((part, app))
+        for variable in (*self._feeds, REQUEST):
+            self.client.register(variable)
+        self._connection = 0  # number of the connection
+        self._subscribed = 0.0  # MOOS time of its beginning
+        self._heard: set[str] = set()  # variables that came since then
+        self._stamps: dict[str, float] = {}  # variable -> its latest stamp
+        self._published = {f"{settings.name.upper()}_{each}" for each in ("STATUS", "ITER_GAP", "ITER_LEN")}
+        self._health: Health = COMPILING
+        self._told: tuple[str, str] | None = None  # state and trouble that were last printed
+        self._warned: set[str] = set()
+        self._iteration, self._busy = 0, 0.0  # s, of messages since the last iteration
+        self._began = time.monotonic()
+        self._stop = asyncio.Event()
+
+    @property
+    def _node(self) -> str:
+        return self.settings.community or self.client.community
+
+    # what comes in
+
+    def take(self, message: Message) -> None:
+        """Take one message of the database."""
+        began = time.perf_counter()
+        if message.key == REQUEST:
+            self.casts.ask(message.text, time.monotonic(), self._node)
+        stamp, last = self._stamp(message)
+        for part, app in self._feeds.get(message.key, ()):
+            if not app or app == message.source:
+                self._feed(part, message, stamp, last)
+        self._busy += time.perf_counter() - began
+
+    def _stamp(self, message: Message) -> tuple[float, bool]:
+        """The stamp of a message, and whether it is the last value that the database had at the subscription."""
+        if self._connection != self.client.counts["connected"]:
+            self._connection = self.client.counts["connected"]
+            self._expect_last_values()
+        key, stamp = message.key, message.time
+        first = key not in self._heard
+        last = first and (stamp < self._subscribed - OLD * self.settings.warp or stamp == self._stamps.get(key))
+        self._heard.add(key)
+        if key in self._feeds:
+            self._stamps[key] = stamp
+        return stamp, last
+
+    def _expect_last_values(self) -> None:
+        self._subscribed = self.client.now()
+        self._heard.clear()
+
+    def _feed(self, part: str, message: Message, stamp: float, last: bool) -> None:
+        """Hand a value to the node.
+
+        The last value that the database has is old: it would be the beginning of another segment. But a command that
+        is held is in force now.
+        """
+        if message.data == wire.NUMBER:
+            value = message.value
+        elif message.data == wire.TEXT:
+            try:
+                value = float(message.text)
+            except ValueError:
+                return self.session.drop(part, "wrong_type" if message.text.strip() else "empty")
+        else:
+            return self.session.drop(part, "wrong_type")
+        if last and not self.session.sources[part].held:
+            return self.session.drop(part, "last_value")
+        for step in self.session.push(part, self._subscribed if last else stamp, value):
+            self._publish(posts.of_step(step, self.settings.members))
+            for alarm in step.alarms:
+                self.casts.event(alarm, self._uptime())
+                self._say(alarm)
+        return None
+
+    # what goes out
+
+    def _publish(self, found: Iterable[posts.Post]) -> None:
+        for post in found:
+            self._published.add(self.settings.prefix + post.name)
+            self.client.notify(self.settings.prefix + post.name, post.value)
+
+    def _uptime(self) -> float:
+        return time.monotonic() - self._began
+
+    def _say(self, text: str) -> None:
+        print(f"{self.settings.name}: {text}", flush=True)
+
+    def _report(self, clock: float, seldom: bool) -> None:
+        """The health, once a second."""
+        compiling = self._health.state == COMPILING.state
+        self._health = health = self.session.tick(self.client.now(), clock)
+        if compiling and health.state != COMPILING.state:  # what came until now was dropped: ask for it again
+            self._expect_last_values()
+            for variable in self._feeds:
+                self.client.register(variable)
+        for warning in set(health.warnings) - self._warned - set(self.casts.config_warnings):
+            self.casts.warnings[warning] += 1
+        self._warned = set(health.warnings)
+        told = health.state, self.client.trouble
+        if told != self._told:
+            if self._told is not None and told[1] != self._told[1]:
+                where = f"{self.settings.host}:{self.settings.port}"
+                self.casts.event(self.client.trouble or f"connected to the MOOSDB at {where}", self._uptime())
+            self._told = told
+            self._say(f"{health.sentence}; {self.client.trouble or 'connected'}")
+        if self.client.connected:  # old news is none
+            self._publish(post for post in posts.of_health(health) if seldom or post.name not in SELDOM_POSTS)
+
+    def _status(self, cpu: float) -> str:
+        """What every app says about itself."""
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        facts = {
+            "AppErrorFlag": "false", "Uptime": f"{self._uptime() * self.settings.warp:.2f}", "cpuload": f"{cpu:.2f}",
+            "memory_kb": f"{_memory():.0f}", "memory_max_kb": f"{usage.ru_maxrss}", "MOOSName": self.settings.name,
+            "Publishing": f'"{"".join(f"{name}," for name in sorted(self._published))}"',
+            "Subscribing": f'"{"".join(f"{name}," for name in sorted(self.client.registered))}"',
+        }  # fmt: skip
+        return ",".join(f"{key}={text}" for key, text in facts.items())
+
+    def _cast(self, clock: float) -> None:
+        if self.client.connected and (self.casts.due(clock) or self._iteration == 1):
+            self.casts.tell(clock)
+            counts = {cause: count for cause, count in self.client.counts.items() if cause != "connected" and count}
+            link = ", ".join(f"{cause} {count}" for cause, count in counts.items())
+            lines = [*page(self._health, self.session.last), f"Database    {link or 'no losses'}"]
+            self.client.notify("APPCAST", self.casts.compose(self._iteration, self._node, lines))
+
+    async def _iterate(self, client: asyncio.Task[None]) -> None:
+        """Iterate until the app is asked to stop."""
+        period = 1.0 / (self.settings.tick * self.settings.warp)
+        app = self.settings.name.upper()
+        due = second = status = seldom = before = time.monotonic()
+        cpu, wall = time.process_time(), time.perf_counter()
+        while not self._stop.is_set():
+            if client.done():
+                client.result()  # a bug: it never ends by itself
+            clock = time.monotonic()
+            self._iteration += 1
+            if clock >= second:
+                self._report(clock, clock >= seldom)
+                second, seldom = clock + SECOND, seldom if clock < seldom else clock + SELDOM
+            self._cast(clock)
+            if self.client.connected:
+                if clock >= status:
+                    used, passed = time.process_time() - cpu, time.perf_counter() - wall
+                    cpu, wall, status = cpu + used, wall + passed, clock + STATUS
+                    self.client.notify(f"{app}_STATUS", self._status(100 * used / max(passed, 1e-3)))
+                if self._iteration > 1:
+                    self.client.notify(f"{app}_ITER_GAP", (clock - before) / period)
+                self.client.notify(f"{app}_ITER_LEN", (self._busy + time.monotonic() - clock) / period)
+            self._busy, before = 0.0, clock
+            due = max(due + period, time.monotonic())
+            with suppress(TimeoutError):
+                async with asyncio.timeout(max(due - time.monotonic(), 0.001)):
+                    await self._stop.wait()
+
+    def stop(self) -> None:
+        """Ask the app to end."""
+        self._stop.set()
+
+    async def main(self) -> int:
+        """Run until SIGTERM, SIGINT or `stop`; returns the exit code."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            with suppress(ValueError, RuntimeError, NotImplementedError):  # not in the main thread
+                loop.add_signal_handler(number, self.stop)
+        self._say(self.session.sentence)
+        self.session.start()
+        client = asyncio.create_task(self.client.run())
+        try:
+            await self._iterate(client)
+        finally:
+            self.session.close()
+        self._say("saved; ends")
+        self.client.notify("EXITED_NORMALLY", self.settings.name)
+        await self.client.drain()
+        client.cancel()
+        with suppress(asyncio.CancelledError):
+            await client
+        return 0
+
+
+def _memory() -> float:
+    """What this process has in memory, kB; 0 where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * resource.getpagesize() / 1024
+
+
+def run(session: Session, settings: Settings) -> int:
+    """Run the app with a session, which it closes; returns the exit code."""
+
+    async def work() -> int:
+        try:
+            app = App(session, settings)
+        except ConfigError:
+            session.close()
+            raise
+        return await app.main()
+
+    return asyncio.run(work())
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The command `usvlearn live moos`; returns the exit code.
+
+    Raises:
+        ConfigError: an argument, the mission file or what the node starts from is not legal.
+        CheckpointError: no set can be read.
+    """
+    given = parser().parse_args(arguments)
+    if given.example or given.interface:
+        print(EXAMPLE if given.example else interface())
+        return 0
+    settings = settings_of(arguments, given)
+    return run(Session(settings.options, MIDDLEWARE), settings)

@@ -1,0 +1,207 @@
+"""What a mission file and the command line say to the node: its options, and where the MOOSDB is."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple, NoReturn
+
+import usvlearn
+from usvlearn.errors import ConfigError, did_you_mean, printable
+from usvlearn.live import arguments as shared
+from usvlearn.live.moos.mission import Entry, Mission
+from usvlearn.live.posts import TABLE
+from usvlearn.live.start import Middleware, Options, channel_options
+from usvlearn.logs.channel import AUXILIARY, CHANNELS
+
+NAME, HOST, PORT, TICK, PREFIX = "pUSVLearn", "localhost", 9000, 4.0, "USV_"
+HELD = {"unit": "percent", "held": True}  # a MOOSDB keeps a value until the next post
+MIDDLEWARE = Middleware(
+    "MOOS",
+    "usvlearn.logs.alog.Alog",
+    {
+        "command_left": {"name": "DESIRED_THRUST_L", **HELD},
+        "command_right": {"name": "DESIRED_THRUST_R", **HELD},
+        "heading": {"name": "NAV_HEADING", "unit": "deg"},
+        "surge": {"name": "NAV_SPEED", "unit": "m/s"},
+    },
+)
+NODE = ("folder", "start", "mass", "surge_max", "channels", "boat", "save_period", "keep", "patience", "tensorboard")
+SWITCHES = ("record", "members")
+OWN = ("apptick", "prefix")
+OTHERS = (  # of every app, without an effect here: messages are handled as they come
+    "commstick", "maxapptick", "iteratemode", "catchcommandmessages", "term_report_interval", "max_appcast_events",
+    "max_appcast_run_warnings", "app_logging",
+)  # fmt: skip
+KNOWN = (*NODE, *SWITCHES, *OWN, *OTHERS)
+EXAMPLE = f"""// A block of a mission file. `usvlearn live moos MISSION.moos` starts the app, and pAntler with
+// Run = {NAME} @ NewConsole = false
+ProcessConfig = {NAME}
+{{
+  AppTick   = 4                       // Hz; messages are handled as they come
+  CommsTick = 4
+
+  folder      = /home/boat/usvlearn   // sets, status and records; the newest readable set is continued
+  start       = /home/boat/heron      // a set to start from, while the folder has none
+  // mass     = 36.0                  // kg, added mass included: of a prior, if there is no set at all
+  // surge_max = 3.0                  // m/s, top speed, likewise
+  save_period = 300                   // s between two sets
+  keep        = 100                   // sets
+  record      = false                 // true: record all messages, so that train.py can replay the session
+  prefix      = {PREFIX}                  // of what is published
+  members     = false                 // true: publish the prediction of each member, too
+
+  // only where other than in the set; VARIABLE@app keeps the posts of one app
+  // surge         = NAV_SPEED
+  // surge.unit    = knots            // m/s, km/h, knots, cm/s or mm/s
+  // command_left  = DESIRED_THRUST_L
+  // command_left.span = 100
+}}
+"""
+
+
+class Settings(NamedTuple):
+    """What the app is told."""
+
+    name: str  # of the app
+    host: str
+    port: int
+    warp: float  # MOOSTimeWarp
+    community: str  # empty: the database's
+    tick: float  # AppTick, Hz of MOOS time
+    prefix: str  # of what is published
+    members: bool  # whether predictions of all members are published
+    options: Options
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise ConfigError(f"{message}: see --help")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command line. What it says overrides the mission file."""
+    made = _Parser("usvlearn live moos", description="A node as an app of MOOS.", allow_abbrev=False)
+    add = made.add_argument
+    add("mission", nargs="?", metavar="MISSION.moos", help="mission file")
+    add("alias", nargs="?", metavar="ALIAS", help=f"name of this app and of its block ({NAME}); pAntler gives it")
+    add("--alias", dest="other", metavar="ALIAS", help="likewise")
+    add("--moos_name", metavar="ALIAS", help="likewise")
+    add("--moos_host", metavar="HOST", help=f"in place of ServerHost ({HOST})")
+    add("--moos_port", type=int, metavar="PORT", help=f"in place of ServerPort ({PORT})")
+    add("--moos_time_warp", type=float, metavar="WARP", help="in place of MOOSTimeWarp (1)")
+    add("-e", "--example", action="store_true", help="print a block of a mission file")
+    add("-i", "--interface", action="store_true", help="print the variables that are subscribed to and published")
+    add("-v", "--version", action="version", version=f"usvlearn {usvlearn.__version__}")
+    shared.add_arguments(made)
+    return made
+
+
+def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings:
+    """What the app is told.
+
+    Args:
+        arguments: the command line.
+        given: the same, parsed.
+
+    Raises:
+        ConfigError: a key is not known, or a value is not legal; the message names the line.
+    """
+    if given.mission is None:
+        raise ConfigError("mission: found none, expected usvlearn live moos MISSION.moos: --example shows its block")
+    mission = Mission.read(Path(given.mission).expanduser())
+    name = given.moos_name or given.other or given.alias or NAME
+    if any(each.isspace() or each in ',"' for each in name):
+        raise ConfigError(f"alias: found {name!r}, expected a name without blanks, commas and quotes")
+    entries = mission.block(name)
+    for key, entry in entries.items():
+        channel = key.partition(".")[0]
+        if key not in KNOWN and channel not in (*CHANNELS, *AUXILIARY):
+            known = [*KNOWN, *CHANNELS]
+            raise ConfigError(f"{_where(mission, entry)}: found no such key{did_you_mean(key, known)}")
+    parse = parser()
+    own = [argument for key, entry in entries.items() for argument in _argument(mission, key, entry)]
+    for argument, entry in own:
+        try:
+            parse.parse_args([argument])
+        except ConfigError as error:
+            raise ConfigError(f"{_where(mission, entry)}: {error}") from error
+    warp = given.moos_time_warp
+    if warp is None:
+        warp = _number(mission, mission.get("MOOSTimeWarp"), 1.0)
+    if not 0 < warp < math.inf:
+        raise ConfigError(f"--moos_time_warp: found {warp:g}, expected a positive number")
+    port = given.moos_port
+    if port is None:
+        port = _number(mission, mission.get("ServerPort"), PORT)
+    if not (1 <= port <= 65535 and port == int(port)):
+        raise ConfigError(f"ServerPort: found {port:g}, expected a whole number of 1 to 65535")
+    host, community, prefix = mission.get("ServerHost"), mission.get("Community"), entries.get("prefix")
+    if prefix is not None and any(map(str.isspace, prefix.value)):
+        raise ConfigError(f"{_where(mission, prefix)}: found {prefix.value!r:.60}, expected one without blanks")
+    return Settings(
+        name, given.moos_host or (host.value if host else HOST), int(port), warp, community.value if community else "",
+        _number(mission, entries.get("apptick"), TICK), PREFIX if prefix is None else prefix.value,
+        _switch(mission, entries.get("members")),
+        shared.options_of(parse.parse_args([*(argument for argument, _ in own), *arguments]), warp),
+    )  # fmt: skip
+
+
+def _argument(mission: Mission, key: str, entry: Entry) -> list[tuple[str, Entry]]:
+    """An entry as an argument of the command line, if it is one that all nodes share."""
+    if key in NODE:
+        return [(f"--{key.replace('_', '-')}={entry.value}", entry)]
+    if key == "record":
+        return [("--record", entry)] if _switch(mission, entry) else []
+    if key in KNOWN:
+        return []
+    try:
+        channel_options({key: entry.value})
+    except ConfigError as error:
+        raise ConfigError(f"{mission.path}, line {entry.line}: {error}") from error
+    return [(f"--channel={key}={entry.value}", entry)]
+
+
+def _where(mission: Mission, entry: Entry) -> str:
+    return f"{mission.path}, line {entry.line}: {printable(entry.key)}"
+
+
+def _number(mission: Mission, entry: Entry | None, default: float) -> float:
+    if entry is None:
+        return default
+    try:
+        value = float(entry.value)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise ConfigError(f"{_where(mission, entry)}: found {printable(entry.value)!r:.60}, expected a positive number")
+    return value
+
+
+def _switch(mission: Mission, entry: Entry | None) -> bool:
+    text = "false" if entry is None else entry.value.lower()
+    if entry is not None and text not in ("true", "false"):
+        raise ConfigError(f"{_where(mission, entry)}: found {printable(entry.value)!r:.60}, expected true or false")
+    return text == "true"
+
+
+def interface() -> str:
+    """The variables that the app subscribes to and publishes, as text."""
+    lines = ["Subscribed, unless the set or the mission file names others:"]
+    lines += [f"  {each['name']:<24} {part}, {each['unit']}" for part, each in MIDDLEWARE.channels.items()]
+    lines += [f"  {'APPCAST_REQ':<24} who asks for AppCasts", "", f"Published (the prefix {PREFIX} can be changed):"]
+    lines += [
+        f"  {PREFIX + each.name:<24} {each.kind}  {each.when:<12} {each.meaning}{f', {each.unit}' * bool(each.unit)}"
+        for each in TABLE
+    ]
+    app = NAME.upper()
+    lines += [
+        f"  {app + '_STATUS':<24} S  every 2 s    uptime, load, memory, what is published and subscribed",
+        f"  {app + '_ITER_GAP':<24} D  AppTick      time since the last iteration, times AppTick",
+        f"  {app + '_ITER_LEN':<24} D  AppTick      time that the iteration and its messages took, times AppTick",
+        f"  {'APPCAST':<24} S  on request   the operator's page",
+        f"  {'EXITED_NORMALLY':<24} S  at the end   name of this app",
+    ]
+    return "\n".join(lines)
