@@ -1,7 +1,8 @@
 """A stand-in for a MOOSDB: what a client sees of one, on loopback, and the faults that it can have.
 
 It keeps one value a variable, fixes a variable's type at the first post, sends the last value to whoever registers,
-answers timing messages, disconnects whoever is silent, and refuses a second client of one name.
+answers timing messages, disconnects whoever is silent, and refuses a second client of one name. An asynchronous client
+is told at once, a synchronous one in answer to each of its packets.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from usvlearn.live.moos.wire import Message, WireError
 class _Link:
     """One connected client."""
 
-    def __init__(self, name: str, writer: asyncio.StreamWriter):
+    def __init__(self, name: str, writer: asyncio.StreamWriter, synchronous: bool):
         self.name, self.writer, self.heard = name, writer, time.monotonic()
+        self.mail: list[Message] | None = [] if synchronous else None
         self.intervals: dict[str, float] = {}
         self.patterns: dict[str, tuple[str, str]] = {}
         self.sent: dict[str, float] = {}
@@ -37,7 +39,16 @@ class _Link:
 
     def send(self, *messages: Message) -> None:
         self.sent |= {message.key: message.time for message in messages}
-        self.writer.write(wire.encode(messages))
+        if self.mail is None:
+            self.writer.write(wire.encode(messages))
+        else:
+            self.mail += messages
+
+    def answer(self) -> None:
+        """Answer a packet of a synchronous client."""
+        if self.mail is not None:
+            self.writer.write(wire.encode(self.mail or [Message(".")]))
+            self.mail = []
 
 
 class Moosdb:
@@ -122,6 +133,7 @@ class Moosdb:
                 link.heard = time.monotonic()
                 for message in messages:
                     self._handle(link, message)
+                link.answer()
         except (OSError, asyncio.IncompleteReadError, WireError):
             pass
         finally:
@@ -142,9 +154,10 @@ class Moosdb:
             await writer.drain()
             writer.close()
             return None
-        link = self.links[hello.text] = _Link(hello.text, writer)
+        link = self.links[hello.text] = _Link(hello.text, writer, hello.key.lower() != "asynchronous")
         skew = self.now() - hello.time
-        link.send(Message(wire.WELCOME, "", wire.NUMBER, skew, "asynchronous", self.now(), community="usv"))
+        link.send(Message(wire.WELCOME, "", wire.NUMBER, skew, hello.key, self.now(), community="usv"))
+        link.answer()
         return link
 
     def _handle(self, link: _Link, message: Message) -> None:
