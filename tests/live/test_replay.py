@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.support import commands
-from tests.support.live import PLAIN, boat, learned_set, messages
+from tests.support.live import PLAIN, boat, learned_set, messages, replayed
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
 from usvlearn.logs.derived_surge import VELOCITIES
@@ -15,15 +14,6 @@ from usvlearn.logs.derived_surge import VELOCITIES
 @pytest.fixture(scope="module")
 def start(tmp_path_factory):
     return learned_set(tmp_path_factory.mktemp("start"))
-
-
-def replayed(records, number=1):
-    """Times and predictions of a record, replayed as its configuration says."""
-    name = f"record_{number:04d}"
-    done = commands.run(f"data={name}.yaml", f"resume={name}.safetensors", "hydra.run.dir=again", folder=records)
-    assert done.returncode == 0, done.stderr
-    arrays = [np.load(path) for path in sorted((records / "again" / "predictions").glob("*.npz"))]
-    return np.concatenate([each["predictions"] for each in arrays])[:, 0]
 
 
 def live(folder, start, posts, middleware=PLAIN) -> np.ndarray:

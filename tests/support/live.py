@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 import usvlearn
+from tests.support import commands
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
 from usvlearn.logs.channel import REQUIRED, Recording
@@ -45,6 +46,15 @@ def ready(folder: Path, start: Path | None, **options) -> Session:
     session.start()
     assert session.wait(300)
     return session
+
+
+def replayed(records: Path, number: int = 1) -> np.ndarray:
+    """The predictions of a record that train.py replays as its configuration says, `(steps, members and rules)`."""
+    name = f"record_{number:04d}"
+    done = commands.run(f"data={name}.yaml", f"resume={name}.safetensors", "hydra.run.dir=again", folder=records)
+    assert done.returncode == 0, done.stderr
+    arrays = [np.load(path) for path in sorted((records / "again" / "predictions").glob("*.npz"))]
+    return np.concatenate([each["predictions"] for each in arrays])[:, 0]
 
 
 def same(one: float, other: float) -> bool:

@@ -11,6 +11,11 @@ import shutil
 import signal
 import socket
 import subprocess
+import sys
+
+import pytest
+
+from tests.support import ROOT
 
 PORT = 9100
 ISOLATED = ("unshare", "--map-root-user", "--net")  # runs a command in a network namespace of its own
@@ -25,15 +30,41 @@ def why_not() -> str:
     return ""
 
 
+def run_isolated(file: str) -> None:
+    """Run the tests of a file that use a real database in a network namespace of their own; skip where that cannot be.
+
+    Args:
+        file: the test module.
+    """
+    if shutil.which("MOOSDB") is None:
+        pytest.skip("no MOOSDB is on PATH")
+    if not why_not():
+        pytest.skip("this is the run in a network of its own")
+    if shutil.which("unshare") is None or subprocess.run([*ISOLATED, "true"], capture_output=True).returncode:
+        pytest.skip("no network namespace can be made here, and a MOOSDB listens on every interface")
+    tests = f"'{sys.executable}' -m pytest -q -p no:cacheprovider -k 'real and not against' '{file}'"
+    done = subprocess.run(
+        [*ISOLATED, "sh", "-c", f"ip link set lo up && {tests}"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " passed" in done.stdout
+
+
 class RealMoosdb:
     """The database."""
 
     def __init__(self) -> None:
-        self.port = PORT
+        self.port, self.warp = PORT, 1.0
         self._process: subprocess.Popen[bytes] | None = None
 
     async def start(self) -> None:
-        options = [f"--moos_port={self.port}", "--moos_community=usv", "--moos_suicide_disable", "--moos_no_colour"]
+        options = [
+            f"--moos_port={self.port}",
+            "--moos_community=usv",
+            "--moos_suicide_disable",
+            "--moos_no_colour",
+            f"--moos_time_warp={self.warp:g}",
+        ]
         self._process = subprocess.Popen(["MOOSDB", *options], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         for _ in range(100):
             try:

@@ -6,17 +6,13 @@ All tests of this file but those of nonsense run against the stand-in and agains
 import asyncio
 import contextlib
 import math
-import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 
 import pytest
 
-from tests.support import ROOT
 from tests.support.moosdb import Moosdb
-from tests.support.real_moosdb import ISOLATED, why_not
+from tests.support.real_moosdb import run_isolated
 from usvlearn.live.moos import client as module
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.client import OUTBOX, UNSENT, Client
@@ -305,15 +301,4 @@ def test_any_number_is_delivered(value):
 
 def test_against_a_real_database():
     """This file again, in a network namespace of its own, if a MOOSDB is on PATH."""
-    if shutil.which("MOOSDB") is None:
-        pytest.skip("no MOOSDB is on PATH")
-    if not why_not():
-        pytest.skip("this is the run in a network of its own")
-    if shutil.which("unshare") is None or subprocess.run([*ISOLATED, "true"], capture_output=True).returncode:
-        pytest.skip("no network namespace can be made here, and a MOOSDB listens on every interface")
-    tests = f"'{sys.executable}' -m pytest -q -p no:cacheprovider -k 'real and not against' '{__file__}'"
-    done = subprocess.run(
-        [*ISOLATED, "sh", "-c", f"ip link set lo up && {tests}"], cwd=ROOT, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert " passed" in done.stdout
+    run_isolated(__file__)

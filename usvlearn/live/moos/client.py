@@ -85,22 +85,19 @@ class Client:
         self.registered[variable] = interval
         self._send([self._registration(variable)])
 
-    def notify(self, variable: str, value: float | str) -> None:
-        """Post a variable, stamped now; it waits in the outbox until there is a connection."""
-        text = isinstance(value, str)
-        self._post(
-            Message(
-                wire.NOTIFY,
-                variable,
-                wire.TEXT if text else wire.NUMBER,
-                wire.NOTHING if isinstance(value, str) else float(value),
-                value if isinstance(value, str) else "",
-                self.now(),
-                self.name,
-            )
-        )
+    def notify(self, variable: str, value: float | str, at: float | None = None) -> None:
+        """Post a variable; it waits in the outbox until there is a connection.
 
-    def _post(self, message: Message) -> None:
+        Args:
+            variable: its name, without blanks.
+            value: a number or a text; the database keeps the type of a variable's first post.
+            at: its stamp, MOOS time, s; now by default.
+        """
+        stamp = self.now() if at is None else at
+        if isinstance(value, str):
+            message = Message(wire.NOTIFY, variable, wire.TEXT, text=value, time=stamp, source=self.name)
+        else:
+            message = Message(wire.NOTIFY, variable, value=float(value), time=stamp, source=self.name)
         if len(self._outbox) >= OUTBOX:
             self._outbox.popleft()
             self.counts["outbox"] += 1
