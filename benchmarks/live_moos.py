@@ -33,7 +33,7 @@ from usvlearn.live.start import Options
 
 RATES = (1, 10, 100)  # Hz, of each variable
 SECONDS = 120.0
-BURST = 40_000  # messages that come at once
+BURST, BURST_PACKET = 40_000, 50  # messages that come at once, and in a packet
 WINDOW = 1.5  # s, so that 1 Hz is enough
 CHANNELS = {name: {"window": WINDOW} for name in MIDDLEWARE.channels}
 NAMES = {name: str(each["name"]) for name, each in MIDDLEWARE.channels.items()}
@@ -45,12 +45,24 @@ class Database:
     """What the node needs of a MOOSDB: a welcome, answers to timing messages, and the boat's messages."""
 
     def __init__(self, take: Callable[[Message], None]):
-        self.port, self._take = 0, take
+        self.port, self._take, self.connections = 0, take, 0
         self._writer: asyncio.StreamWriter | None = None
+        self._server: asyncio.Server | None = None
 
     async def start(self) -> None:
-        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
-        self.port = server.sockets[0].getsockname()[1]
+        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
+        self.port = self._server.sockets[0].getsockname()[1]
+
+    async def restart(self) -> None:
+        """End, begin anew, and wait until the node is back."""
+        assert self._server and self._writer
+        self._server.close()
+        self._writer.transport.abort()
+        self._writer = None
+        await self.start()
+        while self._writer is None:
+            await asyncio.sleep(0.01)
+        await asyncio.sleep(0.1)  # it subscribes
 
     def post(self, rows: list[tuple[str, float, float]]) -> None:
         assert self._writer
@@ -67,6 +79,7 @@ class Database:
         await wire.read(reader)
         writer.write(wire.encode([Message(wire.WELCOME, data=wire.NUMBER, text="asynchronous", community="usv")]))
         self._writer = writer
+        self.connections += 1
         with suppress(OSError, asyncio.IncompleteReadError):
             while True:
                 for message in await wire.read(reader):
@@ -136,11 +149,11 @@ class Voyage:
     """A node, and what it publishes."""
 
     def __init__(self, port: int | None, folder: Path):
-        self.folder, self.state = folder, ""
+        self.folder, self.state, self.process = folder, "", 0  # number of the process
         self.arrived: list[float] = []  # when, of each SPEED_NEXT
-        self.link = Database(self._take) if port is None else Clients(port, self._take)
+        self.link = Database(self.take) if port is None else Clients(port, self.take)
 
-    def _take(self, message: Message) -> None:
+    def take(self, message: Message) -> None:
         if message.key == "USV_SPEED_NEXT":
             self.arrived.append(time.perf_counter())
         elif message.key == "USV_HEALTH":
@@ -156,11 +169,12 @@ class Voyage:
         mission.write_text("\n".join([*lines, *block, "}"]))
         command = [sys.executable, "-m", "usvlearn", "live", "moos", str(mission)]
         node = await asyncio.create_subprocess_exec(*command, stdout=subprocess.DEVNULL)
+        self.process = node.pid
         try:
             while self.state in ("", "state=compiling"):
                 await asyncio.sleep(0.1)
             await asyncio.sleep(1.0)
-            await work(self)  # type: ignore[misc]
+            await work(self)
         finally:
             node.terminate()
             await node.wait()
@@ -202,8 +216,8 @@ def burst(port: int | None) -> list[str]:
     async def work(voyage: Voyage) -> None:
         nonlocal took
         start, begin = float(math.ceil(time.time())), time.perf_counter()
-        for k in range(0, len(rows), 50):
-            voyage.link.post([(name, start + t, value) for t, name, value in rows[k : k + 50]])
+        for k in range(0, len(rows), BURST_PACKET):
+            voyage.link.post([(name, start + t, value) for t, name, value in rows[k : k + BURST_PACKET]])
             await voyage.link.drain()
         count = -1
         while count < len(voyage.arrived):
@@ -235,7 +249,7 @@ def main() -> None:
     text = [
         "# The node on MOOS",
         "",
-        f"Measured by `python benchmarks/live_moos.py`; {via}. {machine()}",
+        f"Measured by `python benchmarks/live_moos.py`; {via}. {machine()}.",
         "The node is the default ensemble from the prior, a process of its own, four variables. A message makes a step",
         "of 0.4 s of the boat complete, 0.1 s after its end (`patience`); the table has the time from there.",
         "",

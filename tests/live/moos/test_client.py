@@ -200,6 +200,22 @@ def test_the_outbox_drops_the_oldest(database):
     in_loop(full, database)
 
 
+async def many(database):
+    client, listener = Client("a", "127.0.0.1", database.port, print), Listener(database.port, "b")
+    listener.register("K")
+    async with running(client, listener):
+        await until(lambda: client.connected and listener.connected)
+        await asyncio.sleep(0.2)
+        for k in range(5 * OUTBOX):
+            client.notify("K", k)
+        await until(lambda: len(listener.received) == 5 * OUTBOX)
+    assert listener.values("K") == list(range(5 * OUTBOX)) and not client.counts["outbox"]
+
+
+def test_many_posts_in_one_turn_of_the_loop_are_all_sent(database):
+    in_loop(many, database)
+
+
 async def jumping(database):
     shift = [0.0]
     client = Listener(database.port, clock=lambda: time.time() + shift[0])

@@ -102,14 +102,15 @@ class Client:
             self._outbox.popleft()
             self.counts["outbox"] += 1
         self._outbox.append(message)
-        if self.connected and not self._flushing:
+        if len(self._outbox) >= IN_PACKET:
+            self._flush()  # much may be posted before the loop's next turn
+        elif self.connected and not self._flushing:
             self._flushing = True
             asyncio.get_running_loop().call_soon(self._flush)
 
     def _flush(self) -> None:
         """Hand the outbox to the system, unless the database has stopped reading."""
-        self._flushing = False
-        writer = self._writer
+        self._flushing, writer = False, self._writer
         while self._outbox and self.connected and writer and writer.transport.get_write_buffer_size() < UNSENT:
             self._send([self._outbox.popleft() for _ in range(min(IN_PACKET, len(self._outbox)))])
 
