@@ -17,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -148,7 +148,8 @@ def completing(rows: list[Row], start: float) -> list[int]:
 class Voyage:
     """A node, and what it publishes."""
 
-    def __init__(self, port: int | None, folder: Path):
+    def __init__(self, port: int | None, folder: Path, block: Sequence[str] = ()):
+        self._block = block  # more lines of its mission
         self.folder, self.state, self.process = folder, "", 0  # number of the process
         self.arrived: list[float] = []  # when, of each SPEED_NEXT
         self.link = Database(self.take) if port is None else Clients(port, self.take)
@@ -164,7 +165,7 @@ class Voyage:
         await self.link.start()
         mission = self.folder / "a.moos"
         own = [f"{name}.window = {WINDOW}" for name in CHANNELS]
-        block = [f"folder = {self.folder / 'node'}", "mass = 36", "surge_max = 3", *own]
+        block = [f"folder = {self.folder / 'node'}", "mass = 36", "surge_max = 3", *own, *self._block]
         lines = [f"ServerPort = {self.link.port}", "ServerHost = 127.0.0.1", "ProcessConfig = pUSVLearn", "{"]
         mission.write_text("\n".join([*lines, *block, "}"]))
         command = [sys.executable, "-m", "usvlearn", "live", "moos", str(mission)]

@@ -1,12 +1,16 @@
 """Mutated packets of MOOS: no error but the protocol's own, and no more memory than a packet may take."""
 
+import asyncio
+import contextlib
 import struct
 import tracemalloc
 
 import numpy as np
 import pytest
 
+from usvlearn.live.moos import client as module
 from usvlearn.live.moos import wire
+from usvlearn.live.moos.client import Client
 from usvlearn.live.moos.wire import Message, WireError
 
 TELLING = (-(2**31), -1, 0, 1, 8, 9, 53, 54, 63, 255, 2**16, wire.LARGEST, 2**31 - 1)  # as lengths and counts
@@ -60,3 +64,43 @@ def test_a_mutated_packet_is_read_or_refused(rng, cases):
         tracemalloc.stop()
     assert cases / 10 < refused < cases
     assert peak < 1 << 20
+
+
+@pytest.mark.fuzz(cases=200, slow=10_000)
+def test_a_client_comes_back_after_each_mutated_packet(rng, cases, monkeypatch):
+    monkeypatch.setattr(module, "FIRST", 0.0005)
+    monkeypatch.setattr(module, "LONGEST", 0.0005)
+    welcome = wire.encode([Message(wire.WELCOME, data=wire.NUMBER, text="asynchronous")])
+    served: list[int] = []
+    delivered: list[Message] = []
+
+    async def serve(reader, writer):
+        packet = packet_of(rng)
+        mutate(rng, packet)
+        served.append(len(packet))
+        try:
+            writer.write(welcome + packet)
+            writer.write_eof()
+            await reader.read()  # until the client has left
+        except OSError:
+            pass
+        finally:
+            writer.transport.abort()
+
+    async def work():
+        client = Client("a", "127.0.0.1", 0, delivered.append)
+        server = await asyncio.start_server(serve, "127.0.0.1", 0)
+        client.port = server.sockets[0].getsockname()[1]
+        task = asyncio.create_task(client.run())
+        while len(served) < cases and not task.done():
+            await asyncio.sleep(0.01)
+        task.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await task
+        server.close()
+        await asyncio.sleep(0.05)
+        return client.counts
+
+    counts = asyncio.run(work())
+    assert counts["garbage"] > cases / 10 and counts["lost"] > cases / 20
+    assert all(message.kind == wire.NOTIFY for message in delivered)

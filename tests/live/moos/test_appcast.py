@@ -12,7 +12,8 @@ def taken_apart(text: str) -> dict[str, list[str]]:
 def test_a_viewer_finds_each_field():
     casts = AppCasts("pUSVLearn")
     casts.event("connected", 12.345)
-    casts.warnings["the disk is full, now=1"] += 2
+    casts.warn("the disk is full, now=1")
+    casts.warn("the disk is full, now=1")
     casts.config_warnings = ["set 3 is damaged"]
     found = taken_apart(casts.compose(7, "usv", ["State  ok", "", "a!@b", "=x"]))
     assert found == {
@@ -60,7 +61,10 @@ def test_each_key_has_its_own_end():
 def test_a_viewer_may_wait_for_warnings():
     casts = AppCasts("pUSVLearn")
     assert not due("node=usv,app=all,duration=20,key=a,thresh=run_warning", casts=casts)
-    casts.warnings["trouble"] += 1
+    casts.warn("trouble")
     assert casts.due(2.0) and not casts.due(3.0)
-    casts.warnings["trouble"] += 1
+    casts.warn("trouble")
     assert casts.due(4.0)
+    for k in range(10 * KEYS):
+        casts.warn(f"{k}")
+    assert len(casts.warnings) == KEYS and f"{10 * KEYS - 1}" in casts.warnings

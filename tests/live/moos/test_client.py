@@ -276,14 +276,17 @@ def test_a_stream_that_is_cut_at_every_byte(monkeypatch):
     async def serve(reader, writer):
         links.append([])
         end, paused = (len(links) - 1) % len(ends), len(links) > len(ends)
-        writer.write(stream[:end])
-        await asyncio.sleep(0.002)
-        if paused:
-            writer.write(stream[end:])
-        with contextlib.suppress(OSError):
+        try:
+            writer.write(stream[:end])
+            await asyncio.sleep(0.002)
+            if paused:
+                writer.write(stream[end:])
             writer.write_eof()
             await reader.read()  # until the client has left
-        writer.transport.abort()
+        except OSError:
+            pass
+        finally:
+            writer.transport.abort()
 
     async def work():
         client = Client("a", "127.0.0.1", 0, lambda message: links[-1].append(message.value))

@@ -81,30 +81,30 @@ class App:
         began = time.perf_counter()
         if message.key == REQUEST:
             self.casts.ask(message.text, time.monotonic(), self._node)
-        stamp, last = self._stamp(message)
-        for part, app in self._feeds.get(message.key, ()):
-            if not app or app == message.source:
-                self._feed(part, message, stamp, last)
+        elif message.key in self._feeds:
+            last = self._is_last_value(message)
+            for part, app in self._feeds[message.key]:
+                if not app or app == message.source:
+                    self._feed(part, message, last)
         self._busy += time.perf_counter() - began
 
-    def _stamp(self, message: Message) -> tuple[float, bool]:
-        """The stamp of a message, and whether it is the last value that the database had at the subscription."""
+    def _is_last_value(self, message: Message) -> bool:
+        """Whether it is what the database already had at the subscription."""
         if self._connection != self.client.counts["connected"]:
             self._connection = self.client.counts["connected"]
             self._expect_last_values()
         key, stamp = message.key, message.time
-        first = key not in self._heard
-        last = first and (stamp < self._subscribed - OLD * self.settings.warp or stamp == self._stamps.get(key))
+        old = stamp < self._subscribed - OLD * self.settings.warp or stamp == self._stamps.get(key)
+        found = old and key not in self._heard
         self._heard.add(key)
-        if key in self._feeds:
-            self._stamps[key] = stamp
-        return stamp, last
+        self._stamps[key] = stamp
+        return found
 
     def _expect_last_values(self) -> None:
         self._subscribed = self.client.now()
         self._heard.clear()
 
-    def _feed(self, part: str, message: Message, stamp: float, last: bool) -> None:
+    def _feed(self, part: str, message: Message, last: bool) -> None:
         """Hand a value to the node.
 
         The last value that the database has is old: it would be the beginning of another segment. But a command that
@@ -121,7 +121,7 @@ class App:
             return self.session.drop(part, "wrong_type")
         if last and not self.session.sources[part].held:
             return self.session.drop(part, "last_value")
-        for step in self.session.push(part, self._subscribed if last else stamp, value):
+        for step in self.session.push(part, self._subscribed if last else message.time, value):
             self._publish(posts.of_step(step, self.settings.members))
             for alarm in step.alarms:
                 self.casts.event(alarm, self._uptime())
@@ -150,7 +150,7 @@ class App:
             for variable in self._feeds:
                 self.client.register(variable)
         for warning in set(health.warnings) - self._warned - set(self.casts.config_warnings):
-            self.casts.warnings[warning] += 1
+            self.casts.warn(warning)
         self._warned = set(health.warnings)
         told = health.state, self.client.trouble
         if told != self._told:

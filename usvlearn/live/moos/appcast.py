@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 FIELD, ITEM = "!@#", "!@"  # what separates fields, and items of a field
 PERIOD = 0.4  # s between two AppCasts, at least
 LONGEST = 30.0  # s, for which one request counts, at most
-KEYS = 100  # viewers that are remembered
+KEYS = 100  # viewers and warnings that are remembered
 EVENTS = 8  # that are shown
 
 
@@ -73,6 +73,12 @@ class AppCasts:
     def tell(self, clock: float) -> None:
         """Remember that an AppCast is sent now."""
         self._cast, self._told_warnings = clock, self.warnings.total()
+
+    def warn(self, text: str) -> None:
+        """Add a run warning, or count it once more."""
+        self.warnings[text] += 1
+        while len(self.warnings) > KEYS:
+            del self.warnings[next(iter(self.warnings))]
 
     def event(self, text: str, uptime: float) -> None:
         """Add an event, which is shown with the time since the start, s."""

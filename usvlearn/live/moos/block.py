@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple, NoReturn
@@ -138,11 +139,14 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
         port = _number(mission, mission.get("ServerPort"), PORT)
     if not (1 <= port <= 65535 and port == int(port)):
         raise ConfigError(f"ServerPort: found {port:g}, expected a whole number of 1 to 65535")
-    host, community, prefix = mission.get("ServerHost"), mission.get("Community"), entries.get("prefix")
+    server, community, prefix = mission.get("ServerHost"), mission.get("Community"), entries.get("prefix")
+    host = given.moos_host or (server.value if server else HOST)
+    if not re.fullmatch(r"[\w.:%-]{1,253}", host) or ".." in host:
+        raise ConfigError(f"ServerHost: found {printable(host)!r:.60}, expected a name or an address")
     if prefix is not None and any(map(str.isspace, prefix.value)):
         raise ConfigError(f"{_where(mission, prefix)}: found {prefix.value!r:.60}, expected one without blanks")
     return Settings(
-        name, given.moos_host or (host.value if host else HOST), int(port), warp, community.value if community else "",
+        name, host, int(port), warp, community.value if community else "",
         _number(mission, entries.get("apptick"), TICK), PREFIX if prefix is None else prefix.value,
         _switch(mission, entries.get("members")),
         shared.options_of(parse.parse_args([*(argument for argument, _ in own), *arguments]), warp),
