@@ -16,6 +16,7 @@ import tempfile
 import time
 from array import array
 from collections.abc import Iterator
+from functools import cache
 from itertools import islice
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from timing import machine, table
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
+from usvlearn.logs.channel import Recording
 from usvlearn.simulate.fleet import fleet
 
 HOURS, RESTARTS = 24.0, 100
@@ -60,9 +62,14 @@ class Day(Voyage):
             await asyncio.sleep(IDLE / 10)
 
 
+@cache
+def simulated(hours: float) -> list[Recording]:
+    return fleet(n=1, hours=hours, seed=0)
+
+
 def rows(hours: float, start: float) -> Iterator[tuple[str, float, float]]:
     """What a simulated boat says: channel, stamp and raw value, in the order of its messages."""
-    for recording in fleet(n=1, hours=hours, seed=0):  # runs, an hour apart
+    for recording in simulated(hours):  # runs, an hour apart
         names = [name for name in recording.channels if name in SCALE]
         channels = [recording.channels[name] for name in names]
         which = np.repeat(np.arange(len(names)), [len(each.order) for each in channels])
@@ -82,12 +89,12 @@ def sail(hours: float, restarts: int) -> tuple[Day, list[float], float]:
     """The node's posts, its memory as the day went by, MB, and the day's length, s."""
     resident: list[float] = []
     took = 0.0
+    packets = math.ceil(sum(1 for _ in rows(hours, START)) / BURST_PACKET)  # now: a database that is busy seems frozen
 
     async def work(day: Voyage) -> None:
         nonlocal took
         assert isinstance(day, Day) and day.process
         begin, boat = time.monotonic(), rows(hours, START)
-        packets = math.ceil(sum(1 for _ in rows(hours, START)) / BURST_PACKET)
         kill, sample = max(packets // (restarts + 1), 1), max(packets // SAMPLES, 1)
         for k in range(packets):
             day.link.post(list(islice(boat, BURST_PACKET)))

@@ -25,6 +25,7 @@ from usvlearn.live.moos.client import Client
 from usvlearn.live.moos.wire import Message
 from usvlearn.live.operator_page import page
 from usvlearn.live.session import Session
+from usvlearn.live.status_line import StatusLine
 
 REQUEST = "APPCAST_REQ"
 SECOND, STATUS, SELDOM = 1.0, 2.0, 5.0  # s between two reports of health, of status, and of what changes seldom
@@ -64,7 +65,8 @@ class App:
         self._stamps: dict[str, float] = {}  # variable -> its latest stamp
         self._published = {f"{settings.name.upper()}_{each}" for each in ("STATUS", "ITER_GAP", "ITER_LEN")}
         self._health: Health = COMPILING
-        self._told: tuple[str, str] | None = None  # state and trouble that were last printed
+        self._line = StatusLine(settings.name)
+        self._trouble = self.client.trouble  # that is known to the events
         self._warned: set[str] = set()
         self._iteration, self._busy = 0, 0.0  # s, of messages since the last iteration
         self._began = time.monotonic()
@@ -125,7 +127,7 @@ class App:
             self._publish(posts.of_step(step, self.settings.members))
             for alarm in step.alarms:
                 self.casts.event(alarm, self._uptime())
-                self._say(alarm)
+                self._line.say(alarm)
         return None
 
     # what goes out
@@ -138,9 +140,6 @@ class App:
     def _uptime(self) -> float:
         return time.monotonic() - self._began
 
-    def _say(self, text: str) -> None:
-        print(f"{self.settings.name}: {text}", flush=True)
-
     def _report(self, clock: float, seldom: bool) -> None:
         """The health, once a second."""
         compiling = self._health.state == COMPILING.state
@@ -152,13 +151,11 @@ class App:
         for warning in set(health.warnings) - self._warned - set(self.casts.config_warnings):
             self.casts.warn(warning)
         self._warned = set(health.warnings)
-        told = health.state, self.client.trouble
-        if told != self._told:
-            if self._told is not None and told[1] != self._told[1]:
-                where = f"{self.settings.host}:{self.settings.port}"
-                self.casts.event(self.client.trouble or f"connected to the MOOSDB at {where}", self._uptime())
-            self._told = told
-            self._say(f"{health.sentence}; {self.client.trouble or 'connected'}")
+        if self.client.trouble != self._trouble:
+            self._trouble = self.client.trouble
+            where = f"{self.settings.host}:{self.settings.port}"
+            self.casts.event(self._trouble or f"connected to the MOOSDB at {where}", self._uptime())
+        self._line.show(health, self.session.last, self._trouble)
         if self.client.connected:  # old news is none
             self._publish(post for post in posts.of_health(health) if seldom or post.name not in SELDOM_POSTS)
 
@@ -220,14 +217,15 @@ class App:
         for number in (signal.SIGTERM, signal.SIGINT):
             with suppress(ValueError, RuntimeError, NotImplementedError):  # not in the main thread
                 loop.add_signal_handler(number, self.stop)
-        self._say(self.session.sentence)
+        self._line.say(self.session.sentence)
         self.session.start()
         client = asyncio.create_task(self.client.run())
         try:
             await self._iterate(client)
         finally:
+            self._line.close()
             self.session.close()
-        self._say("saved; ends")
+        self._line.say("saved; ends")
         self.client.notify("EXITED_NORMALLY", self.settings.name)
         await self.client.drain()
         client.cancel()
