@@ -209,6 +209,18 @@ def test_an_old_last_value_is_no_news_but_a_held_command_is(tmp_path):
     asyncio.run(work())
 
 
+def test_a_database_that_knows_a_name_with_another_type(tmp_path):
+    async def work():
+        database = Moosdb()
+        database.post("USV_SPEED_PRED", "none")
+        async with at_sea(prior(tmp_path), database) as sea:
+            await ready(sea)
+            await sea.steps(20)
+            assert {each.key for each in database.refused} == {"USV_SPEED_PRED"}
+
+    asyncio.run(work())
+
+
 def test_one_app_of_several_that_post_a_variable(tmp_path):
     async def work():
         async with at_sea(prior(tmp_path, channels={"surge": {"name": "NAV_SPEED@pNav"}})) as sea:

@@ -6,6 +6,7 @@ All tests of this file but those of nonsense run against the stand-in and agains
 import asyncio
 import contextlib
 import math
+import socket
 import time
 from collections.abc import Callable
 
@@ -78,6 +79,8 @@ async def receives(database):
         async with running(listener):
             await until(lambda: len(listener.received) == 2)
             assert listener.community == "usv" and listener.trouble == ""
+            assert listener._writer is not None
+            assert listener._writer.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
             last = next(each for each in listener.received if each.key == "OLD")
             assert last.value == 3.0 and last.source == "boat" and begin <= last.time < time.time() - 1.0
             for k in range(500):

@@ -3,7 +3,8 @@
 It reconnects after every kind of end: the database is killed, frozen, restarted empty, or sends nonsense; or the name
 is still taken by a connection that the database has not noticed to be dead. The database remembers registrations only
 as long as a connection, so each connection begins with all of them. What is posted while there is no connection waits
-in a bounded outbox, which drops the oldest first.
+in a bounded outbox, which drops the oldest first. What one turn of the loop posts leaves in one packet, and at once:
+asyncio sets TCP_NODELAY.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 
+from usvlearn.errors import printable
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.wire import Message, WireError
 
@@ -24,6 +26,8 @@ FIRST, LONGEST = 0.25, 5.0  # s of back-off between two connections
 OUTBOX = 1000  # messages that wait
 UNSENT = 1 << 18  # bytes that the system has not accepted: above it, messages stay in the outbox
 IN_PACKET = 100  # messages
+REASON = 200  # characters of a refusal that are shown
+APART, ABSURD = 0.1, 1e12  # s: clocks that differ by less are one, by more are none
 
 
 class NameTakenError(Exception):
@@ -171,7 +175,7 @@ class Client:
         if not answer or answer[0].kind not in (wire.WELCOME, wire.POISON):
             raise WireError("no welcome")
         if answer[0].kind == wire.POISON:
-            raise NameTakenError(answer[0].text or "it gives no reason")
+            raise NameTakenError(printable(answer[0].text[:REASON]) or "it gives no reason")
         self.community = answer[0].community
 
     async def _beat(self) -> None:
@@ -208,7 +212,7 @@ class Client:
         self.round_trip = time.monotonic() - at
         trip = self.warp * self.round_trip
         offset = there - (sent + trip / 2)
-        self._offset = offset if abs(offset) > max(trip, 0.1 * self.warp) and abs(offset) < 1e12 else 0.0
+        self._offset = offset if max(trip, APART * self.warp) < abs(offset) < ABSURD else 0.0
 
     async def drain(self, seconds: float = 1.0) -> None:
         """Wait until the system has accepted all posts, for at most these seconds."""
