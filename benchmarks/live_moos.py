@@ -1,6 +1,6 @@
 """How long the node on MOOS takes from a message to the publication of its step, and how many messages it bears.
 
-python benchmarks/live_moos.py [PORT [SECONDS]]       writes live_moos.md
+python benchmarks/live_moos.py [PORT [SECONDS]]       writes live_moos.md, or live_moosdb.md with a port
 
 Without a port this program plays the database; the node is a process of its own, on loopback. With the port of a MOOSDB
 on this computer, a boat and a viewer are clients of it, and each message makes two hops more. A MOOSDB listens on every
@@ -44,8 +44,8 @@ Row = tuple[float, str, float]  # s since the beginning, channel, raw value
 class Database:
     """What the node needs of a MOOSDB: a welcome, answers to timing messages, and the boat's messages."""
 
-    def __init__(self, take: Callable[[Message], None]):
-        self.port, self._take, self.connections = 0, take, 0
+    def __init__(self, take: Callable[[Message], None], suffix: str):
+        self.port, self._take, self.connections, self._suffix = 0, take, 0, suffix
         self._writer: asyncio.StreamWriter | None = None
         self._server: asyncio.Server | None = None
 
@@ -67,7 +67,9 @@ class Database:
     def post(self, rows: list[tuple[str, float, float]]) -> None:
         assert self._writer
         self._writer.write(
-            wire.encode(Message(wire.NOTIFY, NAMES[name], value=value, time=stamp) for name, stamp, value in rows)
+            wire.encode(
+                Message(wire.NOTIFY, NAMES[name] + self._suffix, value=value, time=stamp) for name, stamp, value in rows
+            )
         )
 
     async def drain(self) -> None:
@@ -92,8 +94,8 @@ class Database:
 class Clients:
     """A boat and a viewer at a MOOSDB."""
 
-    def __init__(self, port: int, take: Callable[[Message], None]):
-        self.port = port
+    def __init__(self, port: int, take: Callable[[Message], None], suffix: str):
+        self.port, self._suffix = port, suffix
         self._boat = Client("boat", "127.0.0.1", port, print)
         self._viewer = Client("viewer", "127.0.0.1", port, take)
         for name in WATCHED:
@@ -104,7 +106,7 @@ class Clients:
 
     def post(self, rows: list[tuple[str, float, float]]) -> None:
         for name, stamp, value in rows:
-            self._boat.notify(NAMES[name], value, stamp)
+            self._boat.notify(NAMES[name] + self._suffix, value, stamp)
 
     async def drain(self) -> None:
         await self._boat.drain()
@@ -146,15 +148,25 @@ def completing(rows: list[Row], start: float) -> list[int]:
 
 
 class Voyage:
-    """A node, and what it publishes."""
+    """A node, and what it publishes.
 
-    def __init__(self, port: int | None, folder: Path, block: Sequence[str] = ()):
-        self._block = block  # more lines of its mission
+    Args:
+        port: of a MOOSDB; None: this program plays it.
+        folder: of the node.
+        block: more lines of its mission.
+        suffix: of the variables, so that a database has no last values of them.
+    """
+
+    def __init__(self, port: int | None, folder: Path, block: Sequence[str] = (), suffix: str = ""):
+        self._block = [*block, *(f"{name} = {variable}{suffix}" for name, variable in NAMES.items())]
         self.folder, self.state, self.process = folder, "", 0  # number of the process
+        self._began = time.time()
         self.arrived: list[float] = []  # when, of each SPEED_NEXT
-        self.link = Database(self.take) if port is None else Clients(port, self.take)
+        self.link = Database(self.take, suffix) if port is None else Clients(port, self.take, suffix)
 
     def take(self, message: Message) -> None:
+        if message.time < self._began:  # a last value that a database had
+            return
         if message.key == "USV_SPEED_NEXT":
             self.arrived.append(time.perf_counter())
         elif message.key == "USV_HEALTH":
@@ -198,9 +210,8 @@ def latency(port: int | None, rate: float, seconds: float) -> list[str]:
         await asyncio.sleep(0.5)
 
     with tempfile.TemporaryDirectory() as folder:
-        voyage = Voyage(port, Path(folder))
+        voyage = Voyage(port, Path(folder), suffix=f"_{rate:g}")
         asyncio.run(voyage.run(work))
-        # a message is stamped when it is due; it is sent a little later
         places = completing(rows, start)
     if len(places) != len(voyage.arrived):
         return [f"{rate:g}", f"{len(voyage.arrived)} of {len(places)}", "-", "-", "-"]
@@ -227,7 +238,7 @@ def burst(port: int | None) -> list[str]:
         took = voyage.arrived[-1] - begin
 
     with tempfile.TemporaryDirectory() as folder:
-        voyage = Voyage(port, Path(folder))
+        voyage = Voyage(port, Path(folder), suffix="_BURST")
         asyncio.run(voyage.run(work))
     return [f"{len(rows)}", f"{len(voyage.arrived)}", f"{took:.2f}", f"{len(rows) / took:.0f}"]
 
@@ -264,8 +275,7 @@ def main() -> None:
         "",
     ]
     print(*text, sep="\n")
-    if port is None:
-        Path(__file__).with_suffix(".md").write_text("\n".join(text))
+    Path(__file__).with_name("live_moos.md" if port is None else "live_moosdb.md").write_text("\n".join(text))
 
 
 if __name__ == "__main__":
