@@ -138,6 +138,7 @@ def test_it_publishes_what_the_node_says(tmp_path):
     assert len(sea.posted("USV_SPEED_PRED")) > 100
     assert sea.posted("EXITED_NORMALLY")[-1].text == "pUSVLearn"
     status = sea.posted("PUSVLEARN_STATUS")[-1].text
+    assert 50_000 < int(status.partition("memory_kb=")[2].partition(",")[0])
     assert status.startswith("AppErrorFlag=false,Uptime=") and 'Subscribing="APPCAST_REQ,DESIRED' in status
     gaps = [each.value for each in sea.posted("PUSVLEARN_ITER_GAP")]
     assert 0.9 < sorted(gaps)[len(gaps) // 2] < 2.0
@@ -155,6 +156,7 @@ def test_while_code_compiles_it_answers_and_then_asks_again(tmp_path, monkeypatc
         async with at_sea(prior(tmp_path), database) as sea:
             await until(lambda: sea.posted("USV_HEALTH"))
             assert sea.health()["state"] == "compiling" and sea.app.client.connected
+            assert len(sea.posted("APPCAST")) == 1  # by which a viewer learns of the app
             database.post("APPCAST_REQ", ASK)
             await until(lambda: "State       compiling" in str([each.text for each in sea.posted("APPCAST")]))
             database.post("DESIRED_THRUST_R", 20.0)

@@ -8,7 +8,6 @@ database, posts wait in a bounded outbox.
 from __future__ import annotations
 
 import asyncio
-import resource
 import signal
 import time
 from collections.abc import Iterable, Sequence
@@ -68,6 +67,7 @@ class App:
         self._line = StatusLine(settings.name)
         self._trouble = self.client.trouble  # that is known to the events
         self._warned: set[str] = set()
+        self._introduced = False  # by an AppCast that nobody has asked for
         self._iteration, self._busy = 0, 0.0  # s, of messages since the last iteration
         self._began = time.monotonic()
         self._stop = asyncio.Event()
@@ -161,18 +161,18 @@ class App:
 
     def _status(self, cpu: float) -> str:
         """What every app says about itself."""
-        usage = resource.getrusage(resource.RUSAGE_SELF)
+        now, most = _memory()
         facts = {
             "AppErrorFlag": "false", "Uptime": f"{self._uptime() * self.settings.warp:.2f}", "cpuload": f"{cpu:.2f}",
-            "memory_kb": f"{_memory():.0f}", "memory_max_kb": f"{usage.ru_maxrss}", "MOOSName": self.settings.name,
+            "memory_kb": now, "memory_max_kb": most, "MOOSName": self.settings.name,
             "Publishing": f'"{"".join(f"{name}," for name in sorted(self._published))}"',
             "Subscribing": f'"{"".join(f"{name}," for name in sorted(self.client.registered))}"',
         }  # fmt: skip
         return ",".join(f"{key}={text}" for key, text in facts.items())
 
     def _cast(self, clock: float) -> None:
-        if self.client.connected and (self.casts.due(clock) or self._iteration == 1):
-            self.casts.tell(clock)
+        if self.client.connected and (self.casts.due(clock) or not self._introduced):
+            self._introduced = True
             counts = {cause: count for cause, count in self.client.counts.items() if cause != "connected" and count}
             link = ", ".join(f"{cause} {count}" for cause, count in counts.items())
             lines = [*page(self._health, self.session.last), f"Database    {link or 'no losses'}"]
@@ -234,13 +234,15 @@ class App:
         return 0
 
 
-def _memory() -> float:
-    """What this process has in memory, kB; 0 where the system does not say."""
+def _memory() -> tuple[str, str]:
+    """What this process has in memory now and had at most, kB; 0 where the system does not say."""
     try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-    except (OSError, ValueError, IndexError):
-        return 0.0
-    return pages * resource.getpagesize() / 1024
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return "0", "0"
+    found = {key: value.split() for key, _, value in (line.partition(":") for line in lines)}
+    now, most = (found.get(key, ["0"])[0] for key in ("VmRSS", "VmHWM"))
+    return now, most
 
 
 def run(session: Session, settings: Settings) -> int:

@@ -67,12 +67,8 @@ class AppCasts:
         new_warnings = self.warnings.total() > self._told_warnings
         if clock - self._cast < PERIOD or not any(new_warnings or not only for _, only in self._asked.values()):
             return False
-        self.tell(clock)
-        return True
-
-    def tell(self, clock: float) -> None:
-        """Remember that an AppCast is sent now."""
         self._cast, self._told_warnings = clock, self.warnings.total()
+        return True
 
     def warn(self, text: str) -> None:
         """Add a run warning, or count it once more."""
