@@ -79,13 +79,13 @@ async def voyage(database, folder, start, kills: int, seconds: float) -> dict[st
     return found
 
 
-@pytest.mark.parametrize(("kills", "seconds"), [(0, 100.0), (1, 40.0)])
+@pytest.mark.parametrize(("kills", "seconds"), [(0, 60.0), pytest.param(1, 40.0, marks=pytest.mark.slow)])
 def test_what_is_published_is_what_a_replay_gives(database, tmp_path, start, kills, seconds):
     found = asyncio.run(voyage(database, tmp_path, start, kills, seconds))
     again = replayed(tmp_path / "records")[:, -1]
     again = again[np.isfinite(again)]
     published = np.array(found["USV_SPEED_PRED"])
-    assert len(published) > 0.7 * (kills + 1) * seconds / 0.4
+    assert len(published) > 0.6 * (kills + 1) * seconds / 0.4
     if not kills:
         np.testing.assert_array_equal(published, again[: len(published)])
         assert len(again) - len(published) <= 2  # the last steps, which are made at the end, are not published
