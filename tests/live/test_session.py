@@ -56,7 +56,7 @@ def test_what_is_saved_is_bounded_and_the_last_is_of_the_end(tmp_path, start):
             session.push(*message)
             if k % 50 == 0:
                 session.tick()
-                session._writer.submit(int).result()  # what the thread had to write is written
+                session._background.wait()  # what the thread had to write is written
         steps = session._node.steps
     found = checkpoint.checkpoints(tmp_path)
     assert 2 <= len(found) <= 3
@@ -71,7 +71,7 @@ def test_an_outage_saves_once(tmp_path, start):
         clock = time.monotonic()
         for k in range(30):
             health = session.tick(clock=clock + k)
-            session._writer.submit(int).result()
+            session._background.wait()
         assert len(checkpoint.checkpoints(tmp_path)) == 1
         assert health.state == "stale" and health.sentence.startswith("no command_left (COMMAND_LEFT) for 29 s, no")
 
@@ -109,14 +109,14 @@ def test_a_disk_that_is_full_ends_no_learning(tmp_path, start, monkeypatch):
             session.push(*message)
         for k in range(3):
             health = session.tick(clock=time.monotonic() + k)
-            session._writer.submit(int).result()
+            session._background.wait()
         learned = health.learned
         assert any("no set can be saved" in each and "make room" in each for each in health.warnings)
         assert any("record_0001.alog ends here" in each for each in health.warnings)
         assert learned > 50
         monkeypatch.undo()
         session.tick(clock=time.monotonic() + 100)
-        session._writer.submit(int).result()
+        session._background.wait()
         assert not any("no set" in each for each in session.tick(clock=time.monotonic() + 101).warnings)
     assert checkpoint.load(good) and len(checkpoint.checkpoints(tmp_path)) >= 2
 
@@ -208,7 +208,7 @@ def test_the_data_check_of_a_replay_watches_the_live_data(tmp_path, start):
             session.push(part, stamp, 3.6 * value if part == "surge" else value)
         clock = time.monotonic()
         assert session.tick(clock=clock + 301.0).warnings == ()
-        session._writer.submit(int).result()
+        session._background.wait()
         (warning,) = session.tick(clock=clock + 302.0).warnings
     assert "surge" in warning and "km/h" in warning
 
@@ -264,7 +264,7 @@ def test_the_status_of_a_folder_is_told(tmp_path, start):
         for message in MINUTE:
             session.push(*message)
         session.tick()
-        session._writer.submit(int).result()
+        session._background.wait()
         lines = "\n".join(status_lines(folder))
         assert "Node        running" in lines and "Network     rnn: contracting by" in lines
     lines = "\n".join(status_lines(folder))

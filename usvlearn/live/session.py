@@ -10,13 +10,13 @@ import math
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import usvlearn
-from usvlearn.errors import ConfigError, UsvlearnError
+from usvlearn.errors import ConfigError
 from usvlearn.live import watched
+from usvlearn.live.background import Background
 from usvlearn.live.health import COMPILING, Health, seconds
 from usvlearn.live.recent import Recent
 from usvlearn.live.recorder import Recorder
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 REPORT = 5.0  # s between two reports of what is identified and of the networks
 TELL = 10.0  # s between two status files
+RETRY = 60.0  # s after a save that failed, at most
 SILENT = 1.0  # s without a message, from which on a channel is reported, at least
 WARNINGS = 20  # sentences, at most
 
@@ -78,14 +79,12 @@ class Session:
         self._recorder: Recorder | None = None
         self._board: Board | None = None
         self._recent = Recent(self.setup)
-        self._writer = ThreadPoolExecutor(1, thread_name_prefix="usvlearn-writer")
-        self._saving: Future[Path] | None = None
-        self._checking: Future[list[str]] | None = None
-        self._telling: Future[None] | None = None
+        self._background = Background()
         self._began = time.monotonic()
         self._heard: dict[str, float] = {}  # part -> monotonic time of its last message
         self._early = 0  # messages that came while code was compiled
-        self._saved, self._due, self._reported, self._told = math.inf, self._began, -math.inf, -math.inf
+        self._saved, self._due = -math.inf, self._began  # when a set was saved, and when the next period begins
+        self._reported = self._told = -math.inf
         self._learned = self._hoped = 0  # at the last save, and at the one that is being made
         self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
         self._contraction: dict[str, dict[str, Any]] = {}
@@ -162,9 +161,8 @@ class Session:
             self._save_soon(clock)
         health = self._health(ages, clock)
         self.state = health.state
-        if clock - self._told >= TELL and (self._telling is None or self._telling.done()):
+        if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
             self._told = clock
-            self._telling = self._writer.submit(self._tell, health.json())
         self._draw(health=health)
         return health
 
@@ -184,7 +182,7 @@ class Session:
         """Make the last steps, save, end the record, release the folder."""
         if self._node is not None:
             self._took(self._node.finish())
-            self._writer.shutdown(wait=True)
+            self._background.wait()
             self._finished()
             if self._node.learned > self._learned:
                 self.save()
@@ -195,7 +193,7 @@ class Session:
         if self._recorder is not None:
             self._recorder.close()
         self._draw(close=True)
-        self._writer.shutdown(wait=True)
+        self._background.close()
         self._lock.release()
 
     def __enter__(self) -> Session:
@@ -324,46 +322,36 @@ class Session:
         return node.online.state, facts
 
     def _save_soon(self, clock: float) -> None:
-        """Write a set in the thread, unless one is being written."""
-        if self._saving is None:
-            assert self._node is not None
-            self._due, self._hoped = clock, self._node.learned
-            self._saving = self._writer.submit(self._sets.save, *self._set())
-            if self._checking is None:
-                self._checking = self._writer.submit(
-                    self._recent.findings, self._recent.copy(), self.options.boat, self._node.horizons
-                )
+        """Write a set in the thread, unless one is being written, and check the data."""
+        node = self._node
+        assert node is not None
+        if self._background.submit("save", self._sets.save, *self._set()):
+            self._due, self._hoped = clock, node.learned
+            self._background.submit(
+                "check", self._recent.findings, self._recent.copy(), self.options.boat, node.horizons
+            )
 
     def _finished(self) -> None:
-        """Look at what the thread has done."""
-        if self._saving is not None and self._saving.done():
-            saving, self._saving = self._saving, None
-            try:
-                saving.result()
-                self._saved, self._learned = time.monotonic(), self._hoped
-                self._warnings.pop("save", None)
-            except OSError as error:
-                self._warnings["save"] = self._unsaved(error)
-                self._due = time.monotonic() - self.options.save_period + min(60.0, self.options.save_period)
-        if self._checking is not None and self._checking.done():
-            checking, self._checking = self._checking, None
-            for key in [key for key in self._warnings if key.startswith("check")]:
+        """Look at what the thread has done; an error is a warning, and the node learns on."""
+        for name, result, error in self._background.done():
+            for key in [key for key in self._warnings if key.startswith(name)]:
                 del self._warnings[key]
-            try:
-                self._warnings |= {f"check {k}": each for k, each in enumerate(checking.result())}
-            except UsvlearnError as error:
-                self._warnings["check"] = f"the data cannot be checked: {error}"
-        if self._telling is not None and self._telling.done():
-            telling, self._telling = self._telling, None
-            if isinstance(telling.exception(), OSError):
-                self._warnings["status"] = f"the status cannot be written ({telling.exception()})"
-            else:
-                self._warnings.pop("status", None)
+            if name == "save" and error is None:
+                self._saved, self._learned = time.monotonic(), self._hoped
+            elif name == "save":
+                self._warnings[name] = self._unsaved(error)
+                self._due = time.monotonic() - self.options.save_period + min(RETRY, self.options.save_period)
+            elif name == "check" and error is None:
+                self._warnings |= {f"{name} {k}": each for k, each in enumerate(result)}
+            elif error is not None:
+                what = {"check": "the data cannot be checked", "status": "the status cannot be written"}[name]
+                self._warnings[name] = f"{what}: {error}"
 
-    def _unsaved(self, error: OSError) -> str:
+    def _unsaved(self, error: BaseException | None) -> str:
+        cause = getattr(error, "strerror", None) or error
         return (
-            f"no set can be saved in {self.options.folder} ({error.strerror or error}): make room on the disk; "
-            "the sets saved before are complete"
+            f"no set can be saved in {self.options.folder} ({cause}): make room on the disk; the sets saved before are "
+            "complete"
         )
 
     def _tell(self, health: Mapping[str, Any]) -> None:
