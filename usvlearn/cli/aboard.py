@@ -60,3 +60,9 @@ def main() -> int:
         return 0
     with exit_on_user_error():
         return work(arguments)
+
+
+def moos_app() -> int:
+    """The program `pUSVLearn`, as which pAntler starts `usvlearn live moos`; returns the exit code."""
+    with exit_on_user_error():
+        return work(["moos", *sys.argv[1:]])
