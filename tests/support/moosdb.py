@@ -67,6 +67,7 @@ class Moosdb:
         self.refused: list[Message] = []
         self.values: dict[str, Message] = {}
         self.links: dict[str, _Link] = {}
+        self._writers: set[asyncio.StreamWriter] = set()  # of all connections, also those without a welcome
         self._server: asyncio.Server | None = None
         self._awake: asyncio.Event | None = None
         self._keeper: asyncio.Task[None] | None = None
@@ -87,8 +88,8 @@ class Moosdb:
         assert self._server and self._keeper
         self._server.close()
         self._keeper.cancel()
-        for link in self.links.values():
-            link.writer.transport.abort()
+        for writer in self._writers:
+            writer.transport.abort()
         self.links, self.values = {}, {}
 
     def freeze(self) -> None:
@@ -125,6 +126,7 @@ class Moosdb:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         link = None
+        self._writers.add(writer)
         try:
             link = await self._welcome(reader, writer)
             while link is not None and self._awake:
@@ -139,6 +141,7 @@ class Moosdb:
         finally:
             if link is not None and self.links.get(link.name) is link:
                 del self.links[link.name]
+            self._writers.discard(writer)
             writer.transport.abort()
 
     async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> _Link | None:
@@ -187,6 +190,14 @@ class Moosdb:
                 if self._awake and self._awake.is_set() and time.monotonic() - link.heard > self.timeout:
                     link.writer.transport.abort()
 
+    async def _end(self) -> None:
+        """Cancel what still runs in this loop, and let the transports close."""
+        others = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in others:
+            task.cancel()
+        await asyncio.gather(*others, return_exceptions=True)
+        await asyncio.sleep(0.05)
+
     @contextlib.contextmanager
     def in_thread(self) -> Iterator[Callable[..., None]]:
         """Run in a thread of its own; yields what calls a method there and waits: `call(db.post, "A", 1.0)`."""
@@ -207,7 +218,7 @@ class Moosdb:
             yield call
             call(self.kill)
         finally:
-            call(asyncio.sleep, 0.05)  # the handlers of connections end
+            call(self._end)
             loop.call_soon_threadsafe(loop.stop)
             thread.join()
             loop.close()
