@@ -21,6 +21,7 @@ def parsed(*arguments: str):
 def test_options_of_channels_are_typed_and_change_those_of_a_file(tmp_path):
     file = tmp_path / "my_boat.yaml"
     file.write_text("data: {channels: {surge: {name: v, unit: knots}, heading: {name: psi}}}\nvehicle: {mass: 3}\n")
+    assert parsed("--channels", str(file)).mass == 3
     options = parsed("--channels", str(file), "--channel", "surge=NAV_SPEED", "--channel", "command_left.span=-100",
                      "--channel", "command_left=a,b", "--channel", "command_left.weight=1,-1", *GIVEN)  # fmt: skip
     assert options.channels["surge"] == {"name": "NAV_SPEED", "unit": "knots"}

@@ -1,6 +1,7 @@
 """A session in use: what it starts from, what it saves, what it says, and what goes wrong aboard."""
 
 import math
+import os
 import time
 from pathlib import Path
 
@@ -165,6 +166,98 @@ def test_a_number_that_is_too_large_to_convert_is_one_more_bad_message(tmp_path,
     with ready(tmp_path, start, channels=changes) as session:
         session.push("command_left", 1.0, 1e308)
         assert session.tick().counts == {"command_left": {"not_a_number": 1}}
+
+
+@pytest.mark.parametrize("stamp", [1e12, -1e13, 1e18, 1e308])
+def test_a_first_stamp_that_is_none_does_not_shift_all_others(tmp_path, start, stamp):
+    with ready(tmp_path, start) as session:
+        session.push("surge", stamp, 1.0)
+        steps = [step for message in MINUTE for step in session.push(*message)]
+        assert len(steps) > 100 and session.tick().counts["surge"]["no_time"] == 1
+
+
+def test_a_channel_of_which_no_message_can_be_used_is_told(tmp_path, start):
+    """Commands in percent that are taken for shares: all are out of range."""
+    with ready(tmp_path, start) as session:
+        for part, stamp, value in MINUTE:
+            session.push(part, stamp, 100.0 * value + 50.0 if part == "command_left" else value)
+        health = session.tick()
+    assert health.state == "stale" and "no message can be used of command_left (out_of_range)" in health.sentence
+
+
+@pytest.mark.parametrize(
+    "setup", [3, {"channels": 3}, {"align": {"dt": -1}}, {"align": {"dt": 5.0}}, {"align": {"dt": 0.001}}]
+)
+def test_a_set_whose_setup_is_not_legal_is_passed_over(tmp_path, start, setup):
+    leaves, facts = checkpoint.load(start)
+    good = checkpoint.save(tmp_path / "live_00000001.safetensors", leaves, **facts)
+    changed = facts["setup"] | setup if isinstance(setup, dict) else setup
+    checkpoint.save(tmp_path / "live_00000002.safetensors", leaves, **(facts | {"setup": changed}))
+    with Session(Options(tmp_path), PLAIN) as session:
+        assert good.name in session.sentence
+        assert any("live_00000002" in each and "setup" in each for each in session.warnings)
+
+
+@pytest.mark.parametrize("boat_name", ["", "..", "a/b", "a\nb", "${x}"])
+def test_a_name_that_no_run_can_have_is_refused(tmp_path, boat_name):
+    with pytest.raises(ConfigError, match="boat: found"):
+        Options(tmp_path, boat=boat_name)
+    with pytest.raises(ConfigError, match="folder: found"):
+        Options(Path(""))
+    with pytest.raises(ConfigError, match="folder: found"):
+        Options(Path("a\0b"))
+
+
+def test_what_to_start_from_is_named_where_there_is_no_set(tmp_path, start):
+    leaves, facts = checkpoint.load(start)
+    for name in ("anna", "bert"):
+        checkpoint.save(tmp_path / "boats" / name / "a.safetensors", leaves, **facts)
+    for place, message in (("boats", "start: .*found no parameter set there: give .*anna or .*bert"),
+                           ("none", "start: .*there is no such file or folder")):  # fmt: skip
+        with pytest.raises(CheckpointError, match=message):
+            Session(Options(tmp_path / "node", tmp_path / place), PLAIN)
+
+
+def test_the_end_says_what_was_saved(tmp_path, start, monkeypatch):
+    assert ready(tmp_path / "a", start).close() == "ends; it has learned nothing"
+    assert Session(Options(tmp_path / "b", start), PLAIN).close() == "ends; it was not ready yet"
+    session = ready(tmp_path / "c", start)
+    for message in MINUTE:
+        session.push(*message)
+    assert session.close() == "saved; ends"
+    session = ready(tmp_path / "d", start)
+    for message in MINUTE:
+        session.push(*message)
+
+    def full(path, content):
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr(checkpoint, "write_atomically", full)
+    assert session.close().startswith("ends; no set can be saved")
+
+
+@pytest.mark.parametrize(
+    "status",
+    ['{"warnings": 5}', '{"written": 1%s}' % ("0" * 400), '{"written": -1e300, "last": {"speed": 1%s}}' % ("0" * 400),
+     '{"identified": {"a": [1e999, 1, 2, "m"]}, "contraction": {"rnn": {"equilibrium": 1%s}}}' % ("0" * 400),
+     '{"last": {"speed": NaN}, "warnings": ["\\u001b[2J"]}'],
+)  # fmt: skip
+def test_a_status_from_others_is_shown_without_harm(tmp_path, status):
+    (tmp_path / "status.json").write_text(status)
+    assert all(len(line) < 400 and line.isprintable() for line in status_lines(tmp_path))
+
+
+def test_a_pipe_is_no_status(tmp_path):
+    os.mkfifo(tmp_path / "status.json")
+    with pytest.raises(CheckpointError, match="it is no regular file"):
+        status_lines(tmp_path)
+
+
+def test_the_status_is_json(tmp_path, start):
+    with ready(tmp_path, start) as session:
+        session.push(*MINUTE[0])
+        session.tick()
+    assert "NaN" not in (tmp_path / "status.json").read_text()
 
 
 def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):

@@ -96,8 +96,11 @@ def test_the_command_prints_it(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("NUMBA_CACHE_DIR", "code")
     assert main(["--folder", "a/../node", "--user", "boat", "moos", "a b.moos", "--verbose"]) == 0
     text = capsys.readouterr().out
-    words = [sys.executable, "-m", "usvlearn", "live", "moos", "a b.moos", "--verbose"]
+    node = str(tmp_path / "node")
+    words = [sys.executable, "-m", "usvlearn", "live", "moos", "--folder", node, "a b.moos", "--verbose"]
     assert text == unit(words, tmp_path / "node", "boat", tmp_path, tmp_path / "code")
+    assert main(["--user", "boat", "ros2", node, "--ros-args"]) == 0
+    assert f'"ros2" "{node}" "--ros-args"' in capsys.readouterr().out
     for given in (["--folder", "/n/x"], ["--folder=/n/x"]):
         assert main(["--user", "boat", "mavlink", "udpin:127.0.0.1:14550", *given]) == 0
         assert '\nReadWritePaths="/n/x" ' in capsys.readouterr().out
@@ -119,6 +122,7 @@ def test_the_code_that_the_user_warmed_is_used(tmp_path, monkeypatch, capsys):
     (["--user", "boat", "moos"], "--folder: found none"), (["--folder"], "--folder: found no value"),
     (["--folder", "/n", "--user", "boat"], "command: found ''"),
     (["--folder", "/n", "--fodler", "x"], "command: found '--fodler x'"),
+    (["--folder", "/n", "foo"], "command: found 'foo', expected moos, mavlink, ros2"),
     (["--folder", "/n", "--user", "root", "moos"], "user: found 'root'"),
     (["--folder", "/n", "--user", "a\nExecStartPre=/bin/rm", "moos"], "user: found"),
     (["--folder", "/n", "--user", "boat", "moos", "a\nExecStartPre=/bin/rm"], "systemd: found 'a"),

@@ -7,21 +7,21 @@ from pathlib import Path
 
 from usvlearn.errors import ConfigError
 from usvlearn.live.node import PATIENCE
-from usvlearn.live.start import Options, channel_options, channels_of
+from usvlearn.live.start import Options, boat_of, channel_options
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add them to the parser of a middleware."""
     group = parser.add_argument_group("the node")
     add = group.add_argument
-    add("--folder", default="usvlearn_live", help="of the node: its parameter sets, status and records (usvlearn_live)")
+    add("--folder", default="usvlearn_live", help="folder for parameter sets, status and records (usvlearn_live)")
     add("--start", metavar="SET", help="a set, a folder of sets or a run's folder, if the node's folder has no set yet")
-    add("--mass", type=float, help="kg, added mass included: of a prior, if there is no set at all")
-    add("--surge-max", type=float, help="top speed, m/s: likewise")
+    add("--mass", type=float, help="mass in kg, added mass included; needed only without a set")
+    add("--surge-max", type=float, help="top speed in m/s; needed only without a set")
     add("--channels", metavar="FILE.yaml", help="channels as usvlearn inspect writes them")
     add("--channel", action="append", default=[], metavar="KEY=VALUE",
         help="an option of a channel, such as surge=NAV_SPEED or command_left.span=100; repeatable")  # fmt: skip
-    add("--boat", default="boat", help="its name")
+    add("--boat", default="boat", help="name of the boat")
     add("--record", action="store_true", help="record all messages, so that train.py can replay the session")
     add("--save-period", type=float, default=300.0, metavar="S", help="time between two sets, s (300)")
     add("--keep", type=int, default=100, metavar="N", help="number of sets that are kept (100)")
@@ -36,7 +36,7 @@ def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
     Raises:
         ConfigError: a value is not legal.
     """
-    channels = channels_of(Path(given.channels).expanduser()) if given.channels else {}
+    channels, vehicle = boat_of(Path(given.channels).expanduser()) if given.channels else ({}, {})
     pairs = {}
     for pair in given.channel:
         key, equals, value = pair.partition("=")
@@ -45,8 +45,12 @@ def options_of(given: argparse.Namespace, warp: float = 1.0) -> Options:
         pairs[key.strip()] = value
     for name, each in channel_options(pairs).items():
         channels[name] = channels.get(name, {}) | each
+    mass, top = (
+        vehicle.get(name) if value is None else value
+        for name, value in (("mass", given.mass), ("surge_max", given.surge_max))
+    )
     return Options(
-        Path(given.folder).expanduser(), None if given.start is None else Path(given.start).expanduser(), given.mass,
-        given.surge_max, channels, given.boat, given.record, given.save_period, given.keep, given.patience,
+        Path(given.folder).expanduser(), None if given.start is None else Path(given.start).expanduser(), mass,
+        top, channels, given.boat, given.record, given.save_period, given.keep, given.patience,
         None if given.tensorboard is None else Path(given.tensorboard).expanduser(), warp,
     )  # fmt: skip

@@ -29,21 +29,36 @@ class Health(NamedTuple):
 
     def json(self) -> dict[str, Any]:
         """As JSON values: a number that is not finite becomes null."""
-        found: dict[str, Any] = _finite(self._asdict())
+        found: dict[str, Any] = finite(self._asdict())
         return found
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
+    """JSON values, in which a number that is not finite becomes None, and text cannot control a terminal."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):
-        return {str(key): _finite(each) for key, each in value.items()}
+        return {str(key): finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [finite(each) for each in value]
     return printable(value) if isinstance(value, str) else value
 
 
-COMPILING = Health("compiling", "compiling, once on this machine", {}, {}, 0, 0, 0, None, 0.0, math.inf, {}, {}, ())
+COMPILING = Health(
+    "compiling",
+    "preparing compiled code, for minutes at the first start",
+    {},
+    {},
+    0,
+    0,
+    0,
+    None,
+    0.0,
+    math.inf,
+    {},
+    {},
+    (),
+)
 
 
 def seconds(value: float) -> str:

@@ -28,6 +28,7 @@ from usvlearn.signals import Inputs, Sample
 
 PATIENCE = 0.1  # s, for which a live step waits for late messages
 LONGEST = 600  # steps of a forecast, at most
+LATEST = 1e12  # s: a stamp of this size is none
 
 
 class Step(NamedTuple):
@@ -138,8 +139,11 @@ class Node:
         source = self.parts.get(part)
         if source is None:
             raise ConfigError(f"part: found {part!r}, expected one of {', '.join(self.parts)}")
-        if not (math.isfinite(stamp) and math.isfinite(raw)):
-            self.drop(part, "not_a_number" if math.isfinite(stamp) else "no_time")
+        if not abs(stamp) < LATEST:
+            self.drop(part, "no_time")
+            return []
+        if not math.isfinite(raw):
+            self.drop(part, "not_a_number")
             return []
         time, channel = self.relative(stamp), self._channels[part]
         value = float(source.convert(np.float64(raw)))  # type: ignore[arg-type]

@@ -19,7 +19,7 @@ def page(health: Health, step: Step | None = None) -> list[str]:
 
     >>> from usvlearn.live.health import COMPILING
     >>> page(COMPILING)[0]
-    'State       compiling: compiling, once on this machine'
+    'State       compiling: preparing compiled code, for minutes at the first start'
     """
     lines = _wrapped("State", health.sentence if health.state == "ok" else f"{health.state}: {health.sentence}")
     saved = f"{seconds(health.saved)} ago" if math.isfinite(health.saved) else "not yet"
@@ -55,7 +55,7 @@ def _speeds(step: Step) -> list[str]:
 
 
 def _interval(value: float, low: float, high: float) -> str:
-    return f"{value:.2f} ({low:.2f} ... {high:.2f})"
+    return f"{value:.2f} ({low:.2f} ... {high:.2f})" if math.isfinite(low) else f"{value:.2f} (no interval yet)"
 
 
 def _network(network: dict[str, Any]) -> str:

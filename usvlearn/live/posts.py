@@ -39,14 +39,14 @@ TABLE = (
               "USV_NEXT"),
     Published("SPEED_NEXT_LOW", NUMBER, "m/s", STEP, "lower end of its 90 % interval", "USV_NLOW"),
     Published("SPEED_NEXT_HIGH", NUMBER, "m/s", STEP, "upper end of its 90 % interval", "USV_NHIGH"),
-    Published("FORECAST", TEXT, "s: m/s", STEP, "speeds at the horizons with their intervals, as 10=1.23:1.10:1.36,…"),
-    Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and rule, on request"),
+    Published("FORECAST", TEXT, "s: m/s", STEP, "speeds at the horizons, and intervals if known: 10=1.23:1.10:1.36,…"),
+    Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and rule, where members are asked for"),
     Published("ALARM", TEXT, "", RAISED, "a thruster seems to have failed, and how much of its thrust is left"),
-    Published("PARAMS", TEXT, "", SELDOM, "identified quantities, as c_q=-2.9,…"),
+    Published("PARAMS", TEXT, "", SELDOM, "identified quantities, as drag_linear=-20.7,thrust_full_left=18.2,…"),
     Published("CONTRACTING", TEXT, "", SELDOM, "verdict on each network, by which condition"),
     Published("CONTRACTION_RATE", NUMBER, "a step", SELDOM, "rate K of the first network; below 1: contracting",
               "USV_K"),
-    Published("EQUILIBRIUM", NUMBER, "m/s", SELDOM, "speed at rest of the first network", "USV_EQ"),
+    Published("EQUILIBRIUM", NUMBER, "m/s", SELDOM, "speed at which the first network stays, without thrust", "USV_EQ"),
     Published("HEALTH", TEXT, "", SECOND, "state, what is missing, counts, time since the last save"),
 )  # fmt: skip
 KINDS = {each.name: each.kind for each in TABLE}
@@ -66,11 +66,17 @@ def of_step(step: Step, members: bool = False) -> list[Post]:
     }  # fmt: skip
     found = [Post(name, value) for name, value in numbers.items() if math.isfinite(value)]
     if step.forecasts:
-        ends = (f"{horizon:g}={':'.join(f'{x:.3f}' for x in each)}" for horizon, each in step.forecasts.items())
-        found.append(Post("FORECAST", ",".join(ends)))
+        found.append(
+            Post("FORECAST", ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in step.forecasts.items()))
+        )
     if members and step.members:
         found.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
     return found + [Post("ALARM", alarm) for alarm in step.alarms]
+
+
+def _ends(forecast: tuple[float, float, float]) -> str:
+    """A speed with the ends of its interval, where these are known."""
+    return ":".join(f"{x:.3f}" for x in (forecast if math.isfinite(forecast[1]) else forecast[:1]))
 
 
 def of_health(health: Health) -> list[Post]:

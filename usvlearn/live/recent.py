@@ -14,6 +14,7 @@ from usvlearn.logs.mixing import Mix
 from usvlearn.logs.setup import Setup
 
 MOST = 20_000  # messages of a channel, at most: half an hour at 10 Hz
+LIVE_KNOWS = ("stale",)  # kinds of findings that the health of a node tells itself
 LEAST = 300  # of each channel; with fewer nothing is checked
 
 
@@ -76,7 +77,8 @@ class Recent:
         except LogFormatError:  # the check says why
             fleet = None
         found = check_data([recording], fleet, self._setup.align, top, declared, horizons)
-        return [each.sentence() for each in found if each.severity == WARNING]
+        told = [each.sentence() for each in found if each.severity == WARNING and each.kind not in LIVE_KNOWS]
+        return [each.replace("data.channels.", "").replace("vehicle.surge_max", "surge_max") for each in told]
 
     def _source(self, name: str) -> Source:
         given = self._setup.channels[name]

@@ -125,8 +125,8 @@ def configuration(path: Path, setup: Setup, boat: str = "boat") -> str:
     return "\n".join(
         [
             "# @package _global_",
-            f"# A recorded session. From the folder of this file, `python train.py data={stem}.yaml",
-            f"# resume={stem}{SUFFIX}` replays it, with the same predictions to the last bit.",
+            f"# A recorded session. In the folder of this file, `usvlearn train data={stem}.yaml",
+            f"# resume={stem}{SUFFIX}` replays it, with the same predictions.",
             *lines,
             "",
         ]

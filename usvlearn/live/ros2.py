@@ -212,7 +212,7 @@ def run(session: Session, node: Any, **options: Any) -> int:
             executor.spin_once(timeout_sec=WAIT)
         shell.close()
     finally:
-        session.close()
+        print(f"usvlearn: {session.close()}", flush=True)
         for number, handler in before.items():
             signal.signal(number, handler)
         executor.shutdown()

@@ -9,7 +9,9 @@ import importlib.util
 import math
 import threading
 import time
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +19,7 @@ import usvlearn
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
 from usvlearn.live.background import Background
-from usvlearn.live.health import COMPILING, Health, seconds
+from usvlearn.live.health import COMPILING, Health, finite, seconds
 from usvlearn.live.recent import Recent
 from usvlearn.live.recorder import Recorder
 from usvlearn.live.sets import Sets
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 REPORT = 5.0  # s between two reports of what is identified and of the networks
 TELL = 10.0  # s between two status files
 RETRY = 60.0  # s after a save that failed, at most
+FIRST_CHECK = 60.0  # s after the start, of the data; later at each save
+USELESS = ("not_a_number", "no_time", "out_of_range", "backwards", "ahead", "alone", "wrong_type", "empty", "text")
 SILENT = 1.0  # s without a message, from which on a channel is reported, at least
 WARNINGS = 20  # sentences, at most
 
@@ -82,9 +86,14 @@ class Session:
         self._background = Background()
         self._began = time.monotonic()
         self._heard: dict[str, float] = {}  # part -> monotonic time of its last message
-        self._early = 0  # messages that came while code was compiled
+        self._early: Counter[tuple[str, str]] = Counter()  # part and cause of messages that came before it was ready
+        self._pushed: Counter[str] = Counter()
+        self._before: dict[str, tuple[int, int]] = {}  # channel -> messages and rejected ones at the last look
+        self._refused: dict[str, str] = {}  # channel -> why all of its last messages were rejected
         self._saved, self._due = -math.inf, self._began  # when a set was saved, and when the next period begins
         self._reported = self._told = -math.inf
+        self._closed = False
+        self._checked = False  # whether the data were checked once
         self._learned = self._hoped = 0  # at the last save, and at the one that is being made
         self._warnings: dict[str, str] = {f"set {k}": each for k, each in enumerate(self._begin.warnings)}
         self._contraction: dict[str, dict[str, Any]] = {}
@@ -106,8 +115,9 @@ class Session:
     def push(self, part: str, stamp: float, raw: float) -> list[Step]:
         """Take one message; returns the steps that it completes. See `Node.push`."""
         self._heard[part] = time.monotonic()
+        self._pushed[part] += 1
         if self.state == "compiling" and not self._ready():
-            self._early += 1
+            self._early[part, "compiling"] += 1
             return []
         node = self._node
         assert node is not None
@@ -123,6 +133,8 @@ class Session:
         """Count a message that the shell could not use."""
         if self._node is not None:
             self._node.drop(part, cause)
+        else:
+            self._early[part, cause] += 1
 
     def restart(self) -> list[Step]:
         """The clock of the stamps began anew: a new segment, and a new record."""
@@ -155,10 +167,12 @@ class Session:
         ages = self._ages(clock)
         if clock - self._reported >= REPORT:
             self._reported = clock
-            self._contraction, self._identified = watched.networks(node.online), watched.identified(node.online)
+            self._look()
         outage = min(ages.values(), default=math.inf) > float(self.setup.align.get("outage", 5.0))
         if clock - self._due >= self.options.save_period or (outage and node.learned > self._learned):
             self._save_soon(clock)
+        elif clock - self._began >= FIRST_CHECK and not self._checked:
+            self._check()
         health = self._health(ages, clock)
         self.state = health.state
         if clock - self._told >= TELL and self._background.submit("status", self._tell, health.json()):
@@ -178,23 +192,36 @@ class Session:
         self._saved, self._learned = time.monotonic(), self._node.learned
         return path
 
-    def close(self) -> None:
-        """Make the last steps, save, end the record, release the folder."""
-        if self._node is not None:
-            self._took(self._node.finish())
-            self._background.wait()
-            self._finished()
-            if self._node.learned > self._learned:
-                self.save()
-            try:
-                self._tell(self._health(self._ages(time.monotonic()), time.monotonic()).json() | {"state": "ended"})
-            except OSError:
-                pass
-        if self._recorder is not None:
-            self._recorder.close()
-        self._draw(close=True)
-        self._background.close()
-        self._lock.release()
+    def close(self) -> str:
+        """Make the last steps, save, end the record, release the folder; returns a sentence on what was saved."""
+        if self._closed:
+            return ""
+        self._closed = True
+        try:
+            return self._end()
+        finally:
+            if self._recorder is not None:
+                self._recorder.close()
+            self._draw(close=True)
+            self._background.close()
+            self._lock.release()
+
+    def _end(self) -> str:
+        node = self._node
+        if node is None:
+            return "ends; it was not ready yet"
+        self._took(node.finish())
+        self._background.wait()
+        self._finished()
+        if node.learned > self._learned:
+            self.save()
+        self._look()
+        clock = time.monotonic()
+        with suppress(OSError):
+            self._tell(self._health(self._ages(clock), clock).json() | {"state": "ended"})
+        if node.learned > self._learned:
+            return f"ends; {self._warnings.get('save', 'what it learned last could not be saved')}"
+        return "saved; ends" if node.learned else "ends; it has learned nothing"
 
     def __enter__(self) -> Session:
         return self
@@ -232,8 +259,8 @@ class Session:
             return False
         self.state = "waiting"
         self._node.online.setup = self.setup.json()
-        if self._early:
-            self._node.drop("messages", "compiling", self._early)
+        for (part, cause), count in self._early.items():
+            self._node.drop(part, cause, count)
         if self.options.record:
             self._record()
         if self.options.tensorboard is not None:
@@ -305,7 +332,12 @@ class Session:
             longest = source.window + float(source.period) + 2 * dt
             if not source.held and age > max(SILENT * self.options.warp, longest):
                 old.append(f"{self._told_of(part)} for {seconds(age)}")
-        return ("stale", f"no {', no '.join(old)}") if old else ("ok", "ok")
+        if old:
+            return "stale", f"no {', no '.join(old)}"
+        refused = [f"{channel} ({cause})" for channel, cause in sorted(self._refused.items())]
+        if refused:
+            return "stale", f"no message can be used of {', '.join(refused)}"
+        return "ok", "ok"
 
     def _told_of(self, part: str) -> str:
         return f"{part} ({self.sources[part].name})"
@@ -327,9 +359,28 @@ class Session:
         assert node is not None
         if self._background.submit("save", self._sets.save, *self._set()):
             self._due, self._hoped = clock, node.learned
-            self._background.submit(
-                "check", self._recent.findings, self._recent.copy(), self.options.boat, node.horizons
-            )
+            self._check()
+
+    def _check(self) -> None:
+        """Check the data in the thread."""
+        assert self._node is not None
+        self._checked = True
+        arguments = self._recent.copy(), self.options.boat, self._node.horizons
+        self._background.submit("check", self._recent.findings, *arguments)
+
+    def _look(self) -> None:
+        """What is identified, the networks, and channels of which no message can be used."""
+        node = self._node
+        assert node is not None
+        self._contraction, self._identified = watched.networks(node.online), watched.identified(node.online)
+        counts = node.counts
+        for channel in {part.partition("[")[0] for part in self.sources}:
+            causes = {cause: n for cause, n in counts.get(channel, {}).items() if cause in USELESS}
+            pushed = sum(n for part, n in self._pushed.items() if part.partition("[")[0] == channel)
+            before, self._before[channel] = self._before.get(channel, (0, 0)), (pushed, sum(causes.values()))
+            self._refused.pop(channel, None)
+            if pushed > before[0] and sum(causes.values()) - before[1] >= pushed - before[0]:
+                self._refused[channel] = max(causes, key=lambda cause: causes[cause])
 
     def _finished(self) -> None:
         """Look at what the thread has done; an error is a warning, and the node learns on."""
@@ -356,7 +407,8 @@ class Session:
 
     def _tell(self, health: Mapping[str, Any]) -> None:
         last = None if self.last is None else {"time": self.last.time, "speed": self.last.speed, "next": self.last.next}
-        self._sets.tell(
-            {**health, "middleware": self.middleware.name, "boat": self.options.boat, "began_from": self.sentence,
-             "written": time.time(), "last": last}
-        )  # fmt: skip
+        facts = {
+            "middleware": self.middleware.name, "boat": self.options.boat, "began_from": self.sentence,
+            "written": time.time(), "last": last,
+        }  # fmt: skip
+        self._sets.tell(finite({**health, **facts}))

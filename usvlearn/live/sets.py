@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+import stat
 import warnings
 from collections.abc import Mapping
 from contextlib import suppress
@@ -14,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from usvlearn import checkpoint
-from usvlearn.errors import CheckpointError
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.logs.setup import Setup
 from usvlearn.online import read_set
 
 NAME = re.compile(r"live_(\d{8,18})\.safetensors")  # sorted behind the sets of a run, which begin with a digit
@@ -69,19 +71,35 @@ def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, lis
     Raises:
         CheckpointError: none can be read.
     """
+    if not path.exists():
+        raise CheckpointError(f"{path}: there is no such file or folder: correct the path")
     if not path.is_dir():
-        return *read_set(path), path, []
+        return *_read(path), path, []
+    if not checkpoint.checkpoints(path) and not any(path.glob(f"*/*/*{checkpoint.SUFFIX}")):
+        below = sorted({each.parent for each in path.glob(f"**/*{checkpoint.SUFFIX}")})
+        hint = " or ".join(map(str, below[:4])) or "a set, a folder of sets, or the folder of a run"
+        raise CheckpointError(f"{path}: found no parameter set there: give {hint}")
     last: list[Path] = []
 
     def read(each: Path) -> tuple[Any, dict[str, Any]]:
         last[:] = [each]
-        leaves, facts = read_set(each)
-        return leaves, facts
+        return _read(each)
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         leaves, facts = checkpoint.newest(path, read)
     return leaves, facts, last[0], [str(each.message) for each in caught]
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A set whose setup is legal, too."""
+    leaves, facts = read_set(path)
+    try:
+        if (setup := Setup.of_set(facts)) is not None:
+            setup.check_alignment()
+    except ConfigError as error:
+        raise CheckpointError(f"{path}: its setup is not legal ({error}): use the set saved before it") from error
+    return leaves, facts
 
 
 def status_of(folder: Path) -> dict[str, Any]:
@@ -92,6 +110,8 @@ def status_of(folder: Path) -> dict[str, Any]:
     """
     path = folder / STATUS
     try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise ValueError("it is no regular file")
         if path.stat().st_size > LARGEST:
             raise ValueError("it is too large")
         found = json.loads(path.read_text())

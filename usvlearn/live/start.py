@@ -13,7 +13,7 @@ import numpy as np
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.sets import Sets, newest
-from usvlearn.logs.channel import AUXILIARY, CHANNELS
+from usvlearn.logs.channel import AUTO, AUXILIARY, CHANNELS
 from usvlearn.logs.mixing import SOURCE_KEYS
 from usvlearn.logs.read import sources_of
 from usvlearn.logs.setup import Setup
@@ -53,6 +53,13 @@ class Options:
     warp: float = 1.0
 
     def __post_init__(self) -> None:
+        if not str(self.folder).strip(". ") or "\0" in str(self.folder):
+            raise ConfigError(f"folder: found {str(self.folder)!r}, expected the name of a folder")
+        if self.boat in ("", ".", "..") or not self.boat.isprintable() or set(self.boat) & set("/\\${}"):
+            raise ConfigError(f"boat: found {self.boat!r}, expected a name that a folder can have")
+        for name, value in (("mass", self.mass), ("surge_max", self.surge_max)):
+            if value is not None:
+                check_positive(name, value)
         check_positive("save_period", self.save_period, "of s")
         check_not_negative("patience", self.patience, "of s")
         check_positive("warp", self.warp)
@@ -101,7 +108,10 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
                 raise
             damaged = [str(error)]
     if options.start is not None:
-        leaves, facts, path, told = newest(options.start)
+        try:
+            leaves, facts, path, told = newest(options.start)
+        except CheckpointError as error:
+            raise CheckpointError(f"start: {error}") from error
         return leaves, facts, f"starting from {path}", [*damaged, *told]
     if options.mass is None or options.surge_max is None:
         raise ConfigError(
@@ -136,10 +146,13 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
                 f"channels: found {name!r}, expected one of {', '.join(CHANNELS)}{did_you_mean(name, CHANNELS)}"
             )
         channels[name] = channels.get(name, {}) | dict(changes)
+    for given in channels.values():
+        if given.get("period") == AUTO:
+            given["period"] = 0.0  # live messages do not tell it
     declared = sources_of(channels)
     align = {} if known is None else dict(known.align)
     align["patience"] = options.patience
-    mass = options.mass if options.mass is not None else None if known is None else known.mass
+    mass = options.mass if known is None or known.mass is None else known.mass
     top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
     return Setup(declared, align, mass, top, middleware.reader).live()
 
@@ -161,10 +174,11 @@ def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
         channel, _, key = dotted.partition(".")
         key = key or "name"
         if channel not in (*CHANNELS, *AUXILIARY) or key not in SOURCE_KEYS:
-            known = [*CHANNELS, *(f"surge.{each}" for each in SOURCE_KEYS)]
-            raise ConfigError(
-                f"{dotted}: found no such option of a channel, such as surge or surge.unit{did_you_mean(dotted, known)}"
-            )
+            if channel in (*CHANNELS, *AUXILIARY):
+                hint = did_you_mean(dotted, [f"{channel}.{each}" for each in SOURCE_KEYS])
+            else:
+                hint = did_you_mean(channel, CHANNELS) or f": channels are {', '.join(CHANNELS)}"
+            raise ConfigError(f"{dotted}: found no such option of a channel, such as surge or surge.unit{hint}")
         found.setdefault(channel, {})[key] = _value(dotted, key, str(text).strip())
     return found
 
@@ -187,8 +201,8 @@ def _value(dotted: str, key: str, text: str) -> Any:
     return values if len(values) > 1 or key == "weight" else values[0]
 
 
-def channels_of(path: Path) -> dict[str, dict[str, Any]]:
-    """The channels of a configuration of data, such as `usvlearn inspect` writes.
+def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
+    """The channels, and the mass and top speed, of a configuration of data, such as `usvlearn inspect` writes.
 
     Raises:
         ConfigError: there is no such file, it holds no channels, or PyYAML is not installed.
@@ -197,8 +211,11 @@ def channels_of(path: Path) -> dict[str, dict[str, Any]]:
         from usvlearn.foreign_yaml import read_yaml
     except ImportError as error:
         raise ConfigError("channels: PyYAML is not installed here: run `pip install pyyaml`") from error
-    data = read_yaml("channels", path).get("data")
+    found = read_yaml("channels", path)
+    data, vehicle = found.get("data"), found.get("vehicle")
     channels = data.get("channels") if isinstance(data, dict) else None
     if not isinstance(channels, dict) or not all(isinstance(each, dict | None) for each in channels.values()):
         raise ConfigError(f"channels: {path} has no data.channels: name a file that usvlearn inspect wrote")
-    return {name: each for name, each in channels.items() if each is not None}
+    known = vehicle if isinstance(vehicle, dict) else {}
+    numbers = {name: known[name] for name in ("mass", "surge_max") if isinstance(known.get(name), int | float)}
+    return {name: dict(each) for name, each in channels.items() if each is not None}, numbers

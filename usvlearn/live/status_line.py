@@ -13,6 +13,7 @@ from usvlearn.live.health import Health, seconds
 from usvlearn.live.node import Step
 
 DURATION = re.compile(r" for \d[\d.]* \w+")
+NAMES = re.compile(r" \([^()]*\)")  # of channels, in the middleware
 
 
 class StatusLine:
@@ -27,7 +28,7 @@ class StatusLine:
     >>> line.say("starting")
     pUSVLearn: starting
     >>> line.show(COMPILING)
-    pUSVLearn: compiling, once on this machine
+    pUSVLearn: preparing compiled code, for minutes at the first start
     >>> line.show(COMPILING)
     """
 
@@ -35,20 +36,26 @@ class StatusLine:
         self._name, self._stream = name, sys.stdout if stream is None else stream
         self._terminal = self._stream.isatty()
         self._shown, self._told = 0, ""  # columns of the line; the last state
+        self._warned: set[str] = set()
 
     def say(self, sentence: str) -> None:
         """Write a sentence that stays."""
         self._write(f"{self._erased()}{self._name}: {printable(sentence)}\n")
         self._shown = 0
 
-    def show(self, health: Health, step: Step | None = None, link: str = "") -> None:
-        """Replace the line; without a terminal, write a sentence if the state has changed.
+    def show(self, health: Health, step: Step | None = None, link: str = "", warn: bool = True) -> None:
+        """Replace the line; without a terminal, write a sentence if the state has changed. Say each warning once.
 
         Args:
             health: of the node.
             step: the last one.
             link: what is wrong with the connection; empty if nothing is.
+            warn: whether to say the warnings.
         """
+        for warning in health.warnings if warn else ():
+            if warning not in self._warned:
+                self.say(f"warning: {warning}")
+        self._warned = set(health.warnings)
         if self._terminal:
             columns = shutil.get_terminal_size().columns - 1
             text = printable(line(health, step, link))[:columns]
@@ -83,15 +90,14 @@ def line(health: Health, step: Step | None = None, link: str = "") -> str:
 
     >>> from usvlearn.live.health import COMPILING
     >>> line(COMPILING, link="no MOOSDB at localhost:9000")
-    'compiling, once on this machine | no MOOSDB at localhost:9000 | not saved yet'
+    'no MOOSDB at localhost:9000 | preparing compiled code, for minutes at the first start | not saved yet'
     """
-    parts = [health.sentence if health.state != "ok" else f"ok, {health.steps} steps"]
+    state = NAMES.sub("", health.sentence.partition(";")[0]) if health.state != "ok" else f"ok, {health.steps} steps"
+    parts = [link, state] if link else [state]
     if step is not None and health.state == "ok":
         parts.append(_speeds(step))
     if health.alarm:
         parts.append(f"ALARM {health.alarm} thruster")
-    if link:
-        parts.append(link)
     rejected = sum(count for causes in health.counts.values() for count in causes.values())
     if rejected:
         parts.append(f"{rejected} not used")

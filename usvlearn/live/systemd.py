@@ -21,6 +21,7 @@ DIR is the folder of the node, the only one that it may write to; --folder may a
     sudo systemctl daemon-reload && sudo systemctl enable --now usvlearn"""
 USER = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,31}")
 ENVIRONMENT = "OMP_NUM_THREADS=1", "MALLOC_MMAP_THRESHOLD_=131072", "MALLOC_TRIM_THRESHOLD_=131072"  # save 10 MB
+SHELLS = ("moos", "mavlink", "ros2")
 MEMORY = 600  # MB; a node takes some 200, and 400 while it compiles
 
 
@@ -113,14 +114,18 @@ def main(arguments: Sequence[str]) -> int:
         if not command:
             raise ConfigError(f"{name}: found no value: see usvlearn live systemd --help")
         given[name] = command.pop(0)
+    if not command or command[0] not in SHELLS:
+        raise ConfigError(f"command: found {' '.join(command)!r}, expected {', '.join(SHELLS)} and its arguments")
     folder = given.get("--folder") or _option(command, "--folder")
+    if not folder and command[0] == "ros2" and command[1:] and not command[1].startswith("-"):
+        folder = command[1]
     if not folder:
         raise ConfigError("--folder: found none, expected the folder of the node, the only one that it may write to")
-    if not command or command[0].startswith("-"):
-        raise ConfigError(f"command: found {' '.join(command)!r}, expected moos, mavlink or ros2 and its arguments")
     user = given.get("--user") or getpass.getuser()
-    started = [sys.executable, "-m", "usvlearn", "live", *command]
     place = Path(os.path.abspath(Path(folder).expanduser()))  # systemd refuses paths with ..
+    if "--folder" in given:  # the node must be told, too
+        command[1:1] = [str(place)] if command[0] == "ros2" else ["--folder", str(place)]
+    started = [sys.executable, "-m", "usvlearn", "live", *command]
     print(unit(started, place, user, Path.cwd(), _cache(user)), end="")
     return 0
 

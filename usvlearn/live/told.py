@@ -27,20 +27,25 @@ def status_lines(folder: Path) -> list[str]:
     if not found and not sets:
         return [f"{folder}: no node has written here"]
     lines = [f"Node        {_state(folder, found)}"]
-    for title, key in (("Boat", "boat"), ("Middleware", "middleware"), ("Said", "sentence"), ("Began", "began_from")):
+    for title, key in (("Boat", "boat"), ("Middleware", "middleware"), ("State", "sentence"), ("Start", "began_from")):
         if isinstance(found.get(key), str):
             lines.append(f"{title:<11} {printable(found[key])}")
     last: Any = found.get("last")
-    if isinstance(last, dict) and isinstance(last.get("speed"), int | float):
+    if isinstance(last, dict) and _number(last.get("speed")):
         lines.append(f"Predicted   {last['speed']:.2f} m/s at its last step")
     lines += _networks(found) + _identified(found)
-    lines += [f"Warning     {printable(str(each))}" for each in found.get("warnings") or [] if isinstance(each, str)]
+    warnings = found.get("warnings")
+    lines += (
+        [f"Warning     {printable(each)}" for each in warnings if isinstance(each, str)]
+        if isinstance(warnings, list)
+        else []
+    )
     return [*lines, f"Sets        {_sets(sets)}"]
 
 
 def _state(folder: Path, found: dict[str, Any]) -> str:
     written = found.get("written")
-    age = time.time() - written if isinstance(written, int | float) and math.isfinite(written) else math.inf
+    age = time.time() - written if written is not None and _number(written) else math.inf
     said = f"its status is {seconds(max(age, 0.0))} old" if math.isfinite(age) else "it has written no status"
     if _runs(folder):
         return f"running, {found.get('state', 'state unknown')}; {said}"
@@ -48,9 +53,14 @@ def _state(folder: Path, found: dict[str, Any]) -> str:
     return f"{ended}; {said}"
 
 
+def _number(value: Any) -> bool:
+    """Whether it is a number that can be shown."""
+    return isinstance(value, int | float) and abs(value) < 1e15
+
+
 def _runs(folder: Path) -> bool:
     """Whether a process holds the folder."""
-    if not (folder / ".lock").exists():
+    if not (folder / ".lock").is_file():
         return False
     try:
         Lock(folder, "folder").release()
@@ -65,7 +75,7 @@ def _networks(found: dict[str, Any]) -> list[str]:
         if isinstance(each, dict):
             verdict = f"contracting by {each.get('condition')}" if each.get("contracting") else "not certified"
             rest = each.get("equilibrium")
-            more = f", at rest {rest:.2f} m/s" if isinstance(rest, int | float) else ""
+            more = f", at rest {rest:.2f} m/s" if _number(rest) else ""
             lines.append(f"Network     {printable(str(name))}: {printable(verdict)}{more}")
     return lines
 
@@ -73,7 +83,7 @@ def _networks(found: dict[str, Any]) -> list[str]:
 def _identified(found: dict[str, Any]) -> list[str]:
     lines, quantities = [], found.get("identified")
     for name, each in quantities.items() if isinstance(quantities, dict) else ():
-        if isinstance(each, list) and len(each) == 4 and all(isinstance(x, int | float) for x in each[:3]):
+        if isinstance(each, list) and len(each) == 4 and all(map(_number, each[:3])):
             value, low, high, unit = each
             lines.append(
                 f"Identified  {printable(str(name))} {value:.4g} ({low:.3g} … {high:.3g}) {printable(str(unit))}"

@@ -93,6 +93,8 @@ class Source:
         check_choice("unit", self.unit, tuple(UNITS))
         if not math.isfinite(self.span) or self.span == 0:
             raise ConfigError(f"span: found {self.span!r}, expected a number other than 0")
+        if not math.isfinite(self.zero):
+            raise ConfigError(f"zero: found {self.zero!r}, expected a finite number")
         if not self.window > 0:
             raise ConfigError(f"window: found {self.window!r}, expected a positive time in s")
         if not 0 <= self.delay < math.inf:

@@ -13,13 +13,14 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from usvlearn.errors import ConfigError, check_positive, under
-from usvlearn.logs.align import Aligner
+from usvlearn.logs.align import Aligner, checked
 from usvlearn.logs.channel import AUTO, CHANNELS, SURGE, Channel, Recording, Source
 from usvlearn.logs.derived_surge import LIVE_PAIRS, pair_of
 from usvlearn.logs.mixing import Mix, parts_of
 from usvlearn.logs.read import sources_of
 
 KEY = "setup"  # of a set's metadata
+LEAST_STEP, MOST_STEP = 0.01, 2.0  # s, of a live step, as of the plans of `Online.forecast`
 
 
 @dataclass(frozen=True)
@@ -148,10 +149,21 @@ class Setup:
                 "data.channels: found no surge, nor velocities or ground speed and course, expected one of them: live "
                 "messages do not give it from positions"
             )
-        known = list(inspect.signature(Aligner).parameters)[1:]
+        self.check_alignment()
+
+    def check_alignment(self) -> None:
+        """Raise a ConfigError if an option of the alignment is not legal, or its step is too short or too long."""
+        defaults = {name: each.default for name, each in inspect.signature(Aligner).parameters.items()}
         for name in self.align:
-            if name not in known:
-                raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join(known)}")
+            if name not in defaults:
+                raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join([*defaults][1:])}")
+        options = {**defaults, **self.align}
+        with under("align", defaults):
+            limits = {name: options[name] for name in ("surge_max", "command_max", "yaw_rate_max")}
+            how = (options[name] for name in ("patience", "outage", "steps"))
+            checked(self.aligned, options["dt"], options["inputs"], limits, *how)
+            if not LEAST_STEP <= options["dt"] <= MOST_STEP:
+                raise ConfigError(f"dt: found {options['dt']!r}, expected {LEAST_STEP:g} to {MOST_STEP:g} s")
 
 
 def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> dict[str, Setup]:

@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
             run(session, given, place, stopped, line)
         finally:
             line.close()
-    line.say("saved; ends")
+            line.say(session.close())
     return 0
 
 
@@ -101,7 +101,7 @@ def run(
             link.wait(due - now)
             _listen(link, vehicle, clock)
             if (now := clock()) >= due:
-                line.show(vehicle.tick(now), session.last, vehicle.condition(now))
+                line.show(vehicle.tick(now), session.last, vehicle.condition(now), warn=False)
                 due = max(due + TICK, now)
             link.write(vehicle.telemetry.queue, now)
     finally:

@@ -224,8 +224,7 @@ class App:
             await self._iterate(client)
         finally:
             self._line.close()
-            self.session.close()
-        self._line.say("saved; ends")
+            self._line.say(self.session.close())
         self.client.notify("EXITED_NORMALLY", self.settings.name)
         await self.client.drain()
         client.cancel()

@@ -31,6 +31,7 @@ MIDDLEWARE = Middleware(
 )
 NODE = ("folder", "start", "mass", "surge_max", "channels", "boat", "save_period", "keep", "patience", "tensorboard")
 SWITCHES = ("record", "members")
+LEAST_TICK, MOST_TICK, MOST_WARP = 0.1, 1000.0, 500.0  # Hz, Hz, times real time
 OWN = ("apptick", "prefix")
 OTHERS = (  # of every app, without an effect here: messages are handled as they come
     "commstick", "maxapptick", "iteratemode", "catchcommandmessages", "term_report_interval", "max_appcast_events",
@@ -145,9 +146,14 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
         raise ConfigError(f"ServerHost: found {printable(host)!r:.60}, expected a name or an address")
     if prefix is not None and any(map(str.isspace, prefix.value)):
         raise ConfigError(f"{_where(mission, prefix)}: found {prefix.value!r:.60}, expected one without blanks")
+    tick = _number(mission, entries.get("apptick"), TICK)
+    if not LEAST_TICK <= tick <= MOST_TICK:
+        raise ConfigError(f"AppTick: found {tick:g}, expected {LEAST_TICK:g} to {MOST_TICK:g} Hz")
+    if not warp <= MOST_WARP:
+        raise ConfigError(f"MOOSTimeWarp: found {warp:g}, expected at most {MOST_WARP:g}")
     return Settings(
         name, host, int(port), warp, community.value if community else "",
-        _number(mission, entries.get("apptick"), TICK), PREFIX if prefix is None else prefix.value,
+        tick, PREFIX if prefix is None else prefix.value,
         _switch(mission, entries.get("members")),
         shared.options_of(parse.parse_args([*(argument for argument, _ in own), *arguments]), warp),
     )  # fmt: skip

@@ -85,7 +85,10 @@ def stale(e: Evidence) -> Iterator[Finding]:
             continue
         interval = _interval(e, name)
         held = name in COMMANDS and (_window(e, name) < interval or share > MOST)
-        fix = override(name, {"held": True} if held else {"window": math.ceil(15 * interval) / 10})
+        window = math.ceil(15 * interval) / 10
+        if window <= (present := _window(e, name)) < math.inf:
+            window = round(2 * present, 3)
+        fix = override(name, {"held": True} if held else {"window": window})
         yield Finding(e.boat, name, "stale", f"{min(share, 1):.0%} of the steps without a recent value",
                       f"at most {UNUSED if name == SURGE else STALE:.0%}", fix)  # fmt: skip
 
