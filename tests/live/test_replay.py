@@ -37,6 +37,22 @@ def test_live_is_replay(tmp_path, start):
     assert np.isfinite(predicted).mean() > 0.3
 
 
+def test_after_a_reboot_a_second_record_replays_what_follows(tmp_path, start):
+    posts, steps = list(messages(boat(0.05), 0.0)), []
+    with Session(Options(tmp_path, start, record=True), PLAIN) as session:
+        session.start()
+        assert session.wait(300)
+        names = session._node.online.names
+        for post in posts[:2000]:
+            session.push(*post)
+        session.restart()
+        for post in posts:
+            steps += session.push(*post)
+        steps += session._node.finish()
+    predicted = np.array([[step.members.get(name, np.nan) for name in names] for step in steps])
+    np.testing.assert_array_equal(replayed(tmp_path / "records", 2), predicted)
+
+
 def test_live_is_replay_where_the_node_mixes_commands_and_computes_the_surge(tmp_path, start):
     """Throttle and steering make both commands, velocities to the north and east the surge; clocks jump."""
     channels = {

@@ -87,6 +87,26 @@ def test_what_is_missing_is_said(tmp_path, start):
         assert health.ages["heading"] == math.inf
 
 
+def test_the_end_waits_for_a_save_that_is_being_made(tmp_path, start, monkeypatch):
+    """As when SIGTERM comes while a set is written to a slow disk."""
+    write = checkpoint.write_atomically
+
+    def slow(path, content):
+        time.sleep(0.3)
+        write(path, content)
+
+    with ready(tmp_path, start) as session:
+        for message in MINUTE[:300]:
+            session.push(*message)
+        monkeypatch.setattr(checkpoint, "write_atomically", slow)
+        session.tick(clock=time.monotonic() + 400.0)
+        for message in MINUTE[300:]:
+            session.push(*message)
+    found = [checkpoint.load(path)[1]["step"] for path in checkpoint.checkpoints(tmp_path)]
+    assert len(found) == 2 and found[0] < found[1] and found[1] >= session._node.learned
+    assert not list(tmp_path.glob(".*.tmp"))
+
+
 def test_two_nodes_do_not_share_a_folder(tmp_path, start):
     with ready(tmp_path, start):
         with pytest.raises(ConfigError, match="is writing there"):
