@@ -246,7 +246,8 @@ def _source(channel: str, given: Source | Mix | Mapping | None) -> Source | Mix 
 def _check_unit(key: str, channel: str, unit: Any) -> None:
     own = ("1", *OWN_UNITS[channel])
     if unit not in own:
-        raise ConfigError(f"{key}.unit: found {unit!r}, expected one of {', '.join(own)}, where 1 means SI")
+        hint = did_you_mean(unit, own) if isinstance(unit, str) else ""
+        raise ConfigError(f"{key}.unit: found {unit!r}, expected one of {', '.join(own)}, where 1 means SI{hint}")
 
 
 def _described(channel: str, given: Mapping, key: str) -> Source | Mix | None:
