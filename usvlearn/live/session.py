@@ -19,7 +19,8 @@ import usvlearn
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
 from usvlearn.live.background import Background
-from usvlearn.live.health import COMPILING, Health, finite, seconds
+from usvlearn.live.health import COMPILING, Health, finite
+from usvlearn.live.listening import Listening
 from usvlearn.live.recent import Recent
 from usvlearn.live.recorder import Recorder
 from usvlearn.live.sets import Sets
@@ -36,8 +37,6 @@ REPORT = 5.0  # s between two reports of what is identified and of the networks
 TELL = 10.0  # s between two status files
 RETRY = 60.0  # s after a save that failed, at most
 FIRST_CHECK = 60.0  # s after the start, of the data; later at each save
-USELESS = ("not_a_number", "no_time", "out_of_range", "backwards", "ahead", "alone", "wrong_type", "empty", "text")
-SILENT = 1.0  # s without a message, from which on a channel is reported, at least
 WARNINGS = 20  # sentences, at most
 
 
@@ -74,6 +73,7 @@ class Session:
             self._lock.release()
             raise
         self.sources: dict[str, Source] = self.setup.parts
+        self._listening = Listening(self.sources, options.warp)
         self.sentence = self._begin.sentence
         self.state = "compiling"
         self.last: Step | None = None
@@ -85,11 +85,7 @@ class Session:
         self._recent = Recent(self.setup)
         self._background = Background()
         self._began = time.monotonic()
-        self._heard: dict[str, float] = {}  # part -> monotonic time of its last message
         self._early: Counter[tuple[str, str]] = Counter()  # part and cause of messages that came before it was ready
-        self._pushed: Counter[str] = Counter()
-        self._before: dict[str, tuple[int, int]] = {}  # channel -> messages and rejected ones at the last look
-        self._refused: dict[str, str] = {}  # channel -> why all of its last messages were rejected
         self._saved, self._due = -math.inf, self._began  # when a set was saved, and when the next period begins
         self._reported = self._told = -math.inf
         self._closed = False
@@ -114,8 +110,7 @@ class Session:
 
     def push(self, part: str, stamp: float, raw: float) -> list[Step]:
         """Take one message; returns the steps that it completes. See `Node.push`."""
-        self._heard[part] = time.monotonic()
-        self._pushed[part] += 1
+        self._listening.take(part)
         if self.state == "compiling" and not self._ready():
             self._early[part, "compiling"] += 1
             return []
@@ -156,7 +151,9 @@ class Session:
         """
         clock = time.monotonic() if clock is None else clock
         if not self._ready():
-            return COMPILING._replace(uptime=clock - self._began, ages=self._ages(clock), warnings=self.warnings)
+            return COMPILING._replace(
+                uptime=clock - self._began, ages=self._listening.ages(clock), warnings=self.warnings
+            )
         node = self._node
         assert node is not None
         self._finished()
@@ -164,7 +161,7 @@ class Session:
             self._recorder.flush(clock)
             if self._recorder.problem:
                 self._warnings["record"] = self._recorder.problem
-        ages = self._ages(clock)
+        ages = self._listening.ages(clock)
         if clock - self._reported >= REPORT:
             self._reported = clock
             self._look()
@@ -218,7 +215,7 @@ class Session:
         self._look()
         clock = time.monotonic()
         with suppress(OSError):
-            self._tell(self._health(self._ages(clock), clock).json() | {"state": "ended"})
+            self._tell(self._health(self._listening.ages(clock), clock).json() | {"state": "ended"})
         if node.learned > self._learned:
             return f"ends; {self._warnings.get('save', 'what it learned last could not be saved')}"
         return "saved; ends" if node.learned else "ends; it has learned nothing"
@@ -305,42 +302,15 @@ class Session:
             self._board = None
             self._warnings["board"] = f"TensorBoard's files end here ({error.strerror or error}): make room on the disk"
 
-    def _ages(self, clock: float) -> dict[str, float]:
-        return {
-            part: (clock - self._heard[part]) * self.options.warp if part in self._heard else math.inf
-            for part in self.sources
-        }
-
     def _health(self, ages: Mapping[str, float], clock: float) -> Health:
         node = self._node
         assert node is not None
-        state, sentence = self._judged(ages, node.dt)
+        state, sentence = self._listening.judged(ages, node.dt)
         counts = f"{node.steps} steps, {node.learned} learned" + (f", {node.alarms} alarms" if node.alarms else "")
         return Health(
             state, f"{sentence}; {counts}", node.counts, dict(ages), node.steps, node.learned, node.alarms, node.alarm,
             clock - self._began, clock - self._saved, self._contraction, self._identified, self.warnings,
         )  # fmt: skip
-
-    def _judged(self, ages: Mapping[str, float], dt: float) -> tuple[str, str]:
-        """The state, and what is missing and since when."""
-        never = [part for part, age in ages.items() if age == math.inf]
-        if never:
-            return "waiting", f"waiting for {', '.join(self._told_of(part) for part in never)}"
-        old = []
-        for part, age in ages.items():
-            source = self.sources[part]
-            longest = source.window + float(source.period) + 2 * dt
-            if not source.held and age > max(SILENT * self.options.warp, longest):
-                old.append(f"{self._told_of(part)} for {seconds(age)}")
-        if old:
-            return "stale", f"no {', no '.join(old)}"
-        refused = [f"{channel} ({cause})" for channel, cause in sorted(self._refused.items())]
-        if refused:
-            return "stale", f"no message can be used of {', '.join(refused)}"
-        return "ok", "ok"
-
-    def _told_of(self, part: str) -> str:
-        return f"{part} ({self.sources[part].name})"
 
     def _set(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """A set of now: copies of the leaves, and the metadata."""
@@ -373,14 +343,7 @@ class Session:
         node = self._node
         assert node is not None
         self._contraction, self._identified = watched.networks(node.online), watched.identified(node.online)
-        counts = node.counts
-        for channel in {part.partition("[")[0] for part in self.sources}:
-            causes = {cause: n for cause, n in counts.get(channel, {}).items() if cause in USELESS}
-            pushed = sum(n for part, n in self._pushed.items() if part.partition("[")[0] == channel)
-            before, self._before[channel] = self._before.get(channel, (0, 0)), (pushed, sum(causes.values()))
-            self._refused.pop(channel, None)
-            if pushed > before[0] and sum(causes.values()) - before[1] >= pushed - before[0]:
-                self._refused[channel] = max(causes, key=lambda cause: causes[cause])
+        self._listening.look(node.counts)
 
     def _finished(self) -> None:
         """Look at what the thread has done; an error is a warning, and the node learns on."""

@@ -205,7 +205,7 @@ def test_an_old_last_value_is_no_news_but_a_held_command_is(tmp_path):
             await until(lambda: "heading" in sea.app.session._node.counts)
             await asyncio.sleep(0.1)
             assert set(sea.app.session._node.counts["heading"]) == {"last_value"}
-            assert set(sea.app.session._heard) == {"command_left", "command_right"}
+            assert set(sea.app.session._listening.heard) == {"command_left", "command_right"}
             await sea.steps(20, leave_out="command_left")
             assert sea.app.session._node.counts["surge"]["last_value"] in (1, 2)  # also while it starts
 
@@ -230,9 +230,9 @@ def test_one_app_of_several_that_post_a_variable(tmp_path):
             await ready(sea)
             sea.sail(5)
             await asyncio.sleep(0.2)
-            assert "surge" not in sea.app.session._heard
+            assert "surge" not in sea.app.session._listening.heard
             sea.database.post("NAV_SPEED", 1.0, "pNav")
-            await until(lambda: "surge" in sea.app.session._heard)
+            await until(lambda: "surge" in sea.app.session._listening.heard)
 
     asyncio.run(work())
 
