@@ -8,6 +8,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from tests.support.loopback import Loopback
 from usvlearn.live.moos import client as module
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.client import Client
@@ -84,13 +85,11 @@ def test_a_client_comes_back_after_each_mutated_packet(rng, cases, monkeypatch):
             await reader.read()  # until the client has left
         except OSError:
             pass
-        finally:
-            writer.transport.abort()
 
     async def work():
         client = Client("a", "127.0.0.1", 0, delivered.append)
-        server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        client.port = server.sockets[0].getsockname()[1]
+        server = Loopback(serve)
+        client.port = server.start()
         task = asyncio.create_task(client.run())
         while len(served) < cases and not task.done():
             await asyncio.sleep(0.01)

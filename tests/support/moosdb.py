@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
+from tests.support.loopback import Loopback
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.wire import Message, WireError
 
@@ -67,8 +68,7 @@ class Moosdb:
         self.refused: list[Message] = []
         self.values: dict[str, Message] = {}
         self.links: dict[str, _Link] = {}
-        self._writers: set[asyncio.StreamWriter] = set()  # of all connections, also those without a welcome
-        self._server: asyncio.Server | None = None
+        self._loopback = Loopback(self._serve)
         self._awake: asyncio.Event | None = None
         self._keeper: asyncio.Task[None] | None = None
 
@@ -79,17 +79,14 @@ class Moosdb:
         """Begin to listen, on the port of before if there was one."""
         self._awake = asyncio.Event()
         self._awake.set()
-        self._server = await asyncio.start_server(self._serve, "127.0.0.1", self.port)
-        self.port = self._server.sockets[0].getsockname()[1]
+        self.port = self._loopback.start(self.port)
         self._keeper = asyncio.create_task(self._keep())
 
     def kill(self) -> None:
         """End as after SIGKILL: all connections break, and all values are lost."""
-        assert self._server and self._keeper
-        self._server.close()
+        assert self._keeper
+        self._loopback.close()
         self._keeper.cancel()
-        for writer in self._writers:
-            writer.transport.abort()
         self.links, self.values = {}, {}
 
     def freeze(self) -> None:
@@ -126,7 +123,6 @@ class Moosdb:
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         link = None
-        self._writers.add(writer)
         try:
             link = await self._welcome(reader, writer)
             while link is not None and self._awake:
@@ -141,8 +137,6 @@ class Moosdb:
         finally:
             if link is not None and self.links.get(link.name) is link:
                 del self.links[link.name]
-            self._writers.discard(writer)
-            writer.transport.abort()
 
     async def _welcome(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> _Link | None:
         async with asyncio.timeout(5.0):

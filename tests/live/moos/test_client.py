@@ -12,12 +12,13 @@ from collections.abc import Callable
 
 import pytest
 
+from tests.support.loopback import Loopback
 from tests.support.moosdb import Moosdb
 from tests.support.real_moosdb import run_isolated
 from usvlearn.live.moos import client as module
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.client import OUTBOX, UNSENT, Client
-from usvlearn.live.moos.wire import Message
+from usvlearn.live.moos.wire import Message, WireError
 
 
 async def until(condition: Callable[[], object], seconds: float = 15.0) -> None:
@@ -288,13 +289,11 @@ def test_a_stream_that_is_cut_at_every_byte(monkeypatch):
             await reader.read()  # until the client has left
         except OSError:
             pass
-        finally:
-            writer.transport.abort()
 
     async def work():
         client = Client("a", "127.0.0.1", 0, lambda message: links[-1].append(message.value))
-        server = await asyncio.start_server(serve, "127.0.0.1", 0)
-        client.port = server.sockets[0].getsockname()[1]
+        server = Loopback(serve)
+        client.port = server.start()
         async with running(client):
             await until(lambda: len(links) > 2 * len(ends), 60)
         server.close()
@@ -317,6 +316,25 @@ def test_any_number_is_delivered(value):
             database.post("A", value)
             await until(lambda: client.received)
             assert repr(client.received[0].value) == repr(value)
+
+    in_loop(scenario, Moosdb())
+
+
+def test_a_client_that_is_cancelled_as_its_connection_ends_ends():
+    async def scenario(database):
+        client = Listener(database.port)
+        client.register("A")
+
+        def fail(message):
+            task.cancel()
+            raise WireError("nonsense")
+
+        client._deliver = fail
+        task = asyncio.create_task(client.run())
+        await until(lambda: client.connected)
+        database.post("A", 1.0)
+        await asyncio.wait([task], timeout=2.0)
+        assert task.cancelled()
 
     in_loop(scenario, Moosdb())
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Coroutine, Iterable
 
 from usvlearn.errors import printable
 from usvlearn.live.moos import wire
@@ -158,11 +158,7 @@ class Client:
             if self.registered:
                 self._send(map(self._registration, self.registered))
             self._flush()
-            async with asyncio.TaskGroup() as group:
-                group.create_task(self._beat())
-                group.create_task(self._read(reader))
-        except BaseExceptionGroup as group:  # of the two tasks
-            raise group.exceptions[0] from None
+            await _first(self._beat(), self._read(reader))
         finally:
             writer, self._writer = self._writer, None
             if writer is not None:
@@ -225,3 +221,19 @@ class Client:
                     await asyncio.sleep(0.01)
         except TimeoutError:
             pass
+
+
+async def _first(*works: Coroutine[None, None, None]) -> None:
+    """Run until one of these ends, and end the others; raises what that one raised.
+
+    A task group would not do: in Python 3.11 it forgets a cancellation that comes as one of its tasks fails.
+    """
+    tasks = [asyncio.ensure_future(each) for each in works]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for each in done:
+            each.result()
+    finally:
+        for each in tasks:
+            each.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
