@@ -1,0 +1,92 @@
+"""The identified boats of a run, of a node's folder, or of one parameter set."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn import checkpoint
+from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
+from usvlearn.estimators.joint.reading import Identified
+from usvlearn.identified import identified, members_of
+from usvlearn.logs.setup import Setup
+from usvlearn.model.surge import SurgeModel
+from usvlearn.online import read_set
+from usvlearn.runs.layout import CHECKPOINTS
+
+
+class IdentifiedBoat(NamedTuple):
+    """A boat as its newest parameter set knows it."""
+
+    name: str
+    path: Path  # of the set
+    found: Identified
+    model: SurgeModel  # at the means of the readings
+    setup: Setup | None  # None in sets of old versions
+    leaves: dict[str, np.ndarray]  # of the state, by dotted name
+    facts: dict[str, Any]  # the set's metadata
+
+    @property
+    def members(self) -> Mapping[str, Any]:
+        """Descriptions of the estimators by name."""
+        return members_of(self.facts["kernel"])
+
+
+def read_boats(path: str | Path, boat: str | None = None) -> list[IdentifiedBoat]:
+    """The boats of a run's folder, of a folder of sets, or of a set; each from its newest readable set.
+
+    Args:
+        path: of the set or the folder.
+        boat: the name of the only one that is read.
+
+    Raises:
+        CheckpointError: there is no readable set.
+        ConfigError: there is no boat of this name, or nothing of it is identified.
+    """
+    path = Path(path).expanduser()
+    if not path.exists():
+        raise CheckpointError(f"{path}: there is no such file or folder: give the folder of a run, or a parameter set")
+    if path.is_dir() and not checkpoint.checkpoints(path):
+        folders = {each.name: each for each in sorted((path / CHECKPOINTS).glob("*")) if each.is_dir()}
+        if not folders:
+            below = sorted({each.parent.parent for each in path.glob(f"**/{CHECKPOINTS}/*") if each.is_dir()})
+            hint = " or ".join(map(str, below[:4])) or "the folder of a run, or a parameter set"
+            raise CheckpointError(f"{path}: found no parameter set there: give {hint}")
+        if boat is not None and boat not in folders:
+            raise ConfigError(
+                f"--boat: found {boat!r}, expected one of {', '.join(folders)}{did_you_mean(boat, folders)}"
+            )
+        return [_read(each) for name, each in folders.items() if boat in (None, name)]
+    one = _read(path)
+    if boat not in (None, one.name):
+        raise ConfigError(f"--boat: found {boat!r}, expected {one.name}, the only boat of {path}")
+    return [one]
+
+
+def _read(path: Path) -> IdentifiedBoat:
+    """The newest readable set of a folder, or a set."""
+    used = [path]
+
+    def read(each: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        used[:] = [each]
+        return read_set(each)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        leaves, facts = checkpoint.newest(path, read) if path.is_dir() else read(path)
+    try:
+        (found,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
+        if found.beside is None:
+            raise ConfigError("; ".join(found.lacks))
+        model = SurgeModel.of(found)
+        setup = Setup.of_set(facts)
+    except ConfigError as error:
+        raise ConfigError(f"{used[0]}: {error}") from error
+    name = facts.get("boat")
+    return IdentifiedBoat(
+        name if isinstance(name, str) and name else used[0].parent.name, used[0], found, model, setup, leaves, facts
+    )

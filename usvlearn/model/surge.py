@@ -1,0 +1,136 @@
+"""The surge dynamics of one identified boat: a step, a simulation, and all coefficients in units of force.
+
+With the speed v through the water, commands ξ as shares of full scale, the yaw rate r, and the sum over both sides:
+
+    m f = q v|v| + l v + c |r| v + Σ (α ξ + β ξ|ξ| + γ ξ|v| + κ ξ³) + e₀ v² + Σ (e₁|ξ| + e₂ ξ² + e₃ ξ v)      (1)
+    dv/dt = f,   J = ∂f/∂v,   z = min(h J, 1)
+    v⁺ = v + h φ₁(z) f,   φ₁(z) = (e^z − 1)/z                                                              (2)
+
+(2) is the step of the joint filter (`usvlearn.estimators.joint.state`, equation (3)) without disturbance, current and
+lag of the commands. See `docs/theory.md`, section 19.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.kernel import flow
+from usvlearn.estimators.joint.quantities import Ahead, kilograms_of
+from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.state import THETA, names
+from usvlearn.estimators.regressors.terms import LAG
+from usvlearn.jit import jit
+from usvlearn.rows import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
+
+WITHOUT_EVEN, WITH_EVEN = (tuple(name for name in names(even) if name != LAG) for even in (False, True))
+
+
+@dataclass(frozen=True)
+class SurgeModel:
+    """The surge dynamics of one boat.
+
+    Attributes:
+        mass: m of (1), kg, added mass included.
+        coefficients: of (1), by the names of `usvlearn.estimators.regressors.terms`: kg/m, kg/s, kg/rad, N, N s/m.
+            Drag is negative and thrust ahead is positive. Without the even terms, e is 0.
+
+    Raises:
+        ConfigError: the mass is not positive, a coefficient is missing or unknown, or a number is not finite.
+
+    >>> model = SurgeModel(28.0, {**dict.fromkeys(WITHOUT_EVEN, 0.0), "drag_linear": -14.0, "thrust_linear_left": 28.0})
+    >>> round(float(model.step(0.0, left=1.0, right=0.0, yaw_rate=0.0, dt=0.1)), 4)  # (1 − e^(−0.05)) 2 m/s
+    0.0975
+    """
+
+    mass: float
+    coefficients: Mapping[str, float]
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.mass) and self.mass > 0):
+            raise ConfigError(f"mass: found {self.mass!r}, expected a positive number of kg")
+        if tuple(self.coefficients) not in (WITHOUT_EVEN, WITH_EVEN):
+            raise ConfigError(
+                f"coefficients: found {', '.join(self.coefficients)}, expected {', '.join(WITHOUT_EVEN)}, in this "
+                f"order, and perhaps {', '.join(WITH_EVEN[len(WITHOUT_EVEN) :])}"
+            )
+        for name, value in self.coefficients.items():
+            if not np.isfinite(value):
+                raise ConfigError(f"coefficients.{name}: found {value!r}, expected a finite number")
+
+    @classmethod
+    def of(cls, found: Identified, theta: np.ndarray | None = None) -> SurgeModel:
+        """The boat of what was identified.
+
+        Args:
+            found: of a boat.
+            theta: other parameters of it per unit mass, `(m,)`, such as a draw from their distribution.
+
+        Raises:
+            ConfigError: nothing is identified.
+        """
+        theta = found.theta if theta is None else theta
+        mass = float(kilograms_of(theta, found.mass, found.inverse_mass))
+        own = names(len(theta) == len(names(even=True)))
+        return cls(mass, {name: mass * float(each) for name, each in zip(own, theta, strict=True) if name != LAG})
+
+    @property
+    def even(self) -> bool:
+        """Whether it has the even terms."""
+        return len(self.coefficients) == len(WITH_EVEN)
+
+    @property
+    def per_mass(self) -> np.ndarray:
+        """The coefficients per unit mass, and a lag of 0, as a joint filter has them, `(m,)`."""
+        return np.array([*self.coefficients.values(), 0.0]) / self.mass
+
+    @property
+    def ahead(self) -> Ahead:
+        """Forces per mass and steady speeds of motion straight ahead."""
+        return Ahead(self.per_mass)
+
+    def step(self, surge: Any, left: Any, right: Any, yaw_rate: Any, dt: Any) -> np.ndarray:
+        """v⁺ of (2), m/s; all arguments broadcast.
+
+        Args:
+            surge: v, m/s.
+            left, right: ξ, −1 … 1.
+            yaw_rate: r, rad/s.
+            dt: h, s.
+        """
+        return self._stepped(False, surge, left, right, yaw_rate, dt)
+
+    def simulate(self, surge: float, left: Any, right: Any, yaw_rate: Any, dt: Any) -> np.ndarray:
+        """The speeds after each of some steps, m/s, `(time,)`.
+
+        Args:
+            surge: the speed at the beginning, m/s.
+            left, right, yaw_rate, dt: as of `step`; each a number or `(time,)`.
+        """
+        return self._stepped(True, surge, left, right, yaw_rate, dt)
+
+    def _stepped(self, chained: bool, *given: Any) -> np.ndarray:
+        arrays = np.broadcast_arrays(*(np.asarray(x, dtype=np.float64) for x in given))
+        rows = np.zeros((arrays[0].size, ROW))
+        for place, array in zip((SURGE, LEFT, RIGHT, YAW_RATE, DT), arrays, strict=True):
+            rows[:, place] = array.reshape(-1)
+        mean = np.concatenate([np.zeros(THETA), self.per_mass])  # x of a joint filter
+        out = np.empty(len(rows))
+        _steps(self.even, mean, rows, chained, np.empty_like(mean), out)
+        return out.reshape(arrays[0].shape)
+
+
+@jit(entry=True)
+def _steps(even, mean, rows, chained, g, out):
+    """Write v⁺ of each row, from its own speed or, if chained, from the v⁺ before it. `g` is used as memory."""
+    speed = 0.0
+    for k in range(len(out)):
+        if k == 0 or not chained:
+            speed = rows[k, SURGE]
+        x = rows[k]
+        speed = flow(even, mean, speed, 0.0, x[LEFT], x[RIGHT], x, g)
+        out[k] = speed
