@@ -49,6 +49,11 @@ OURS = {
     "usvlearn.live": LIGHT | {"usvlearn.live", "usvlearn.logs", "usvlearn.online", "usvlearn.checkpoint",
                               "usvlearn.lock", "usvlearn.identified", "usvlearn.estimators", "usvlearn.tensorboard",
                               "usvlearn.foreign_yaml", "certify"},
+    "usvlearn.model": LIGHT | {"usvlearn.model", "usvlearn.checkpoint", "usvlearn.estimators", "usvlearn.identified",
+                               "usvlearn.logs", "usvlearn.online", "usvlearn.runs.layout", "usvlearn.jit",
+                               "usvlearn.rows"},
+    "usvlearn.export": LIGHT | {"usvlearn.export", "usvlearn.model", "usvlearn.estimators", "usvlearn.logs",
+                                "usvlearn.runs.layout", "usvlearn.runs.published"},
     "usvlearn.evaluation": LEARNS | {"usvlearn.evaluation", "usvlearn.identified", "certify"},
     "usvlearn.runs": LEARNS | {"usvlearn.evaluation", "usvlearn.runs", "usvlearn.lock", "usvlearn.tensorboard",
                                "usvlearn.engine"},
@@ -76,8 +81,8 @@ CERTIFY = {
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",
             "usvlearn.engine", "usvlearn.online", "usvlearn.identified", "usvlearn.logs", "usvlearn.evaluation",
-            "usvlearn.lock", "usvlearn.plans", "usvlearn.inspection", "usvlearn.live",
-            "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
+            "usvlearn.lock", "usvlearn.plans", "usvlearn.inspection", "usvlearn.live", "usvlearn.model",
+            "usvlearn.export", "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))

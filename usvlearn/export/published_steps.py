@@ -1,0 +1,84 @@
+"""What a run published of one boat, step by step, from its files of predictions."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.runs.layout import PREDICTIONS
+from usvlearn.runs.published import DAMAGE, position
+
+INPUTS = ("command_left", "command_right", "heading", "yaw_rate", "dt")
+COLUMNS = ("time", "measured_surge", *INPUTS)  # arrays (time, boats)
+LARGEST = 1 << 30  # bytes of a file's arrays
+
+
+class Stretch(NamedTuple):
+    """The steps of one run in one file."""
+
+    run: str  # its name
+    estimators: tuple[str, ...]
+    columns: dict[str, np.ndarray]  # COLUMNS, (time,): s since the run's first step, m/s, shares, rad, rad/s, s
+    predicted: np.ndarray  # (time, estimators) m/s; NaN where no step was made
+    halfwidths: np.ndarray  # (time, estimators) m/s, of the 90 % intervals
+
+
+def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
+    """All stretches of a boat, in order.
+
+    Args:
+        folder: of the run.
+        boat: its name.
+
+    Raises:
+        ConfigError: the folder has no predictions of the boat.
+        CheckpointError: a file is damaged.
+    """
+    paths = sorted(path for path in (folder / PREDICTIONS).glob("*.npz") if position(path) is not None)
+    found = False
+    for path in paths:
+        try:
+            one = _read(path, boat)
+        except DAMAGE as error:
+            raise CheckpointError(
+                f"{path}: is damaged ({error}): export the other formats, or make the run anew"
+            ) from error
+        if one is not None and len(one.predicted):
+            found = True
+            yield one
+    if not found:
+        raise ConfigError(
+            f"{folder}: found no predictions of {boat} ({PREDICTIONS}/*.npz), expected the folder of a run "
+            "of train.py: give it in place of a parameter set"
+        )
+
+
+def _read(path: Path, boat: str) -> Stretch | None:
+    """A boat's steps in a file; None if it is not in it."""
+    if not (path.is_file() and zipfile.is_zipfile(path)):
+        raise ValueError("it is no archive of arrays")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        if (size := sum(each.file_size for each in archive.zip.infolist())) > LARGEST:
+            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {LARGEST / 1e6:.0f} at most")
+        boats = [str(each) for each in archive["boats"]]
+        if boat not in boats:
+            return None
+        lane, names = boats.index(boat), tuple(str(each) for each in archive["estimators"])
+        run = str(archive["runs"][lane])
+        columns = {name: archive[name] for name in COLUMNS}
+        tables = [archive[name] for name in ("predictions", "halfwidths")]
+    steps = len(columns["time"])
+    for each in columns.values():
+        if each.dtype.kind != "f" or each.shape != (steps, len(boats)):
+            raise ValueError(f"found {each.dtype} {each.shape}, expected numbers of (time, {len(boats)})")
+    for each in tables:
+        if each.dtype.kind != "f" or each.shape != (steps, len(boats), len(names)):
+            raise ValueError(f"found {each.dtype} {each.shape}, expected numbers of (time, {len(boats)}, {len(names)})")
+    made = np.isfinite(columns["time"][:, lane])  # a boat's shorter run has ended
+    columns = {name: each[made, lane] for name, each in columns.items()}
+    return Stretch(run, names, columns, *(each[made, lane] for each in tables)) if run else None
