@@ -1,6 +1,7 @@
 """The command `usvlearn export`."""
 
 import sys
+import warnings
 
 import pytest
 
@@ -40,6 +41,47 @@ def test_all_writes_every_format(run, tmp_path, capsys):
         pytest.importorskip(name, reason=f"needs the package {name}")
     assert main(["export", str(run), "--to", "all", "--boat", "heron1", "--out", str(tmp_path)]) == 0
     assert len(capsys.readouterr().out.split()) == len(FORMATS)
+
+
+def test_all_leaves_out_what_is_not_there(run, tmp_path, capsys):
+    folder = run / "checkpoints" / "heron1"
+    alone = tmp_path / "alone.safetensors"
+    alone.write_bytes(checkpoints(folder)[-1].read_bytes())
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert main(["export", str(alone), "--to", "all"]) == 0
+    said = [str(each.message) for each in caught]
+    assert any("csv of heron1 is left out: " in each and "found no predictions" in each for each in said), said
+    made = capsys.readouterr().out.split()
+    assert str(tmp_path / "export" / "heron1.json") in made and not any(each.endswith(".csv") for each in made)
+
+
+def test_formats_are_named_one_by_one_or_together(run, tmp_path, capsys):
+    assert main(["export", str(run), "--boat", "heron1", "--to", "json", "--to", "c", "--out", str(tmp_path)]) == 0
+    assert len(capsys.readouterr().out.split()) == 2
+
+
+def test_a_relative_path_of_a_set_finds_its_run(run, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(run / "checkpoints" / "heron1")
+    assert main(["export", ".", "--to", "csv", "--out", str(tmp_path)]) == 0
+
+
+def test_boats_whose_files_would_have_one_name_are_not_mixed(run, tmp_path, capsys):
+    for name, boat in (("a b", "heron1"), ("A_b", "heron2")):
+        leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / boat)[-1])
+        checkpoint.save(
+            tmp_path / "checkpoints" / name / "00000_0000001.safetensors", leaves, **{**facts, "boat": name}
+        )
+    assert "the boats A_b and a b" in told(capsys, tmp_path, "--to", "json")
+    assert not (tmp_path / "export").exists()
+
+
+def test_a_long_name_is_cut(run, tmp_path, capsys):
+    leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / "heron1")[-1])
+    for k, name in enumerate(("x" * 5000, "\u65e5" * 300)):
+        path = checkpoint.save(tmp_path / f"{k}.safetensors", leaves, **{**facts, "boat": name})
+        assert main(["export", str(path), "--to", "json,c", "--out", str(tmp_path / f"out{k}")]) == 0
+        assert len(list((tmp_path / f"out{k}").iterdir())) == 2
 
 
 @pytest.mark.parametrize("package", ["mcap", "onnx"])

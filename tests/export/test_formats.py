@@ -13,8 +13,8 @@ import torch
 
 from tests.support.surge_models import by_torch, some
 from usvlearn import Inputs, Online
-from usvlearn.errors import CheckpointError
-from usvlearn.export.c_header import c_header
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.export.c_header import c_header, identifier
 from usvlearn.export.casadi_text import casadi_text
 from usvlearn.export.conventions import conventions
 from usvlearn.export.described import described
@@ -48,11 +48,14 @@ def without_even(boat):
 def test_the_c_header_compiles_strictly_and_makes_the_step(boat, even, tmp_path):
     if (gcc := shutil.which("gcc") or shutil.which("cc")) is None:
         pytest.skip("needs a C compiler")
-    boat = boat._replace(name="boat 1 */ \\ ü") if even else without_even(boat)._replace(name="b")
-    name = "boat_1_______" if even else "b"
+    hostile = "b */ *\\ *ü/\n/ int x; ??/"
+    boat = boat._replace(name=hostile) if even else without_even(boat)._replace(name="b")
+    name = identifier(boat.name)
     (tmp_path / "boat.h").write_text(c_header(boat), "ascii")
     (tmp_path / "main.c").write_text(PROGRAM.replace("NAME", name))
     strict = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-std=c99", "-O2"]
+    comment = (tmp_path / "boat.h").read_text().partition("#ifndef")[0]
+    assert comment.count("*/") == comment.count("/*") == 1 and "??" not in comment and "\\" not in comment
     subprocess.run([gcc, *strict, "main.c", "-o", "main", "-lm"], cwd=tmp_path, check=True)
     rows = some(np.random.default_rng(0), 100_000)
     done = subprocess.run([tmp_path / "main"], input=rows.tobytes(), capture_output=True, check=True)
@@ -191,6 +194,44 @@ def test_a_damaged_file_of_predictions_is_told(run, tmp_path):
             csv_table(stretches(tmp_path, "heron1"))
 
 
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("estimators", lambda x: np.array("aid")),
+        ("time", lambda x: x + 1e12),
+        ("time", lambda x: x[:, 0]),
+        ("predictions", lambda x: x.astype(np.longdouble)),
+        ("runs", lambda x: np.array(["a\ud800", "b"])),
+    ],
+)
+def test_arrays_of_another_kind_are_damage_or_harmless(run, tmp_path, name, change):
+    shutil.copytree(run / "predictions", tmp_path / "predictions")
+    first = min((tmp_path / "predictions").glob("*.npz"))
+    arrays = dict(np.load(first))
+    np.savez(first, **{**arrays, name: change(arrays[name])})
+    if name == "runs":
+        assert csv_table(stretches(tmp_path, "heron1")).decode().splitlines()[1].startswith("a?,")
+        return
+    with pytest.raises(CheckpointError, match="is damaged"):
+        csv_table(stretches(tmp_path, "heron1"))
+
+
+def test_estimators_of_another_ensemble_get_no_place_in_the_table(run, tmp_path):
+    shutil.copytree(run / "predictions", tmp_path / "predictions")
+    last = max((tmp_path / "predictions").glob("*.npz"))
+    arrays = dict(np.load(last))
+    np.savez(last, **{**arrays, "estimators": arrays["estimators"][::-1]})
+    with pytest.raises(CheckpointError, match="expected those of the runs before"):
+        csv_table(stretches(tmp_path, "heron1"))
+
+
+def test_a_network_that_diverged_is_refused(boat):
+    pytest.importorskip("onnx", reason="needs the package onnx")
+    leaves = {**boat.leaves, "members.rnn.weights.a": boat.leaves["members.rnn.weights.a"] * np.nan}
+    with pytest.raises(ConfigError, match="not finite"):
+        onnx_networks(boat._replace(leaves=leaves))
+
+
 def test_nothing_of_it_needs_torch():
     code = "import usvlearn.cli.exporting, sys; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
@@ -198,5 +239,5 @@ def test_nothing_of_it_needs_torch():
 
 def test_the_description_states_units_and_signs(boat):
     found = described(boat)
-    assert "drag is negative" in found["signs"] and found["mass"]["unit"] == "kg"
+    assert "coefficients of drag are negative" in found["signs"] and found["mass"]["unit"] == "kg"
     assert set(found["model"]) == set(boat.model.coefficients)

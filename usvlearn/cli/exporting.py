@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.errors import ConfigError, did_you_mean, exit_on_user_error
+from usvlearn.cli.without_hydra import run_command
+from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, printable
 from usvlearn.export.formats import FORMATS, file_name
 from usvlearn.model.read_boats import IdentifiedBoat, read_boats
 from usvlearn.runs.layout import CHECKPOINTS
+
+ALL = "all"
+
+USAGE = "usvlearn export RUN --to FORMAT[,FORMAT …] [--boat NAME] [--out FOLDER]"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -19,43 +26,46 @@ def parser() -> argparse.ArgumentParser:
     width = max(map(len, FORMATS))
     found = argparse.ArgumentParser(
         prog="usvlearn export",
-        usage="usvlearn export RUN --to FORMAT[,FORMAT …] [--boat NAME] [--out FOLDER]",
+        usage=USAGE,
         description="Write what was learned of each boat, in the formats of other programs.",
         epilog="formats:\n" + "\n".join(f"  {name:{width}}  {each.what}" for name, each in FORMATS.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     found.add_argument("run", metavar="RUN", help="the folder of a run or of a node, or a parameter set")
-    found.add_argument("--to", required=True, metavar="FORMAT", help=f"one or several of {', '.join(FORMATS)}, or all")
+    formats = f"one or several of {', '.join(FORMATS)}; all: those that the run has and that are installed"
+    found.add_argument("--to", required=True, action="append", metavar="FORMAT", help=formats)
     found.add_argument("--boat", metavar="NAME", help="only this boat")
     found.add_argument("--out", metavar="FOLDER", help="where the files are written; RUN/export if it is left out")
     return found
 
 
-def formats_of(given: str) -> list[str]:
-    """The formats of `--to`.
+def formats_of(given: Sequence[str]) -> list[str]:
+    """The formats of all `--to`, of which each may have several, comma-separated.
 
     Raises:
         ConfigError: there is no such format.
 
-    >>> formats_of("json,c")
-    ['json', 'c']
+    >>> formats_of(["json,c", "mat"])
+    ['json', 'c', 'mat']
     """
-    names = [*FORMATS] if given == "all" else [each.strip() for each in given.split(",") if each.strip()]
-    for name in names or [given]:
-        if name not in FORMATS:
+    names = [each.strip() for part in given for each in part.split(",") if each.strip()]
+    for name in names or [""]:
+        if name not in (*FORMATS, ALL):
             hint = did_you_mean(name, FORMATS)
-            raise ConfigError(f"--to: found {name!r}, expected one of {', '.join(FORMATS)}, or all{hint}")
-    return list(dict.fromkeys(names))
+            raise ConfigError(f"--to: found {name!r}, expected one of {', '.join(FORMATS)}, or {ALL}{hint}")
+    return [*FORMATS] if ALL in names else list(dict.fromkeys(names))
 
 
 def run_of(path: Path) -> Path:
     """The folder of the run to which a set or a boat's folder belongs; else the folder itself, or that of the set."""
-    folder = path if path.is_dir() else path.parent
-    return folder.parent.parent if folder.parent.name == CHECKPOINTS else folder
+    folder = path.resolve() if path.is_dir() else path.resolve().parent
+    return folder.parent.parent if folder.parent.name == CHECKPOINTS else (path if path.is_dir() else path.parent)
 
 
-def export(boats: Sequence[IdentifiedBoat], formats: Sequence[str], run: Path, out: Path) -> list[Path]:
+def export(
+    boats: Sequence[IdentifiedBoat], formats: Sequence[str], run: Path, out: Path, lenient: bool = False
+) -> list[Path]:
     """Write the files, once all of them could be made; returns their paths.
 
     Args:
@@ -63,39 +73,52 @@ def export(boats: Sequence[IdentifiedBoat], formats: Sequence[str], run: Path, o
         formats: names.
         run: the folder of the run, which has the predictions.
         out: the folder of the files, which is made.
+        lenient: what a boat lacks, or a package that is missing, leaves a format out, with a warning.
 
     Raises:
         UsvlearnError: a boat lacks something, two boats' files would have one name, or a package is not installed.
         OSError: the disk is full, or the like; no file is half-written.
     """
     made: dict[Path, bytes] = {}
+    owners: dict[str, str] = {}
     for boat in boats:
         for name in formats:
-            for end, content in FORMATS[name].files(boat, run).items():
-                path = out / file_name(boat.name, end)
-                if path in made:
-                    raise ConfigError(
-                        f"{path}: found two boats whose files would have this name, one of them {boat.name}: give "
-                        "each by --boat, with another --out"
-                    )
-                made[path] = content
+            try:
+                files = FORMATS[name].files(boat, run)
+            except UsvlearnError as error:
+                if not lenient:
+                    raise
+                warnings.warn(f"{name} of {printable(boat.name)} is left out: {error}", stacklevel=2)
+                continue
+            for end, content in files.items():
+                file = file_name(boat.name, end)
+                if (other := owners.setdefault(file.casefold(), boat.name)) != boat.name:
+                    both = " and ".join(map(printable, (other, boat.name)))
+                    raise ConfigError(f"{file}: found the boats {both}, whose files would have this name: export one "
+                                      "at a time, by --boat NAME --out FOLDER")  # fmt: skip
+                made[out / file] = content
     out.mkdir(parents=True, exist_ok=True)
     for path, content in made.items():
         write_atomically(path, content)
     return list(made)
 
 
+def work(arguments: Sequence[str]) -> None:
+    """Do what the arguments say."""
+    given = parser().parse_args(arguments)
+    formats = formats_of(given.to)
+    if given.out == "":
+        raise ConfigError("--out: found nothing, expected a folder")
+    boats = read_boats(given.run, given.boat)
+    run = run_of(Path(os.path.expanduser(given.run)))
+    out = run / "export" if given.out is None else Path(os.path.expanduser(given.out))
+    for each in export(boats, formats, run, out, lenient=ALL in ",".join(given.to).split(",")):
+        print(each)
+    for boat in boats:
+        for sentence in boat.found.lacks:
+            print(f"{printable(boat.name)}: {sentence}", file=sys.stderr)
+
+
 def main() -> int:
     """The command; returns the exit code."""
-    with exit_on_user_error():
-        given = parser().parse_args(sys.argv[1:])
-        path, formats = Path(given.run).expanduser(), formats_of(given.to)
-        boats = read_boats(path, given.boat)
-        run = run_of(path)
-        out = run / "export" if given.out is None else Path(given.out).expanduser()
-        for each in export(boats, formats, run, out):
-            print(each)
-        for boat in boats:
-            for sentence in boat.found.lacks:
-                print(f"{boat.name}: {sentence}", file=sys.stderr)
-    return 0
+    return run_command(work, f"usage: {USAGE}")

@@ -10,6 +10,7 @@ from usvlearn.export.described import EVEN_FORCE, FORCE, SIGNS, STEP
 from usvlearn.model.read_boats import IdentifiedBoat
 from usvlearn.model.surge import SurgeModel
 
+LONGEST = 60  # characters of an identifier
 EVEN_TERMS = {
     "f": [
         "    f += drag_even * v * v;",
@@ -63,7 +64,7 @@ def identifier(name: str) -> str:
     >>> identifier("blue-boat 2"), identifier("2nd"), identifier("übung")
     ('blue_boat_2', 'boat_2nd', 'boat__bung')
     """
-    found = re.sub(r"[^A-Za-z0-9_]", "_", name)
+    found = re.sub(r"[^A-Za-z0-9_]", "_", name)[:LONGEST]
     return found if re.match(r"[A-Za-z]", found) else f"boat_{found}"
 
 
@@ -77,8 +78,12 @@ def ascii_only(text: str) -> str:
 
 
 def _harmless(line: str) -> str:
-    """A line of ASCII that ends no comment."""
-    return ascii_only(line).replace("*/", "* /").replace("/*", "/ *").replace("\\", "/")
+    r"""A line of printable ASCII in which nothing ends a comment, also not through a trigraph or a spliced line.
+
+    >>> _harmless("a*/ b*\\ c??/")
+    'a./ b./ c../'
+    """
+    return re.sub("[*?]", ".", re.sub("[^ -~]", ".", ascii_only(line)).replace("\\", "/"))
 
 
 def _constants(model: SurgeModel) -> list[str]:

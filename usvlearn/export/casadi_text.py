@@ -40,7 +40,8 @@ PER_MASS = {{  # coefficients over the mass
 def surge_step(name="surge_step"):
     """The function (v, left, right, yaw_rate, dt) -> speed after dt, m/s; all are scalars in SI units."""
     v, left, right, yaw_rate, dt = (ca.SX.sym(each) for each in ("v", "left", "right", "yaw_rate", "dt"))
-    p, speed, turn, sides = PER_MASS, ca.fabs(v), ca.fabs(yaw_rate), (("left", left), ("right", right))
+    p, sides = PER_MASS, (("left", left), ("right", right))
+    speed, turn = ca.if_else(v >= 0, v, -v), ca.fabs(yaw_rate)  # at v = 0 the derivative is that of motion ahead
     f = p["drag_quadratic"] * speed * v + p["drag_linear"] * v + p["drag_cross"] * turn * v + sum(
         x * (p[f"thrust_linear_{{s}}"] + p[f"thrust_quadratic_{{s}}"] * ca.fabs(x) + p[f"thrust_speed_{{s}}"] * speed
              + p[f"thrust_cubic_{{s}}"] * x**2) for s, x in sides)

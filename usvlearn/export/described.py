@@ -24,7 +24,8 @@ EVEN_FORCE = " + drag_even v^2 + sum of (thrust_even_linear |x| + thrust_even_qu
 STEP = "with f = dv/dt, J = df/dv, z = min(dt J, 1): the speed after dt is v + dt f (exp(z) - 1)/z"
 SIGNS = (
     "v: speed ahead through the water, m/s. x: command of a side as a share of full scale, -1 to 1, positive ahead. "
-    "r: yaw rate, rad/s. Positive force pushes ahead: drag is negative, thrust ahead is positive."
+    "r: yaw rate, rad/s. Positive force pushes ahead: the coefficients of drag are negative, thrust ahead is positive. "
+    "drag_half_speed and the curve drag are the size of the resistance, positive."
 )
 UNIT_OF_CURVE = {"drag": ("m/s", "N"), "steady_speed": ("1", "m/s")}  # of the others: share of full command, N
 

@@ -18,7 +18,7 @@ from usvlearn.export.predictions_mcap import mcap_file
 from usvlearn.export.published_steps import stretches
 from usvlearn.model.read_boats import IdentifiedBoat
 
-LONGEST = 100  # characters of a boat's name in that of a file
+LONGEST = 100  # bytes of a boat's name in that of a file
 Files = dict[str, bytes]  # by the end of their names: all begin with the name of the boat
 
 
@@ -67,5 +67,5 @@ def file_name(boat: str, end: str) -> str:
     """
     if end.endswith((".py", ".h")):
         return f"{identifier(boat)}{end}"
-    name = re.sub(r"[^-.\w]", "_", boat).lstrip(".")[:LONGEST]
+    name = re.sub(r"[^-.\w]", "_", boat).lstrip(".").encode("utf-8", "replace")[:LONGEST].decode("utf-8", "ignore")
     return f"{name or 'boat'}{end}"

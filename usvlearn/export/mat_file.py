@@ -27,13 +27,15 @@ def _value(given: Any) -> Any:
     """A JSON value as MATLAB has it: a struct, a text, a cell of texts, or numbers; null is NaN."""
     if isinstance(given, dict):
         return {_name(key): _value(each) for key, each in given.items()}
+    if isinstance(given, str):
+        return given.encode("utf-8", "replace").decode()
     if isinstance(given, list) and all(isinstance(each, str) for each in given):
         found = np.empty(len(given), object)
-        found[:] = given
+        found[:] = [_value(each) for each in given]
         return found
     if given is None:
         return np.nan
-    return given if isinstance(given, str) else np.asarray(given, np.float64 if _numeric(given) else object)
+    return np.asarray(given, np.float64 if _numeric(given) else object)
 
 
 def _numeric(given: Any) -> bool:

@@ -48,6 +48,8 @@ def _network(leaves: Mapping[str, np.ndarray], prefix: str, description: Mapping
         raise MissingExtraError("onnx", "export", "writing ONNX") from error
     a, w1, W2, b = (np.asarray(leaves[f"{prefix}weights.{each}"], np.float64) for each in ("a", "w1", "W2", "b"))
     scale = float(description["numbers"]["scale"])
+    if not all(np.isfinite(each).all() for each in (a, w1, W2, b)):
+        raise ConfigError(f"found the network {name}, whose weights are not finite, expected one that has not diverged")
     weights = np.concatenate([scale * w1[None], W2.T[:2] / 2, W2.T[2:]])  # (inputs, neurons)
     constants = {"weights": weights, "bias": b + W2[:, :2].sum(1) / 2, "readout": a[:, None] / scale,
                  "last": np.array([1])}  # fmt: skip

@@ -8,9 +8,8 @@ import math
 from collections.abc import Iterable
 from itertools import chain
 
+from usvlearn.errors import CheckpointError
 from usvlearn.export.published_steps import COLUMNS, Stretch
-
-UNITS = {"time": "s", "measured_surge": "m/s", "heading": "rad", "yaw_rate": "rad/s", "dt": "s"}  # commands: shares
 
 
 def csv_table(stretches: Iterable[Stretch]) -> bytes:
@@ -18,6 +17,9 @@ def csv_table(stretches: Iterable[Stretch]) -> bytes:
 
     Columns: run, time, measured_surge, inputs, then `NAME` and `NAME_halfwidth` of each estimator. Numbers are written
     so that they are read again as the same.
+
+    Raises:
+        CheckpointError: the files of the run are of several ensembles.
     """
     iterator = iter(stretches)
     first = next(iterator)
@@ -25,6 +27,11 @@ def csv_table(stretches: Iterable[Stretch]) -> bytes:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(["run", *COLUMNS, *chain(*((name, f"{name}_halfwidth") for name in first.estimators))])
     for each in chain([first], iterator):
+        if each.estimators != first.estimators:
+            raise CheckpointError(
+                f"predictions of {each.run}: found the estimators {', '.join(each.estimators)}, expected those of the "
+                f"runs before, {', '.join(first.estimators)}: make the run anew"
+            )
         for k in range(len(each.predicted)):
             pairs = chain(*zip(each.predicted[k].tolist(), each.halfwidths[k].tolist(), strict=True))
             numbers = [*(float(values[k]) for values in each.columns.values()), *pairs]

@@ -11,6 +11,7 @@ from typing import Any
 import usvlearn
 from usvlearn.errors import MissingExtraError
 from usvlearn.export.published_steps import Stretch
+from usvlearn.runs.published import UNITS
 
 GAP = 10.0  # s between two runs, which follow each other from time 0
 TOPICS = {"measured": "/usvlearn/measured", "predicted": "/usvlearn/predicted", "halfwidth": "/usvlearn/halfwidth"}
@@ -63,6 +64,9 @@ def mcap_file(boat: str, stretches: Iterable[Stretch]) -> bytes:
 def _channel(writer: Any, name: str, topic: str, stretch: Stretch) -> int:
     """Register a topic; returns its number."""
     own = stretch.columns if name == "measured" else ("time", *stretch.estimators)
-    schema = {"type": "object", "properties": {key: {"type": "number"} for key in own}}
+    schema = {
+        "type": "object",
+        "properties": {key: {"type": "number", "description": UNITS.get(key, "m/s")} for key in own},
+    }
     number = writer.register_schema(f"usvlearn.{name}", "jsonschema", json.dumps(schema).encode())
     return int(writer.register_channel(topic, "json", number))

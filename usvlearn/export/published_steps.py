@@ -15,7 +15,7 @@ from usvlearn.runs.published import DAMAGE, position
 
 INPUTS = ("command_left", "command_right", "heading", "yaw_rate", "dt")
 COLUMNS = ("time", "measured_surge", *INPUTS)  # arrays (time, boats)
-LARGEST = 1 << 30  # bytes of a file's arrays
+LARGEST, LATEST = 1 << 30, 1e8  # bytes of a file's arrays; s after the first step of a run
 
 
 class Stretch(NamedTuple):
@@ -44,7 +44,7 @@ def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
     for path in paths:
         try:
             one = _read(path, boat)
-        except DAMAGE as error:
+        except (*DAMAGE, TypeError) as error:
             raise CheckpointError(
                 f"{path}: is damaged ({error}): export the other formats, or make the run anew"
             ) from error
@@ -65,20 +65,25 @@ def _read(path: Path, boat: str) -> Stretch | None:
     with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         if (size := sum(each.file_size for each in archive.zip.infolist())) > LARGEST:
             raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {LARGEST / 1e6:.0f} at most")
-        boats = [str(each) for each in archive["boats"]]
+        boats, names, runs = (_names(archive[each]) for each in ("boats", "estimators", "runs"))
         if boat not in boats:
             return None
-        lane, names = boats.index(boat), tuple(str(each) for each in archive["estimators"])
-        run = str(archive["runs"][lane])
+        lane = boats.index(boat)
+        run = runs[lane]
         columns = {name: archive[name] for name in COLUMNS}
         tables = [archive[name] for name in ("predictions", "halfwidths")]
-    steps = len(columns["time"])
-    for each in columns.values():
-        if each.dtype.kind != "f" or each.shape != (steps, len(boats)):
-            raise ValueError(f"found {each.dtype} {each.shape}, expected numbers of (time, {len(boats)})")
-    for each in tables:
-        if each.dtype.kind != "f" or each.shape != (steps, len(boats), len(names)):
-            raise ValueError(f"found {each.dtype} {each.shape}, expected numbers of (time, {len(boats)}, {len(names)})")
+    shape = (*columns["time"].shape[:1], len(boats))
+    for each in (*columns.values(), *tables):
+        wanted = shape if each.ndim == 2 else (*shape, len(names))
+        if each.dtype not in (np.float32, np.float64) or each.shape != wanted:
+            raise ValueError(f"found {each.dtype} {each.shape}, expected numbers {wanted}")
+    if (np.abs(np.nan_to_num(columns["time"] - LATEST / 2, nan=0.0)) > LATEST / 2).any():
+        raise ValueError(f"found a time beyond 0 to {LATEST:g} s")
     made = np.isfinite(columns["time"][:, lane])  # a boat's shorter run has ended
     columns = {name: each[made, lane] for name, each in columns.items()}
     return Stretch(run, names, columns, *(each[made, lane] for each in tables)) if run else None
+
+
+def _names(array: np.ndarray) -> tuple[str, ...]:
+    """The texts of an array, as they can be written."""
+    return tuple(str(each).encode("utf-8", "replace").decode() for each in array)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -47,7 +48,7 @@ def read_boats(path: str | Path, boat: str | None = None) -> list[IdentifiedBoat
         CheckpointError: there is no readable set.
         ConfigError: there is no boat of this name, or nothing of it is identified.
     """
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))
     if not path.exists():
         raise CheckpointError(f"{path}: there is no such file or folder: give the folder of a run, or a parameter set")
     if path.is_dir() and not checkpoint.checkpoints(path):
