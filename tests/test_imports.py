@@ -46,6 +46,11 @@ OURS = {
     "usvlearn.identified": LIGHT | {"usvlearn.engine", "usvlearn.estimators"},
     "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.checkpoint",
                                 "usvlearn.engine", "usvlearn.identified", "usvlearn.plans"},
+    "usvlearn.model": LIGHT | {"usvlearn.model", "usvlearn.checkpoint", "usvlearn.estimators", "usvlearn.identified",
+                               "usvlearn.jit", "usvlearn.logs.setup", "usvlearn.online", "usvlearn.rows",
+                               "usvlearn.runs.layout"},
+    "usvlearn.controller": LIGHT | {"usvlearn.controller", "usvlearn.model", "usvlearn.estimators.joint",
+                                    "usvlearn.figures", "usvlearn.logs.setup"},
     "usvlearn.live": LIGHT | {"usvlearn.live", "usvlearn.logs", "usvlearn.online", "usvlearn.checkpoint",
                               "usvlearn.lock", "usvlearn.identified", "usvlearn.estimators", "usvlearn.tensorboard",
                               "usvlearn.foreign_yaml", "certify"},
@@ -82,7 +87,8 @@ THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",
             "usvlearn.engine", "usvlearn.online", "usvlearn.identified", "usvlearn.logs", "usvlearn.evaluation",
             "usvlearn.lock", "usvlearn.plans", "usvlearn.inspection", "usvlearn.live", "usvlearn.model",
-            "usvlearn.export", "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
+            "usvlearn.export", "usvlearn.controller",
+            "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}
 MODULES = sorted(p for folder in ("usvlearn", "certify") for p in (ROOT / folder).rglob("*.py"))

@@ -14,6 +14,7 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
     "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write the configuration that reads them"),
     "delay": ("usvlearn.cli.delay", "find the delay from the commands to the speed in own logs"),
+    "controller": ("usvlearn.cli.speed_controller", "design a speed controller from what a run has identified"),
     "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
     "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
     "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, MCAP, CSV"),

@@ -47,13 +47,21 @@ def curves(found: Identified) -> dict[str, Curve]:
         **{f"thrust_{side}": (commands, force(pull(side))) for side in SIDES},
         "steady_speed": (commands, lambda theta: Ahead(theta[..., None, :]).steady_speed(commands)),
     }
-    return {name: _banded(found, beside, name, *function) for name, function in functions.items()}
+    return {name: banded(found, beside, name, *function) for name, function in functions.items()}
 
 
-def _banded(
+def banded(
     found: Identified, beside: Beside, name: str, at: np.ndarray, f: Callable[[np.ndarray], np.ndarray]
 ) -> Curve:
-    """A curve of the parameters, `(..., m)` to `(..., points)`, with the intervals of the table at each point."""
+    """A curve of the parameters with the 90 % interval of each point.
+
+    Args:
+        found: of a boat.
+        beside: what its intervals take in.
+        name: of the quantity; those of `reading.POSITIVE` have intervals on the log scale.
+        at: where the points are, `(points,)`.
+        f: of the parameters per unit mass, `(..., m)` to `(..., points)`.
+    """
     steps = steps_of(beside.variance)
     shifts = np.diag(steps)
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):

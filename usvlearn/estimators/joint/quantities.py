@@ -102,6 +102,13 @@ class Ahead:
         )
         return (alpha + (beta + self.cubic[side] * command) * command) * command
 
+    def thrust_slope(self, command, side: str):
+        """Derivative of `thrust` by the command, m/s²."""
+        alpha, beta = (
+            self.sums[f"thrust_{kind}_{side}"] - share * self.cubic[side] for kind, share in CUBIC_FIT.items()
+        )
+        return alpha + (2 * beta + 3 * self.cubic[side] * command) * command
+
     def drag(self, speed):
         """Force of the water, positive, m/s²."""
         return -(self.quadratic * speed + self.linear) * speed

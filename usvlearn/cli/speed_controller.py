@@ -1,0 +1,95 @@
+"""The command `usvlearn controller RUN`: a speed controller from what a run has identified.
+
+It prints the feedforward, PI gains that hold over the identified intervals, their margins, the parameters for ArduRover
+and the block for MOOS-IvP, and how the closed loop follows steps on boats that are drawn from the intervals.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from usvlearn.errors import ConfigError, MissingExtraError, exit_on_user_error
+
+
+def parser() -> argparse.ArgumentParser:
+    found = argparse.ArgumentParser("usvlearn controller", description=__doc__)
+    found.add_argument("path", metavar="RUN", help="the folder of a run, or a parameter set")
+    found.add_argument("--boat", help="only this one")
+    found.add_argument("--speed", type=float, help="cruise speed, m/s (the middle of --range)")
+    found.add_argument(
+        "--range", type=float, nargs=2, metavar=("LOW", "HIGH"),
+        help="speeds at which the gains must hold, m/s (from a quarter of the top speed to 0.9 of its lower end)",
+    )  # fmt: skip
+    found.add_argument("--bandwidth", type=float, help="ω of the wanted poles, rad/s (from time constant and delay)")
+    found.add_argument("--damping", type=float, default=1.0, help="ζ of the wanted poles (1)")
+    found.add_argument("--period", type=float, help="of the control loop, s (the step of the samples)")
+    found.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
+    found.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
+    found.add_argument("--seed", type=int, default=0, help="of the draws (0)")
+    found.add_argument(
+        "--out", metavar="FOLDER", help="write BOAT.controller.json, .svg, .png, BOAT.param, BOAT_pid.moos"
+    )
+    return found
+
+
+def work(arguments: Sequence[str]) -> None:
+    """Design, print, and write.
+
+    Raises:
+        CheckpointError: there is no parameter set.
+        ConfigError: an option is wrong, or a boat is not identified well enough.
+    """
+    given = vars(parser().parse_args(list(arguments)))
+    path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
+    from usvlearn.controller.design import Wanted, controller
+    from usvlearn.controller.told import lines
+    from usvlearn.model.saved import read_boats
+
+    folder = None if out is None else Path(out).expanduser()
+    if folder is not None:
+        if folder.exists() and not folder.is_dir():
+            raise ConfigError(f"--out: found the file {out}, expected a folder")
+        folder.mkdir(parents=True, exist_ok=True)
+    given["range"] = None if given["range"] is None else tuple(given["range"])
+    wanted = Wanted(**given)
+    for number, boat in enumerate(read_boats(path, name)):
+        found = controller(boat, wanted)
+        print(*([""] if number else []), *lines(found), sep="\n")
+        if folder is not None:
+            _write(folder, found)
+
+
+def _write(folder: Path, found) -> None:
+    """All files of a boat."""
+    from usvlearn.checkpoint import write_atomically
+    from usvlearn.controller.design import facts
+    from usvlearn.controller.told import head
+
+    name = found.boat.name
+    files = {
+        f"{name}.controller.json": (
+            json.dumps(facts(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        ).encode(),
+        f"{name}.param": found.rover.text(head(found)).encode(),
+        f"{name}_pid.moos": found.moos.text(head(found)).encode(),
+    }
+    try:
+        from usvlearn.controller.picture import pictures
+
+        files |= {f"{name}.controller{ending}": content for ending, content in pictures(found).items()}
+    except MissingExtraError as error:
+        print(f"warning: {error}", file=sys.stderr)
+    for file, content in files.items():
+        write_atomically(folder / file, content)
+    print(f"Written to {folder}: {', '.join(files)}")
+
+
+def main() -> int:
+    """The command; returns the exit code."""
+    with exit_on_user_error():
+        work(sys.argv[1:])
+    return 0
