@@ -25,8 +25,8 @@ def parser() -> argparse.ArgumentParser:
         help="speeds at which the gains must hold, m/s (from a quarter of the top speed to 0.9 of its lower end)",
     )  # fmt: skip
     found.add_argument("--bandwidth", type=float, help="ω of the wanted poles, rad/s (from time constant and delay)")
-    found.add_argument("--damping", type=float, default=1.0, help="ζ of the wanted poles (1)")
-    found.add_argument("--period", type=float, help="of the control loop, s (the step of the samples)")
+    found.add_argument("--damping", type=float, help="ζ of the wanted poles (from the same, or 1 with --bandwidth)")
+    found.add_argument("--period", type=float, help="of the control loop, s (0.2)")
     found.add_argument("--delay", type=float, help="of the commands, s (identified: their delay and lag)")
     found.add_argument("--boats", type=int, default=200, help="drawn from the intervals for the closed loop (200)")
     found.add_argument("--seed", type=int, default=0, help="of the draws (0)")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -121,9 +122,9 @@ def ahead_step(boat: Ahead, v: np.ndarray, xi: np.ndarray, h: float) -> np.ndarr
 def steps_of(responses: Responses) -> list[Step]:
     """How the boats follow each step of the wanted speed after the first, which begins at rest."""
     changes = np.flatnonzero(np.diff(responses.wanted)) + 1
-    edges = [*changes, len(responses.wanted)]
+    edges = [*changes.tolist(), len(responses.wanted)]
     found = []
-    for begin, end in zip(edges[:-1], edges[1:], strict=True):
+    for begin, end in pairwise(edges):
         before, after = float(responses.wanted[begin - 1]), float(responses.wanted[begin])
         course = (responses.speed[begin:end] - before) / (after - before)  # 0 … 1
         outside = np.abs(course - 1) > BAND

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
-from usvlearn.controller.closed_loop import Responses, Step, draws, simulate, steps_of
+from usvlearn.controller.closed_loop import Law, Responses, Step, draws, simulate, steps_of
 from usvlearn.controller.feedforward import Feedforward
-from usvlearn.controller.gains import DAMPING, Gains, Linearised, Margins, design, linearised
+from usvlearn.controller.gains import Gains, Linearised, Margins, design, linearised
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.quantities import SIDES, Ahead
@@ -22,7 +22,10 @@ POINTS = 9  # operating speeds
 SLOWEST, FASTEST = 0.25, 0.9  # of the greatest speed; of the lower end of its interval
 SPARE = 1.3  # of the integral's limit, over what the feedforward errs
 LEAST_INTEGRAL = 0.1
-EASY = 0.5  # share of the acceleration that can be held, which ArduRover asks for: the rest is left to the PI part
+OVERSHOOT, TRIED = 0.2, 50  # of 95 % of so many boats: ArduRover's limits of acceleration are lowered until then
+SLOWER = (1.0, 0.7, 0.5, 0.35, 0.25)  # shares of the accelerations that can be held
+PERIOD = 0.2  # s, of a loop: ArduRover keeps it easily, and pMarinePID at 45 Hz
+LEAST_ACCELERATION = 0.02  # m/s²: 0 would switch the limit off
 HOLD = 15.0  # time constants between two steps
 
 
@@ -32,7 +35,7 @@ class Wanted(NamedTuple):
     speed: float | None = None  # cruise speed, m/s
     range: tuple[float, float] | None = None  # of operating speeds, m/s
     bandwidth: float | None = None  # rad/s
-    damping: float = DAMPING
+    damping: float | None = None
     period: float | None = None  # s, of the control loop
     delay: float | None = None  # s, from the measured speed to the thrust, without the loop's own
     boats: int = 200
@@ -92,26 +95,35 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     speeds = np.linspace(low, high, POINTS)
     linear = linearised(name, found, forward.at(speeds))
     late, spread = _late(name, found, boat.setup, wanted.delay)
-    period = wanted.period if wanted.period is not None else _dt(name, boat.setup)
+    period = PERIOD if wanted.period is None else wanted.period
     gains, left = design(
         name, linear, max(late + DEVIATIONS * spread, 0.0) + period / 2, wanted.bandwidth, wanted.damping
     )
     cruise = wanted.speed if wanted.speed is not None else (low + high) / 2
     up, down = (_force(found, speeds, full) for full in (1.0, 0.0))
-    rover = _rover(forward, speeds, cruise, gains, up, down)
-    moos = Moos.of(gains.proportional, gains.integral, rover.slope, period)
     theta = draws(found, wanted.boats, wanted.seed)
     normal = np.random.default_rng([wanted.seed, 1]).standard_normal(len(theta))
     delays = np.maximum(late + spread * normal, 0.0)
     course = [low, cruise, high, low] if low < cruise < high else [low, high, low]
-    hold = HOLD * float(linear.time_constant.high.max())
-    loops = []
-    for each, law in (("ArduRover", RoverLaw(rover, period)), ("MOOS-IvP", MoosLaw(moos))):
-        responses = simulate(theta, delays, law, course, hold)
-        loops.append(Loop(each, responses, steps_of(responses)))
+    hold = HOLD * max(float(linear.time_constant.high.max()), 1 / left.crossover[0])
+
+    rover = _rover(forward, speeds, cruise, gains, up, down)
+    hold += (high - low) / (SLOWER[-1] * min(rover.acceleration, rover.deceleration))
+
+    def loop(each: str, law: Law, boats: int = wanted.boats) -> Loop:
+        responses = simulate(theta[:boats], delays[:boats], law, course, hold)
+        return Loop(each, responses, steps_of(responses))
+
+    for share in SLOWER:  # ArduRover's base is a straight line, and acts before the boat follows
+        slower = rover._replace(acceleration=share * rover.acceleration, deceleration=share * rover.deceleration)
+        tried = loop("ArduRover", RoverLaw(slower, period), TRIED)
+        if max(float(np.quantile(step.overshoot, 0.95)) for step in tried.steps) <= OVERSHOOT:
+            break
+    rover, moos = slower, Moos.of(gains.proportional, gains.integral, rover.slope, period)
+    loops = loop("ArduRover", RoverLaw(rover, period)), loop("MOOS-IvP", MoosLaw(moos))
     return Controller(
         boat, forward, speeds, linear, max(late + DEVIATIONS * spread, 0.0), period, gains, left, up, down, rover,
-        moos, tuple(loops),
+        moos, loops,
     )  # fmt: skip
 
 
@@ -140,7 +152,7 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
 def _dt(name: str, setup: Setup | None) -> float:
     if setup is None or "dt" not in setup.align:
         raise ConfigError(
-            f"{name}: the set was saved by a version that did not save the step of its samples: give --period and --delay"
+            f"{name}: the set was saved by a version that does not tell the step of its samples: give --delay"
         )
     return float(setup.align["dt"])
 
@@ -178,7 +190,7 @@ def _rover(forward: Feedforward, speeds: np.ndarray, cruise: float, gains: Gains
     throttle = max(1.0, round(100 * float(forward.at(cruise))))
     errors = [np.abs(each - throttle / 100 / cruise * speeds) for each in (forward.at(speeds), *forward.band(speeds))]
     most = min(1.0, max(LEAST_INTEGRAL, math.ceil(100 * SPARE * float(np.max(errors))) / 100))
-    ends = (max(0.02, EASY * float(np.interp(cruise, speeds, each.low))) for each in (up, down))
+    ends = (max(LEAST_ACCELERATION, float(np.interp(cruise, speeds, each.low))) for each in (up, down))
     return Rover(cruise, throttle, gains.proportional, gains.integral, most, *ends)
 
 

@@ -109,7 +109,7 @@ class Feedforward:
 
     @property
     def least(self) -> tuple[float, float]:
-        """The lowest speed that can be held, m/s, and its command: where the slowest boat of the band begins to move."""
+        """The lowest speed that can be held, m/s, and its command: where the slowest boat of the band moves."""
         moves = int(np.argmax(self.low > DEAD * self.speed[-1]))
         return float(self.speed[moves]), float(self.command[moves])
 
@@ -123,8 +123,9 @@ class Feedforward:
         top, least = self.top, self.least
         if not speed <= top[0]:
             raise ConfigError(
-                f"{option}: found {speed:g} m/s, and {name} reaches {top[0]:.2f} m/s ({top[1]:.2f} … {top[2]:.2f}) at full "
-                f"command: give a lower speed, or if the boat is faster, sail at full command for 2 min and learn anew"
+                f"{option}: found {speed:g} m/s, and {name} reaches {top[0]:.2f} m/s ({top[1]:.2f} … {top[2]:.2f}) at "
+                "full command: give a lower speed, or where the boat is faster, sail at full command for 2 min and "
+                "learn anew"
             )
         if not speed >= least[0]:
             raise ConfigError(

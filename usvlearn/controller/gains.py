@@ -6,6 +6,11 @@ At a command ξ₀ the boat settles at v₀. Near it, with T = −1/a, and a del
     ξ = base + k_p e + k_i ∫ e dt,   e = wanted − v                                                      (2)
     s² + (b k_p − a) s + b k_i = s² + 2 ζ ω s + ω²   gives   k_p = (2 ζ ω + a)/b,   k_i = ω²/b              (3)
 
+With the wanted crossover ω_c, the default poles are those that give k_p = ω_c/b and an integral that takes out the
+boat's own pole, or 4/ω_c where that is faster (Skogestad 2003):
+
+    2 ζ ω = ω_c + 1/T,   ω² = ω_c/min(T, 4/ω_c),   ω_c = min(4/T, .5/L) or less                            (4)
+
 (3) takes the geometric means of a and b over all corners: the ends of their 90 % intervals, at each operating speed.
 The loop (k_p + k_i/s) b e^(−sL)/(s − a) is then judged at every corner.
 
@@ -14,6 +19,7 @@ The derivation is in `docs/theory.md`, section 26.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -24,8 +30,7 @@ from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.quantities import SIDES, Ahead
 from usvlearn.estimators.joint.reading import Identified
 
-DAMPING = 1.0  # ζ
-FASTEST, DELAYED = 4.0, 0.5  # crossover 2 ζ ω: at most 4/T, and .5/L
+FASTEST, DELAYED, SLOWEST_INTEGRAL = 4.0, 0.5, 4.0  # of (4)
 PHASE, GAIN = 45.0, 6.0  # deg, dB: least margins of the default bandwidth
 SLOWER = 0.95  # from one trial of the bandwidth to the next
 GRID = np.geomspace(1e-3, 1e2, 2000)  # rad/s
@@ -108,6 +113,16 @@ def placed(a: float, b: float, bandwidth: float, damping: float) -> Gains:
     return Gains(max(0.0, (2 * damping * bandwidth + a) / b), bandwidth**2 / b, bandwidth, damping)
 
 
+def poles(crossover: float, time_constant: float) -> tuple[float, float]:
+    """ω and ζ of (4), from ω_c in rad/s and T in s.
+
+    >>> poles(crossover=2.0, time_constant=0.5)  # both poles at −2
+    (2.0, 1.0)
+    """
+    bandwidth = math.sqrt(crossover / min(time_constant, SLOWEST_INTEGRAL / crossover))
+    return bandwidth, (crossover + 1 / time_constant) / (2 * bandwidth)
+
+
 def margins(gains: Gains, a: np.ndarray, b: np.ndarray, delay: float) -> Margins:
     """The worst margins over the corners a < 0, 1/s, and b > 0, m/s², `(corners,)`, at a delay in s.
 
@@ -146,19 +161,18 @@ def margins(gains: Gains, a: np.ndarray, b: np.ndarray, delay: float) -> Margins
 
 
 def design(
-    name: str, linear: Linearised, delay: float, bandwidth: float | None = None, damping: float = DAMPING
+    name: str, linear: Linearised, delay: float, bandwidth: float | None = None, damping: float | None = None
 ) -> tuple[Gains, Margins]:
     """Gains, and their worst margins.
 
-    The default bandwidth puts the crossover 2 ζ ω at min(`FASTEST`/T, `DELAYED`/L), and is lowered until all corners
-    have `PHASE` and `GAIN`.
+    Without a bandwidth, the crossover of (4) is lowered until all corners have `PHASE` and `GAIN`.
 
     Args:
         name: of the boat, for errors.
         linear: the boat.
         delay: L, s.
-        bandwidth: ω, rad/s.
-        damping: ζ.
+        bandwidth: ω, rad/s; by default that of (4).
+        damping: ζ; by default that of (4), or 1 with a bandwidth.
 
     Raises:
         ConfigError: with the bandwidth that was given, a corner is unstable.
@@ -166,7 +180,7 @@ def design(
     a, b = linear.corners
     middle_a, middle_b = -float(np.exp(np.log(-a).mean())), float(np.exp(np.log(b).mean()))
     if bandwidth is not None:
-        gains = placed(middle_a, middle_b, bandwidth, damping)
+        gains = placed(middle_a, middle_b, bandwidth, 1.0 if damping is None else damping)
         left = margins(gains, a, b, delay)
         if not (left.gain > 0 and left.phase > 0):
             safe, _ = design(name, linear, delay, None, damping)
@@ -175,10 +189,11 @@ def design(
                 f"with {delay:.2g} s of delay: give at most {safe.bandwidth:.2g} rad/s, or leave it out"
             )
         return gains, left
-    bandwidth = min(FASTEST * -middle_a, DELAYED / max(delay, 1e-6)) / (2 * damping)
+    crossover = min(FASTEST * -middle_a, DELAYED / max(delay, 1e-6))
     while True:
-        gains = placed(middle_a, middle_b, bandwidth, damping)
+        own_bandwidth, own_damping = poles(crossover, -1 / middle_a)
+        gains = placed(middle_a, middle_b, own_bandwidth, own_damping if damping is None else damping)
         left = margins(gains, a, b, delay)
         if left.gain >= GAIN and left.phase >= PHASE:
             return gains, left
-        bandwidth *= SLOWER
+        crossover *= SLOWER

@@ -1,4 +1,4 @@
-"""The picture of a speed controller: the curve with its band, the margins' corners, and the closed loop over all boats."""
+"""The picture of a speed controller: the curve with its band, the linearised boat, and the closed loop of all boats."""
 
 from __future__ import annotations
 
