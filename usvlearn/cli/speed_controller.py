@@ -46,7 +46,7 @@ def work(arguments: Sequence[str]) -> None:
     given = vars(parser().parse_args(list(arguments)))
     path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
     from usvlearn.controller.design import Wanted, controller
-    from usvlearn.controller.told import lines
+    from usvlearn.controller.design_text import lines
     from usvlearn.model.saved import read_boats
 
     folder = None if out is None else Path(out).expanduser()
@@ -67,7 +67,7 @@ def _write(folder: Path, found) -> None:
     """All files of a boat."""
     from usvlearn.checkpoint import write_atomically
     from usvlearn.controller.design import facts
-    from usvlearn.controller.told import head
+    from usvlearn.controller.design_text import head
 
     name = found.boat.name
     files = {
@@ -78,7 +78,7 @@ def _write(folder: Path, found) -> None:
         f"{name}_pid.moos": found.moos.text(head(found)).encode(),
     }
     try:
-        from usvlearn.controller.picture import pictures
+        from usvlearn.controller.responses_picture import pictures
 
         files |= {f"{name}.controller{ending}": content for ending, content in pictures(found).items()}
     except MissingExtraError as error:

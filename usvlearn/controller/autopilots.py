@@ -108,6 +108,7 @@ class Moos(NamedTuple):
     kd: float
     speed_factor: float  # of the alternative without PID, % per m/s
     tick: int  # Hz
+    period: float  # s, for which the gains were designed
 
     @classmethod
     def of(cls, proportional: float, integral: float, slope: float, period: float) -> Moos:
@@ -117,7 +118,7 @@ class Moos(NamedTuple):
         tick is such that this is no later than half of the period for which the gains were designed.
         """
         tick = min(max(math.ceil(DIFFERENCES / period), LEAST_TICK), MOST_TICK)
-        return cls(100 * integral / tick, 100 * proportional / tick, 100 * slope, tick)
+        return cls(100 * integral / tick, 100 * proportional / tick, 100 * slope, tick, period)
 
     @property
     def late(self) -> float:
@@ -142,6 +143,11 @@ class Moos(NamedTuple):
         ]
         lines = [f"  {entry:<30}{'// ' + comment if comment else ''}".rstrip() for entry, comment in entries]
         top = [f"// {line}" for line in head]
+        if self.late > self.period / 2 + 1e-9:
+            top.append(
+                f"// the mean of nine differences is {self.late:.2f} s late, which these gains do not allow for:"
+            )
+            top.append(f"// design them with --period {2 * self.late:.2g}")
         return "\n".join(
             [*top, "ProcessConfig = pMarinePIDV22", "{", *lines, "  // keep your own lines for yaw and depth", "}", ""]
         )
@@ -154,8 +160,8 @@ class MoosLaw:
         self.moos, self.period = moos, 1 / moos.tick
 
     def start(self, boats: int) -> None:
-        self.thrust, self.before, self.slopes = np.zeros(boats), np.zeros(boats), []
-        self.begun = False
+        self.thrust, self.before, self.begun = np.zeros(boats), np.zeros(boats), False
+        self.slopes: list[np.ndarray] = []
 
     def command(self, wanted: float, speed: np.ndarray) -> np.ndarray:
         error = wanted - speed

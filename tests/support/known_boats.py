@@ -1,0 +1,35 @@
+"""Identified boats whose parameters and covariance a test chooses."""
+
+from pathlib import Path
+
+import numpy as np
+
+from usvlearn.estimators.joint.reading import Beside, Identified
+from usvlearn.estimators.joint.state import names
+from usvlearn.logs.setup import Setup
+from usvlearn.model.saved import IdentifiedBoat
+from usvlearn.model.surge import SurgeModel
+
+HERON = {  # per unit mass, near the project's Heron
+    "drag_quadratic": -0.1, "drag_linear": -0.55, "drag_cross": -0.1, "command_lag": 0.25,
+    **{f"thrust_{kind}_{side}": value for side in ("left", "right")
+       for kind, value in {"linear": 0.2, "quadratic": 1.6, "speed": -0.02, "cubic": -0.6}.items()},
+}  # fmt: skip
+CHANNELS = {name: {"name": name} for name in ("command_left", "command_right", "heading", "surge")}
+SETUP = Setup.of({"channels": CHANNELS, "align": {"dt": 0.4}})
+
+
+def known_boat(spread: float = 0.04, vague: bool = False, lacks=(), **parameters: float) -> IdentifiedBoat:
+    """A boat without even terms.
+
+    Args:
+        spread: standard deviation of each parameter relative to its value.
+        vague: whether the log did not excite it.
+        lacks: what its log lacks.
+        **parameters: in place of those of HERON.
+    """
+    theta = np.array([{**HERON, **parameters}[name] for name in names(even=False)])
+    covariance = np.diag((spread * theta) ** 2)
+    beside = Beside(0.0, theta, theta, np.maximum(theta**2, 1e-4), vague)
+    found = Identified({}, "Known.", "", tuple(lacks), 28.0, np.zeros(len(theta)), theta, covariance, beside)
+    return IdentifiedBoat("heron", Path("known.safetensors"), found, SurgeModel.of(found), SETUP, {}, {})
