@@ -34,8 +34,7 @@ def test_help_names_every_command(arguments, capsys, monkeypatch):
 def test_an_unknown_command_is_told_in_one_sentence(capsys):
     assert main(["trian"]) == 2
     assert capsys.readouterr().err == (
-        "error: found the command 'trian', expected one of train, evaluate, inspect, delay, live, warm, export, "
-        "certify: did you mean train?\n"
+        f"error: found the command 'trian', expected one of {', '.join(COMMANDS)}: did you mean train?\n"
     )
 
 

@@ -32,7 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
     if name in ("-h", "--help"):
-        print(USAGE, "", *(f"  {each:10}{what}" for each, (_, what) in COMMANDS.items()), sep="\n")
+        print(USAGE, "", *(f"  {each:12}{what}" for each, (_, what) in COMMANDS.items()), sep="\n")
         return 0
     if name == "--version":
         print("usvlearn", usvlearn.__version__)

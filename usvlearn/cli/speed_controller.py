@@ -11,8 +11,12 @@ import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from usvlearn.errors import ConfigError, MissingExtraError, exit_on_user_error
+
+if TYPE_CHECKING:
+    from usvlearn.controller.design import Controller
 
 
 def parser() -> argparse.ArgumentParser:
@@ -63,13 +67,15 @@ def work(arguments: Sequence[str]) -> None:
             _write(folder, found)
 
 
-def _write(folder: Path, found) -> None:
+def _write(folder: Path, found: Controller) -> None:
     """All files of a boat."""
     from usvlearn.checkpoint import write_atomically
     from usvlearn.controller.design import facts
     from usvlearn.controller.design_text import head
 
     name = found.boat.name
+    if Path(name).name != name:
+        raise ConfigError(f"{found.boat.path}: found the boat {name!r}, expected a name that can name a file")
     files = {
         f"{name}.controller.json": (
             json.dumps(facts(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"

@@ -19,11 +19,11 @@ from usvlearn.logs.setup import Setup
 from usvlearn.model.saved import IdentifiedBoat
 
 POINTS = 9  # operating speeds
-SLOWEST, FASTEST = 0.25, 0.9  # of the greatest speed; of the lower end of its interval
+LOWEST, HIGHEST = 0.25, 0.9  # of the greatest speed; of the lower end of its interval
 SPARE = 1.3  # of the integral's limit, over what the feedforward errs
 LEAST_INTEGRAL = 0.1
 OVERSHOOT, TRIED = 0.2, 50  # of 95 % of so many boats: ArduRover's limits of acceleration are lowered until then
-SLOWER = (1.0, 0.7, 0.5, 0.35, 0.25)  # shares of the accelerations that can be held
+SHARES = (1.0, 0.7, 0.5, 0.35, 0.25)  # shares of the accelerations that can be held
 PERIOD = 0.2  # s, of a loop: ArduRover keeps it easily, and pMarinePID at 45 Hz
 LEAST_ACCELERATION = 0.02  # m/s²: 0 would switch the limit off
 HOLD = 15.0  # time constants between two steps
@@ -108,13 +108,13 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     hold = HOLD * max(float(linear.time_constant.high.max()), 1 / left.crossover[0])
 
     rover = _rover(forward, speeds, cruise, gains, up, down)
-    hold += (high - low) / (SLOWER[-1] * min(rover.acceleration, rover.deceleration))
+    hold += (high - low) / (SHARES[-1] * min(rover.acceleration, rover.deceleration))
 
     def loop(each: str, law: Law, boats: int = wanted.boats) -> Loop:
         responses = simulate(theta[:boats], delays[:boats], law, course, hold)
         return Loop(each, responses, steps_of(responses))
 
-    for share in SLOWER:  # ArduRover's base is a straight line, and acts before the boat follows
+    for share in SHARES:  # ArduRover's base is a straight line, and acts before the boat follows
         slower = rover._replace(acceleration=share * rover.acceleration, deceleration=share * rover.deceleration)
         tried = loop("ArduRover", RoverLaw(slower, period), TRIED)
         if max(float(np.quantile(step.overshoot, 0.95)) for step in tried.steps) <= OVERSHOOT:
@@ -136,7 +136,7 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
         for speed in wanted.range:
             forward.check(name, "--range", speed)
     else:
-        low, high = max(SLOWEST * forward.top[0], forward.least[0]), FASTEST * forward.top[1]
+        low, high = max(LOWEST * forward.top[0], forward.least[0]), HIGHEST * forward.top[1]
         if not low < high:
             raise ConfigError(
                 f"{name}: the greatest speed, {forward.top[0]:.2f} m/s ({forward.top[1]:.2f} … {forward.top[2]:.2f}), "

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.controller.design import Controller
+from usvlearn.controller.design import Controller, Loop
 from usvlearn.errors import printable
 from usvlearn.figures import INK, LINE, themed
 
@@ -16,6 +16,7 @@ DARK = {INK: "#e6e8ec", LINE: "#3d4450"}
 PAGE = {"light": "#ffffff", "dark": "#14171c"}
 COLOURS = {"ArduRover": "#1E88E5", "MOOS-IvP": "#e8710a"}
 MOST = 60  # boats of a panel that are drawn one by one
+BEFORE, LEAST, AFTER, BETWEEN = 1.0, 3.0, 1.3, 0.1  # s before a step; after it: shares of the longest settling
 
 
 def pictures(found: Controller) -> dict[str, bytes]:
@@ -69,7 +70,7 @@ def _figure(found: Controller, theme: dict[str, str]) -> Any:
             _plant(axes["plant"], found)
             for place, loop in zip(("rover", "moos"), found.loops, strict=True):
                 _responses(axes[place], loop, ink)
-            axes["moos"].set_xlabel("time, s")
+            axes["moos"].set_xlabel("time, s; what follows the settling is left out")
             for each in axes.values():
                 each.grid(True)
     return figure
@@ -98,19 +99,27 @@ def _plant(axes: Any, found: Controller) -> None:
     axes.legend(fontsize=7.5, loc="lower left")
 
 
-def _responses(axes: Any, loop: Any, ink: str) -> None:
+def _responses(axes: Any, loop: Loop, ink: str) -> None:
+    """Each step of the wanted speed until all boats have settled; the time between is left out."""
     responses, colour = loop.responses, COLOURS[loop.name]
-    begin = int(np.flatnonzero(np.diff(responses.wanted))[0] * 0.6)  # without the start from rest
-    time, speed = responses.time[begin:], responses.speed[begin:]
-    boats = speed.shape[1]
-    axes.fill_between(
-        time, speed.min(1), speed.max(1), color=colour, alpha=0.18, linewidth=0, label=f"all {boats} boats"
-    )
-    axes.plot(time, speed[:, :MOST], color=colour, alpha=0.12, linewidth=0.5)
-    axes.plot(time, np.median(speed, axis=1), color=colour, linewidth=1.4, label="median")
-    axes.plot(time, responses.wanted[begin:], color=ink, linewidth=0.9, linestyle="--", label="wanted")
+    settled = np.concatenate([step.settled for step in loop.steps])
+    after = AFTER * float(settled[np.isfinite(settled)].max(initial=LEAST))
+    begin, boats = 0.0, responses.speed.shape[1]
+    for number, at in enumerate(np.flatnonzero(np.diff(responses.wanted))):
+        zero = responses.time[at]
+        shown = (responses.time > zero - BEFORE) & (responses.time <= zero + after)
+        time, speed = responses.time[shown] - zero + BEFORE + begin, responses.speed[shown]
+        labels = ("", "", "") if number else (f"all {boats} boats", "median", "wanted")
+        label = dict(zip(("all", "median", "wanted"), labels, strict=True))
+        band = {"color": colour, "alpha": 0.25, "linewidth": 0}
+        axes.fill_between(time, speed.min(1), speed.max(1), label=label["all"], **band)
+        axes.plot(time, speed[:, :MOST], color=colour, alpha=0.15, linewidth=0.5)
+        axes.plot(time, np.median(speed, axis=1), color=colour, linewidth=1.4, label=label["median"])
+        wanted = {"color": ink, "linewidth": 0.9, "linestyle": "--", "drawstyle": "steps-pre"}
+        axes.plot(time, responses.wanted[shown], label=label["wanted"], **wanted)
+        begin += BEFORE + after + BETWEEN * after
     axes.set(title=f"closed loop, {loop.name}", ylabel="speed, m/s")
     axes.margins(x=0)
     axes.legend(fontsize=7.5, loc="upper right", ncols=3)
-    low, high = float(speed.min()), float(speed.max())
-    axes.set_ylim(low - 0.08 * (high - low), high + 0.2 * (high - low))
+    low, high = float(responses.wanted.min()), float(responses.wanted.max())
+    axes.set_ylim(low - 0.25 * (high - low), high + 0.35 * (high - low))
