@@ -18,7 +18,7 @@ from usvlearn.estimators.joint.reading import DEVIATIONS, Identified
 from usvlearn.logs.setup import Setup
 from usvlearn.model.saved import IdentifiedBoat
 
-POINTS = 9  # operating speeds
+POINTS, MOST_BOATS = 9, 5000  # operating speeds; boats of the closed loop
 LOWEST, HIGHEST = 0.25, 0.9  # of the greatest speed; of the lower end of its interval
 SPARE = 1.3  # of the integral's limit, over what the feedforward errs
 LEAST_INTEGRAL = 0.1
@@ -87,8 +87,8 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     for option in ("speed", "bandwidth", "damping", "period"):
         if (value := getattr(wanted, option)) is not None:
             check_positive(f"--{option}", value)
-    if wanted.boats < 2:
-        raise ConfigError(f"--boats: found {wanted.boats}, expected at least 2")
+    if not 2 <= wanted.boats <= MOST_BOATS:
+        raise ConfigError(f"--boats: found {wanted.boats}, expected 2 to {MOST_BOATS}")
     name, found = boat.name, boat.found
     forward = Feedforward.of(name, found)
     low, high = _range(name, forward, wanted)

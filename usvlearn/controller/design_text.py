@@ -15,7 +15,6 @@ HEADER = (
     ("speed", "command", "90 %", "ArduRover", "time constant", "90 %", "gain", "90 %"),
     ("m/s", "%", "%", "base, %", "s", "s", "m/s²", "m/s²"),
 )
-ASCII = str.maketrans({"–": "-", "…": "to", "ζ": "zeta", "ω": "w"})
 
 
 def head(found: Controller) -> list[str]:
@@ -23,7 +22,7 @@ def head(found: Controller) -> list[str]:
     gains, left, speeds = found.gains, found.margins, found.speeds
     name, file = found.boat.name, found.boat.path.name
     return [
-        printable(f"{name}: speed controller by usvlearn controller, from {file}").translate(ASCII),
+        printable(f"{name}: speed controller by usvlearn controller, from {file}").encode("ascii", "replace").decode(),
         f"for {speeds[0]:.2f} to {speeds[-1]:.2f} m/s, a loop of {found.period:g} s or faster, and "
         f"{found.late:.2f} s of delay of the commands",
         f"poles at {gains.bandwidth:.2f} rad/s with damping {gains.damping:.2f}; worst margins over the 90 % "
@@ -68,6 +67,8 @@ def _feedforward(found: Controller) -> Iterator[str]:
     least, top = forward.least, forward.top
     yield f"  Lowest speed that can be held: {least[0]:.2f} m/s at {100 * least[1]:.0f} %; below is the dead band."
     yield f"  Saturation: full command reaches {top[0]:.2f} m/s ({top[1]:.2f} … {top[2]:.2f})."
+    if speeds[-1] > top[1]:
+        yield f"  The slowest boats of the interval do not reach {speeds[-1]:.2f} m/s, the upper end of the range."
     accelerates, slows = (
         ", and by ".join(
             f"{each.value[k]:.2f} m/s² ({each.low[k]:.2f} … {each.high[k]:.2f}) at {speeds[k]:.2f} m/s" for k in (0, -1)
