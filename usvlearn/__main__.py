@@ -14,10 +14,10 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
     "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write the configuration that reads them"),
     "delay": ("usvlearn.cli.delay", "find the delay from the commands to the speed in own logs"),
+    "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, MCAP, CSV"),
     "controller": ("usvlearn.cli.speed_controller", "design a speed controller from what a run has identified"),
     "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
     "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
-    "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, MCAP, CSV"),
     "certify": ("certify.__main__", "prove whether the networks in parameter sets contract"),
 }
 USAGE = "usage: usvlearn COMMAND ARGUMENTS, usvlearn COMMAND --help or usvlearn --version"

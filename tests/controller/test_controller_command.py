@@ -15,7 +15,7 @@ from usvlearn.controller.autopilots import MoosLaw, RoverLaw
 from usvlearn.controller.closed_loop import Responses, steps_of
 from usvlearn.controller.design import controller
 from usvlearn.live.moos.mission import Mission
-from usvlearn.model.saved import read_boats
+from usvlearn.model.read_boats import read_boats
 from usvlearn.simulate.plants import plant
 from usvlearn.simulate.vessel import at_rest, step
 

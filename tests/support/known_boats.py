@@ -7,7 +7,7 @@ import numpy as np
 from usvlearn.estimators.joint.reading import Beside, Identified
 from usvlearn.estimators.joint.state import names
 from usvlearn.logs.setup import Setup
-from usvlearn.model.saved import IdentifiedBoat
+from usvlearn.model.read_boats import IdentifiedBoat
 from usvlearn.model.surge import SurgeModel
 
 HERON = {  # per unit mass, near the project's Heron

@@ -51,7 +51,7 @@ def work(arguments: Sequence[str]) -> None:
     path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
     from usvlearn.controller.design import Wanted, controller
     from usvlearn.controller.design_text import lines
-    from usvlearn.model.saved import read_boats
+    from usvlearn.model.read_boats import read_boats
 
     folder = None if out is None else Path(out).expanduser()
     if folder is not None:

@@ -16,7 +16,7 @@ from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.quantities import SIDES, Ahead
 from usvlearn.estimators.joint.reading import DEVIATIONS, Identified
 from usvlearn.logs.setup import Setup
-from usvlearn.model.saved import IdentifiedBoat
+from usvlearn.model.read_boats import IdentifiedBoat
 
 POINTS, MOST_BOATS = 9, 5000  # operating speeds; boats of the closed loop
 LOWEST, HIGHEST = 0.25, 0.9  # of the greatest speed; of the lower end of its interval
@@ -77,7 +77,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     """Design it, and sail it on boats drawn from the intervals.
 
     Args:
-        boat: as `usvlearn.model.saved.read_boats` returns it.
+        boat: as `usvlearn.model.read_boats.read_boats` returns it.
         wanted: options.
 
     Raises:
