@@ -44,6 +44,8 @@ OURS = {
     "usvlearn.engine": LIGHT | {"usvlearn.engine", "usvlearn.estimators", "usvlearn.plans", *KERNELS},
     "usvlearn.rollouts": LIGHT | {"usvlearn.engine", "usvlearn.estimator", "usvlearn.plans"},
     "usvlearn.identified": LIGHT | {"usvlearn.engine", "usvlearn.estimators"},
+    "usvlearn.planning": LIGHT | {"usvlearn.planning", "usvlearn.engine", "usvlearn.estimators", "usvlearn.figures",
+                                  "usvlearn.logs", *KERNELS},
     "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.checkpoint",
                                 "usvlearn.engine", "usvlearn.identified", "usvlearn.plans"},
     "usvlearn.model": LIGHT | {"usvlearn.model", "usvlearn.checkpoint", "usvlearn.estimators", "usvlearn.identified",
@@ -85,6 +87,7 @@ NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvle
             "usvlearn.engine", "usvlearn.online", "usvlearn.identified", "usvlearn.logs", "usvlearn.evaluation",
             "usvlearn.lock", "usvlearn.plans", "usvlearn.inspection", "usvlearn.live", "usvlearn.model",
             "usvlearn.export", "usvlearn.controller",
+            "usvlearn.planning",
             "usvlearn.cli.stopping", "usvlearn.cli", "usvlearn.api", "usvlearn.learned")  # fmt: skip
 TORCH = ("usvlearn.evaluation.crossval", "usvlearn.report.assembly", "usvlearn.report.sections")  # they simulate
 CONFIGURATION = {"hydra", "omegaconf"}

@@ -1,0 +1,193 @@
+"""The command `usvlearn plan RUN`: what to sail next, so that the identified quantities become surer."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from usvlearn.cli.without_hydra import run_command
+from usvlearn.errors import ConfigError, MissingExtraError, printable
+
+if TYPE_CHECKING:
+    from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.model.saved import IdentifiedBoat
+    from usvlearn.planning.course import Limits
+    from usvlearn.planning.exchange import Plan
+    from usvlearn.planning.rehearsal import Rehearsal
+
+USAGE = (
+    "usage: usvlearn plan RUN [--boat NAME] [--minutes 5] [--area 200] [--command-max 1] [--output FOLDER] …; "
+    "all options: usvlearn plan --help"
+)
+STEP = 0.4  # s, where a set does not state its step
+
+
+def parser() -> argparse.ArgumentParser:
+    found = argparse.ArgumentParser("usvlearn plan", description=__doc__)
+    add = found.add_argument
+    add("run", metavar="RUN", help="the folder of a run, a folder of parameter sets, or a set")
+    add("--boat", help="only this one")
+    add("--minutes", type=float, default=5.0, help="length of the mission (5)")
+    add("--area", type=float, default=200.0, help="side of the square to stay in, m, the start in its middle (200)")
+    add("--command-max", type=float, default=1.0, help="largest command, share of full scale (1)")
+    add("--command-min", type=float, default=0.0, help="least command: below 0 the boat may go astern (0)")
+    add("--segment", type=float, default=15.0, help="s between two changes of throttle or heading (15)")
+    add("--heading", type=float, default=0.0, help="first heading and direction of the square, degrees (0)")
+    add("--turn-rate", type=float, default=20.0, help="of the boat in a turn, degrees/s (20)")
+    add("--seed", type=int, default=0, help="of the search (0)")
+    add("--home", metavar="LAT,LON", help="degrees: also write a mission for ArduPilot that starts there")
+    add("--output", default="plan", help="folder for the files (plan)")
+    return found
+
+
+def work(arguments: Sequence[str]) -> None:
+    """Plan for each boat, print, and write.
+
+    Raises:
+        CheckpointError: there is no readable set.
+        ConfigError: an option is outside its legal values, nothing is identified, or no course stays in the area.
+    """
+    from usvlearn.model.saved import read_boats
+    from usvlearn.planning.course import Limits
+    from usvlearn.planning.schedules import home_of
+
+    options = parser().parse_args(list(arguments))
+    home = home_of(options.home) if options.home else None
+    if not (math.isfinite(options.heading) and options.seed >= 0):
+        raise ConfigError(
+            f"--heading, --seed: found {options.heading} and {options.seed}, expected degrees, and 0 or more"
+        )
+    limits = Limits(
+        options.minutes, options.area, options.command_min, options.command_max, options.segment,
+        math.radians(options.heading), math.radians(options.turn_rate),
+    )  # fmt: skip
+    folder = Path(options.output).expanduser()
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"--output: found the file {folder}, expected the name of a folder")
+    for boat in read_boats(options.run, options.boat):
+        _plan(boat, limits, options.seed, folder, home)
+
+
+def _plan(boat: IdentifiedBoat, limits: Limits, seed: int, folder: Path, home: tuple[float, float] | None) -> None:
+    """Plan for one boat."""
+    from usvlearn.planning.course import lawn_mower
+    from usvlearn.planning.exchange import derived, search, wide
+    from usvlearn.planning.rehearsal import Rehearsal
+    from usvlearn.report import terminal
+
+    dt = float(boat.setup.align.get("dt", STEP)) if boat.setup else STEP
+    rehearsal = Rehearsal(boat.members, boat.leaves)
+    aims = wide(rehearsal.found)
+    plan = search(rehearsal, limits, dt, aims or derived(rehearsal.found), seed)
+    mower = rehearsal(lawn_mower(limits, rehearsal.top_speed(limits.most), dt).rows).found
+    console = terminal.console()
+    for table in (_segments(boat, rehearsal, plan, limits, aims), _intervals(boat, mower, plan)):
+        console.print(table)
+        console.print()
+    if not aims:
+        print(*_determined(rehearsal.found, plan.expected.found))
+    folder.mkdir(parents=True, exist_ok=True)
+    print(*_written(boat, limits, plan, mower, folder, home), sep="\n")
+
+
+def _width(found: Identified, name: str) -> float:
+    return found[name].high - found[name].low
+
+
+def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Limits, aims: list[str]):
+    """The table of the segments; `why` names the interval that a segment shrinks most."""
+    from usvlearn.planning.course import steps_of
+    from usvlearn.planning.exchange import derived
+    from usvlearn.report import terminal
+
+    course, segment = plan.course, steps_of(limits, plan.course.dt)
+    ends = np.append(np.flatnonzero(np.diff(segment)) + 1, len(segment))
+    table = terminal.Blocks(
+        f"{boat.name}: what to sail for {limits.minutes:g} min", ["time, s"],
+        ["left", "right", "heading", "speed, m/s", "why"],
+    )  # fmt: skip
+    before, first = rehearsal.found, 0
+    for part, last in zip(rehearsal.by_part(course.rows, ends), ends.tolist(), strict=True):
+        shrunk = {name: _width(part.found, name) / _width(before, name) for name in aims or derived(before)}
+        name = min(shrunk, key=lambda each: shrunk[each] if shrunk[each] == shrunk[each] else 1.0)
+        why = f"{name} {shrunk[name] - 1:+.0%}" if shrunk[name] < 0.995 else "–"
+        straight = slice(last - 1, last)
+        table.add(
+            f"{first * course.dt:.0f}", f"{course.left[straight][0]:.2f}", f"{course.right[straight][0]:.2f}",
+            f"{math.degrees(course.wanted[first]) % 360:.0f}", f"{part.speed[-1]:.2f}", why,
+        )  # fmt: skip
+        before, first = part.found, last
+    return table
+
+
+def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan):
+    """The table of the intervals."""
+    from usvlearn.estimators.joint.reading import shown
+    from usvlearn.planning.exchange import derived
+    from usvlearn.report import terminal
+
+    table = terminal.Blocks(
+        "Half-width of each 90 % interval, as expected", ["quantity"],
+        ["value", "now", "after a lawn mower", "after this plan", "unit"],
+    )  # fmt: skip
+    for name in derived(boat.found):
+        widths = [_width(each, name) / 2 for each in (boat.found, mower, plan.expected.found)]
+        table.add(name, shown(boat.found[name].value), *(shown(each) for each in widths), boat.found[name].unit)
+    return table
+
+
+def _determined(now: Identified, after: Identified) -> Iterator[str]:
+    """What is said where nothing is wide."""
+    from usvlearn.planning.exchange import WELL, derived
+
+    name = min(derived(now), key=lambda each: _width(after, each) / _width(now, each))
+    yield (
+        f"Every quantity is known to ± {WELL:.0%} or better, so that a mission for the model alone is not needed; "
+        f"this one would shrink {name} most, by {1 - _width(after, name) / _width(now, name):.0%}."
+    )
+
+
+def _written(
+    boat: IdentifiedBoat, limits: Limits, plan: Plan, mower: Identified, folder: Path, home: tuple[float, float] | None
+) -> Iterator[str]:
+    """Write the files; what each is."""
+    from usvlearn.checkpoint import write_atomically
+    from usvlearn.planning import planned_figure
+    from usvlearn.planning.schedules import csv_lines, moos_lines, waypoint_lines
+
+    def write(suffix: str, text: str) -> Path:
+        path = folder / f"{boat.name}{suffix}"
+        write_atomically(path, text.encode())
+        return path
+
+    yield f"{write('.csv', _text(csv_lines(plan)))}: commands, headings and expected speeds, a row for each change"
+    yield f"{write('.moos', _text(moos_lines(plan, boat.setup)))}: a block of uTimerScript that posts the commands"
+    if home is not None:
+        path = write(".waypoints", _text(waypoint_lines(plan, home, limits.segment)))
+        yield (
+            f"{path}: the track with speeds for ArduPilot, whose missions cannot state commands: to sail these, send "
+            "throttle and steering of the CSV as RC overrides"
+        )
+    title = printable(f"{boat.name}: what to sail for {limits.minutes:g} min")
+    try:
+        yield f"{write('.svg', planned_figure.svg(title, boat.found, mower, plan, limits))}: the picture"
+    except MissingExtraError as error:
+        yield f"no picture: {error}"
+    yield (
+        f"A controller or a person must hold the headings. Turns are planned with {math.degrees(limits.turn_rate):.0f} "
+        f"degrees/s, and the current as the set has it: keep room beside the {limits.area:g} m."
+    )
+
+
+def _text(lines: Iterator[str]) -> str:
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """The command; returns the exit code."""
+    return run_command(work, USAGE)
