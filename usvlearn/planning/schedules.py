@@ -11,7 +11,7 @@ watch; the wanted headings are in the CSV, for a boat with a heading controller.
 *ArduPilot*: Rover's DO_CHANGE_SPEED sets a speed in m/s and ignores its throttle, and DO_SET_SERVO does not move
 outputs that the vehicle itself controls. So no mission file can state the commands. The file has the planned track as
 waypoints with the expected speeds, in the plain-text format "QGC WPL 110" (mavlink.io, File Formats); the autopilot
-finds the commands. To sail the planned commands, send the CSV's throttle and steering as RC overrides in the mode MANUAL.
+finds the commands. To sail the planned commands, send the CSV's throttle and steering as RC overrides in MANUAL.
 """
 
 from __future__ import annotations
