@@ -136,6 +136,7 @@ def test_a_set_without_a_reader_is_said(saved, tmp_path, monkeypatch, capsys):
         (["--minutes", "0"], "--minutes"),
         (["--command-max", "0"], "--command-max"),
         (["--area", "10", "--command-min", "0.3", "--minutes", "1"], "--area: found 10 m"),
+        (["--turn-rate", "-20"], "--turn-rate: found -20.0, expected a positive number of degrees/s"),
         (["--home", "north"], "--home: found 'north', expected LATITUDE,LONGITUDE"),
         (["--boat", "otter"], "--boat: found 'otter', expected heron"),
         (["--heading", "nan"], "--heading"),

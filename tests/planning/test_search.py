@@ -8,7 +8,7 @@ import torch
 
 from usvlearn.errors import ConfigError
 from usvlearn.planning.course import QUARTER, Limits, lawn_mower, planned, steer
-from usvlearn.planning.exchange import SHARES, derived, excess, log_width, search, wide
+from usvlearn.planning.exchange import SHARES, beyond, derived, log_width, search, wide
 from usvlearn.planning.rehearsal import Rehearsal
 from usvlearn.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 from usvlearn.signals import Inputs
@@ -65,7 +65,7 @@ def test_a_plan_is_better_than_a_lawn_mower_and_keeps_its_bounds(rehearsal, plan
     mower = rehearsal(lawn_mower(SHORT, rehearsal.top_speed(1.0), STEP).rows)
     assert log_width(plan.expected.found, aims) < log_width(mower.found, aims) - 0.1
     assert log_width(plan.expected.found, aims) < log_width(rehearsal.found, aims) - 0.1
-    assert excess(plan.path, SHORT) <= 0.01
+    assert beyond(plan.path, SHORT).max() <= 0.01
     for side in (plan.course.left, plan.course.right):
         assert side.min() >= 0 and side.max() <= 1
     assert abs(plan.course.yaw_rate).max() <= SHORT.turn_rate + 1e-9
@@ -81,7 +81,7 @@ def test_no_change_of_one_segment_is_better(rehearsal, plan):
         ]:
             course = planned(throttles, quarters, SHORT, STEP)
             other = rehearsal(course.rows)
-            if excess(course.path(other.speed, rehearsal.current), SHORT) <= 0.01:
+            if beyond(course.path(other.speed, rehearsal.current), SHORT).max() <= 0.01:
                 assert log_width(other.found, aims) >= best - 1e-12
                 worse += log_width(other.found, aims) > best
     assert worse > 20
@@ -100,7 +100,9 @@ def test_a_boat_that_may_go_astern_is_planned_within_its_bounds(rehearsal):
 
 
 def test_an_area_that_is_too_small_is_said_with_one_that_would_do(rehearsal):
-    with pytest.raises(ConfigError, match=r"--area: found 10 m, and the best course leaves it by \d+ m.* --segment"):
+    with pytest.raises(
+        ConfigError, match=r"--area: found 10 m, and no course was found .* give an area of \d+ m, a shorter --segment"
+    ):
         search(rehearsal, Limits(minutes=1.0, area=10.0, least=0.3, segment=15.0), STEP, derived(rehearsal.found))
 
 
@@ -111,6 +113,8 @@ def test_an_area_that_is_too_small_is_said_with_one_that_would_do(rehearsal):
         ({"minutes": -3.0}, "--minutes"),
         ({"minutes": math.nan}, "--minutes"),
         ({"minutes": 0.2}, "--minutes: found 0.2, expected 1 or more"),
+        ({"minutes": 60.0}, "--minutes: found 60, expected 15 or less"),
+        ({"segment": 0.5}, "--segment: found 0.5, expected 2 s or more"),
         ({"area": 0.0}, "--area"),
         ({"most": 0.0}, "thrust and drag show only where the commands change"),
         ({"most": 0.5, "least": 0.45}, "found commands from 0.45 to 0.5, expected a range of 0.1"),

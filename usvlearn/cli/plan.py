@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from usvlearn.cli.without_hydra import run_command
-from usvlearn.errors import ConfigError, MissingExtraError, printable
+from usvlearn.errors import ConfigError, MissingExtraError, check_positive, printable
 
 if TYPE_CHECKING:
     from usvlearn.estimators.joint.reading import Identified
@@ -62,6 +62,7 @@ def work(arguments: Sequence[str]) -> None:
         raise ConfigError(
             f"--heading, --seed: found {options.heading} and {options.seed}, expected degrees, and 0 or more"
         )
+    check_positive("--turn-rate", options.turn_rate, "of degrees/s")
     limits = Limits(
         options.minutes, options.area, options.command_min, options.command_max, options.segment,
         math.radians(options.heading), math.radians(options.turn_rate),

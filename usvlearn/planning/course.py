@@ -20,7 +20,8 @@ from usvlearn.errors import ConfigError, check_positive
 from usvlearn.rows import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW, SIN, YAW_RATE
 
 QUARTER = math.pi / 2  # rad; headings of a plan are multiples of it, from the first one
-LEAST_SEGMENTS = 4
+LEAST_SEGMENTS, MOST_SEGMENTS = 4, 60  # more take minutes to search
+LEAST_SEGMENT = 2.0  # s
 LEAST_RANGE = 0.1  # share of full scale
 LINE, ACROSS, SURVEY = 40.0, 8.0, 0.6  # s of a line of a lawn mower's and of the way to the next; share of the throttle
 SPEED_SHARE = 0.8  # of the area's side that a line takes
@@ -54,10 +55,10 @@ class Limits:
 
     def __post_init__(self) -> None:
         for name, value, unit in (
-            ("--minutes", self.minutes, "min"),
-            ("--area", self.area, "m"),
-            ("--segment", self.segment, "s"),
-            ("--turn-rate", self.turn_rate, ""),
+            ("--minutes", self.minutes, "of minutes"),
+            ("--area", self.area, "of m"),
+            ("--segment", self.segment, "of s"),
+            ("--turn-rate", self.turn_rate, "of rad/s"),
         ):
             check_positive(name, value, unit)
         for name, value in (("--command-min", self.least), ("--command-max", self.most)):
@@ -67,6 +68,14 @@ class Limits:
             raise ConfigError(
                 f"--command-max: found commands from {self.least:g} to {self.most:g}, expected a range of "
                 f"{LEAST_RANGE:g} or more, part of it ahead: thrust and drag show only where the commands change"
+            )
+        if self.segment < LEAST_SEGMENT:
+            raise ConfigError(f"--segment: found {self.segment:g}, expected {LEAST_SEGMENT:g} s or more")
+        if self.segments > MOST_SEGMENTS:
+            raise ConfigError(
+                f"--minutes: found {self.minutes:g}, expected {MOST_SEGMENTS * self.segment / 60:g} or less, which are "
+                f"{MOST_SEGMENTS} segments of {self.segment:g} s: sail a shorter plan, learn from it, and plan again, "
+                "or give a longer --segment"
             )
         if self.segments < LEAST_SEGMENTS:
             raise ConfigError(
@@ -119,7 +128,7 @@ def steer(throttle: np.ndarray, wanted: np.ndarray, limits: Limits, dt: float) -
         dt: s.
 
     >>> course = steer(np.full(40, 0.5), np.repeat([0.0, QUARTER], 20), Limits(), 0.4)
-    >>> float(course.left[20]), float(course.right[20]), round(float(course.heading[-1]), 3)
+    >>> round(float(course.left[20]), 3), round(float(course.right[20]), 3), round(float(course.heading[-1]), 3)
     (0.85, 0.15, 1.571)
     """
     heading, most = limits.heading, limits.turn_rate * dt

@@ -19,7 +19,7 @@ import numpy as np
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.planning.course import Course, Limits, planned
+from usvlearn.planning.course import Course, Limits, planned, steps_of
 from usvlearn.planning.rehearsal import Rehearsal, Rehearsed
 
 WELL = 0.1  # half-width over value, below which a quantity is well determined
@@ -33,7 +33,7 @@ ROUNDS = 4
 NOTHING = math.log(1e6)  # of an interval without an end
 TOLERANCE = 0.01  # m outside the area that counts as inside
 
-Cost = tuple[float, float]  # m outside the area; mean log width
+Cost = tuple[float, float]  # m outside the area, mean over the steps; mean log width
 
 
 class Plan(NamedTuple):
@@ -88,13 +88,10 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
         count += 1
         course = planned(levels[places], quarters, limits, dt)
         expected = rehearsal(course.rows)
-        outside = excess(course.path(expected.speed, rehearsal.current), limits)
-        return (outside if outside > TOLERANCE else 0.0), log_width(expected.found, aims)
+        outside = beyond(course.path(expected.speed, rehearsal.current), limits)
+        return float(outside.mean()) if outside.max() > TOLERANCE else 0.0, log_width(expected.found, aims)
 
-    best: tuple[Cost, np.ndarray, np.ndarray] | None = None
-    for pattern in STARTS.values():
-        places = np.resize(np.minimum(pattern, len(levels) - 1), n)
-        quarters = np.resize([0, 0, 2, 2, 1, 1, 3, 3], n)
+    def improved(places: np.ndarray, quarters: np.ndarray) -> tuple[Cost, np.ndarray, np.ndarray]:
         cost = tried(places, quarters)
         for _ in range(ROUNDS):
             before = cost
@@ -102,36 +99,64 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
                 for row, options in ((places, range(len(levels))), (quarters, range(4))):
                     kept = row[k]
                     for option in options:
-                        if option == kept:
-                            continue
                         row[k] = option
-                        if (other := tried(places, quarters)) < cost:
+                        if option != kept and (other := tried(places, quarters)) < cost:
                             cost, kept = other, option
                     row[k] = kept
-            if not cost < before:
+            if not cost < before:  # a local optimum
                 break
-        if best is None or cost < best[0]:
-            best = cost, places, quarters
-    assert best is not None
-    (outside, _), places, quarters = best
-    if outside > 0:
+        return cost, places, quarters
+
+    found = [
+        improved(np.resize(np.minimum(pattern, len(levels) - 1), n), np.resize([0, 0, 2, 2, 1, 1, 3, 3], n))
+        for pattern in STARTS.values()
+    ]
+    if all(cost[0] > 0 for cost, *_ in found):
+        found.append(improved(*_near_the_start(rehearsal, limits, dt, levels)))
+    _, places, quarters = min(found, key=lambda each: each[0])
+    course = planned(levels[places], quarters, limits, dt)
+    expected = rehearsal(course.rows)
+    path = course.path(expected.speed, rehearsal.current)
+    if beyond(path, limits).max() > TOLERANCE:
         fastest = abs(rehearsal.top_speed(limits.most))
         raise ConfigError(
-            f"--area: found {limits.area:g} m, and the best course leaves it by {outside:.0f} m, since the boat goes "
+            f"--area: found {limits.area:g} m, and no course was found that stays within it, since the boat goes "
             f"{fastest:.2g} m/s at --command-max and keeps a heading for {limits.segment:g} s: give an area of "
             f"{2 * fastest * limits.segment:.0f} m, a shorter --segment, or a lower --command-max"
         )
-    course = planned(levels[places], quarters, limits, dt)
-    expected = rehearsal(course.rows)
-    return Plan(course, expected, course.path(expected.speed, rehearsal.current), levels[places], quarters, count)
+    return Plan(course, expected, path, levels[places], quarters, count)
 
 
-def excess(path: np.ndarray, limits: Limits) -> float:
-    """How far a path leaves the area, m.
+def beyond(path: np.ndarray, limits: Limits) -> np.ndarray:
+    """How far each place of a path, `(steps, 2)`, is outside the area, m, `(steps,)`.
 
-    >>> excess(np.array([[0.0, 0.0], [120.0, 0.0]]), Limits(area=200.0))
-    20.0
+    >>> beyond(np.array([[0.0, 0.0], [120.0, 0.0]]), Limits(area=200.0)).tolist()
+    [0.0, 20.0]
     """
+    return np.maximum(np.abs(_in_square(path, limits)).max(-1) - limits.area / 2, 0.0)
+
+
+def _in_square(path: np.ndarray, limits: Limits) -> np.ndarray:
+    """A path in the directions of the square."""
     cosine, sine = math.cos(limits.heading), math.sin(limits.heading)
-    turned = path @ np.array([[cosine, -sine], [sine, cosine]])
-    return float(max(np.abs(turned).max() - limits.area / 2, 0.0))
+    return path @ np.array([[cosine, -sine], [sine, cosine]])
+
+
+def _near_the_start(
+    rehearsal: Rehearsal, limits: Limits, dt: float, levels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places in `levels` and headings that keep the boat near the start, also in a current; segment by segment."""
+    places, quarters = np.zeros((2, limits.segments), dtype=int)
+    places[:] = int(np.abs(levels).argmin())
+    segment = steps_of(limits, dt)
+    for k in range(limits.segments):
+        steps = int((segment <= k).sum())
+
+        def distance(option: tuple[int, int], k: int = k, steps: int = steps) -> float:
+            places[k], quarters[k] = option
+            course = planned(levels[places], quarters, limits, dt)
+            path = course.path(rehearsal(course.rows).speed, rehearsal.current)[:steps]
+            return float(np.abs(_in_square(path[segment[:steps] == k], limits)).max())
+
+        places[k], quarters[k] = min(((level, q) for level in range(len(levels)) for q in range(4)), key=distance)
+    return places, quarters

@@ -47,7 +47,7 @@ def csv_lines(plan: Plan) -> Iterator[str]:
     course, speed = plan.course, plan.expected.speed
     yield "time_s,left,right,throttle,steering,heading_deg,expected_speed_m_s,expected_north_m,expected_east_m"
     for k in changes(course).tolist():
-        yield _row(course, k, k * course.dt, course.left[k], course.right[k], speed, plan.path)
+        yield _row(course, k, k * course.dt, float(course.left[k]), float(course.right[k]), speed, plan.path)
     last = len(course.left) - 1
     yield _row(course, last, (last + 1) * course.dt, 0.0, 0.0, speed, plan.path)
 
