@@ -129,11 +129,12 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Li
 def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan):
     """The table of the intervals."""
     from usvlearn.estimators.joint.reading import shown
+    from usvlearn.planning.course import SURVEY
     from usvlearn.planning.exchange import derived
     from usvlearn.report import terminal
 
     table = terminal.Blocks(
-        "Half-width of each 90 % interval, as expected", ["quantity"],
+        f"Half-width of each 90 % interval, as expected; a lawn mower keeps {SURVEY:.0%} throttle on parallel lines", ["quantity"],
         ["value", "now", "after a lawn mower", "after this plan", "unit"],
     )  # fmt: skip
     for name in derived(boat.found):

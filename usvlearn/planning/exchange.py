@@ -44,7 +44,6 @@ class Plan(NamedTuple):
     path: np.ndarray  # (steps, 2) m north and east of the start
     throttles: np.ndarray  # (segments,)
     quarters: np.ndarray  # (segments,)
-    evaluations: int
 
 
 def wide(found: Identified) -> list[str]:
@@ -81,11 +80,9 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
     levels = limits.least + np.array(SHARES) * (limits.most - limits.least)
     if limits.least < 0:
         levels = np.unique([*levels, 0.0])
-    count, n = 0, limits.segments
+    n = limits.segments
 
     def tried(places: np.ndarray, quarters: np.ndarray) -> Cost:
-        nonlocal count
-        count += 1
         course = planned(levels[places], quarters, limits, dt)
         expected = rehearsal(course.rows)
         outside = beyond(course.path(expected.speed, rehearsal.current), limits)
@@ -119,12 +116,13 @@ def search(rehearsal: Rehearsal, limits: Limits, dt: float, aims: Sequence[str],
     path = course.path(expected.speed, rehearsal.current)
     if beyond(path, limits).max() > TOLERANCE:
         fastest = abs(rehearsal.top_speed(limits.most))
+        wider = max(2 * fastest * limits.segment, 1.5 * limits.area)
         raise ConfigError(
             f"--area: found {limits.area:g} m, and no course was found that stays within it, since the boat goes "
             f"{fastest:.2g} m/s at --command-max and keeps a heading for {limits.segment:g} s: give an area of "
-            f"{2 * fastest * limits.segment:.0f} m, a shorter --segment, or a lower --command-max"
+            f"{wider:.0f} m, a shorter --segment, or a lower --command-max"
         )
-    return Plan(course, expected, path, levels[places], quarters, count)
+    return Plan(course, expected, path, levels[places], quarters)
 
 
 def beyond(path: np.ndarray, limits: Limits) -> np.ndarray:

@@ -41,7 +41,7 @@ def draw(title: str, now: Identified, mower: Identified, plan: Plan, limits: Lim
         commands.step(time, values, where="post", color=SIDES[name], linewidth=1.3, label=name)
     commands.set(ylabel="command, share")
     commands.set_title(title, loc="left")
-    commands.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    commands.legend(ncols=2, fontsize=8, loc="lower right", bbox_to_anchor=(1.0, 1.0), columnspacing=1.2)
     speed.plot(time, plan.expected.speed, color=SPEED, linewidth=1.4)
     speed.set(ylabel="expected speed, m/s")
     heading.step(time, np.degrees(course.wanted) % 360, where="post", color=INK, linewidth=1.3)
@@ -79,7 +79,7 @@ def _widths(panel, now: Identified, mower: Identified, planned: Identified) -> N
         panel.barh(
             places + lift, np.clip(np.nan_to_num(wide, nan=MOST), 0, MOST), height=0.22, color=colour, label=label
         )
-    panel.set(xlabel="half of the 90 % interval, share of the value", yticks=places, yticklabels=names)
+    panel.set(xlabel=f"half-width of 90 % over value, up to {MOST:g}", yticks=places, yticklabels=names)
     panel.tick_params(axis="y", labelsize=7)
     panel.grid(axis="x", color=LINE)
     panel.legend(fontsize=7)
