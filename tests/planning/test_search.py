@@ -99,6 +99,14 @@ def test_a_boat_that_may_go_astern_is_planned_within_its_bounds(rehearsal):
     assert -0.5 <= sides.min() < 0 < sides.max() <= 0.5
 
 
+def test_a_boat_stays_in_a_small_area_in_a_current_that_would_carry_it_out(boat):
+    carried = Rehearsal(boat.members, boat.leaves)
+    carried.current = np.array([0.2, -0.15])
+    limits = Limits(minutes=2.0, area=20.0)  # the current alone goes 30 m
+    found = search(carried, limits, STEP, derived(carried.found))
+    assert beyond(found.path, limits).max() <= 0.01 and found.throttles.max() > 0
+
+
 def test_an_area_that_is_too_small_is_said_with_one_that_would_do(rehearsal):
     with pytest.raises(
         ConfigError, match=r"--area: found 10 m, and no course was found .* give an area of \d+ m, a shorter --segment"

@@ -134,7 +134,8 @@ def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan):
     from usvlearn.report import terminal
 
     table = terminal.Blocks(
-        f"Half-width of each 90 % interval, as expected; a lawn mower keeps {SURVEY:.0%} throttle on parallel lines", ["quantity"],
+        f"Half-width of each 90 % interval, as expected; a lawn mower keeps {SURVEY:.0%} throttle on parallel lines",
+        ["quantity"],
         ["value", "now", "after a lawn mower", "after this plan", "unit"],
     )  # fmt: skip
     for name in derived(boat.found):
