@@ -6,7 +6,7 @@ import pytest
 
 import usvlearn
 from usvlearn import JointEKF
-from usvlearn.model.saved import IdentifiedBoat, read_boats
+from usvlearn.model.read_boats import IdentifiedBoat, read_boats
 
 
 @pytest.fixture(scope="session")

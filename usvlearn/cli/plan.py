@@ -15,7 +15,7 @@ from usvlearn.errors import ConfigError, MissingExtraError, check_positive, prin
 
 if TYPE_CHECKING:
     from usvlearn.estimators.joint.reading import Identified
-    from usvlearn.model.saved import IdentifiedBoat
+    from usvlearn.model.read_boats import IdentifiedBoat
     from usvlearn.planning.course import Limits
     from usvlearn.planning.exchange import Plan
     from usvlearn.planning.rehearsal import Rehearsal
@@ -52,7 +52,7 @@ def work(arguments: Sequence[str]) -> None:
         CheckpointError: there is no readable set.
         ConfigError: an option is outside its legal values, nothing is identified, or no course stays in the area.
     """
-    from usvlearn.model.saved import read_boats
+    from usvlearn.model.read_boats import read_boats
     from usvlearn.planning.course import Limits
     from usvlearn.planning.schedules import home_of
 
