@@ -87,6 +87,11 @@ def test_the_default_follows_the_options():
     [
         (Wanted(period=0.0), "--period: found 0"),
         (Wanted(boats=1), "--boats: found 1"),
+        (Wanted(period=1e-9), "--period: found 1e-09, expected 0.01 to 2"),
+        (Wanted(bandwidth=1e-9), "--bandwidth: found 1e-09"),
+        (Wanted(delay=1e300), "--delay: found 1e.300, expected 0 to 10 s"),
+        (Wanted(seed=-1), "--seed: found -1"),
+        (Wanted(range=(0.5, 0.5000001)), "--range: found 0.5 0.5"),
         (Wanted(delay=-1.0), "--delay: found -1"),
         (Wanted(range=(1.5, 1.0)), "--range: found 1.5 1"),
         (Wanted(speed=9.0), "--speed: found 9 m/s"),

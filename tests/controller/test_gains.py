@@ -34,6 +34,14 @@ def test_the_closed_loop_has_the_wanted_poles():
     np.testing.assert_allclose(np.abs(found), 1.3)
 
 
+def test_gains_without_a_proportional_part_state_the_poles_that_they_have():
+    gains = placed(a=-2.0, b=3.0, bandwidth=0.5, damping=0.7)
+    assert gains.proportional == 0.0
+    found = np.roots([1.0, 3.0 * gains.proportional + 2.0, 3.0 * gains.integral])
+    expected = np.roots([1.0, 2 * gains.damping * gains.bandwidth, gains.bandwidth**2])
+    np.testing.assert_allclose(np.sort(found), np.sort(expected))
+
+
 def test_the_default_poles_take_out_the_own_pole_of_a_quick_boat():
     bandwidth, damping = poles(crossover=1.5, time_constant=1.0)
     gains = placed(-1.0, 2.0, bandwidth, damping)

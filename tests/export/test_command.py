@@ -72,7 +72,7 @@ def test_boats_whose_files_would_have_one_name_are_not_mixed(run, tmp_path, caps
         checkpoint.save(
             tmp_path / "checkpoints" / name / "00000_0000001.safetensors", leaves, **{**facts, "boat": name}
         )
-    assert "the boats A_b and a b" in told(capsys, tmp_path, "--to", "json")
+    assert "found A_b and a b, whose files would have one name" in told(capsys, tmp_path, "--to", "json")
     assert not (tmp_path / "export").exists()
 
 

@@ -97,7 +97,7 @@ def run(monkeypatch, *arguments) -> int:
 def test_the_command_prints_its_tables_and_writes_its_files(saved, tmp_path, monkeypatch, capsys):
     pytest.importorskip("matplotlib")
     folder = tmp_path / "next"
-    arguments = (saved, "--minutes", 1, "--output", folder, "--home", "42.358,-71.087")
+    arguments = (saved, "--minutes", 1, "--out", folder, "--home", "42.358,-71.087")
     assert run(monkeypatch, *arguments) == 0
     shown = capsys.readouterr().out
     assert "heron: what to sail for 1 min" in shown and "after a lawn mower" in shown and "thrust_full_left" in shown
@@ -115,7 +115,7 @@ def test_a_boat_that_is_well_known_is_said_to_be_so(saved, tmp_path, monkeypatch
             np.fill_diagonal(leaf, np.diag(leaf) * 1e-6)
     known = tmp_path / "known.safetensors"
     checkpoint.save(known, leaves, **facts)
-    assert run(monkeypatch, known, "--minutes", 1, "--output", tmp_path / "next") == 0
+    assert run(monkeypatch, known, "--minutes", 1, "--out", tmp_path / "next") == 0
     shown = capsys.readouterr().out
     assert "Every quantity is known to ± 10% or better" in shown and "most, by" in shown
 
@@ -125,7 +125,7 @@ def test_a_set_without_a_reader_is_said(saved, tmp_path, monkeypatch, capsys):
     facts["kernel"]["members"] = {name: {**each, "kind": "aid"} if each["kind"] == "joint" else each
                                   for name, each in facts["kernel"]["members"].items()}  # fmt: skip
     checkpoint.save(tmp_path / "other.safetensors", leaves, **facts)
-    assert run(monkeypatch, tmp_path / "other.safetensors", "--output", tmp_path / "next") == 2
+    assert run(monkeypatch, tmp_path / "other.safetensors", "--out", tmp_path / "next") == 2
     said = capsys.readouterr().err.strip()
     assert len(said.splitlines()) == 1 and not (tmp_path / "next").exists()
 
@@ -136,13 +136,46 @@ def test_a_set_without_a_reader_is_said(saved, tmp_path, monkeypatch, capsys):
         (["--minutes", "0"], "--minutes"),
         (["--command-max", "0"], "--command-max"),
         (["--area", "10", "--command-min", "0.3", "--minutes", "1"], "--area: found 10 m"),
-        (["--turn-rate", "-20"], "--turn-rate: found -20.0, expected a positive number of degrees/s"),
+        (["--turn-rate", "-20"], "--turn-rate: found -20, expected 1 to 90 degrees/s"),
+        (["--minutes", "1e9", "--segment", "1e9"], "--minutes: found 1e+09, expected 120 at most"),
+        (["--home", ""], "--home: found ''"),
         (["--home", "north"], "--home: found 'north', expected LATITUDE,LONGITUDE"),
         (["--boat", "otter"], "--boat: found 'otter', expected heron"),
         (["--heading", "nan"], "--heading"),
     ],
 )
 def test_bad_options_are_said_in_one_sentence(arguments, said, saved, tmp_path, monkeypatch, capsys):
-    assert run(monkeypatch, saved, *arguments, "--output", tmp_path / "next") == 2
+    assert run(monkeypatch, saved, *arguments, "--out", tmp_path / "next") == 2
     error = capsys.readouterr().err.strip()
     assert said in error and len(error.splitlines()) == 1 and not (tmp_path / "next").exists()
+
+
+def test_a_boats_name_leads_into_no_other_folder(saved, tmp_path, monkeypatch, capsys):
+    leaves, facts = checkpoint.load(saved)
+    path = checkpoint.save(tmp_path / "a.safetensors", leaves, **{**facts, "boat": "../../evil\n"})
+    assert run(monkeypatch, path, "--minutes", 1, "--out", tmp_path / "in" / "out") == 0
+    made = [each for each in tmp_path.rglob("*") if each.is_file() and each != path]
+    assert len(made) >= 2 and all(each.parent == tmp_path / "in" / "out" for each in made)
+
+
+def test_a_boat_whose_thrust_points_astern_is_not_sent_to_sea(saved, tmp_path, monkeypatch, capsys):
+    leaves, facts = checkpoint.load(saved)
+    turned = {}
+    for name, leaf in leaves.items():
+        if name.endswith(("mean", "reading")):
+            first = 4 if name.endswith("mean") else 0
+            leaf = leaf.copy()
+            leaf[first + 3 : first + 11] *= -1  # all thrust
+        turned[name] = leaf
+    path = checkpoint.save(tmp_path / "a.safetensors", turned, **facts)
+    assert run(monkeypatch, path, "--minutes", 1, "--out", tmp_path / "out") == 2
+    assert "check by usvlearn inspect whether a side is reversed" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_table_states_the_speed_at_each_time(plan):
+    rows = [[float(x) for x in line.split(",")] for line in list(csv_lines(plan))[1:]]
+    expected = np.append(0.0, plan.expected.speed)
+    for row in rows:
+        assert row[6] == pytest.approx(expected[round(row[0] / plan.course.dt)], abs=0.006)
+    assert rows[0][6:] == [0.0, 0.0, 0.0]

@@ -76,11 +76,10 @@ def export(
         lenient: what a boat lacks, or a package that is missing, leaves a format out, with a warning.
 
     Raises:
-        UsvlearnError: a boat lacks something, two boats' files would have one name, or a package is not installed.
+        UsvlearnError: a boat lacks something, or a package is not installed.
         OSError: the disk is full, or the like; no file is half-written.
     """
     made: dict[Path, bytes] = {}
-    owners: dict[str, str] = {}
     for boat in boats:
         for name in formats:
             try:
@@ -90,13 +89,7 @@ def export(
                     raise
                 warnings.warn(f"{name} of {printable(boat.name)} is left out: {error}", stacklevel=2)
                 continue
-            for end, content in files.items():
-                file = file_name(boat.name, end)
-                if (other := owners.setdefault(file.casefold(), boat.name)) != boat.name:
-                    both = " and ".join(map(printable, (other, boat.name)))
-                    raise ConfigError(f"{file}: found the boats {both}, whose files would have this name: export one "
-                                      "at a time, by --boat NAME --out FOLDER")  # fmt: skip
-                made[out / file] = content
+            made |= {out / file_name(boat, end): content for end, content in files.items()}
     out.mkdir(parents=True, exist_ok=True)
     for path, content in made.items():
         write_atomically(path, content)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from usvlearn.cli.without_hydra import run_command
-from usvlearn.errors import ConfigError, MissingExtraError, check_positive, printable
+from usvlearn.errors import ConfigError, MissingExtraError, printable
 
 if TYPE_CHECKING:
     from usvlearn.estimators.joint.reading import Identified
@@ -21,10 +22,15 @@ if TYPE_CHECKING:
     from usvlearn.planning.rehearsal import Rehearsal
 
 USAGE = (
-    "usage: usvlearn plan RUN [--boat NAME] [--minutes 5] [--area 200] [--command-max 1] [--output FOLDER] …; "
+    "usage: usvlearn plan RUN [--boat NAME] [--minutes 5] [--area 200] [--command-max 1] [--out FOLDER] …; "
     "all options: usvlearn plan --help"
 )
 STEP = 0.4  # s, where a set does not state its step
+LEAST_RATE, MOST_RATE = 1.0, 90.0  # degrees/s, of a turn
+WALK = (
+    "An interval may become wider: the filter lets the parameters walk, and forgets what a mission does not show, as a "
+    "lawn mower at one speed does not show the drag."
+)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -41,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
     add("--turn-rate", type=float, default=20.0, help="of the boat in a turn, degrees/s (20)")
     add("--seed", type=int, default=0, help="of the search (0)")
     add("--home", metavar="LAT,LON", help="degrees: also write a mission for ArduPilot that starts there")
-    add("--output", default="plan", help="folder for the files (plan)")
+    add("--out", metavar="FOLDER", default="plan", help="where the files are written (plan)")
     return found
 
 
@@ -57,42 +63,75 @@ def work(arguments: Sequence[str]) -> None:
     from usvlearn.planning.schedules import home_of
 
     options = parser().parse_args(list(arguments))
-    home = home_of(options.home) if options.home else None
-    if not (math.isfinite(options.heading) and options.seed >= 0):
+    home = None if options.home is None else home_of(options.home)
+    if not (-360 <= options.heading <= 360 and options.seed >= 0):
         raise ConfigError(
-            f"--heading, --seed: found {options.heading} and {options.seed}, expected degrees, and 0 or more"
+            f"--heading, --seed: found {options.heading} and {options.seed}, expected -360 to 360 degrees, and 0 up"
         )
-    check_positive("--turn-rate", options.turn_rate, "of degrees/s")
+    if not LEAST_RATE <= options.turn_rate <= MOST_RATE:
+        raise ConfigError(
+            f"--turn-rate: found {options.turn_rate:g}, expected {LEAST_RATE:g} to {MOST_RATE:g} degrees/s"
+        )
     limits = Limits(
         options.minutes, options.area, options.command_min, options.command_max, options.segment,
         math.radians(options.heading), math.radians(options.turn_rate),
     )  # fmt: skip
-    folder = Path(options.output).expanduser()
-    if folder.exists() and not folder.is_dir():
-        raise ConfigError(f"--output: found the file {folder}, expected the name of a folder")
-    for boat in read_boats(options.run, options.boat):
-        _plan(boat, limits, options.seed, folder, home)
+    folder = Path(os.path.expanduser(options.out))
+    if not options.out or (folder.exists() and not folder.is_dir()):
+        raise ConfigError(f"--out: found {'the file ' * bool(options.out)}{options.out!r}, expected a folder")
+    planned = [_planned(boat, limits, options.seed) for boat in read_boats(options.run, options.boat)]
+    folder.mkdir(parents=True, exist_ok=True)
+    for each in planned:
+        _show(each, limits, folder, home)
 
 
-def _plan(boat: IdentifiedBoat, limits: Limits, seed: int, folder: Path, home: tuple[float, float] | None) -> None:
-    """Plan for one boat."""
+class Planned(NamedTuple):
+    """The plan of one boat."""
+
+    boat: IdentifiedBoat
+    rehearsal: Rehearsal
+    aims: list[str]  # quantities that are not well known
+    plan: Plan
+    mower: Identified  # what a lawn mower is expected to tell
+
+
+def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
+    """Plan for one boat.
+
+    Raises:
+        ConfigError: its thrust points astern, or no course stays in the area.
+    """
     from usvlearn.planning.course import lawn_mower
     from usvlearn.planning.exchange import derived, search, wide
     from usvlearn.planning.rehearsal import Rehearsal
-    from usvlearn.report import terminal
 
+    top = boat.found["steady_speed_full"].value
+    if not top > 0:
+        raise ConfigError(
+            f"{printable(boat.name)}: found a steady speed of {top:.2f} m/s at full command, expected one ahead: "
+            f"check by usvlearn inspect whether a side is reversed, and learn anew ({' '.join(boat.found.lacks)})"
+        )
     dt = float(boat.setup.align.get("dt", STEP)) if boat.setup else STEP
     rehearsal = Rehearsal(boat.members, boat.leaves)
     aims = wide(rehearsal.found)
     plan = search(rehearsal, limits, dt, aims or derived(rehearsal.found), seed)
     mower = rehearsal(lawn_mower(limits, rehearsal.top_speed(limits.most), dt).rows).found
+    return Planned(boat, rehearsal, aims, plan, mower)
+
+
+def _show(planned: Planned, limits: Limits, folder: Path, home: tuple[float, float] | None) -> None:
+    """Print a plan, and write its files."""
+    from usvlearn.report import terminal
+
+    boat, rehearsal, aims, plan, mower = planned
     console = terminal.console()
     for table in (_segments(boat, rehearsal, plan, limits, aims), _intervals(boat, mower, plan)):
         console.print(table)
         console.print()
     if not aims:
         print(*_determined(rehearsal.found, plan.expected.found))
-    folder.mkdir(parents=True, exist_ok=True)
+    print(*boat.found.lacks, WALK, sep="\n")
+    print()
     print(*_written(boat, limits, plan, mower, folder, home), sep="\n")
 
 
@@ -164,7 +203,7 @@ def _written(
     from usvlearn.planning.schedules import csv_lines, moos_lines, waypoint_lines
 
     def write(suffix: str, text: str) -> Path:
-        path = folder / f"{boat.name}{suffix}"
+        path = folder / f"{boat.stem}{suffix}"
         write_atomically(path, text.encode())
         return path
 

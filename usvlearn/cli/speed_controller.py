@@ -8,15 +8,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usvlearn.errors import ConfigError, MissingExtraError, exit_on_user_error
+from usvlearn.cli.without_hydra import run_command
+from usvlearn.errors import ConfigError, MissingExtraError
 
 if TYPE_CHECKING:
     from usvlearn.controller.design import Controller
+
+USAGE = "usage: usvlearn controller RUN [--boat NAME] [--out FOLDER] …; all options: usvlearn controller --help"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -53,29 +57,28 @@ def work(arguments: Sequence[str]) -> None:
     from usvlearn.controller.design_text import lines
     from usvlearn.model.read_boats import read_boats
 
-    folder = None if out is None else Path(out).expanduser()
+    folder = None if out is None else Path(os.path.expanduser(out))
     if folder is not None:
-        if folder.exists() and not folder.is_dir():
-            raise ConfigError(f"--out: found the file {out}, expected a folder")
+        if not out or (folder.exists() and not folder.is_dir()):
+            raise ConfigError(f"--out: found {'the file ' * bool(out)}{out!r}, expected a folder")
         folder.mkdir(parents=True, exist_ok=True)
     given["range"] = None if given["range"] is None else tuple(given["range"])
     wanted = Wanted(**given)
-    for number, boat in enumerate(read_boats(path, name)):
-        found = controller(boat, wanted)
+    designed = [controller(boat, wanted) for boat in read_boats(path, name)]
+    files = [[] if folder is None else _write(folder, found) for found in designed]
+    for number, found in enumerate(designed):
         print(*([""] if number else []), *lines(found), sep="\n")
         if folder is not None:
-            _write(folder, found)
+            print(f"Written to {folder}: {', '.join(files[number])}")
 
 
-def _write(folder: Path, found: Controller) -> None:
-    """All files of a boat."""
+def _write(folder: Path, found: Controller) -> list[str]:
+    """Write all files of a boat; returns their names."""
     from usvlearn.checkpoint import write_atomically
     from usvlearn.controller.design import facts
     from usvlearn.controller.design_text import head
 
-    name = found.boat.name
-    if Path(name).name != name:
-        raise ConfigError(f"{found.boat.path}: found the boat {name!r}, expected a name that can name a file")
+    name = found.boat.stem
     files = {
         f"{name}.controller.json": (
             json.dumps(facts(found), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
@@ -91,11 +94,9 @@ def _write(folder: Path, found: Controller) -> None:
         print(f"warning: {error}", file=sys.stderr)
     for file, content in files.items():
         write_atomically(folder / file, content)
-    print(f"Written to {folder}: {', '.join(files)}")
+    return list(files)
 
 
 def main() -> int:
     """The command; returns the exit code."""
-    with exit_on_user_error():
-        work(sys.argv[1:])
-    return 0
+    return run_command(work, USAGE)

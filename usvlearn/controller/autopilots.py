@@ -60,11 +60,11 @@ class Rover(NamedTuple):
             "ATC_SPEED_FLTE": (10.0, "Hz; the default"),
             "ATC_ACCEL_MAX": (
                 round(self.acceleration, 3),
-                "m/s2; full throttle can hold it at the cruise speed",
+                "m/s2; at most what full throttle can hold at the cruise speed",
             ),
             "ATC_DECEL_MAX": (
                 round(self.deceleration, 3),
-                "m/s2; drag alone can hold it at the cruise speed",
+                "m/s2; at most what drag alone can hold at the cruise speed",
             ),
             "ATC_BRAKE": (0.0, "no thrust astern to brake: the controller was designed ahead only"),
         }

@@ -27,6 +27,8 @@ SHARES = (1.0, 0.7, 0.5, 0.35, 0.25)  # shares of the accelerations that can be 
 PERIOD = 0.2  # s, of a loop: ArduRover keeps it easily, and pMarinePID at 45 Hz
 LEAST_ACCELERATION = 0.02  # m/s²: 0 would switch the limit off
 HOLD = 15.0  # time constants between two steps
+BOUNDS = {"speed": (0.01, 50.0), "bandwidth": (0.01, 50.0), "damping": (0.1, 10.0), "period": (0.01, 2.0)}  # m/s … s
+LONGEST_DELAY, LEAST_RANGE = 10.0, 0.05  # s; m/s
 
 
 class Wanted(NamedTuple):
@@ -87,6 +89,11 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     for option in ("speed", "bandwidth", "damping", "period"):
         if (value := getattr(wanted, option)) is not None:
             check_positive(f"--{option}", value)
+            least, most = BOUNDS[option]
+            if not least <= value <= most:
+                raise ConfigError(f"--{option}: found {value:g}, expected {least:g} to {most:g}")
+    if wanted.seed < 0:
+        raise ConfigError(f"--seed: found {wanted.seed}, expected 0 or more")
     if not 2 <= wanted.boats <= MOST_BOATS:
         raise ConfigError(f"--boats: found {wanted.boats}, expected 2 to {MOST_BOATS}")
     name, found = boat.name, boat.found
@@ -131,8 +138,10 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
     """The least and the greatest operating speed."""
     if wanted.range is not None:
         low, high = wanted.range
-        if not low < high:
-            raise ConfigError(f"--range: found {low:g} {high:g}, expected two speeds in m/s, the lower one first")
+        if not low + LEAST_RANGE <= high:
+            raise ConfigError(
+                f"--range: found {low:g} {high:g}, expected two speeds, m/s, the lower one first, {LEAST_RANGE:g} apart"
+            )
         for speed in wanted.range:
             forward.check(name, "--range", speed)
     else:
@@ -162,8 +171,8 @@ def _late(name: str, found: Identified, setup: Setup | None, given: float | None
     identified lag.
     """
     if given is not None:
-        if not 0 <= given < math.inf:
-            raise ConfigError(f"--delay: found {given!r}, expected a time of 0 s or more")
+        if not 0 <= given <= LONGEST_DELAY:
+            raise ConfigError(f"--delay: found {given!r}, expected 0 to {LONGEST_DELAY:g} s")
         return given, 0.0
     dt = _dt(name, setup)
     assert setup is not None

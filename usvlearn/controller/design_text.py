@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from usvlearn.controller.autopilots import ROVER_PERIOD
-from usvlearn.controller.design import Controller
+from usvlearn.controller.design import OVERSHOOT, Controller
 from usvlearn.errors import printable
 
 HEADER = (
@@ -120,6 +120,12 @@ def _closed_loop(found: Controller) -> Iterator[str]:
             )
     yield "  Overshoot is a share of the step. ArduRover's base acts at once, so that what the integral collects while"
     yield "  the boat speeds up is undone by an overshoot; ATC_ACCEL_MAX and ATC_DECEL_MAX limit it."
+    worst = max(float(np.quantile(step.overshoot, 0.95)) for step in found.loops[0].steps)
+    if worst > OVERSHOOT:
+        yield (
+            f"  {100 * worst:.0f} % is more than the {100 * OVERSHOOT:.0f} % that was aimed at: the base is a straight "
+            "line, and the boat's curve is not. A narrower --range helps, or a faster loop (--period)."
+        )
 
 
 def _decibels(gain: float) -> str:

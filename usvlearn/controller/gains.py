@@ -105,12 +105,14 @@ def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised
 
 
 def placed(a: float, b: float, bandwidth: float, damping: float) -> Gains:
-    """(3); without a proportional part where the wanted poles are slower than the boat.
+    """(3); without a proportional part, and with the damping that is left, where the wanted poles are slower.
 
     >>> placed(a=-0.5, b=2.0, bandwidth=1.0, damping=1.0)
     Gains(proportional=0.75, integral=0.5, bandwidth=1.0, damping=1.0)
     """
-    return Gains(max(0.0, (2 * damping * bandwidth + a) / b), bandwidth**2 / b, bandwidth, damping)
+    if 2 * damping * bandwidth + a < 0:
+        return Gains(0.0, bandwidth**2 / b, bandwidth, -a / (2 * bandwidth))
+    return Gains((2 * damping * bandwidth + a) / b, bandwidth**2 / b, bandwidth, damping)
 
 
 def poles(crossover: float, time_constant: float) -> tuple[float, float]:

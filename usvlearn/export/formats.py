@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +17,6 @@ from usvlearn.export.predictions_mcap import mcap_file
 from usvlearn.export.published_steps import stretches
 from usvlearn.model.read_boats import IdentifiedBoat
 
-LONGEST = 100  # bytes of a boat's name in that of a file
 Files = dict[str, bytes]  # by the end of their names: all begin with the name of the boat
 
 
@@ -59,13 +57,6 @@ FORMATS = {
 }
 
 
-def file_name(boat: str, end: str) -> str:
-    """The name of a boat's file; of a module and a header without characters that these cannot have.
-
-    >>> file_name("blue-boat", "_casadi.py"), file_name("blue-boat", ".json"), file_name("../boat", ".json")
-    ('blue_boat_casadi.py', 'blue-boat.json', '_boat.json')
-    """
-    if end.endswith((".py", ".h")):
-        return f"{identifier(boat)}{end}"
-    name = re.sub(r"[^-.\w]", "_", boat).lstrip(".").encode("utf-8", "replace")[:LONGEST].decode("utf-8", "ignore")
-    return f"{name or 'boat'}{end}"
+def file_name(boat: IdentifiedBoat, end: str) -> str:
+    """The name of a boat's file; of a module and a header without characters that these cannot have."""
+    return f"{identifier(boat.name) if end.endswith(('.py', '.h')) else boat.stem}{end}"

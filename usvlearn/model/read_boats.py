@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,13 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn import checkpoint
-from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
+from usvlearn.errors import CheckpointError, ConfigError, did_you_mean, printable
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.identified import identified, members_of
 from usvlearn.logs.setup import Setup
 from usvlearn.model.surge import SurgeModel
 from usvlearn.online import read_set
 from usvlearn.runs.layout import CHECKPOINTS
+
+LONGEST = 100  # bytes of a boat's name in that of a file
 
 
 class IdentifiedBoat(NamedTuple):
@@ -30,6 +33,12 @@ class IdentifiedBoat(NamedTuple):
     setup: Setup | None  # None in sets of old versions
     leaves: dict[str, np.ndarray]  # of the state, by dotted name
     facts: dict[str, Any]  # the set's metadata
+
+    @property
+    def stem(self) -> str:
+        """What the names of its files begin with: its name, of which whatever leads to another folder is removed."""
+        name = re.sub(r"[^-.\w]", "_", self.name).lstrip(".")
+        return name.encode("utf-8", "replace")[:LONGEST].decode("utf-8", "ignore") or "boat"
 
     @property
     def members(self) -> Mapping[str, Any]:
@@ -61,11 +70,27 @@ def read_boats(path: str | Path, boat: str | None = None) -> list[IdentifiedBoat
             raise ConfigError(
                 f"--boat: found {boat!r}, expected one of {', '.join(folders)}{did_you_mean(boat, folders)}"
             )
-        return [_read(each) for name, each in folders.items() if boat in (None, name)]
+        return _apart({name: _read(each) for name, each in folders.items() if boat in (None, name)})
     one = _read(path)
     if boat not in (None, one.name):
         raise ConfigError(f"--boat: found {boat!r}, expected {one.name}, the only boat of {path}")
     return [one]
+
+
+def _apart(boats: Mapping[str, IdentifiedBoat]) -> list[IdentifiedBoat]:
+    """Boats by the names of their folders, if their files would have different names on every system and in C.
+
+    Raises:
+        ConfigError: two boats' files would have one name.
+    """
+    owners: dict[str, str] = {}
+    for folder, each in boats.items():
+        if (other := owners.setdefault(re.sub(r"\W", "_", each.stem).casefold(), folder)) != folder:
+            raise ConfigError(
+                f"--boat: found {printable(other)} and {printable(folder)}, whose files would have one name, "
+                f"{each.stem}: give one of them, and another folder for the files of each"
+            )
+    return list(boats.values())
 
 
 def _read(path: Path) -> IdentifiedBoat:

@@ -21,7 +21,7 @@ from usvlearn.rows import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW, SIN, YAW_RATE
 
 QUARTER = math.pi / 2  # rad; headings of a plan are multiples of it, from the first one
 LEAST_SEGMENTS, MOST_SEGMENTS = 4, 60  # more take minutes to search
-LEAST_SEGMENT = 2.0  # s
+LEAST_SEGMENT, MOST_MINUTES = 2.0, 120.0  # s; min
 LEAST_RANGE = 0.1  # share of full scale
 LINE, ACROSS, SURVEY = 40.0, 8.0, 0.6  # s of a line of a lawn mower's and of the way to the next; share of the throttle
 SPEED_SHARE = 0.8  # of the area's side that a line takes
@@ -71,6 +71,8 @@ class Limits:
             )
         if self.segment < LEAST_SEGMENT:
             raise ConfigError(f"--segment: found {self.segment:g}, expected {LEAST_SEGMENT:g} s or more")
+        if self.minutes > MOST_MINUTES:
+            raise ConfigError(f"--minutes: found {self.minutes:g}, expected {MOST_MINUTES:g} at most")
         if self.segments > MOST_SEGMENTS:
             raise ConfigError(
                 f"--minutes: found {self.minutes:g}, expected {MOST_SEGMENTS * self.segment / 60:g} or less, which are "

@@ -43,17 +43,17 @@ def changes(course: Course) -> np.ndarray:
 
 
 def csv_lines(plan: Plan) -> Iterator[str]:
-    """The table, with the expected speed and place at the end of each step; the last row ends the plan."""
-    course, speed = plan.course, plan.expected.speed
+    """The table, with the expected speed and place at each time; it starts at rest, and the last row ends the plan."""
+    course = plan.course
+    speed, path = np.append(0.0, plan.expected.speed), np.concatenate([np.zeros((1, 2)), plan.path])
     yield "time_s,left,right,throttle,steering,heading_deg,expected_speed_m_s,expected_north_m,expected_east_m"
     for k in changes(course).tolist():
-        yield _row(course, k, k * course.dt, float(course.left[k]), float(course.right[k]), speed, plan.path)
-    last = len(course.left) - 1
-    yield _row(course, last, (last + 1) * course.dt, 0.0, 0.0, speed, plan.path)
+        yield _row(course, k, k * course.dt, float(course.left[k]), float(course.right[k]), speed, path)
+    yield _row(course, len(course.left), len(course.left) * course.dt, 0.0, 0.0, speed, path)
 
 
 def _row(course: Course, k: int, time: float, left: float, right: float, speed: np.ndarray, path: np.ndarray) -> str:
-    heading = math.degrees(course.wanted[k]) % 360
+    heading = math.degrees(course.wanted[min(k, len(course.wanted) - 1)]) % 360
     numbers = (left, right, (left + right) / 2, (left - right) / 2)
     return ",".join(
         [f"{time:.1f}", *(f"{x:.3f}" for x in numbers), f"{heading:.0f}", f"{speed[k]:.2f}"]
