@@ -11,6 +11,12 @@ from usvlearn.checkpoint import checkpoints
 from usvlearn.export.formats import FORMATS
 
 
+@pytest.fixture(autouse=True)
+def arguments_of_the_program(monkeypatch):
+    """Those of the tests again afterwards: the command sets its own."""
+    monkeypatch.setattr(sys, "argv", ["usvlearn"])
+
+
 def told(capsys, *arguments) -> str:
     """The one sentence of an error."""
     with pytest.raises(SystemExit) as ended:
