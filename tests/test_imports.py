@@ -45,7 +45,7 @@ OURS = {
     "usvlearn.rollouts": LIGHT | {"usvlearn.engine", "usvlearn.estimator", "usvlearn.plans"},
     "usvlearn.identified": LIGHT | {"usvlearn.engine", "usvlearn.estimators"},
     "usvlearn.planning": LIGHT | {"usvlearn.planning", "usvlearn.engine", "usvlearn.estimators", "usvlearn.figures",
-                                  "usvlearn.logs", *KERNELS},
+                                  "usvlearn.identified", "usvlearn.logs", *KERNELS},
     "usvlearn.online": LIGHT | {"usvlearn.rollouts", "usvlearn.estimator", "usvlearn.estimators", "usvlearn.checkpoint",
                                 "usvlearn.engine", "usvlearn.identified", "usvlearn.plans"},
     "usvlearn.model": LIGHT | {"usvlearn.model", "usvlearn.checkpoint", "usvlearn.estimators", "usvlearn.identified",

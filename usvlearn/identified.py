@@ -22,12 +22,10 @@ def members_of(description: Mapping[str, Any]) -> Members:
     return description["members"] if description["kind"] == "ensemble" else {"": description}
 
 
-def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Identified]:
-    """What the reader has identified of each boat.
-
-    Args:
-        members: descriptions by name; see `members_of`.
-        leaves: of the state by dotted name, `(boats, …)`.
+def reader_leaves(
+    members: Members, leaves: Mapping[str, np.ndarray]
+) -> tuple[Mapping[str, Any], dict[str, np.ndarray]]:
+    """The description of the reader, and its own leaves of the state.
 
     Raises:
         ConfigError: none of the members is a reader.
@@ -40,7 +38,22 @@ def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Ident
             "+estimator@estimators.reader=joint_reader on the command line, and learn anew"
         )
     prefix, description = f"members.{name}." if name else "", members[name]
+    assert description is not None
     own = {key.removeprefix(prefix): np.asarray(leaf) for key, leaf in leaves.items() if key.startswith(prefix)}
+    return description, own
+
+
+def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Identified]:
+    """What the reader has identified of each boat.
+
+    Args:
+        members: descriptions by name; see `members_of`.
+        leaves: of the state by dotted name, `(boats, …)`.
+
+    Raises:
+        ConfigError: none of the members is a reader.
+    """
+    description, own = reader_leaves(members, leaves)
     boats = len(own["mean"])
     return [
         identify(of_lane(description, boats, lane), {key: leaf[lane] for key, leaf in own.items()})

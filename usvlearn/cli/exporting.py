@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from usvlearn.checkpoint import write_atomically
-from usvlearn.cli.without_hydra import run_command
+from usvlearn.cli.without_hydra import out_folder, run_command
 from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, printable
 from usvlearn.export.formats import FORMATS, file_name
 from usvlearn.model.read_boats import IdentifiedBoat, read_boats
@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def formats_of(given: Sequence[str]) -> list[str]:
-    """The formats of all `--to`, of which each may have several, comma-separated.
+    """What all `--to` name, of which each may have several, comma-separated: formats, or `ALL`.
 
     Raises:
         ConfigError: there is no such format.
@@ -54,7 +54,7 @@ def formats_of(given: Sequence[str]) -> list[str]:
         if name not in (*FORMATS, ALL):
             hint = did_you_mean(name, FORMATS)
             raise ConfigError(f"--to: found {name!r}, expected one of {', '.join(FORMATS)}, or {ALL}{hint}")
-    return [*FORMATS] if ALL in names else list(dict.fromkeys(names))
+    return list(dict.fromkeys(names))
 
 
 def run_of(path: Path) -> Path:
@@ -100,12 +100,11 @@ def work(arguments: Sequence[str]) -> None:
     """Do what the arguments say."""
     given = parser().parse_args(arguments)
     formats = formats_of(given.to)
-    if given.out == "":
-        raise ConfigError("--out: found nothing, expected a folder")
+    out = None if given.out is None else out_folder(given.out)
     boats = read_boats(given.run, given.boat)
     run = run_of(Path(os.path.expanduser(given.run)))
-    out = run / "export" if given.out is None else Path(os.path.expanduser(given.out))
-    for each in export(boats, formats, run, out, lenient=ALL in ",".join(given.to).split(",")):
+    every = ALL in formats
+    for each in export(boats, [*FORMATS] if every else formats, run, out or run / "export", lenient=every):
         print(each)
     for boat in boats:
         for sentence in boat.found.lacks:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from usvlearn.cli.without_hydra import run_command
+from usvlearn.cli.without_hydra import out_folder, run_command
 from usvlearn.errors import ConfigError, MissingExtraError, printable
 
 if TYPE_CHECKING:
@@ -76,9 +75,7 @@ def work(arguments: Sequence[str]) -> None:
         options.minutes, options.area, options.command_min, options.command_max, options.segment,
         math.radians(options.heading), math.radians(options.turn_rate),
     )  # fmt: skip
-    folder = Path(os.path.expanduser(options.out))
-    if not options.out or (folder.exists() and not folder.is_dir()):
-        raise ConfigError(f"--out: found {'the file ' * bool(options.out)}{options.out!r}, expected a folder")
+    folder = out_folder(options.out)
     planned = [_planned(boat, limits, options.seed) for boat in read_boats(options.run, options.boat)]
     folder.mkdir(parents=True, exist_ok=True)
     for each in planned:

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from usvlearn.cli.without_hydra import run_command
-from usvlearn.errors import ConfigError, MissingExtraError
+from usvlearn.cli.without_hydra import out_folder, run_command
+from usvlearn.errors import MissingExtraError
 
 if TYPE_CHECKING:
     from usvlearn.controller.design import Controller
@@ -57,10 +56,8 @@ def work(arguments: Sequence[str]) -> None:
     from usvlearn.controller.design_text import lines
     from usvlearn.model.read_boats import read_boats
 
-    folder = None if out is None else Path(os.path.expanduser(out))
+    folder = None if out is None else out_folder(out)
     if folder is not None:
-        if not out or (folder.exists() and not folder.is_dir()):
-            raise ConfigError(f"--out: found {'the file ' * bool(out)}{out!r}, expected a folder")
         folder.mkdir(parents=True, exist_ok=True)
     given["range"] = None if given["range"] is None else tuple(given["range"])
     wanted = Wanted(**given)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Collection, Sequence
+from pathlib import Path
 
-from usvlearn.errors import exit_on_user_error
+from usvlearn.errors import ConfigError, exit_on_user_error
 
 
 def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collection[str] = ()) -> int:
@@ -28,3 +30,18 @@ def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collec
         print(f"{stopped}; nothing was written", file=sys.stderr)
         return stopped.code
     return 0
+
+
+def out_folder(given: str) -> Path:
+    """The folder of `--out`, which need not exist.
+
+    Raises:
+        ConfigError: it is empty, or a file.
+
+    >>> out_folder("gains").name
+    'gains'
+    """
+    folder = Path(os.path.expanduser(given))
+    if not given or (folder.exists() and not folder.is_dir()):
+        raise ConfigError(f"--out: found {'the file ' * bool(given)}{given!r}, expected a folder")
+    return folder

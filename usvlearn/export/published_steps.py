@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +10,7 @@ import numpy as np
 
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.runs.layout import PREDICTIONS
-from usvlearn.runs.published import DAMAGE, position
+from usvlearn.runs.published import DAMAGE, archive_of, position
 
 INPUTS = ("command_left", "command_right", "heading", "yaw_rate", "dt")
 COLUMNS = ("time", "measured_surge", *INPUTS)  # arrays (time, boats)
@@ -60,11 +59,7 @@ def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
 
 def _read(path: Path, boat: str) -> Stretch | None:
     """A boat's steps in a file; None if it is not in it."""
-    if not (path.is_file() and zipfile.is_zipfile(path)):
-        raise ValueError("it is no archive of arrays")
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        if (size := sum(each.file_size for each in archive.zip.infolist())) > LARGEST:
-            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {LARGEST / 1e6:.0f} at most")
+    with archive_of(path, LARGEST) as archive:
         boats, names, runs = (_names(archive[each]) for each in ("boats", "estimators", "runs"))
         if boat not in boats:
             return None

@@ -15,10 +15,10 @@ import numpy as np
 
 from usvlearn.engine import of_lane
 from usvlearn.engine.program import plan_for
-from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.kernel import forecast, learn, start
-from usvlearn.estimators.joint.reading import Identified, identify, reader_of
+from usvlearn.estimators.joint.reading import Identified, identify
 from usvlearn.estimators.joint.state import AT, NORTH, THETA
+from usvlearn.identified import reader_leaves
 from usvlearn.jit import announced, jit
 from usvlearn.rows import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
 
@@ -42,15 +42,8 @@ class Rehearsal:
     """
 
     def __init__(self, members: Mapping[str, Mapping[str, Any] | None], leaves: Mapping[str, np.ndarray]):
-        name = reader_of(members)
-        if name is None:
-            raise ConfigError(
-                "found no joint filter with read_every among the estimators, expected one: a plan needs its "
-                "covariance; learn with +estimator@estimators.reader=joint_reader"
-            )
-        prefix = f"members.{name}." if name else ""
-        own = {key.removeprefix(prefix): np.asarray(leaf) for key, leaf in leaves.items() if key.startswith(prefix)}
-        self.description = of_lane(members[name], 1, 0)
+        description, own = reader_leaves(members, leaves)
+        self.description = of_lane(description, 1, 0)
         self._plan = plan_for(self.description, (), np.dtype(float))
         self._node = self._plan.program[1]
         self._state = self._plan.pack({key: leaf.astype(float) for key, leaf in own.items()})

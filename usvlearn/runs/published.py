@@ -28,6 +28,7 @@ import io
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -184,11 +185,7 @@ def read_published(
         names: of the arrays. A file without predictions counts as damaged; older versions lack the others.
     """
     most = (1 << 16) + (2048 + 4 * 8 * max(0, steps) * (sum(widths.values()) + 7)) * boats  # 2048: names
-    if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
-        raise ValueError("it is no archive of arrays")
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
-            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
+    with archive_of(path, most) as archive:
         found = {name: archive[name] for name in names if name in widths and (name in archive or name == "predictions")}
     for name, array in found.items():
         width = widths[name]
@@ -197,6 +194,17 @@ def read_published(
     if len({len(array) for array in found.values()}) > 1:
         raise ValueError("its arrays differ in length")
     return found
+
+
+@contextmanager
+def archive_of(path: Path, most: int) -> Iterator[Any]:
+    """The opened archive of a file of predictions; raises one of DAMAGE if it unpacks to more than `most` bytes."""
+    if not (path.is_file() and zipfile.is_zipfile(path)):  # a pipe would never end
+        raise ValueError("it is no archive of arrays")
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        if (size := sum(each.file_size for each in archive.zip.infolist())) > most:
+            raise ValueError(f"it unpacks to {size / 1e6:.0f} MB, expected {most / 1e6:.1f} at most")
+        yield archive
 
 
 def position(path: Path) -> Position | None:
