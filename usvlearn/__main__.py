@@ -12,6 +12,7 @@ import usvlearn
 COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "train": ("usvlearn.cli.train", "replay logs through estimators online, save parameter sets and predictions"),
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
+    "example": ("usvlearn.cli.example", "write logs of a simulated boat, to try the other commands on"),
     "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write the configuration that reads them"),
     "delay": ("usvlearn.cli.delay", "find the delay from the commands to the speed in own logs"),
     "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, MCAP, CSV"),

@@ -1,0 +1,47 @@
+"""The command `usvlearn example FOLDER`: logs of a simulated boat, to try everything on before there are own ones."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+
+from usvlearn.checkpoint import write_atomically
+from usvlearn.cli.without_hydra import out_folder, run_command
+from usvlearn.errors import ConfigError
+
+USAGE = "usage: usvlearn example FOLDER [--minutes 10] [--seed 7]"
+
+
+def parser() -> argparse.ArgumentParser:
+    """The arguments of the command."""
+    found = argparse.ArgumentParser("usvlearn example", description=__doc__, allow_abbrev=False)
+    found.add_argument("folder", metavar="FOLDER", help="where the logs are written; is made if it does not exist")
+    found.add_argument("--minutes", type=float, default=10.0, help="length of each of the three missions (10)")
+    found.add_argument("--seed", type=int, default=7, help="of the boat and its missions (7)")
+    return found
+
+
+def work(arguments: Sequence[str]) -> None:
+    """Write the logs, and say what can be done with them.
+
+    Raises:
+        ConfigError: an option is not legal, or a log is there already.
+    """
+    from usvlearn.simulate.example_logs import example_logs
+
+    given = parser().parse_args(arguments)
+    folder = out_folder(given.folder)
+    texts = example_logs(given.minutes, given.seed)
+    for name in texts:
+        if (folder / name).exists():
+            raise ConfigError(f"{folder / name}: found a log there already: choose another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in texts.items():
+        write_atomically(folder / name, text.encode())
+        print(folder / name)
+    print(f"a simulated boat; next: usvlearn inspect {given.folder}")
+
+
+def main() -> int:
+    """The command; returns its exit code."""
+    return run_command(work, USAGE)
