@@ -10,7 +10,7 @@ neurons, so that K = max(P, N) is the exact rate over all activation patterns. F
     interval    (4) on a box, neurons whose sign is fixed there counted as such                           (5)
 
 A condition holds *at the rate* κ if it holds with a/κ in place of a. The smallest such κ is the rate that it proves.
-`certify/README.md` derives the conditions.
+`docs/certification.md` derives the conditions.
 """
 
 from __future__ import annotations

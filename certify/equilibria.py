@@ -35,6 +35,7 @@ from operator import mul
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from certify.errors import CertifyError
 from certify.weights import ShallowWeights, check
@@ -94,7 +95,7 @@ class _Sweep(NamedTuple):
     one: int
 
 
-def equilibria(weights: ShallowWeights, u, lo: float = 0.0, hi: float = 1.0) -> list[Equilibrium]:
+def equilibria(weights: ShallowWeights, u: ArrayLike, lo: float = 0.0, hi: float = 1.0) -> list[Equilibrium]:
     """Every equilibrium (2) on [lo, hi] at the constant input u, in ascending order.
 
     An equilibrium at lo or hi is classified by the slopes of f on the real line, like any other.

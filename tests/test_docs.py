@@ -41,7 +41,7 @@ def test_the_example_of_batches_and_gradients_runs():
 
 def test_the_example_of_certify_runs():
     names: dict = {}
-    exec(compile(code("certify/README.md"), "certify/README.md", "exec"), names)
+    exec(compile(code("docs/certification.md"), "docs/certification.md", "exec"), names)
     assert names["certificate"]["condition"] == "tight"
 
 

@@ -52,7 +52,8 @@ def read(
             "alog", "rosbag", "ardupilot", "tlog", "ulog" for any boat, "blueboat", "vtec", "dalian", "pearl", or
             "simulated", which has no path.
         channels: changes to it, channel -> keys of `usvlearn.logs.channel.Source`.
-        mass, surge_max: of the boat, kg and m/s, if they differ from it.
+        mass: of the boat, kg, added mass included, if it differs from that of the configuration.
+        surge_max: top speed of the boat, m/s, if it differs from that of the configuration.
         align: options of `usvlearn.Aligner` that differ from configs/train.yaml, such as `{"dt": 0.2}`.
         check: the data: "warn" keeps what is found in `findings`, "strict" raises for a warning, "off" does not look.
         **settings: further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and `seed`.

@@ -69,8 +69,7 @@ def simulate(
 ) -> tuple[State, Tensor, Any]:
     """Run an estimator free: it sees the inputs alone, learns nothing, and takes the speed only where a segment starts.
 
-    Args:
-        estimator, state, samples, record, backend: as of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
+    The arguments are those of `rollout`; `samples.surge` counts only where `inputs.dt` is 0.
 
     Returns:
         As `rollout`. Where no step was made, `record` picks from the unchanged state.

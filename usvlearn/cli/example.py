@@ -39,7 +39,7 @@ def work(arguments: Sequence[str]) -> None:
     for name, text in texts.items():
         write_atomically(folder / name, text.encode())
         print(folder / name)
-    print(f"a simulated boat; next: usvlearn inspect {given.folder}")
+    print(f"a simulated boat; next: usvlearn inspect {given.folder} --name heron")
 
 
 def main() -> int:

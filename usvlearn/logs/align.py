@@ -28,7 +28,7 @@ import math
 from collections.abc import Mapping
 from functools import cache
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,7 +48,9 @@ class Aligner:
         inputs: "mean", "last" or "next", as above.
         channels: the logged channels, each with its `held`, `window`, `delay` and `period` (a `Channel` or a `Source`).
             Without "yaw_rate", the slope of the heading is used.
-        surge_max, command_max, yaw_rate_max: physical limits, m/s, share of full scale, rad/s.
+        surge_max: greatest speed, m/s; a faster one is rejected, as with the other limits.
+        command_max: greatest command, share of full scale.
+        yaw_rate_max: greatest yaw rate, rad/s.
         patience: time to wait for late messages after a grid time, s.
         outage: silence of all channels after which the grid starts anew, s; it gives no samples.
         steps: "grid" or "speed", as above.
@@ -140,7 +142,8 @@ class Aligner:
 
         Args:
             channels: `(messages,)` int64, places in `CHANNELS`.
-            times, values: `(messages,)` float64, s and SI units.
+            times: `(messages,)` float64, stamps, s.
+            values: `(messages,)` float64, SI units.
             flush: whether to call `flush` afterwards.
         """
         if len(times) > self._room:
@@ -236,7 +239,7 @@ class Aligned(NamedTuple):
     rejected: dict[str, dict[str, int]]  # channel -> cause -> count
 
 
-def align(channels: Mapping[str, Channel], **options) -> Aligned:
+def align(channels: Mapping[str, Channel], **options: Any) -> Aligned:
     """Align a whole log: its messages, in the order in which they were logged, through an `Aligner`.
 
     Args:

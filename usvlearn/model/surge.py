@@ -98,7 +98,8 @@ class SurgeModel:
 
         Args:
             surge: v, m/s.
-            left, right: ξ, −1 … 1.
+            left: ξ_L, −1 … 1.
+            right: ξ_R, −1 … 1.
             yaw_rate: r, rad/s.
             dt: h, s.
         """
@@ -107,9 +108,10 @@ class SurgeModel:
     def simulate(self, surge: float, left: Any, right: Any, yaw_rate: Any, dt: Any) -> np.ndarray:
         """The speeds after each of some steps, m/s, `(time,)`.
 
+        `left`, `right`, `yaw_rate` and `dt` are those of `step`; each is a number or `(time,)`.
+
         Args:
             surge: the speed at the beginning, m/s.
-            left, right, yaw_rate, dt: as of `step`; each a number or `(time,)`.
         """
         return self._stepped(True, surge, left, right, yaw_rate, dt)
 

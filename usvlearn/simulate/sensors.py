@@ -39,7 +39,9 @@ class Sensors:
         lost_share: share of single messages that are lost, of each channel.
         outages_per_hour: mean number of outages of each channel, 1/h.
         outage: shortest and longest outage, s.
-        command_window, heading_window, surge_window: staleness windows of the channels, s.
+        command_window: a command is stale when it is older, s.
+        heading_window: likewise, of the heading, s.
+        surge_window: likewise, of the speed, s.
 
     >>> Sensors(surge_hz=1.0).surge_quantum
     0.05

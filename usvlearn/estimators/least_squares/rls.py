@@ -168,8 +168,9 @@ def spread(factor: Tensor, phi: Tensor) -> Tensor:
 class RLS(LeastSquares):
     """Recursive least squares with exponential forgetting: the quasi-static thruster map, or the surge dynamics.
 
+    `model`, `covariance`, `feedback` and `surge_max` are those of `LeastSquares`.
+
     Args:
-        model, covariance, feedback, surge_max: see `LeastSquares`.
         forgetting: λ, between 0 and 1; broadcasts against the batch.
         trace_growth: forgetting pauses where it would lift the trace of P above this multiple of its first value.
 

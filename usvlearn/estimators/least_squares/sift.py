@@ -64,8 +64,9 @@ def sift_step(
 class SIFtRLS(LeastSquares):
     """Recursive least squares with subspace-of-information forgetting.
 
+    `model`, `covariance`, `feedback` and `surge_max` are those of `LeastSquares`.
+
     Args:
-        model, covariance, feedback, surge_max: see `LeastSquares`.
         memory: τ, s, per direction; broadcasts against the batch.
         floor: ε, in units of the model's scale: below it a regressor informs nothing.
 

@@ -10,7 +10,7 @@ The penalty shrinks the weights that break the paper's contraction condition; it
 after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
 `certify.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then approach
 each other by the factor κ at every step. With `feedback: estimate` the weights follow the state, and two starts learn
-different weights. For differences Δ_k of x and Δθ_k of the weights (`certify/README.md`)
+different weights. For differences Δ_k of x and Δθ_k of the weights (`docs/certification.md`)
 
     |Δ_k| ≤ κᵏ |Δ_0| + L_θ sup_{j<k} ‖Δθ_j‖/(1 − κ),   L_θ² = Σ relu(z_i)² + (1 + x² + |u|²) Σ a_i²,
 

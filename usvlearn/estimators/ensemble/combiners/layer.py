@@ -211,8 +211,9 @@ class ExponentialWeights(Prior):
 
     It finds the best member, not the best mixture, and its rate has to be chosen; BOA needs neither.
 
+    `members`, `memory`, `loss` and `prior` are those of `Prior`.
+
     Args:
-        members, memory, loss, prior: see `Prior`.
         rate: per unit of the loss; broadcasts against the batch.
 
     >>> rule = ExponentialWeights(rate=10.0, memory=None)
@@ -257,8 +258,9 @@ class ExponentialWeights(Prior):
 class BOA(Prior):
     """Bernstein online aggregation: weight goes to members that improve the mixture.
 
+    `members`, `memory`, `loss` and `prior` are those of `Prior`.
+
     Args:
-        members, memory, loss, prior: see `Prior`.
         scale: E₀, least range of the losses, m/s (m²/s² of the square): how far predictions lie apart, roughly.
         share: of the weight that goes to the members by the priors at every step, 0 … 1.
 

@@ -196,7 +196,8 @@ class Forecasts(nn.Module):
 
         Args:
             state: as after the last sample.
-            members, states: of the ensemble.
+            members: of the ensemble, by name.
+            states: of the members, by name.
             inputs: of the plan's steps, `(time, *batch)`.
         """
         states, found = {name: states[name] for name in self.names}, []
