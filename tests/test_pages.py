@@ -1,7 +1,7 @@
 """The pages of docs/ and the README: every block of code runs, as it stands there, or says why it does not.
 
 Blocks of a page run one after the other in a folder of their own, in which there are logs, their configuration and a
-finished run: `logs/`, `my_boat.yaml`, `outputs/RUN`. `sh` runs in bash, `python` in one namespace, `yaml` is parsed.
+finished run: `logs/`, `my_boat.yaml`, `outputs/RUN`; those that show how to start begin with nothing. `sh` runs in bash, `python` in one namespace, `yaml` is parsed.
 The runs take minutes, so they are marked `docs`: `pytest -m docs`.
 """
 
@@ -27,6 +27,7 @@ PAGES = sorted(
     or path.name == "index.md"  # the others are made of notebooks, which run elsewhere
 )
 NAMES = [path.relative_to(ROOT).as_posix() for path in PAGES]
+FROM_NOTHING = ("README.md", "docs/start.md")  # they make the logs themselves
 RUN, PARSED, SHOWN = ("sh", "python"), ("yaml",), ("text", "c", "matlab", "ini", "xml", "html", "json")
 REASON = re.compile(r"<!-- not run: (?P<reason>[^>]{8,}) -->\s*$")
 BLOCK = re.compile(r"^(?P<indent> *)```(?P<language>\S*)[^\n]*\n(?P<text>.*?)^(?P=indent)```\s*$", re.M | re.S)
@@ -64,9 +65,8 @@ def test_every_block_says_what_it_is(name):
         assert block.reason is None or block.language in RUN, f"{name}:{block.line}: does not run in any case"
     assert text.count("```") == 2 * len(blocks(text)), f"{name}: a fence is not closed"
     outside = BLOCK.sub("", text)
-    if name != "README.md":  # its commands are compact, and tests/test_docs.py runs its example
-        bare = COMMAND.search(outside)
-        assert bare is None, f"{name}: a command outside of a block: {bare.group().strip()}"
+    bare = COMMAND.search(outside)
+    assert bare is None, f"{name}: a command outside of a block: {bare.group().strip()}"
 
 
 @pytest.fixture(scope="session")
@@ -96,12 +96,15 @@ def shell(commands: str, folder: Path, where: str) -> None:
 
 
 @pytest.mark.docs
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "README.md"])
+@pytest.mark.parametrize("name", NAMES)
 def test_every_block_runs(name, prepared, tmp_path, monkeypatch):
     folder = tmp_path / "page"
-    shutil.copytree(prepared, folder)
-    setup = folder / "my_boat.yaml"  # which names the folder in which it was made
-    setup.write_text(setup.read_text().replace(str(prepared), str(folder)))
+    if name in FROM_NOTHING:
+        folder.mkdir()
+    else:
+        shutil.copytree(prepared, folder)
+        setup = folder / "my_boat.yaml"  # which names the folder in which it was made
+        setup.write_text(setup.read_text().replace(str(prepared), str(folder)))
     monkeypatch.chdir(folder)
     names: dict = {"__name__": "page"}
     for block in blocks((ROOT / name).read_text()):
