@@ -1,7 +1,8 @@
 """The pages of docs/ and the README: every block of code runs, as it stands there, or says why it does not.
 
 Blocks of a page run one after the other in a folder of their own, in which there are logs, their configuration and a
-finished run: `logs/`, `my_boat.yaml`, `outputs/RUN`; those that show how to start begin with nothing. `sh` runs in bash, `python` in one namespace, `yaml` is parsed.
+finished run: `logs/`, `my_boat.yaml`, `outputs/RUN`. Pages that show how to start begin with an empty folder. `sh` runs
+in bash, `python` in one namespace, and `yaml` is parsed.
 The runs take minutes, so they are marked `docs`: `pytest -m docs`.
 """
 

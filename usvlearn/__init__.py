@@ -83,7 +83,7 @@ _HOME = {
     "learn": "api",
 }
 __all__ = sorted(_HOME)
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 
 
 if not TYPE_CHECKING:  # to a type checker a name that is not above is an error

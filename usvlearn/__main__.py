@@ -29,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Hand the arguments to a command; returns the exit code.
 
     >>> main(["--version"])
-    usvlearn 0.2.0.dev0
+    usvlearn 0.2.0
     0
     """
     name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
