@@ -1,0 +1,75 @@
+"""The builder of the site finds what is wrong in its pages, and every page of docs/ has a place in it."""
+
+import re
+
+import pytest
+import yaml
+from make_site import faults
+
+from tests.support import ROOT
+
+GOOD = (
+    '<h1 id="top">Start</h1><a href="#top">up</a><a href="b.html#there">on</a><img src="a.png"><a href="https://x.y">'
+)
+
+
+@pytest.fixture
+def site(tmp_path):
+    (tmp_path / "a.html").write_text(GOOD)
+    (tmp_path / "b.html").write_text('<h2 id="there">There</h2>')
+    (tmp_path / "a.png").write_bytes(b"")
+    return tmp_path
+
+
+def test_a_site_without_faults_has_none(site):
+    assert faults(site) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("b.html#there", "c.html", "a.html: links to c.html, which is not there"),
+        ("b.html#there", "b.html#gone", "a.html: links to b.html#gone, and there is no such place"),
+        ("#top", "#bottom", "a.html: links to #bottom, and there is no such place"),
+        ('src="a.png"', 'src="b.png"', "a.html: links to b.png, which is not there"),
+        ('src="a.png"', 'src="https://x.y/a.png"', "a.html: loads https://x.y/a.png from outside"),
+        ("<img", '<script src="//x.y/s.js"></script><img', "a.html: loads //x.y/s.js from outside"),
+    ],
+)
+def test_each_fault_is_named(site, old, new, fault):
+    page = site / "a.html"
+    page.write_text(page.read_text().replace(old, new))
+    assert faults(site) == [fault]
+
+
+def test_examples_of_docstrings_become_blocks():
+    pytest.importorskip("griffe", reason="needs the extra docs")
+    from doctests import fenced
+
+    assert fenced("Sums.\n\n>>> 1 + 1\n2\n\nMore.\n\n>>> 2\n2") == (
+        "Sums.\n\n```pycon\n>>> 1 + 1\n2\n```\n\nMore.\n\n```pycon\n>>> 2\n2\n```"
+    )
+    assert fenced("No example.") == "No example."
+
+
+def pages_of(tree):
+    for entry in tree:
+        for value in entry.values() if isinstance(entry, dict) else [entry]:
+            yield from pages_of(value) if isinstance(value, list) else [value]
+
+
+def test_the_menu_names_every_page_once():
+    docs = ROOT / "docs"
+    named = sorted(pages_of(yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]))
+    tutorials = {f"tutorials/{path.stem}.md" for path in (docs / "tutorials").glob("*.ipynb")}
+    there = {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")} | tutorials
+    assert named == sorted(there)
+
+
+def test_links_of_the_pages_outside_of_the_site_lead_somewhere():
+    for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "aboard/README.md"):
+        path = ROOT / name
+        for link in re.findall(r"\]\(([^)#]+)[^)]*\)", path.read_text()):
+            target = path.parent / link
+            executed = target.with_suffix(".ipynb")  # of which the page is made
+            assert target.exists() or executed.exists(), f"{name}: {link}"
