@@ -93,7 +93,7 @@ def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
     if plot:
         yield f"Picture: {output.with_suffix('.png')}"
     yield f"Written: {output}. To use it:"
-    yield f"    python train.py {shell_override(str(output))}"
+    yield f"    usvlearn train {shell_override(str(output))}"
 
 
 def main() -> int:

@@ -84,7 +84,7 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
     findings = check_data(recordings, _aligned(recordings), {}, vehicle["surge_max"], channels)
     head = [
         f"{settings['data']['boat']}: written by usvlearn inspect from {origin}.",
-        f"To use it: python train.py {shell_override(output)}",
+        f"To use it: usvlearn train {shell_override(output)}",
         MEANING,
     ]
     text = write_text(settings, decisions, head, [each.sentence() for each in findings])

@@ -31,7 +31,7 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
     for name in next(iter(found.values()), {}):
         lines += [f"{name} of {boat}: {_sentence(each[name])}" for boat, each in found.items()]
         if len(boats) > SHOWN:
-            lines.append(f"{name}: {len(boats) - SHOWN} more boats: python -m certify on the run's folder")
+            lines.append(f"{name}: {len(boats) - SHOWN} more boats: usvlearn certify on the run's folder")
     return lines
 
 
@@ -40,7 +40,7 @@ def _sentence(verdict: Verdict) -> str:
         return "its weights are not finite"
     if not verdict.held:
         return (
-            f"not certified contracting, K = {below(verdict.rate, 4)} (≥ 1) a step; python -m certify --box may still "
+            f"not certified contracting, K = {below(verdict.rate, 4)} (≥ 1) a step; usvlearn certify --box may still "
             "certify it"
         )
     rest = f"; at rest {verdict.equilibrium:.3f} m/s" if math.isfinite(verdict.equilibrium) else ""
