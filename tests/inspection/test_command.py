@@ -48,7 +48,7 @@ def run(tmp_path, monkeypatch, capsys):
 def test_it_writes_a_configuration_that_reads_the_log(run, log):
     code, printed = run(log, "--name", "my boat")
     assert code == 0
-    assert "python train.py data=my_boat.yaml" in printed.out
+    assert "usvlearn train data=my_boat.yaml" in printed.out
     assert max(map(len, printed.out.splitlines())) <= 80
     written = Path("my_boat.yaml").read_text()
     assert written.startswith("# @package _global_\n")
@@ -63,7 +63,7 @@ def test_the_printed_line_reads_any_path(run, log, folder):
     Path(folder).mkdir()
     code, printed = run(log, "--output", f"{folder}/b.yaml")
     assert code == 0
-    line = next(each for each in printed.out.splitlines() if "python train.py" in each)
+    line = next(each for each in printed.out.splitlines() if "usvlearn train" in each)
     *_, given = shlex.split(line)  # as a POSIX shell does
     (override,) = with_data_files([given])
     found = OverridesParser.create().parse_override(override).value()
