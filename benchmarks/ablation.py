@@ -1,6 +1,8 @@
 """What each piece of the default ensemble pays: switched off in turn, on all boats.
 
-python benchmarks/ablation.py LOGS        a folder with blueboat, vtec, dalian, pearl; writes ablation.md
+python benchmarks/ablation.py LOGS        writes docs/benchmarks/ablation.md
+
+LOGS is a folder with blueboat, vtec, dalian and pearl.
 """
 
 from __future__ import annotations
@@ -11,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from accuracy import REAL, Log, configuration, measured, publish, recorded, replayed, simulated
+from accuracy import REAL, Log, configuration, measured, recorded, replayed, simulated
 from omegaconf import OmegaConf
+from pages import publish
 
 E, RULE = "estimators", "combiners.ensemble"
 JOINT = ("joint", "joint_quick", "reader")
@@ -93,11 +96,11 @@ def main() -> None:
     folder = Path(sys.argv[1])
     logs = [*(recorded(folder, name) for name in REAL), *simulated()]
     text = [
-        "# Ablation",
+        "# Ablation of the ensemble",
         "",
         "Measured by `python benchmarks/ablation.py LOGS`: MAE of the ensemble with one piece switched off or added,",
         "over that of the default, whole logs, one step ahead. Above 1, the piece as it is by default pays.",
-        "`benchmarks/forecast.md` has the members of forecasts, by horizon.",
+        "[Accuracy of forecasts by horizon](forecast.md) has the members of forecasts.",
         "",
         *table(logs),
         "",

@@ -1,6 +1,8 @@
 """How well the default ensemble predicts: recorded boats, simulated ones, and free runs from commands alone.
 
-python benchmarks/accuracy.py LOGS        a folder with blueboat, vtec, dalian, pearl; writes accuracy.md
+python benchmarks/accuracy.py LOGS        writes docs/benchmarks/accuracy.md
+
+LOGS is a folder with blueboat, vtec, dalian and pearl.
 
 What was tuned was tuned on the first half of each boat's runs and on other simulated boats than these.
 """
@@ -17,6 +19,7 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
+from pages import publish
 
 from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
 from usvlearn.cli.settings import ensemble_of
@@ -255,12 +258,6 @@ def warm_network(log: Log, passes: int, seeds: int) -> Iterator[str]:
         yield f"| certified RNN, seed {seed}, {passes} passes before | {network:.4f} | {network / aid:.2f} |"
 
 
-def publish(script: str, lines: Sequence[str]) -> None:
-    """Print a study and write it beside its script."""
-    print(*lines, sep="\n")
-    Path(script).with_suffix(".md").write_text("\n".join(lines))
-
-
 def main() -> None:
     torch.set_num_threads(1)
     folder = Path(sys.argv[1])
@@ -272,7 +269,7 @@ def main() -> None:
     ]
     boats = [(f"{log.name}, simulated", log) for log in simulated()]
     text = [
-        "# Accuracy",
+        "# Accuracy on recorded and simulated boats",
         "",
         "Measured by `python benchmarks/accuracy.py LOGS`. Skill is 1 − MAE/MAE(persistence), one step of 0.4 s ahead,",
         "predicted before learning, with the default configuration; parameters are carried from run to run. Chosen on",

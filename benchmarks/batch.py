@@ -1,6 +1,8 @@
-"""Batch identification beside online learning: free runs and forecasts; writes `benchmarks/batch.md`.
+"""Batch identification beside online learning: free runs and forecasts.
 
-python benchmarks/batch.py LOGS        a folder with blueboat, vtec, dalian; needs the extra bench; 15 min on one core
+python benchmarks/batch.py LOGS        writes docs/benchmarks/batch.md
+
+LOGS is a folder with blueboat, vtec and dalian. The script needs the extra bench, and 15 min of one core.
 
 The peers of `benchmarks/peers` are told all of the first half of a boat's runs at once. Ours learn it once, online.
 """
@@ -16,6 +18,7 @@ from typing import NamedTuple
 import accuracy
 import numpy as np
 import torch
+from pages import publish
 from peers import gru, narmax, physics, state_space
 from peers.batch import HORIZONS, Fitted, Held, Targets, errors, free_run_errors, targets
 from truths import NOMINAL, boats
@@ -194,7 +197,7 @@ def main() -> None:
     began, folder = time.process_time(), Path(sys.argv[1])
     logs = [*(recorded(folder, name) for name in REAL), *map(simulated, PLANTS)]
     found = {log.name: rows(log) for log in logs}
-    accuracy.publish(__file__, page(found, (time.process_time() - began) / 60))
+    publish(__file__, page(found, (time.process_time() - began) / 60))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Why least squares finds drag and thrust too small; writes `benchmarks/bias.md`.
+"""Why least squares finds drag and thrust too small.
 
-python benchmarks/bias.py
+python benchmarks/bias.py        writes docs/benchmarks/bias.md
 
 `steady_rls` on simulated boats, without one cause or another: five plants, three boats of each, 3 h, seeds 5 and 11.
 The median over the boats of the error of drag, thrust and time constant, as `benchmarks/truths.py` defines them.
@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from pages import publish
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -76,7 +77,7 @@ def table() -> Iterator[str]:
 def main() -> None:
     torch.set_num_threads(1)
     lines = ["# Why least squares finds drag and thrust too small", "", __doc__.strip().split("\n\n")[-1], "", *table()]
-    Path(__file__).with_suffix(".md").write_text("\n".join(lines) + "\n")
+    publish(__file__, lines)
 
 
 if __name__ == "__main__":

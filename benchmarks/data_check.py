@@ -19,6 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+from pages import publish
 
 from usvlearn.cli import train
 from usvlearn.cli.composition import compose_train
@@ -272,8 +273,8 @@ def cost() -> str:
 def main() -> None:
     warnings.simplefilter("ignore")
     text = __doc__.strip().split("\n\n")[-1]
-    lines = ["# The data check", "", text, "", *false_alarms(), "", *misses(), "", cost()]
-    Path(__file__).with_suffix(".md").write_text("\n".join(lines) + "\n")
+    lines = ["# False alarms and misses of the data check", "", text, "", *false_alarms(), "", *misses(), "", cost()]
+    publish(__file__, lines)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Forecasts seconds ahead: skill and coverage by horizon, of recorded and simulated boats.
 
-Writes `benchmarks/forecast.md`.
+Writes `docs/benchmarks/forecast.md`.
 
 python benchmarks/forecast.py LOGS        a folder with blueboat, vtec, dalian; five minutes
 
@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from accuracy import Log, ensemble, first_half, fleet_of, measured, publish, recorded
+from accuracy import Log, ensemble, first_half, fleet_of, measured, recorded
+from pages import publish
 from truths import NOMINAL, PLANTS
 
 from usvlearn.estimators.ensemble.forecasts.state import HORIZONS
@@ -156,7 +157,7 @@ def main() -> None:
     folder = Path(sys.argv[1])
     real, chosen = [recorded(folder, name) for name in REAL], simulated(5)
     publish(__file__, [
-        "# Forecasts",
+        "# Accuracy of forecasts by horizon",
         "",
         "Measured by `python benchmarks/forecast.py LOGS`: the default configuration, learned online. Each forecast",
         "is made before anything after its origin is seen, and is told only the commands, headings and yaw rates that",

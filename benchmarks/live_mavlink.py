@@ -6,7 +6,7 @@ the time from the first of the three messages, as they are sent, to the predicti
 passages through the loopback, decoding, alignment, a step of the default ensemble with its forecasts, encoding. Not in
 it is the time for which a step waits for late messages (`--patience`), nor that to the next message, which ends it.
 
-Writes live_mavlink.md. Needs the extra mavlink. The first run compiles.
+Writes docs/benchmarks/live_mavlink.md. Needs the extra mavlink. The first run compiles.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from accuracy import publish
+from pages import publish
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from timing import machine, table
 
@@ -197,7 +197,7 @@ def main() -> None:
     publish(
         __file__,
         [
-            "# A live node beside an autopilot",
+            "# Latency of the MAVLink node",
             "",
             f"Measured by `python benchmarks/live_mavlink.py` on: {computer}.",
             "",

@@ -1,6 +1,6 @@
 """How long the node on MOOS takes from a message to the publication of its step, and how many messages it bears.
 
-python benchmarks/live_moos.py [PORT [SECONDS]]       writes live_moos.md, or live_moosdb.md with a port
+python benchmarks/live_moos.py [PORT [SECONDS]]       writes docs/benchmarks/live_moos.md, or live_moosdb.md with a port
 
 Without a port this program plays the database; the node is a process of its own, on loopback. With the port of a MOOSDB
 on this computer, a boat and a viewer are clients of it, and each message makes two hops more. A MOOSDB listens on every
@@ -22,6 +22,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
+from pages import publish
 from timing import machine, table
 
 from usvlearn.live.moos import wire
@@ -259,7 +260,7 @@ def main() -> None:
     rows = [latency(port, rate, seconds) for rate in RATES]
     via = "this program plays the database" if port is None else "through a real MOOSDB, with a boat and a viewer"
     text = [
-        "# The node on MOOS",
+        "# Latency of the MOOS node" + ("" if port is None else " through a MOOSDB"),
         "",
         f"Measured by `python benchmarks/live_moos.py`; {via}. {machine()}.",
         "The node is the default ensemble from the prior, a process of its own, four variables. A message makes a step",
@@ -274,8 +275,7 @@ def main() -> None:
         f"Coding and decoding a message takes {coding()} µs, with 50 in a packet.",
         "",
     ]
-    print(*text, sep="\n")
-    Path(__file__).with_name("live_moos.md" if port is None else "live_moosdb.md").write_text("\n".join(text))
+    publish(__file__, text, "live_moos" if port is None else "live_moosdb")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """A day of sailing over MOOS, as fast as the node takes it, while the database is killed again and again.
 
-python benchmarks/live_soak.py [HOURS [RESTARTS]]       writes live_soak.md
+python benchmarks/live_soak.py [HOURS [RESTARTS]]       writes docs/benchmarks/live_soak.md
 
 This program plays the boat and the database; the node is a process of its own. Before each kill the node is given time
 to read what is on the way, so nothing may be lost: what it publishes is compared with a node that is given the same
@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 from live_moos import BURST_PACKET, Voyage, options
+from pages import publish
 from timing import machine, table
 
 from usvlearn.live.moos.block import MIDDLEWARE
@@ -155,8 +156,7 @@ def main() -> None:
         *table(["", "found"], facts),
         "",
     ]
-    print(*text, sep="\n")
-    Path(__file__).with_suffix(".md").write_text("\n".join(text))
+    publish(__file__, text)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Whether a plan reaches the intervals of a lawn-mower mission in half of its time; writes `benchmarks/plan.md`.
+"""Whether a plan reaches the intervals of a lawn-mower mission in half of its time.
 
-python benchmarks/plan.py [--seeds 21 22]
+python benchmarks/plan.py [--seeds 21 22]        writes docs/benchmarks/plan.md
 
 Five plants, three boats of each and seed, with the sensors, currents and thrust tables of `usvlearn/simulate`. The
 reader learns 5 min of a lawn-mower mission, which is what a first run may hold. From there it learns either 10 min more
@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from pages import FOLDER
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -241,7 +242,7 @@ def report(found: list[Pair], seeds: list[int]) -> str:
         f"{slowest:.0f} s.",
         "## Whether the intervals hold",
         f"Share of the truths that the intervals hold. The main quantities are {', '.join(MAIN)}. "
-        "`benchmarks/identify.md` has the same for the reader's mixed missions.",
+        "[Identified parameters against the truth](identify.md) has the same for the reader's mixed missions.",
         "\n".join(coverage),
     ]
     return "\n\n".join(parts) + "\n"
@@ -250,7 +251,7 @@ def report(found: list[Pair], seeds: list[int]) -> str:
 if __name__ == "__main__":
     options = argparse.ArgumentParser(description=__doc__)
     options.add_argument("--seeds", type=int, nargs="+", default=[21, 22])
-    options.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".md"))
+    options.add_argument("--output", type=Path, default=FOLDER / "plan.md")
     chosen = options.parse_args()
     torch.set_num_threads(1)
     made = []

@@ -1,6 +1,8 @@
 """What it costs to read a long log: seconds of the processor and peak memory of each format.
 
-python benchmarks/readers.py [MB] [FORMAT ...]        writes readers.md if no format is named; needs the extra logs
+python benchmarks/readers.py [MB] [FORMAT ...]        writes docs/benchmarks/readers.md if no format is named
+
+The script needs the extra logs.
 
 The logs are written for this: a boat at 50 Hz with 12 more signals that are not read.
 """
@@ -20,7 +22,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from accuracy import publish
+from pages import publish
 from timing import machine, table
 
 from usvlearn.logs.alog import Alog
@@ -252,9 +254,9 @@ def main(size: int, names: list[str]) -> None:
             print(*lines[-1], sep=" | ", flush=True)
     if not names:
         publish(
-            Path(__file__).with_suffix(".md"),
+            __file__,
             [
-                "# Readers",
+                "# Time and memory of reading logs",
                 "",
                 f"Measured by `python benchmarks/readers.py` on: {machine()}.",
                 "",

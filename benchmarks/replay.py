@@ -1,6 +1,6 @@
-"""What experience replay gives the RNN: free runs after one pass, one-step skill, cost; writes `benchmarks/replay.md`.
+"""What experience replay gives the RNN: free runs after one pass, one-step skill, cost.
 
-python benchmarks/replay.py LOGS        a folder with blueboat
+python benchmarks/replay.py LOGS        a folder with blueboat; writes docs/benchmarks/replay.md
 
 The settings were chosen on seeds 5 and 11 of the simulator, and on the first halves of the recorded logs.
 """
@@ -17,9 +17,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from accuracy import configuration, free_run, halves, publish, recorded
+from accuracy import configuration, free_run, halves, recorded
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
+from pages import publish
 from timing import in_turn, ratio, table
 from truths import NOMINAL, boats
 

@@ -1,6 +1,6 @@
-"""Which constraint can represent a boat at all; writes `benchmarks/representable.md`.
+"""Which constraint can represent a boat at all.
 
-python benchmarks/representable.py
+python benchmarks/representable.py        writes docs/benchmarks/representable.md
 
 Offline, without noise: networks of 20 neurons learn one hour of a surge model like the Heron's by Adam, through free
 runs of 10 s, and are projected after every update. The learning rate of a row is the best on a second trajectory, what
@@ -8,9 +8,9 @@ is reported is the free run over a third one of half an hour.
 """
 
 import math
-from pathlib import Path
 
 import torch
+from pages import publish
 from torch import Tensor
 
 from certify.conditions import rate as contraction_rate
@@ -124,7 +124,7 @@ def main() -> None:
             print(dt, lines[-1], flush=True)
         mean = 2 * SURGE_MAX * (x_test - x.mean()).abs().mean()
         lines += [f"| *mean speed* | | {mean:.4f} | | {mean / base:.2f} | |", ""]
-    Path(__file__).with_suffix(".md").write_text("# What a constraint can represent\n\n" + "\n".join(lines))
+    publish(__file__, ["# Which boats a constrained network can represent", "", *lines])
 
 
 if __name__ == "__main__":

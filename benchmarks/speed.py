@@ -1,4 +1,4 @@
-"""What a step, a grid and whole jobs cost, measured in one run; writes `benchmarks/results.md` and its figures.
+"""What a step, a grid and whole jobs cost, measured in one run.
 
 python benchmarks/speed.py                       all, ten minutes; wants the extras bench and plot, and an idle machine
 python benchmarks/speed.py --only steps          one section, printed alone
@@ -13,6 +13,7 @@ from pathlib import Path
 import speed_jobs
 import speed_steps
 import torch
+from pages import FOLDER
 from timing import QUICK, WHOLE, Effort, Section, machine
 
 SECTIONS: dict[str, tuple[str, Callable[[Effort], Section]]] = {
@@ -29,7 +30,7 @@ SECTIONS: dict[str, tuple[str, Callable[[Effort], Section]]] = {
 def page(folder: Path, effort: Effort, names: list[str]) -> str:
     """The page, as Markdown; its figures are saved in the folder."""
     text = [
-        "# Speed",
+        "# Speed of steps and jobs",
         "",
         "Measured by `python benchmarks/speed.py` in one run: float64, one thread where not said otherwise, medians of",
         f"{effort.repeats} rounds in which all works of a row are timed in turn.",
@@ -55,16 +56,16 @@ def main() -> None:
     asked.add_argument("--only", choices=SECTIONS, help="one section, printed alone")
     asked.add_argument("--quick", action="store_true", help="on little data")
     asked.add_argument(
-        "--folder", type=Path, help="of the page and its figures; a whole run's by default is benchmarks/"
+        "--folder", type=Path, help="of the page and its figures; a whole run's by default is docs/benchmarks/"
     )
     given = asked.parse_args()
     whole = given.only is None and not given.quick
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as spare:
-        folder = given.folder or (Path(__file__).parent if whole else Path(spare))
+        folder = given.folder or (FOLDER if whole else Path(spare))
         folder.mkdir(parents=True, exist_ok=True)
         text = page(folder, QUICK if given.quick else WHOLE, [given.only] if given.only else list(SECTIONS))
-        (folder / "results.md").write_text(text)
+        (folder / "speed.md").write_text(text)
     print(text)
 
 

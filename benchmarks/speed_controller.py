@@ -1,6 +1,6 @@
-"""Whether the gains of `usvlearn controller` hold on the true boats; writes `benchmarks/speed_controller.md`.
+"""Whether the gains of `usvlearn controller` hold on the true boats.
 
-python benchmarks/speed_controller.py [--seeds 41 42 43] [--hours 1 4]
+python benchmarks/speed_controller.py [--seeds 41 42 43] [--hours 1 4]        writes docs/benchmarks/speed_controller.md
 
 Five plants, three boats of each and seed, with the sensors, currents and thrust tables of `usvlearn/simulate`. The
 reader learns each boat from its own missions. A controller is designed from what it has identified. The plant itself
@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from pages import publish
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -111,7 +112,7 @@ def main() -> None:
     parser.add_argument("--hours", type=float, nargs="+", default=[1.0, 4.0])
     given = parser.parse_args()
     text = [
-        "# Speed controllers on the true boats", "",
+        "# Speed controllers on simulated boats", "",
         f"Made by `python benchmarks/speed_controller.py --seeds {' '.join(map(str, given.seeds))}`.", "",
         *(__doc__ or "").split("\n\n")[2].strip().splitlines(), "",
         "Overshoot is a share of the step. Settled: s until the speed stays within 5 % of the step. A boat sways if",
@@ -134,8 +135,7 @@ def main() -> None:
         refused = [each for each in found if isinstance(each, str)]
         text += ["", f"Designed for {len(done) // 2} of {len(done) // 2 + len(refused)} boats."]
         text += [f"- refused: {each}" for each in refused]
-    Path(__file__).with_suffix(".md").write_text("\n".join(text) + "\n")
-    print("\n".join(text))
+    publish(__file__, text)
 
 
 if __name__ == "__main__":

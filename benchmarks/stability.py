@@ -1,6 +1,6 @@
-"""What it costs an RNN to stay contracting: online and free-run error by constraint; writes `benchmarks/stability.md`.
+"""What it costs an RNN to stay contracting: online and free-run error by constraint.
 
-python benchmarks/stability.py [BLUEBOAT_LOGS]
+python benchmarks/stability.py [BLUEBOAT_LOGS]        writes docs/benchmarks/stability.md
 
 Five seeds (missions, noise, initial weights) of one simulated Heron, as lanes. A row's learning rate is the best of
 RATES by the free-run error on another season of the boat (TUNING); what is reported was not used for it.
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import torch
 import yaml
+from pages import publish
 
 from certify.conditions import rate as contraction_rate
 from usvlearn import RNN, rollout
@@ -160,9 +161,7 @@ def main(arguments: list[str]) -> None:
         ]
         title = "## BlueBoat, dt = 0.4 s: first 6 runs learned 5 times, later 6 run free; rates of the simulation"
         report += table(title, rows, references(learn, test))
-    target = Path(__file__).with_suffix(".md")
-    target.write_text("# What it costs to stay contracting\n\n" + "\n".join(report) + "\n")
-    print(target.read_text())
+    publish(__file__, ["# The cost of contraction while learning", "", *report])
 
 
 if __name__ == "__main__":

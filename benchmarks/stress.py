@@ -1,6 +1,6 @@
-"""What the field does to estimators: ours beside padasip, river, filterpy and kalman-py; writes `benchmarks/stress.md`.
+"""What the field does to estimators: ours beside padasip, river, filterpy and kalman-py.
 
-python benchmarks/stress.py [--steps 1000000]
+python benchmarks/stress.py [--steps 1000000]        writes docs/benchmarks/stress.md
 
 One boat, m·surge_dot = Wᵀθ, is simulated with known θ, 0.4 s a step: thruster commands that change every 4 s, noise of
 0.02 m/s on the measured speed. All see the same samples, one step ahead, and predict before they learn: the regressor
@@ -30,6 +30,7 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 from hydra.utils import instantiate
+from pages import publish
 from peers import LAM, NOISE, P, Peer, peers
 from torch import Tensor, nn
 
@@ -340,7 +341,7 @@ def report(steps: int) -> str:
     notes = [f"- {case}: {scenario.title}" for case, scenario in cases.items()]
     machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
     return "\n".join([
-        "# In the field", "", *__doc__.strip().splitlines()[4:], "",
+        "# Stress tests beside other libraries", "", *__doc__.strip().splitlines()[4:], "",
         f"Measured on {machine}; ours are streamed. A cell: the MAE of one-step",
         "predictions, m/s, over the steps named below; and after how many steps from the event the error (mean over",
         f"{WINDOW} samples) stays within {WITHIN} × its level before. *Not finite*: a prediction or the state. "
@@ -358,9 +359,10 @@ def main() -> None:
     torch.set_num_threads(1)
     with np.errstate(all="ignore"):
         text = report(steps)
-    print(text)
     if steps >= 1_000_000:
-        Path(__file__).with_suffix(".md").write_text(text)
+        publish(__file__, text)
+    else:
+        print(text)
 
 
 if __name__ == "__main__":

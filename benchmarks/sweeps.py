@@ -1,6 +1,8 @@
 """What a sweep costs: lanes in place of jobs, and jobs in two processes in place of plain replays.
 
-python benchmarks/sweeps.py        writes sweeps.md; needs the extra sweep; minutes, on an idle machine with two cores
+python benchmarks/sweeps.py        writes docs/benchmarks/sweeps.md
+
+The script needs the extra sweep, and minutes of an idle machine with two cores.
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from accuracy import publish
+from pages import publish
 from timing import machine, table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -89,7 +91,7 @@ def jobs(folder: Path) -> list[str]:
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
-        text = ["# Sweeps", "", f"Measured by `python benchmarks/sweeps.py` on: {machine()}.", ""]
+        text = ["# Time of sweeps", "", f"Measured by `python benchmarks/sweeps.py` on: {machine()}.", ""]
         publish(__file__, [*text, *lanes(Path(name)), *jobs(Path(name))])
 
 

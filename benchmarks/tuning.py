@@ -1,6 +1,6 @@
 """What three ways of tuning find at one budget, and how soon the gradient reaches what the grid found.
 
-python benchmarks/tuning.py        writes tuning.md; needs the extra tune
+python benchmarks/tuning.py        writes docs/benchmarks/tuning.md; needs the extra tune
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import torch
-from accuracy import configuration, fleet_of, publish
+from accuracy import configuration, fleet_of
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
+from pages import publish
 
 from usvlearn.tuning import tune as tuning
 
@@ -57,7 +58,7 @@ def rows(member: str) -> Iterator[str]:
 def main() -> None:
     torch.set_num_threads(1)
     text = [
-        "# Tuning",
+        "# Three ways of tuning compared",
         "",
         "Measured by `python benchmarks/tuning.py`: MAE one step ahead, m/s, mean over the boats of a tuning season,",
         f"`{' '.join(SEASON)}`,",

@@ -1,6 +1,6 @@
-"""What a verdict costs; writes `benchmarks/verdicts.md`.
+"""What a verdict costs.
 
-python benchmarks/verdicts.py
+python benchmarks/verdicts.py        writes docs/benchmarks/verdicts.md
 """
 
 import statistics
@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from pages import publish
 from torch import Tensor
 
 from certify import box, conditions, exact
@@ -174,10 +175,8 @@ def main() -> None:
     torch.set_num_threads(1)
     rng = np.random.default_rng(0)
     parts = [closed_forms(), per_network(rng), boxes(rng), command(rng)]
-    target = Path(__file__).with_suffix(".md")
-    text = "# What a verdict costs\n\nMedian times, one thread.\n\n" + "\n\n".join("\n".join(part) for part in parts)
-    target.write_text(text + "\n")
-    print(text)
+    opening = ["# Time of contraction verdicts", "Median times, one thread."]
+    publish(__file__, "\n\n".join([*opening, *("\n".join(part) for part in parts)]))
 
 
 if __name__ == "__main__":

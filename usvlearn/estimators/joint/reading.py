@@ -9,9 +9,9 @@ Before the first reading that counts, θ̄ is the filter's present mean, C = 0, 
 
     λ = √5 (1 + 600/(t + 300))                                                                         (2)
 
-λ and ν were chosen on simulated boats (`benchmarks/identify.md`); of many readings P + C is left. Positive quantities
-have their intervals on the log scale. An interval always contains the filter's present estimate, so that a boat that
-has changed is not missed.
+λ and ν were chosen on simulated boats (`docs/benchmarks/identify.md`); of many readings P + C is left. Positive
+quantities have their intervals on the log scale. An interval always contains the filter's present estimate, so that a
+boat that has changed is not missed.
 
 A log that lacks something must not give a narrow interval. What it lacks is seen in P. The least share of its prior
 variance that is left in any combination of some parameters is small as soon as the log informs about one combination,

@@ -32,7 +32,7 @@ NOISE = (
 BAND = "Band: 90 % of the effect of the noise of the samples, but not the bias of the model."
 TOO_SMALL = (
     "Least squares finds forces too small where a current acts that its model does not have, and "
-    "where its model makes Euler's step; noise of the speed adds little (benchmarks/bias.md)."
+    "where its model makes Euler's step; noise of the speed adds little (docs/benchmarks/bias.md)."
 )
 SHOWN = ("aid", "steady_rls", "dynamic_rls")  # if there are many members, the first two of these are shown
 Truth = Mapping[str, Mapping[str, np.ndarray]]  # boat -> parameter -> value on each mission
@@ -190,5 +190,5 @@ def _covered(rows: Sequence[tuple]) -> list[str]:
     if inside:
         held = f"here they hold {100 * np.mean(inside):.0f} % of the truths at the end"
     else:
-        held = "no truth is known here, and on a simulated fleet they held few of the truths (benchmarks/study.md)"
+        held = "no truth is known here, and on a simulated fleet they held few of the truths (docs/benchmarks/study.md)"
     return [f"{NOISE[0].upper()}{NOISE[1:]}: {held}."]

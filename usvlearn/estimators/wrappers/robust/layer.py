@@ -33,7 +33,7 @@ class Robust(Estimator):
         estimator: any.
         threshold: c, in standard deviations. 4 clips gross outliers only, and not the errors of an imperfect model.
             Huber's 1.345 is for regressions: an estimator that departs from the last speed would replace a sixth of all
-            samples by its own predictions (`benchmarks/stress.md`).
+            samples by its own predictions (`docs/benchmarks/stress.md`).
         patience: clipped samples in a row after which the next is accepted. 1 follows a boat's steps sooner; but with
             2 % of outliers, two in a row then sometimes spoil the parameters.
         inflation: of the estimator's covariance where a change is accepted, 1 or more; broadcasts against the batch.
