@@ -63,11 +63,11 @@ def recorded(folder: Path, name: str, *overrides: str) -> Log:
     return Log(name, fleet_of(given), 0, given)
 
 
-def simulated() -> list[Log]:
+def simulated(plants: Sequence[str] = PLANTS, *overrides: str) -> list[Log]:
     """Eight boats: two of each plant."""
     logs = []
-    for plant in PLANTS:
-        given = (f"data.plant={plant}", "data.n=2", f"data.seed={SEED}")
+    for plant in plants:
+        given = (f"data.plant={plant}", "data.n=2", f"data.seed={SEED}", *overrides)
         fleet = fleet_of(given)
         logs += [Log(boat, fleet, lane, given) for lane, boat in enumerate(fleet.boats)]
     return logs
@@ -232,6 +232,36 @@ def free_runs(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
         base = free_run(fit, fit.init((1,)), after)[0]
         ratios = free_run(model, learned(model, before), after) / base
         yield f"| {label} | {base:.4f} | " + " | ".join(f"{r:.2f}" for r in ratios) + " |"
+
+
+class SecondHalf(NamedTuple):
+    """Errors in the second half of a log, MAE, m/s: the ensemble's, and those of two plain predictors."""
+
+    persistence: float  # one step ahead
+    squares: float  # one step ahead, of batch least squares over the first half
+    ensemble: float  # one step ahead, learning on
+    free_squares: float  # from the inputs alone
+    free_ensemble: float  # from the inputs alone, parameters frozen after the first half
+
+
+@torch.no_grad()
+def second_half(log: Log) -> SecondHalf:
+    found = rows(log, (), ~first_half(log))
+    before, after = halves(log)
+    before, after = ([tree_map(lambda x: x[:, [log.lane]], run) for run in half] for half in (before, after))
+    model = ensemble(log.overrides)
+    fit = least_squares(SurgeDynamics(configuration(log.overrides).vehicle.mass), before)
+    errors = []
+    for samples in after:
+        _, surge, _ = rollout(fit, fit.init((1,)), samples)
+        errors.append((surge - samples.surge).abs()[masks(samples).learns])
+    return SecondHalf(
+        found["persistence"]["mae"],
+        float(torch.cat(errors).mean()),
+        found["ensemble"]["mae"],
+        float(free_run(fit, fit.init((1,)), after)[0]),
+        float(free_run(model, learned(model, before), after)[model.names.index("ensemble")]),
+    )
 
 
 def warm_network(log: Log, passes: int, seeds: int) -> Iterator[str]:

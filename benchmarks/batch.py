@@ -1,4 +1,4 @@
-"""Batch identification beside online learning: free runs and forecasts.
+"""Peers that are told all runs at once beside members that learn online: free runs and forecasts.
 
 python benchmarks/batch.py LOGS        writes docs/benchmarks/batch.md
 

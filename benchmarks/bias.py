@@ -1,4 +1,4 @@
-"""Why least squares finds drag and thrust too small.
+"""Errors of least squares without one cause or another: of drag, thrust and time constant.
 
 python benchmarks/bias.py        writes docs/benchmarks/bias.md
 

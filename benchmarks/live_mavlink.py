@@ -1,4 +1,6 @@
-"""Latency of a live node beside an autopilot, on the loopback: `python benchmarks/live_mavlink.py [SECONDS]`.
+"""Latency of a live node beside an autopilot, on the loopback.
+
+python benchmarks/live_mavlink.py [SECONDS]        writes docs/benchmarks/live_mavlink.md
 
 An autopilot, of which only the messages are real, sends ATTITUDE, LOCAL_POSITION_NED and SERVO_OUTPUT_RAW together at
 1, 10 and 100 Hz to `usvlearn live mavlink`, which runs as a process of its own, starting from the prior. The latency is
@@ -6,7 +8,7 @@ the time from the first of the three messages, as they are sent, to the predicti
 passages through the loopback, decoding, alignment, a step of the default ensemble with its forecasts, encoding. Not in
 it is the time for which a step waits for late messages (`--patience`), nor that to the next message, which ends it.
 
-Writes docs/benchmarks/live_mavlink.md. Needs the extra mavlink. The first run compiles.
+The script needs the extra mavlink. The first run compiles.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Memory and processor time of a live node at 10 Hz: `python benchmarks/live_memory.py [SECONDS [HOURS [MODULE…]]]`.
+"""What a live node takes at 10 Hz, stage by stage: resident memory, time of the processor.
+
+python benchmarks/live_memory.py [SECONDS [HOURS [MODULE …]]]        prints the table of docs/benchmarks/live_memory.md
 
 A node that starts from the prior gets messages of a simulated boat: heading, yaw rate and both commands at 10 Hz, the
 speed at 5 Hz; for SECONDS in real time, then for HOURS as fast as it can. It predicts, learns, records, saves and

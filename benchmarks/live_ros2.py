@@ -1,4 +1,6 @@
-"""How long a node of ROS 2 takes from a message to its prediction, and what it costs: `python benchmarks/live_ros2.py`.
+"""How long a node of ROS 2 takes from a message to its prediction, and what it costs.
+
+python benchmarks/live_ros2.py        prints the table of docs/live/ros2.md
 
 It needs rclpy (source a ROS 2). The node is a process of its own, started as a user starts it; a peer publishes an
 Odometry and two thrusters at one rate, and listens. ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST keeps that on one machine.

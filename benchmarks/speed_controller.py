@@ -1,4 +1,4 @@
-"""Whether the gains of `usvlearn controller` hold on the true boats.
+"""Whether the gains of `usvlearn controller` hold on the simulated plants.
 
 python benchmarks/speed_controller.py [--seeds 41 42 43] [--hours 1 4]        writes docs/benchmarks/speed_controller.md
 

@@ -2,10 +2,11 @@
 
 import itertools
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 
 import accuracy
+import numpy as np
 import peers
 import torch
 from reference import compiler, reference
@@ -88,6 +89,34 @@ def called(step: Work, calls: Sequence) -> None:
         step(each)
 
 
+@cache
+def regression(steps: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """What other libraries are handed: regressors, `(steps, 9)`, and increments of the speed, m/s, `(steps,)`."""
+    run = samples(steps)
+    before = run.surge.roll(1)
+    return SurgeDynamics(1.0)(before, run.inputs)[1], run.surge - before
+
+
+@cache
+def pairs(steps: int) -> list[tuple[np.ndarray, float]]:
+    """The same, step by step."""
+    phi, increments = regression(steps)
+    return list(zip(phi.numpy(), increments.tolist(), strict=True))
+
+
+def one_by_one(make: Callable[[], peers.Peer], given: Sequence[tuple[np.ndarray, float]]) -> None:
+    """Another library's predictions, each before its measurement."""
+    peer = make()
+    for x, y in given:
+        peer.predict(x)
+        peer.learn(x, y)
+
+
+def loop(steps: int) -> Work:
+    """Plain RLS in numpy over so many steps: what a time is a ratio to that has nothing in C."""
+    return partial(one_by_one, peers.plain_rls, pairs(steps))
+
+
 def costs(estimator: Estimator, effort: Effort, ways: Sequence[str]) -> dict[str, list[float]]:
     """Seconds of a step in each way, round by round."""
     run = samples(effort.steps)
@@ -96,11 +125,13 @@ def costs(estimator: Estimator, effort: Effort, ways: Sequence[str]) -> dict[str
         "streamed": partial(streamed, estimator, run),
         "call": partial(called, Online(estimator).step, calls),
         "torch": partial(streamed, estimator, short, "torch"),
+        "loop": loop(effort.calls),
     }
     if made := compiler() and reference(estimator, run):
         works["C"] = made.run
     counts = {"streamed": effort.steps, "C": effort.steps, "call": len(calls), "torch": effort.eager}
-    spent = in_turn({way: works[way] for way in ways if way in works}, effort.repeats)
+    counts["loop"] = effort.calls
+    spent = in_turn({way: works[way] for way in ways if way in works}, effort.repeats, effort.clock)
     return {way: [s / counts[way] for s in each] for way, each in spent.items()}
 
 
@@ -125,13 +156,11 @@ def steps(effort: Effort) -> Section:
     return Section([*table(head, rows), "", note], {"steps": bars(shown)})
 
 
-def others(effort: Effort) -> Section:
-    """Other libraries, p = 9, on the same regressors and increments."""
+def costs_of_others(effort: Effort) -> dict[str, list[float]]:
+    """Seconds of a step of ours and of other libraries, p = 9, on the same regressors and increments, by round."""
     run = samples(effort.steps)
     model = SurgeDynamics(1.0)
-    before = run.surge.roll(1)
-    phi = model(before, run.inputs)[1]
-    pairs = list(zip(phi.numpy(), (run.surge - before).tolist(), strict=True))[: effort.calls]
+    phi = regression(effort.steps)[0]
     calls = as_numbers(tree_map(lambda x: x[: effort.calls], run))
     rls, sift = RLS(model), SIFtRLS(model)
     works: dict[str, Work] = {
@@ -141,18 +170,14 @@ def others(effort: Effort) -> Section:
         "ours, SIFt-RLS, streamed": partial(streamed, sift, run),
     }
     counts = dict(zip(works, [len(calls)] * 2 + [effort.steps] * 2, strict=True))
-
-    def one_by_one(make: Work) -> None:
-        peer = make()
-        for x, y in pairs:
-            peer.predict(x)
-            peer.learn(x, y)
-
     for name, make in peers.peers(phi.T @ phi / len(phi)).items():
-        works[name], counts[name] = partial(one_by_one, make), len(pairs)
-    spent = {
-        name: [s / counts[name] for s in each] for name, each in in_turn(works, effort.repeats).items()
-    }  # fmt: skip
+        works[name], counts[name] = partial(one_by_one, make, pairs(effort.calls)), len(calls)
+    spent = in_turn(works, effort.repeats, effort.clock)
+    return {name: [s / counts[name] for s in each] for name, each in spent.items()}
+
+
+def others(effort: Effort) -> Section:
+    spent = costs_of_others(effort)
     rows = [
         [
             name,

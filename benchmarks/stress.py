@@ -21,8 +21,7 @@ import math
 import platform
 import statistics
 import time
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -252,6 +251,15 @@ def true_model(scenario: Scenario) -> Result:
     return assess(scenario._replace(event=None), surges, scenario.theta, True)
 
 
+def outcomes(scenario: Scenario, own: Mapping[str, Estimator]) -> Iterator[tuple[str, Result]]:
+    """How the true model, the peers and some of ours came through, by name."""
+    yield "true model", true_model(scenario)
+    for name, make in peers(excitation(scenario)).items():
+        yield name, run_peer(scenario, make)
+    for name, one in own.items():
+        yield name, run_ours(scenario, one)
+
+
 class Given(nn.Module):
     """The model of a pure regression y = φᵀθ, to which φ is given."""
 
@@ -323,12 +331,11 @@ def cell(result: Result) -> str:
 
 def report(steps: int) -> str:
     cases = scenarios(steps)
-    found: dict[str, dict[str, Result]] = {"true model": {case: true_model(s) for case, s in cases.items()}}
+    found: dict[str, dict[str, Result]] = {}
     for case, scenario in cases.items():
-        works = {name: partial(run_peer, scenario, make) for name, make in peers(excitation(scenario)).items()}
-        for name, work in (works | {name: partial(run_ours, scenario, one) for name, one in ours().items()}).items():
-            found.setdefault(name, {})[case] = work()
-            print(case, name, found[name][case], flush=True)
+        for name, result in outcomes(scenario, ours()):
+            found.setdefault(name, {})[case] = result
+            print(case, name, result, flush=True)
     linear, cost = regression(min(4000, steps)), times(cases["jump"])
     lines = ["| | µs a step | × plain | regression | " + " | ".join(cases) + " |", "|---|" + "---:|" * (3 + len(cases))]
     off = ["| | " + " | ".join(cases) + " |", "|---|" + "---:|" * len(cases)]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from reference import FLAGS, compiler
 
 Work = Callable[[], Any]
+Clock = Callable[[], float]
 
 
 class Effort(NamedTuple):
@@ -27,6 +28,7 @@ class Effort(NamedTuple):
     hours: tuple[float, float] = (3.0, 30.0)  # of a season, and of a short one
     settings: int = 512  # of a grid
     sets: int = 80  # of a cross-validation
+    clock: Clock = time.perf_counter  # s
 
 
 WHOLE = Effort()
@@ -40,21 +42,21 @@ class Section(NamedTuple):
     figures: Mapping[str, Any] = {}
 
 
-def once(work: Work) -> float:
+def once(work: Work, clock: Clock = time.perf_counter) -> float:
     """Seconds of a call."""
-    start = time.perf_counter()
+    start = clock()
     work()
-    return time.perf_counter() - start
+    return clock() - start
 
 
-def in_turn(works: Mapping[Any, Work], repeats: int) -> dict[Any, list[float]]:
+def in_turn(works: Mapping[Any, Work], repeats: int, clock: Clock = time.perf_counter) -> dict[Any, list[float]]:
     """Seconds of every work, once each and all again: a machine that drifts harms their ratios least.
 
     Before, each is done once unmeasured: it may compile, and fills the caches.
     """
     for work in works.values():
         work()
-    rounds = [{name: once(work) for name, work in works.items()} for _ in range(repeats)]
+    rounds = [{name: once(work, clock) for name, work in works.items()} for _ in range(repeats)]
     return {name: [each[name] for each in rounds] for name in works}
 
 
@@ -103,20 +105,30 @@ def counted(number: int, thing: str) -> str:
     return f"{number} {thing}{'s' * (number != 1)}"
 
 
-def machine() -> str:
-    """The machine and what computes on it."""
+def hardware() -> str:
+    """The machine alone: the processor, how many cores, the system."""
     names = [line.partition(":")[2].strip() for line in _read("/proc/cpuinfo").splitlines() if "model name" in line]
     processor = names[0] if names else platform.processor() or platform.machine()
+    return f"{processor}, {platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
+
+
+def load() -> float | None:
+    """How many processes ran at once in the last minute; None where the system does not tell."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def machine() -> str:
+    """The machine and what computes on it."""
     found = [
-        f"{processor}, {platform.machine()}, {os.cpu_count()} cores, {platform.system()}",
+        hardware(),
         f"Python {platform.python_version()}",
         *(f"{name} {version(name)}" for name in ("torch", "numba", "numpy")),
     ]
     if compiler():
         told = subprocess.run([compiler(), "--version"], capture_output=True, text=True, check=True).stdout
         found.append(f"{told.splitlines()[0]} with `{' '.join(FLAGS)}`")
-    if hasattr(os, "getloadavg"):
-        found.append(f"load {os.getloadavg()[0]:.1f} before")
+    if (busy := load()) is not None:
+        found.append(f"load {busy:.1f} before")
     return "; ".join(found)
 
 

@@ -1,0 +1,203 @@
+"""The figures of earlier runs, and the rule by which a figure has become worse.
+
+Each run appends its figures to `history.csv`, one a row. A time stands there as a ratio to a reference that is timed
+in the same rounds, because machines differ: to the same step in C, or to a loop of plain RLS in numpy. A figure is
+compared with the earlier entries whose name, unit, better, reference and effort are the same; the machine must be the
+same, too, if the figure is timed.
+
+The change of a figure is v/b − 1, with v now and b before. w is the change where lower is better, and minus the change
+where higher is better. A figure is worse if
+
+    w > t against the median of the last five such entries,   or   w > √2 t against the last of them,
+
+    t = max(10 %, 2.5 s) of a timed figure,   t = 2 % of any other
+
+s is the largest of three spreads: that of the repeats in this run, the median of those of the repeats in the entries,
+and, from three entries on, that of the entries' values. A spread is 1.4826 times the median absolute deviation from the
+median, relative to it; of normal values this is the standard deviation. One entry varies more than a median: hence √2.
+Repeats of a figure that is not timed give the same value.
+"""
+
+import csv
+import io
+import math
+import statistics
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import NamedTuple
+
+from usvlearn.errors import UsvlearnError, printable
+
+LAST, SPREADS = 5, 2.5
+TIMED_FLOOR, FLOOR = 0.10, 0.02
+
+
+class Figure(NamedTuple):
+    """A number that a run reports."""
+
+    name: str
+    value: float
+    reference: str  # what the value is a ratio to
+    unit: str = "ratio"
+    better: str = "lower"  # or "higher"
+    spread: float | None = None  # of its repeats, relative; None: not timed
+
+
+class Run(NamedTuple):
+    """When, where and with what it was measured."""
+
+    date: str  # ISO 8601
+    version: str  # of usvlearn
+    effort: str  # "whole" or "quick"
+    machine: str
+    python: str
+    torch: str
+    numba: str
+    numpy: str
+
+
+class Entry(NamedTuple):
+    """A row of the history."""
+
+    run: Run
+    figure: Figure
+
+
+class Comparison(NamedTuple):
+    """A figure beside its earlier values; None where there is none."""
+
+    figure: Figure
+    entries: int  # that are comparable
+    last: float | None  # change since the last, relative: value/last − 1
+    median: float | None  # change against the median of the last five
+    tolerance: float
+    worse: bool
+
+
+COLUMNS = (*Run._fields, "name", "value", "unit", "better", "reference", "spread")
+
+
+def spread(values: Sequence[float]) -> float:
+    """Relative to the median, 1.4826 times the median absolute deviation from it.
+
+    >>> round(spread([0.9, 1.0, 1.1]), 4)
+    0.1483
+    """
+    middle = statistics.median(values)
+    return 1.4826 * statistics.median(abs(x - middle) for x in values) / abs(middle) if middle else 0.0
+
+
+def timed(name: str, ratios: Sequence[float], reference: str) -> Figure:
+    """The figure of a ratio of times, one for each round.
+
+    >>> timed("step", [2.0, 2.1, 1.9], "C").value
+    2.0
+    """
+    return Figure(name, statistics.median(ratios), reference, spread=spread(ratios))
+
+
+def read(path: Path) -> list[Entry]:
+    """All entries, oldest first; none where there is no file. A damaged line is an error that names it."""
+    if not path.exists():
+        return []
+    try:
+        text = path.read_bytes().decode()
+    except UnicodeDecodeError as error:
+        line = path.read_bytes()[: error.start].count(b"\n") + 1
+        raise _damaged(path, line, "bytes that are not UTF-8", "text") from None
+    rows = csv.reader(io.StringIO(text, newline=""), strict=True)
+    entries: list[Entry] = []
+    try:
+        head = next(rows, [])
+        if tuple(head) != COLUMNS:
+            found = f"the columns {','.join(head)!r}" if head else "no columns"
+            raise _damaged(path, 1, found, ",".join(COLUMNS), "restore that line, or delete the file")
+        for row in rows:
+            entries.append(_entry(path, rows.line_num, row))
+    except csv.Error as error:
+        raise _damaged(path, rows.line_num, f"no row of CSV ({error})", f"{len(COLUMNS)} columns") from None
+    return entries
+
+
+def _entry(path: Path, line: int, row: list[str]) -> Entry:
+    if len(row) != len(COLUMNS):
+        raise _damaged(path, line, f"{len(row)} columns", f"{len(COLUMNS)}")
+    run, (name, value, unit, better, reference, between) = Run(*row[: len(Run._fields)]), row[len(Run._fields) :]
+    try:
+        datetime.fromisoformat(run.date)
+    except ValueError:
+        raise _damaged(path, line, f"the date {run.date!r}", "an ISO date") from None
+    if better not in ("lower", "higher"):
+        raise _damaged(path, line, f"better: {better!r}", "'lower' or 'higher'")
+    found = {"value": _number(value), "spread": _number(between or "0")}
+    for column, number in found.items():
+        if number is None or (column == "spread" and number < 0):
+            raise _damaged(path, line, f"{column}: {dict(value=value, spread=between)[column]!r}", "a finite number")
+    return Entry(run, Figure(name, found["value"], reference, unit, better, found["spread"] if between else None))
+
+
+def _number(text: str) -> float | None:
+    try:
+        found = float(text)
+    except ValueError:
+        return None
+    return found if math.isfinite(found) else None
+
+
+def _damaged(
+    path: Path, line: int, found: str, expected: str, fix: str = "correct that line or delete it"
+) -> UsvlearnError:
+    told = printable(found if len(found) < 200 else f"{found[:200]}…")
+    return UsvlearnError(f"{path}, line {line}: found {told}, expected {expected}: {fix}")
+
+
+def append(path: Path, entries: Sequence[Entry]) -> None:
+    """Add entries to the file, which is made where it is absent."""
+    old = path.read_text() if path.exists() else ""
+    lines = io.StringIO(newline="")
+    writer = csv.writer(lines, lineterminator="\n")
+    if not old:
+        writer.writerow(COLUMNS)
+    for run, figure in entries:
+        own = "" if figure.spread is None else f"{figure.spread:.3g}"
+        writer.writerow([*run, figure.name, f"{figure.value:.5g}", figure.unit, figure.better, figure.reference, own])
+    path.write_text(old + ("\n" if old and not old.endswith("\n") else "") + lines.getvalue())
+
+
+def comparable(history: Sequence[Entry], now: Entry) -> list[Entry]:
+    """The earlier entries of the same figure under the same circumstances, oldest first."""
+
+    def kind(entry: Entry):
+        run, figure = entry
+        machine = None if figure.spread is None else run.machine
+        return figure.name, figure.unit, figure.better, figure.reference, run.effort, machine
+
+    return [entry for entry in history if kind(entry) == kind(now)]
+
+
+def compare(history: Sequence[Entry], now: Entry) -> Comparison:
+    """A figure beside its earlier values, by the rule above."""
+    figure, before = now.figure, [entry.figure for entry in comparable(history, now)]
+    values, tolerance = [each.value for each in before[-LAST:]], FLOOR
+    if figure.spread is not None:
+        spreads = [figure.spread, statistics.median([each.spread or 0.0 for each in before[-LAST:]] or [0.0])]
+        spreads += [spread(values)] if len(values) > 2 else []
+        tolerance = max(TIMED_FLOOR, SPREADS * max(spreads))
+    if not values:
+        return Comparison(figure, 0, None, None, tolerance, False)
+    changes = [change(figure.value, base) for base in (values[-1], statistics.median(values))]
+    sign = 1 if figure.better == "lower" else -1
+    worse = sign * changes[0] > math.sqrt(2) * tolerance or sign * changes[1] > tolerance
+    return Comparison(figure, len(before), *changes, tolerance, worse)
+
+
+def change(value: float, base: float) -> float:
+    """Relative; of a base of 0, nothing or infinite.
+
+    >>> round(change(1.2, 1.0), 3), change(0.0, 0.0), change(1.0, 0.0)
+    (0.2, 0.0, inf)
+    """
+    if base == 0:
+        return math.copysign(math.inf, value) if value else 0.0
+    return (value - base) / abs(base)

@@ -1,0 +1,262 @@
+"""The four parts of the overview: each measures by the functions of its own script, and shows a part of its page."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from time import process_time
+from typing import NamedTuple
+
+import accuracy
+import numpy as np
+import stress
+import torch
+from history import Figure, timed
+from peers.online import MODULES
+from speed_steps import WAYS, costs, costs_of_others, estimators, loop, median, times
+from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
+
+from certify import compare
+from certify.assess import solver
+from certify.families import initial_networks, random_networks, trained_networks
+
+LOOP = "plain RLS in numpy"  # the reference of a time that has none in C
+SHOWN = ("aid", "rls, exponential", "sift", "joint, n = 23", "rnn, n = 20", "default ensemble")
+CALLED = ("sift", "default ensemble")  # whose calls from Python and steps in torch are in the history, too
+RECORDED = accuracy.REAL[:3]  # folders of logs
+CASES = ("idle", "outliers", "nan", "thruster", "outage")
+OURS = ("robust_sift_rls", "joint_ekf", "ensemble")
+NEURONS = 20  # of each network
+TIMES = {
+    "closed_tight": "closed form, torch", "exact_rate": "exact rate", "proof": "proof in fractions",
+    "lmi_first": "Clarabel, first", "lmi_again": "again", "box": "exact rate on the box",
+}  # fmt: skip
+FOLLOWED = {("closed_tight", 100): 200, ("exact_rate", 100): 20, ("proof", 100): 2, ("box", 20): 2}  # calls a round
+Costs = Mapping[str, Sequence[float]]
+
+
+class Amount(NamedTuple):
+    """How much is measured."""
+
+    effort: Effort
+    plants: tuple[str, ...]
+    data: tuple[str, ...]  # overrides of the simulated boats
+    cases: tuple[str, ...]
+    steps: int  # limit of every part of a scenario
+    lanes: int
+    networks: int  # of each family
+    training: int  # steps of those that are trained
+    sizes: tuple[int, ...]  # neurons
+    largest: int  # neurons up to which the LMI is solved
+
+
+WHOLE = Amount(
+    Effort(repeats=15, steps=50_000, eager=50, calls=2000, clock=process_time), accuracy.PLANTS, (), CASES, 100_000,
+    24, 20, 3000, (10, 20, 50, 100, 200), 100,
+)  # fmt: skip
+QUICK = Amount(
+    Effort(repeats=3, steps=1000, eager=10, calls=100, clock=process_time), ("heron",),
+    ("data.hours=0.2", "data.mission_minutes=2"), ("outliers", "nan"), 300, 2, 2, 100, (5, 10), 10,
+)  # fmt: skip
+
+
+class Part(NamedTuple):
+    """What a section shows, and its figures for the history."""
+
+    lines: list[str]
+    figures: list[Figure]
+
+
+def between(values: Iterable[float], show: Callable[[float], str] = three_digits) -> str:
+    """
+    >>> between([2.0, 1.0, 3.0]), between([1.0])
+    ('1.00 to 3.00', '1.00')
+    """
+    low, *_, high = (*sorted(values),) * 2
+    return show(low) if show(low) == show(high) else f"{show(low)} to {show(high)}"
+
+
+def by_round(spent: Sequence[float], reference: Sequence[float]) -> list[float]:
+    return [a / b for a, b in zip(spent, reference, strict=True)]
+
+
+@torch.no_grad()
+def speed(amount: Amount, logs: Path | None) -> Part:
+    known, figures = estimators(), []
+    spent = {name: costs(known[name], amount.effort, [*WAYS, "loop"]) for name in SHOWN}
+    for name, ways in spent.items():
+        reference, told = ("C", "C") if "C" in ways else ("loop", LOOP)
+        figures.append(timed(f"speed: {name}, streamed", by_round(ways["streamed"], ways[reference]), told))
+        if name in CALLED:
+            figures += [
+                timed(f"speed: {name}, {label}", by_round(ways[way], ways["loop"]), LOOP)
+                for way, label in (("call", "called"), ("torch", "eager torch"))
+            ]
+    rows = [
+        [name, *(micro(median(ways, way)) for way in WAYS), times(ways, "streamed", "C"),
+         times(ways, "torch", "streamed")]
+        for name, ways in spent.items()
+    ]  # fmt: skip
+    others = costs_of_others(amount.effort)
+    called, streamed = "ours, RLS", "ours, RLS, streamed"
+    beside = [
+        [name, micro(median(others, name)), times(others, name, called), times(others, name, streamed)]
+        for name in others
+    ]
+    lines = [
+        *table(["µs a step", *WAYS.values(), "streamed / C", "torch / streamed"], rows), "",
+        *table(["p = 9", "µs a step", "over our RLS, called", "over our RLS, streamed"], beside), "",
+        *speed_in_words(spent, others, called, streamed), "",
+        f"Medians of {amount.effort.repeats} rounds, in which all works of a row are timed in turn: time of the "
+        "processor, one thread, float64. Streamed: a whole log in one call. Called: `Online.step` from Python, sample "
+        "by sample. More estimators, how a step grows, lanes, whole jobs and memory: [Speed of steps and jobs]"
+        "(speed.md).",
+    ]  # fmt: skip
+    return Part(lines, figures)
+
+
+def speed_in_words(spent: Mapping[str, Costs], others: Costs, called: str, streamed: str) -> Iterator[str]:
+    if in_c := [ratio(ways["streamed"], ways["C"]) for ways in spent.values() if "C" in ways]:
+        yield f"A streamed step takes {between(in_c)} times as long as the same step in C."
+    else:
+        yield "No C compiler was found, so that nothing is compared with C."
+    eager = [ratio(ways["torch"], ways["streamed"]) for ways in spent.values()]
+    yield f"A step in eager torch takes {between(eager)} times as long as a streamed one."
+    if libraries := [name for name in others if name in MODULES]:
+        beside = [between(ratio(others[name], others[own]) for name in libraries) for own in (called, streamed)]
+        yield f"A step of another library takes {beside[0]} times as long as a call of our RLS from Python,"
+        yield f"and {beside[1]} times as long as a streamed step of it."
+    else:
+        yield "No other library was installed (extra `bench`)."
+
+
+def predictions(amount: Amount, logs: Path | None) -> Part:
+    found: dict[str, list[accuracy.SecondHalf]] = {}
+    for plant in amount.plants:
+        for log in accuracy.simulated((plant,), *amount.data):
+            found.setdefault(f"{plant}, simulated", []).append(accuracy.second_half(log))
+    names = [name for name in RECORDED if logs is not None and (logs / name).is_dir()]
+    for name in names:
+        found[name] = [accuracy.second_half(accuracy.recorded(logs, name))]
+    rows, figures, ahead, free = [], [], [], []
+    for name, boats in found.items():
+        persistence, squares, ours, free_squares, free_ours = np.mean(boats, axis=0)
+        skills = 1 - ours / persistence, 1 - ours / squares, 1 - free_ours / free_squares
+        rows.append([name, f"{persistence:.4f}", *(f"{skill:.3f}" for skill in skills[:2]),
+                     f"{free_squares:.4f}", f"{skills[2]:.3f}"])  # fmt: skip
+        ahead.append(skills[0])
+        free.append(skills[2])
+        figures += [
+            Figure(f"accuracy: {name}, one step", ours / persistence, "MAE of persistence"),
+            Figure(f"accuracy: {name}, free run", free_ours / free_squares, "MAE of batch least squares"),
+        ]
+    head = ["second half of the runs", "persistence, MAE, m/s", "skill against it", "against least squares",
+            "free run: least squares, MAE, m/s", "skill against it"]  # fmt: skip
+    share = sum(each > 0 for each in free)
+    lines = [
+        *table(head, rows), "",
+        f"One step of 0.4 s ahead, the default ensemble has a skill of {between(ahead, '{:.2f}'.format)} against "
+        f"persistence. In free runs, from the inputs alone, its error is below that of batch least squares in {share} "
+        f"of {len(free)} rows; the least skill there is {min(free):.2f}.", "",
+        "Skill is 1 − MAE/MAE(reference). Batch least squares is told the whole first half at once; the ensemble has "
+        "learned it online, and goes on learning one step ahead, but not in free runs. A simulated row is the mean of "
+        "two boats." + ("" if names else " This run was given no recorded logs.") + " Recorded boats and all members: "
+        "[Accuracy on recorded and simulated boats](accuracy.md); further ahead: [Accuracy of forecasts by horizon]"
+        "(forecast.md); parameters: [Identified parameters against the truth](identify.md).",
+    ]  # fmt: skip
+    return Part(lines, figures)
+
+
+def stresses(amount: Amount, logs: Path | None) -> Part:
+    known = stress.scenarios(amount.steps, amount.lanes)
+    cases = {name: known[name] for name in amount.cases}
+    own = {name: estimator for name, estimator in stress.ours().items() if name in OURS}
+    found: dict[str, dict[str, stress.Result]] = {}
+    with np.errstate(all="ignore"):
+        for case, scenario in cases.items():
+            for name, result in stress.outcomes(scenario, own):
+                found.setdefault(name, {})[case] = result
+    rows = [[name, *(stress.cell(result) for result in results.values())] for name, results in found.items()]
+    broken = {name for name, results in found.items() if not all(each.finite for each in results.values())}
+    libraries = [name for name in found if name not in own and name != "true model"]
+    figures = [
+        Figure(f"stress: {name}, {case}", found[name][case].error / found["true model"][case].error, "the true model")
+        for name in OURS
+        for case in cases
+    ]
+    lines = [
+        *table(["MAE one step ahead, m/s; steps to recover", *cases], rows), "",
+        *(f"- {case}: {scenario.title}" for case, scenario in cases.items()), "",
+        f"{len(broken & set(libraries))} of {len(libraries)} peers, and {len(broken & set(own))} of {len(own)} of ours "
+        "have a prediction or a state that is not finite in at least one of these cases. The true model's error is "
+        "that of the noise.", "",
+        "All scenarios, more estimators, and the errors of parameters: [Stress tests beside other libraries]"
+        "(stress.md).",
+    ]  # fmt: skip
+    return Part(lines, figures)
+
+
+def certificates(amount: Amount, logs: Path | None) -> Part:
+    rng, count, n = np.random.default_rng(0), amount.networks, NEURONS
+    families = {
+        "random": random_networks(count, n, rng),
+        "initialised": initial_networks(count, n, rng),
+        "trained": trained_networks(count, n, rng, steps=amount.training),
+    }
+    solve = solver() if (solvable := bool(find_spec("cvxpy") and find_spec("clarabel"))) else None
+    seen = {name: [compare.examine(each, solve, 2.0) for each in networks] for name, networks in families.items()}
+    rows, differ, closed = [], 0, 0
+    for name, found in seen.items():
+        tiers = compare.summarise(found)
+        differ += (wrong := sum(tiers[tier]["disagreements"] or 0 for tier in ("lmi", "tight")))
+        closed += (narrow := sum(each["closed"] for each in found))
+        rows.append([
+            name, str(count), *(f"{tiers[tier]['share']:.0%}" for tier in ("lmi", "tight", "box")),
+            str(wrong) if solvable else "–", f"{narrow} of {count}",
+        ])  # fmt: skip
+    timings = [compare.timing(size, "CLARABEL", amount.largest if solvable else 0, rng) for size in amount.sizes]
+    cells = [
+        [f"n = {row['n']}", *("–" if row[key] is None else three_digits(1e3 * row[key]) for key in TIMES)]
+        for row in timings
+    ]
+    text = [f"The exact rate on the box is found for {closed} of {count * len(seen)} networks of {n} neurons."]
+    if solvable:
+        slower = between(row["lmi_again"] / row["closed_tight"] for row in timings if row["lmi_again"])
+        text += [
+            f"Clarabel and the closed forms disagree in {differ} of {2 * count * len(seen)} verdicts.",
+            f"An LMI that is solved again takes {slower} times as long as its closed form.",
+        ]
+    else:
+        text.append("No LMI was solved, since the extra `lmi` was not installed.")
+    lines = [
+        *table([f"n = {n}", "networks", "certified by lmi", "by tight", "on the box", "Clarabel disagrees",
+                "rate on the box found"], rows), "",
+        *table(["ms, one network", *TIMES.values()], cells), "",
+        *text, "",
+        "`lmi` is the paper's condition, `tight` its extension to all rates below 1; each has a closed form. On the "
+        "box: the exact rate over the states and inputs that occur. A time is the least of some calls. More times: "
+        "[Time of contraction verdicts](verdicts.md). What a constraint costs: [The cost of contraction while learning]"
+        "(stability.md), [Which boats a constrained network can represent](representable.md).",
+    ]  # fmt: skip
+    return Part(lines, verdict_times(amount.effort))
+
+
+def verdict_times(effort: Effort) -> list[Figure]:
+    """Of the history: round by round with the loop."""
+
+    def often(work: Work, calls: int) -> None:
+        for _ in range(calls):
+            work()
+
+    spent_on = {n: compare.works(n, np.random.default_rng(1))[1] for n in {n for _, n in FOLLOWED}}
+    works = {f"{name}, n = {n}": partial(often, spent_on[n][name][0], calls) for (name, n), calls in FOLLOWED.items()}
+    spent = in_turn({"loop": loop(effort.calls), **works}, effort.repeats, effort.clock)
+    return [timed(f"certify: {name}", by_round(spent[name], spent["loop"]), LOOP) for name in works]
+
+
+SECTIONS: dict[str, tuple[str, Callable[[Amount, Path | None], Part]]] = {
+    "speed": ("Speed", speed),
+    "accuracy": ("Accuracy", predictions),
+    "stress": ("Stress", stresses),
+    "certify": ("Certificates of contraction", certificates),
+}
