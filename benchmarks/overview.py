@@ -91,12 +91,13 @@ def verdict(comparisons: Sequence[Comparison]) -> str:
     return f"No figure is worse, of {known} with comparable entries." if known else "Nothing to compare with."
 
 
-def page(run: Run, computer: str, minutes: float, parts: dict[str, Part], against: Sequence[str], drawn: bool) -> str:
+def page(
+    run: Run, command: str, computer: str, minutes: float, parts: dict[str, Part], against: Sequence[str], drawn: bool
+) -> str:
     """The page, as Markdown."""
     text = [
         "# Benchmarks", "", OPENING, "",
-        f"Made by `python benchmarks/overview.py{' --quick' * (run.effort == 'quick')}` on {run.date} in {minutes:.0f} "
-        f"min, with usvlearn {run.version}.", "",
+        f"Made by `{command}` on {run.date} in {minutes:.0f} min, with usvlearn {run.version}.", "",
         f"{computer}.", "",
     ]  # fmt: skip
     for name, part in parts.items():
@@ -136,7 +137,8 @@ def work(given: argparse.Namespace, spare: Path) -> int:
         history.append(file, now)
         if drawn := over_time([*before, *now], run):
             drawn.savefig(folder / "history.svg", metadata={"Date": None})
-        (folder / "index.md").write_text(page(run, computer, minutes, parts, against, drawn is not None))
+        command = f"python benchmarks/overview.py{' --quick' * given.quick}{' --logs LOGS' * bool(given.logs)}"
+        (folder / "index.md").write_text(page(run, command, computer, minutes, parts, against, drawn is not None))
     for name, part in parts.items():
         print("", f"## {SECTIONS[name][0]}", "", *part.lines, sep="\n")
     print("", *against, "", verdict(comparisons), sep="\n")

@@ -179,6 +179,12 @@ def stresses(amount: Amount, logs: Path | None) -> Part:
     rows = [[name, *(stress.cell(result) for result in results.values())] for name, results in found.items()]
     broken = {name for name, results in found.items() if not all(each.finite for each in results.values())}
     libraries = [name for name in found if name not in own and name != "true model"]
+    least = [
+        f"{case} {min(found[name][case].error for name in own):.4f} and "
+        f"{min(found[name][case].error for name in libraries if found[name][case].finite):.4f}"
+        for case in cases
+        if any(found[name][case].finite for name in libraries)
+    ]
     figures = [
         Figure(f"stress: {name}, {case}", found[name][case].error / found["true model"][case].error, "the true model")
         for name in OURS
@@ -190,6 +196,8 @@ def stresses(amount: Amount, logs: Path | None) -> Part:
         f"{len(broken & set(libraries))} of {len(libraries)} peers, and {len(broken & set(own))} of {len(own)} of ours "
         "have a prediction or a state that is not finite in at least one of these cases. The true model's error is "
         "that of the noise.", "",
+        f"The least errors of ours and of the peers: {'; '.join(least)}. Peers get the samples as they come, as their "
+        "documentation shows.", "",
         "All scenarios, more estimators, and the errors of parameters: [Stress tests beside other libraries]"
         "(stress.md).",
     ]  # fmt: skip

@@ -134,7 +134,7 @@ def main() -> None:
                     text.append(row(f"{plant}, {autopilot}", own))
         refused = [each for each in found if isinstance(each, str)]
         text += ["", f"Designed for {len(done) // 2} of {len(done) // 2 + len(refused)} boats."]
-        text += [f"- refused: {each}" for each in refused]
+        text += ["", *(f"- refused: {each}" for each in refused)] if refused else []
     publish(__file__, text)
 
 

@@ -41,6 +41,9 @@ def test_summary_counts_what_was_examined():
     assert told["lmi"]["conservatism"] >= 2 - 1e-9 and told["tight"]["conservatism"] >= 1 - 1e-9
     assert told["lmi"]["disagreements"] == told["tight"]["disagreements"] == 0
     assert all(row["K_box"][0] <= row["K"] + 1e-12 for row in rows)
+    for row in rows:
+        assert row["closed"] and row["K_box"][1] - row["K_box"][0] <= 1e-5 * row["K_box"][1]
+    assert not examine(random_networks(1, 40, rng)[0], None, 1e-6)["closed"]  # too little time
     rows[0]["solved"]["tight"]["verdict"] = "unknown" if rows[0]["certified"]["tight"] else "certified"
     assert summarise(rows)["tight"]["disagreements"] == 1
 
