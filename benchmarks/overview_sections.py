@@ -51,12 +51,15 @@ class Amount(NamedTuple):
 
 
 WHOLE = Amount(
-    Effort(repeats=15, steps=50_000, eager=50, calls=2000, clock=process_time), accuracy.PLANTS, (), CASES, 100_000,
-    24, 20, 3000, (10, 20, 50, 100, 200), 100,
+    effort=Effort(repeats=15, steps=50_000, eager=50, calls=2000, clock=process_time),
+    plants=accuracy.PLANTS, data=(), cases=CASES, steps=100_000, lanes=24,
+    networks=20, training=3000, sizes=(10, 20, 50, 100, 200), largest=100,
 )  # fmt: skip
 QUICK = Amount(
-    Effort(repeats=3, steps=1000, eager=10, calls=100, clock=process_time), ("heron",),
-    ("data.hours=0.2", "data.mission_minutes=2"), ("outliers", "nan"), 300, 2, 2, 100, (5, 10), 10,
+    effort=Effort(repeats=3, steps=1000, eager=10, calls=100, clock=process_time),
+    plants=("heron",), data=("data.hours=0.2", "data.mission_minutes=2"),
+    cases=("outliers", "nan"), steps=300, lanes=2,
+    networks=2, training=100, sizes=(5, 10), largest=10,
 )  # fmt: skip
 
 
