@@ -99,7 +99,7 @@ def _check(condition: str, rate: Tensor | float, gauge: str, bounds: Bounds | tu
 
 def _inner(rate: Tensor | float, a: Tensor) -> Tensor:
     """κ minus the most that rounding can add to a sum of n products, `(*batch,)`."""
-    rate = torch.as_tensor(rate, dtype=a.dtype, device=a.device)
+    rate = rate.to(a) if isinstance(rate, Tensor) else a.new_full((), rate)
     return (rate * (1 - 8 * a.shape[-1] * torch.finfo(a.dtype).eps)).expand(a.shape[:-1])
 
 

@@ -13,7 +13,7 @@ from torch.autograd.forward_ad import unpack_dual
 
 from usvlearn.engine.kinds import compilable
 from usvlearn.errors import ConfigError, ShapeError, check_choice
-from usvlearn.estimator import Estimator, Kinds, State, Step, advance, clean, spec_of
+from usvlearn.estimator import EVERY, Estimator, Kinds, State, Step, advance, clean, spec_of
 from usvlearn.plans import NONE, Forecast, check_plan
 from usvlearn.signals import Inputs, Sample, check_inputs, check_sample, named_leaves, one_number, rebuild, tree_map
 
@@ -35,7 +35,7 @@ def rollout(
     Args:
         estimator: any `Estimator`.
         state: the state to start from, leaves `(*batch, ...)`.
-        samples: leaves `(time, *batch)`, of the estimator's dtype.
+        samples: leaves `(time, *batch)`, of the estimator's dtype, on the device of the state.
         record: names of leaves of the state (`named_leaves`), or a function that picks a tree of tensors from each new
             state.
         backend: "kernel" makes the steps by compiled code, which has no gradients; "torch" by torch; "auto" by
@@ -46,7 +46,7 @@ def rollout(
         None).
 
     Raises:
-        ShapeError: the samples' dtype or batch does not fit the state.
+        ShapeError: the samples' dtype, batch or device does not fit the state.
         ConfigError: `backend="kernel"` where that cannot be.
 
     >>> from usvlearn import AID, Inputs, Sample
@@ -141,25 +141,30 @@ def stretches(
 
     leaves, first = _arrays(state), True
     dtype = next(leaf.dtype for leaf in leaves.values() if leaf.dtype != bool)
+    device = next(_leaves(state)).device
     for part in samples:
         part = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
         with torch.no_grad():
             if first:
-                _check(state, whole := tree_map(torch.from_numpy, part))
+                _check(state, whole := _moved(part, device))
                 description, first = choose(estimator, state, whole, "auto"), False
             if description is not None:
                 leaves, _, kept = roll(description, leaves, part, record=record, threads=torch.get_num_threads())
                 state = _tree(state, leaves)
             else:
-                state, _, named = rollout(estimator, state, tree_map(torch.from_numpy, part), record, backend="torch")
+                state, _, named = rollout(estimator, state, _moved(part, device), record, backend="torch")
                 kept = tree_map(_array, named)
         yield state, kept
 
 
-def tensors(samples: Sample, dtype: torch.dtype) -> Sample:
-    """NumPy samples as tensors: numbers of this dtype, masks of bool."""
-    as_tensors = tree_map(torch.from_numpy, samples)
-    return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, as_tensors)
+def tensors(samples: Sample, dtype: torch.dtype, device: torch.device | str = "cpu") -> Sample:
+    """NumPy samples as tensors on a device: numbers of this dtype, masks of bool."""
+    return tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, _moved(samples, device))
+
+
+def _moved(samples: Sample, device: torch.device | str) -> Sample:
+    """NumPy samples as tensors on a device."""
+    return tree_map(lambda x: torch.from_numpy(x).to(device), samples)
 
 
 def _run(
@@ -168,10 +173,13 @@ def _run(
     """All steps by torch; leaves of `steps` are `(time, *batch)`."""
     holds = ~(steps.steps | steps.starts)
     kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
-    some = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1).tolist()
+    occur = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1)
+    # Read once for all steps, because reading waits for an accelerator; where there are no values, all are assumed.
+    known = not occur.is_meta and not _is_transformed(occur)
+    some = [Kinds(*each) for each in occur.tolist()] if known else [EVERY] * len(occur)
     predictions, records = [], []
     for k, step in enumerate(_unbind(steps)):
-        state, surge = advance(estimator, state, step, Kinds(*some[k]))
+        state, surge = advance(estimator, state, step, some[k])
         predictions.append(surge)
         if pick is not None:
             records.append(pick(state))
@@ -199,6 +207,7 @@ def _unbind(steps: Step) -> Iterator[Step]:
 def _check(state: State, samples: Sample) -> None:
     """Raise a ShapeError unless the samples fit each other and the state."""
     expected, dtype = samples.surge.shape, getattr(samples.surge, "dtype", None)
+    device = getattr(samples.surge, "device", None)
     for name, leaf in named_leaves(samples):
         if not isinstance(leaf, Tensor):
             raise ShapeError(f"samples: {name} is {type(leaf).__name__}, expected a torch tensor: use torch.as_tensor")
@@ -210,12 +219,19 @@ def _check(state: State, samples: Sample) -> None:
         wanted = torch.bool if name in ("fresh", "measured") else dtype
         if leaf.dtype != wanted:
             raise ShapeError(f"samples: {name} is {leaf.dtype}, expected {wanted}: convert it with .to({wanted})")
+        if leaf.device != device:
+            raise ShapeError(f"samples: {name} is on {leaf.device}, surge on {device}: move all with .to({device})")
     batch = tuple(expected[1:])
     for name, leaf in named_leaves(state):
         if leaf.is_floating_point() and leaf.dtype != dtype:
             raise ShapeError(
                 f"samples are {dtype}, the state's {name} is {leaf.dtype}: convert the estimator with .to({dtype}) "
                 "before init, or the samples"
+            )
+        if leaf.device != device:
+            raise ShapeError(
+                f"samples are on {device}, the state's {name} is on {leaf.device}: move the estimator with "
+                f'.to("{device}") before init, or the samples'
             )
         if tuple(leaf.shape[: len(batch)]) != batch:
             raise ShapeError(
@@ -310,8 +326,7 @@ def _description(estimator: Estimator, obstacle: str | None, backend: str) -> di
 
 def _out_of_reach(tensors: Sequence[Tensor]) -> str | None:
     """Why the kernels cannot read these numbers, if they cannot."""
-    wrapped = torch._C._functorch.is_functorch_wrapped_tensor  # pyright: ignore  # torch has no stub of this module
-    if torch.compiler.is_compiling() or any(map(wrapped, tensors)):
+    if any(map(_is_transformed, tensors)):
         return "torch transforms this function"
     if any(x.device.type != "cpu" for x in tensors):
         return "not all tensors are on the CPU"
@@ -319,6 +334,12 @@ def _out_of_reach(tensors: Sequence[Tensor]) -> str | None:
     if dtypes not in ({torch.float64}, {torch.float32}):
         return f"the numbers are {' and '.join(sorted(map(str, dtypes)))}"
     return None
+
+
+def _is_transformed(x: Tensor) -> bool:
+    """Whether `torch.func` maps over a tensor or differentiates by it, or `torch.compile` traces."""
+    wrapped = torch._C._functorch.is_functorch_wrapped_tensor  # pyright: ignore  # torch has no stub of this module
+    return torch.compiler.is_compiling() or bool(wrapped(x))
 
 
 def _derivative(tensors: Sequence[Tensor]) -> str | None:

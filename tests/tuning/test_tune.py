@@ -137,7 +137,7 @@ def epoch(fleet, estimator, window):
     """The losses of an epoch's windows, from the starts of the pass in order; and that pass's MAE."""
     starts = []
     mae = lane_errors(estimator, fleet, at_run=starts.append).mae.mean()
-    side = fit.run_lanes(fleet, torch.float64)
+    side = fit.run_lanes(fleet, torch.zeros((), dtype=torch.float64))
     return list(fit.window_losses(estimator, side, starts, len(fleet.boats), window)), mae
 
 

@@ -14,6 +14,7 @@ the limit, its error is that of the limit, so that means are finite and no simul
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,7 +63,7 @@ def methods(ensemble: Ensemble) -> tuple[str, ...]:
 
 
 def _learning(ensemble: Ensemble) -> list[str]:
-    like = torch.zeros((), dtype=torch.float64)
+    like = next(chain(ensemble.parameters(), ensemble.buffers()), torch.zeros((), dtype=torch.float64))
     return [name for name, rule in ensemble.combiners.items() if any(True for _ in named_leaves(rule.init((), like)))]
 
 
@@ -79,7 +80,7 @@ def cross_validate(
 
     Args:
         ensemble: to which the sets belong.
-        state: the sets, leaves `(sets, ...)`.
+        state: the sets, leaves `(sets, ...)`; torch simulates on its device.
         runs: samples of one run each, leaves `(time,)`, NumPy arrays or tensors.
         lanes: simulations in a batch, at most, or all sets on one run.
         advance: receives the number of measured steps done, over all lanes, for a progress bar.
@@ -116,11 +117,11 @@ def cross_validate(
 def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: Callable[[int], object], backend: str):
     """Sums of |error| and error², `(sets, runs, methods)`; which simulations diverged; measured steps of each run."""
     dtype, sets = state.predictions.dtype, state.predictions.shape[0]
-    samples = _side_by_side(runs, dtype)  # (time, runs)
+    samples = tree_map(lambda x: x.to(state.predictions.device), _side_by_side(runs, dtype))  # (time, runs)
     batch = (sets, len(runs))
     state = tree_map(lambda x: x[:, None].expand(*batch, *x.shape[1:]), state)
     weights, learning = state.combiners, _learning(ensemble)
-    scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).numpy()
+    scored = masks(samples, ensemble.surge_limit).learns.to(dtype).sum(0).cpu().numpy()
     whole = tree_map(lambda x: x[:, None].expand(-1, *batch), samples)
     if (description := choose(ensemble, state, whole, backend)) is not None:
         rules = [list(ensemble.combiners).index(name) for name in learning]
@@ -143,7 +144,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
             total[k] = total[k] + more
         total[2] = total[2] | beyond.any(0)
         advance(step.learns[:, 0].sum().item() * sets)
-    return (*(x.numpy() for x in total), scored)
+    return (*(x.cpu().numpy() for x in total), scored)
 
 
 def _reweighed(ensemble: Ensemble, weights: dict, published: Tensor, step, learning: Sequence[str]):

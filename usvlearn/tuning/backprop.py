@@ -50,22 +50,22 @@ class Lanes(NamedTuple):
     weight: Tensor  # (lanes,) w of (1)
 
 
-def run_lanes(fleet: Fleet, dtype: torch.dtype, surge_limit: float = PLAUSIBLE) -> Lanes:
-    """Every run of every boat as a lane; `surge_limit`, m/s, is the estimator's."""
+def run_lanes(fleet: Fleet, like: Tensor, surge_limit: float = PLAUSIBLE) -> Lanes:
+    """Every run of every boat as a lane, of the dtype and device of `like`; `surge_limit`, m/s, is the estimator's."""
     longest, boats = max(len(run.time) for run in fleet.runs), len(fleet.boats)
 
     def padded(x: Tensor) -> Tensor:
         fill = math.nan if x.is_floating_point() else False
         return torch.cat([x, x.new_full((longest - len(x), boats), fill)])
 
-    runs = [tree_map(padded, tensors(run.samples, dtype)) for run in fleet.runs]
+    runs = [tree_map(padded, tensors(run.samples, like.dtype, like.device)) for run in fleet.runs]
     samples = tree_map(lambda *x: torch.cat(x, 1), *runs)
-    there = torch.tensor([length > 0 for run in fleet.runs for length in run.lengths])
-    run = torch.arange(len(fleet.runs)).repeat_interleave(boats)
-    boat = torch.arange(boats).repeat(len(fleet.runs))
+    lengths = torch.tensor([length for run in fleet.runs for length in run.lengths])
+    there = lengths.nonzero()[:, 0].to(like.device)
+    run, boat = there // boats, there % boats
     steps = masks(samples, surge_limit).learns.sum(0).reshape(-1, boats).sum(0)  # per boat
-    weight = (1 / (boats * steps.to(dtype)))[boat]
-    return Lanes(tree_map(lambda x: x[:, there], samples), run[there], boat[there], weight[there])
+    weight = (1 / (boats * steps.to(like.dtype)))[boat]
+    return Lanes(tree_map(lambda x: x[:, there], samples), run, boat, weight)
 
 
 def window_losses(
@@ -139,7 +139,7 @@ def fit(
         learner.to_middle()
     best = learner.evaluated(extra)
     found, curve, used = [default, best.evaluation][: 1 + extra], [], extra
-    lanes = run_lanes(objective.fleet, learner.leaves[0].dtype, learner.estimator.surge_limit)
+    lanes = run_lanes(objective.fleet, learner.leaves[0], learner.estimator.surge_limit)
     windows = -(-len(lanes.samples.surge) // window)
     optimizer = torch.optim.Adam(learner.groups, betas=BETAS, eps=1e-12)
     rates, current, steps = [group["lr"] for group in optimizer.param_groups], best, 0
@@ -205,7 +205,7 @@ class _Learner:
     def _save(self, each: Hyperparameter, weights: Mapping[str, Tensor]) -> str:
         """Initial weights as a file that `pretrained` of an RNN reads; its path."""
         content = io.BytesIO()
-        arrays: dict[str, Any] = {name: w.detach().numpy() for name, w in weights.items()}
+        arrays: dict[str, Any] = {name: w.detach().cpu().numpy() for name, w in weights.items()}
         np.savez(content, **arrays)
         path = self.folder / f"{each.path}_{self.files:03d}.npz"
         self.files += 1

@@ -26,7 +26,7 @@ from usvlearn.evaluation.free_simulation import middle
 from usvlearn.evaluation.measure import FORECAST, FREE, Measure
 from usvlearn.hyper import Positive, UnitInterval, as_tensor
 from usvlearn.rollouts import rollout, simulate, tensors
-from usvlearn.signals import Fleet, tree_map
+from usvlearn.signals import Fleet, named_leaves, tree_map
 
 Setting = dict[str, float]  # dotted path -> value
 Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
@@ -185,7 +185,7 @@ def lane_errors(
     """Errors of each setting on each run and boat; the state is carried from run to run.
 
     Args:
-        estimator: its hyperparameters broadcast against the batch `(*settings, boats)`.
+        estimator: its hyperparameters broadcast against the batch `(*settings, boats)`; all is done on its device.
         fleet: aligned runs.
         settings: the batch before the boats.
         advance: receives the fraction completed since the last call.
@@ -199,14 +199,14 @@ def lane_errors(
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
     with torch.no_grad():
         state = estimator.init(batch)
-        dtype = next(estimator.parameters(), torch.zeros((), dtype=torch.float64)).dtype
+        like = next(leaf for _, leaf in named_leaves(state) if leaf.is_floating_point())
         errors, steps = [], []
         for index, run in enumerate(fleet.runs):
             free = measure.kind == FREE and index >= first
             own = state
-            total, count = torch.zeros(batch, dtype=dtype), torch.zeros(batch, dtype=dtype)
+            total, count = like.new_zeros(batch), like.new_zeros(batch)
             at_run(state)
-            samples = tensors(run.samples, dtype)
+            samples = tensors(run.samples, like.dtype, like.device)
             for begin in range(0, len(run.time), length):
                 part = tree_map(lambda x, a=begin: x[a : a + length], samples)
                 step = clean(part, estimator.surge_limit)

@@ -75,7 +75,7 @@ class _AllDual(TorchFunctionMode):
         if is_dual(x):
             return x
         if isinstance(x, Tensor):
-            x = x.to(like.dtype).contiguous()
+            x = x.to(like).contiguous()
             return make_dual(x, torch.zeros_like(x))
         if x not in self.constants:
             self.constants[x] = make_dual(like.new_tensor(x), like.new_zeros(()))
@@ -108,7 +108,7 @@ def sensitivity(
             duals = {}
             for each, own in zip(parameters, torch.eye(p), strict=True):
                 name = next(name for name in leaves if name.startswith(f"estimator.{each.path}."))
-                duals[name] = make_dual(leaves[name], own[:, None].to(leaves[name].dtype))
+                duals[name] = make_dual(leaves[name], own[:, None].to(leaves[name]))
         arguments = objective.fleet, (p,), lambda share: objective.advance(COST * p * share)
         try:
             with _AllDual():
@@ -120,7 +120,7 @@ def sensitivity(
             ) from error
         maes, gradient = unpack_dual(maes)
         gradient = torch.zeros_like(maes) if gradient is None else gradient
-    return Evaluation(setting, tuple(maes[0].tolist())), gradient.mean(-1)
+    return Evaluation(setting, tuple(maes[0].tolist())), gradient.mean(-1).cpu()
 
 
 def descend(

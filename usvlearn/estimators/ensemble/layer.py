@@ -223,8 +223,11 @@ class Ensemble(Estimator):
     def seen(self, predictions: Tensor) -> dict[str, Tensor]:
         """The predictions of each rule's members, m/s, `(*batch, columns)`, NaN where they sleep."""
         awake = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
-        every = list(range(len(self.columns)))
-        return {name: awake if places == every else awake[..., places] for name, places in self._places.items()}
+        every, columns = list(range(len(self.columns))), awake.unbind(-1)
+        return {  # no index that is a list: it would be copied to the device at every step
+            name: awake if places == every else torch.stack([columns[k] for k in places], -1)
+            for name, places in self._places.items()
+        }
 
     def combine(self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """The prediction of each rule, m/s, `(*batch,)`."""

@@ -244,7 +244,7 @@ class JointEKF(Estimator):
         xi = (1 - mean[..., -1:]) * u + mean[..., -1:] * before
         size, side = xi.abs(), torch.where(xi >= 0, 1.0, -1.0)
         zero = torch.zeros_like(w)
-        alpha, beta, gamma = (mean[..., [THETA + 3 + k, THETA + 6 + k]] for k in range(3))
+        alpha, beta, gamma = (mean[..., THETA + 3 + k : THETA + 9 : 3] for k in range(3))
         cubic, (wide, broad) = mean[..., KAPPA:E], (x[..., None] for x in (w, speed))
         W_, J_ = [speed * w, w, turn * w], [2 * speed, torch.ones_like(w), turn]  # of f and J to the parameters
         both = zip(xi.unbind(-1), size.unbind(-1), strict=True)
@@ -256,7 +256,7 @@ class JointEKF(Estimator):
         slope, bend = alpha + 2 * beta * size + gamma * broad + 3 * cubic * xi * xi, gamma * sign[..., None]
         curve = mean[..., THETA] * sign
         if self.even is not None:
-            e1, e2, e3 = (mean[..., [E + 1 + k, E + 4 + k]] for k in range(3))
+            e1, e2, e3 = (mean[..., E + 1 + k : E + 7 : 3] for k in range(3))
             W_.append(w * w)
             J_.append(2 * w)
             for x, s in zip(xi.unbind(-1), size.unbind(-1), strict=True):

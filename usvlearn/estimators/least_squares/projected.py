@@ -39,12 +39,26 @@ def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iteration
     >>> project_signs(theta, factor, (1, 1))  # the first moves too: they are correlated
     tensor([1.4000, 0.0000])
     """
-    held = [i for i, sign in enumerate(signs) if sign]
-    if not held:
+    places, S = held_by(signs)
+    return _project(theta, factor, places.to(theta.device), S.to(theta), iterations)
+
+
+def held_by(signs: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """The places of the parameters whose signs are held, and these signs, `(held,)` each.
+
+    >>> held_by((-1, 0, 1))
+    (tensor([0, 2]), tensor([-1.,  1.], dtype=torch.float64))
+    """
+    places = [i for i, sign in enumerate(signs) if sign]
+    return torch.tensor(places, dtype=torch.long), torch.tensor([signs[i] for i in places], dtype=torch.float64)
+
+
+def _project(theta: Tensor, factor: Tensor, places: Tensor, S: Tensor, iterations: int) -> Tensor:
+    """`project_signs`, of what `held_by` returns, on the device of the parameters."""
+    if not len(places):
         return theta
-    S = theta.new_tensor([signs[i] for i in held])
-    rows = S[:, None] * factor[..., held, :]
-    Q, z = rows @ rows.mT, S * theta[..., held]
+    rows = S[:, None] * factor.index_select(-2, places)
+    Q, z = rows @ rows.mT, S * theta.index_select(-1, places)
     diagonal = Q.diagonal(dim1=-2, dim2=-1)
     t, multipliers = z, torch.zeros_like(z)
     for _ in range(iterations):
@@ -57,10 +71,7 @@ def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iteration
     tolerance = 1e-6 * z.abs().amax(-1, keepdim=True)
     solved = (t >= -tolerance).all(-1) & (multipliers * diagonal >= -tolerance).all(-1)
     moved, t = torch.where(solved[..., None], moved, theta), torch.where(solved[..., None], t, z)
-    columns = list(moved.unbind(-1))
-    for place, i in enumerate(held):
-        columns[i] = (S * t.clamp(min=0))[..., place]
-    return torch.stack(columns, -1)
+    return moved.index_copy(-1, places, S * t.clamp(min=0))
 
 
 class Projected(Estimator):
@@ -75,6 +86,9 @@ class Projected(Estimator):
     >>> Projected(SIFtRLS(SurgeDynamics(28.0))).signs
     (-1, -1, -1, 1, 1, -1, 1, 1, -1)
     """
+
+    places: Tensor  # (held,) of the parameters whose signs are held
+    held: Tensor  # (held,) these signs
 
     frozen = LeastSquares.frozen
 
@@ -92,6 +106,9 @@ class Projected(Estimator):
         if not (isinstance(iterations, int) and 1 <= iterations <= ROUNDS):
             raise ConfigError(f"iterations: found {iterations!r}, expected a whole number, 1 … {ROUNDS}")
         self.iterations = iterations
+        places, held = held_by(self.signs)
+        self.register_buffer("places", places, persistent=False)
+        self.register_buffer("held", held, persistent=False)
 
     def init(self, batch: Sequence[int] = ()) -> RLSState:
         return self.estimator.init(batch)
@@ -104,7 +121,7 @@ class Projected(Estimator):
 
     def learn(self, state: RLSState, inputs: Inputs, surge: Tensor) -> tuple[RLSState, Tensor]:
         state, predicted = self.estimator.learn(state, inputs, surge)
-        return state._replace(theta=project_signs(state.theta, state.factor, self.signs, self.iterations)), predicted
+        return state._replace(theta=_project(state.theta, state.factor, self.places, self.held, self.iterations)), predicted
 
     def start(self, state: RLSState, surge: Tensor) -> RLSState:
         return self.estimator.start(state, surge)

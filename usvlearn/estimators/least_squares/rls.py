@@ -44,7 +44,7 @@ def measured(
     2.0
     """
     f = (factor * phi[..., None]).sum(-2)  # Sᵀφ
-    lam = torch.as_tensor(lam, dtype=phi.dtype, device=phi.device)[..., None]
+    lam = (lam.to(phi.dtype) if isinstance(lam, Tensor) else phi.new_full((), lam))[..., None]
     before = lam + (f * f).flip(-1).cumsum(-1).flip(-1)  # α_{j−1}
     after = torch.cat([before[..., 1:], lam.expand_as(before[..., :1])], -1)  # α_j
     theta = theta + (factor * f[..., None, :]).sum(-1) * (innovation[..., None] / before[..., :1])

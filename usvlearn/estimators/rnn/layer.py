@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from certify.conditions import CONDITIONS, rate
 from certify.equilibria import CLASSES, equilibria
@@ -224,7 +225,7 @@ class RNN(Estimator):
         check_broadcast(self, batch)
         weights = ShallowWeights(*(w.expand(*batch, *w.shape) for w in (self.a, self.w1, self.W2, self.b)))
         if self.balanced:  # the room of 1e-12 keeps `project` away, through which no gradient comes from the edge
-            kappa = self.a.new_tensor(self.initial_rate) if self.contraction_rate is None else self.contraction_rate()
+            kappa = self.a.new_full((), self.initial_rate) if self.contraction_rate is None else self.contraction_rate()
             weights = self._stable(weights._replace(a=weights.a * ((1 - 1e-12) * kappa)[..., None]))
             a, b = weights.a, weights.b
             constant = (
@@ -292,7 +293,7 @@ class RNN(Estimator):
 
     def _at_rest(self, state: RNNState) -> dict[str, Tensor]:
         """The equilibrium without thrust, at the last heading, that is nearest to the speed: its place and class."""
-        rest = state.inputs_before * state.inputs_before.new_tensor([1.0, 1.0, 0.0, 0.0])
+        rest = pad(state.inputs_before[..., :2], (0, 2))
         found = torch.full((*state.surge.shape, 3), torch.nan, dtype=torch.float64)
         for lane in np.ndindex(*state.surge.shape):
             weights = lane_weights(state, lane)
@@ -304,7 +305,8 @@ class RNN(Estimator):
             if every:
                 nearest = every[int(np.argmin([abs(each.x - x) for each in every]))]
                 found[(*lane, 1)], found[(*lane, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
-        return dict(zip(("equilibria", "equilibrium", "equilibrium_class"), found.unbind(-1), strict=True))
+        columns = found.to(state.surge.device).unbind(-1)
+        return dict(zip(("equilibria", "equilibrium", "equilibrium_class"), columns, strict=True))
 
     def _stable(self, weights: ShallowWeights) -> ShallowWeights:
         if self.contraction_rate is None:

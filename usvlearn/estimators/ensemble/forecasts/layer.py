@@ -86,6 +86,8 @@ class Forecasts(nn.Module):
             raise ConfigError(f"forecasts.members: found {', '.join(names) or 'none'}, expected each member once")
         self.names, self.coverage, self.surge_max = tuple(names), coverage, surge_max
         self.rule.bind(names)
+        # Read once: `spec_of` copies hyperparameters from their device. A subclass may need other leaves than its class.
+        self._frozen = {name: None if spec_of(members[name]) is None else members[name].frozen for name in names}
 
     def init(self, batch: Sequence[int], members: Mapping[str, Any], states: Mapping[str, Any]) -> ForecastState:
         """The state before the first sample, of an ensemble whose members have these states."""
@@ -95,7 +97,7 @@ class Forecasts(nn.Module):
                 key: leaf[(..., None, *[slice(None)] * (leaf.ndim - len(batch)))]
                 .expand(*batch, slots, *leaf.shape[len(batch) :])
                 .clone()
-                for key, leaf in self._leaves(members[name], states[name]).items()
+                for key, leaf in self._leaves(name, states[name]).items()
             }
             for name in self.names
         }
@@ -239,10 +241,9 @@ class Forecasts(nn.Module):
             found[f"halfwidth_at_{h:g}"] = self._halfwidths(state)[..., k]
         return found
 
-    def _leaves(self, member: Estimator, state: Any) -> dict[str, Tensor]:
+    def _leaves(self, member: str, state: Any) -> dict[str, Tensor]:
         """The leaves of a member's state that its free run needs, by dotted name."""
-        leaves = dict(named_leaves(state))
-        names = None if spec_of(member) is None else member.frozen  # a subclass may need others
+        leaves, names = dict(named_leaves(state)), self._frozen[member]
         return leaves if names is None else {name: leaves[name] for name in names}
 
     def _free(
@@ -296,7 +297,7 @@ class Forecasts(nn.Module):
         places = torch.arange(len(horizons), device=horizons.device)
         reach = torch.where(ready, places, 0).amax(-1, keepdim=True)
         begun = opens.any(-1, keepdim=True) & (places <= reach)
-        now = {name: self._leaves(members[name], states[name]) for name in self.names}
+        now = {name: self._leaves(name, states[name]) for name in self.names}
         frozen = {
             name: {key: where(opens, _slot(now[name][key], opens), leaf) for key, leaf in leaves.items()}
             for name, leaves in state.frozen.items()
