@@ -20,6 +20,7 @@ from usvlearn import (
     Average,
     Bank,
     Ensemble,
+    Forecasts,
     Inputs,
     Online,
     Persistence,
@@ -261,6 +262,25 @@ def test_results_and_samples_are_tensors_like_any():
         assert expected.view(-1).shape == (15,)
         negated = torch.complex(samples.surge, -samples.surge).conj().imag  # a view that only says that it is negated
         assert torch.equal(rollout(aid, aid.init((3,)), samples._replace(surge=negated))[1], expected)
+
+
+@pytest.mark.parametrize("name", ["aid", "robust_memory", "rnn", "joint", "boa"])
+def test_one_number_fits_every_batch_by_either(name):
+    one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
+    lanes = Sample(Inputs(*(np.full(3, x) for x in one.inputs)), np.ones(3), np.ones(3, bool), np.ones(3, bool))
+    found, expected = Online(ESTIMATORS[name](), (3,), "torch"), Online(ESTIMATORS[name](), (3,), "kernel")
+    for _ in range(3):
+        assert difference(torch.from_numpy(found.step(one)), torch.from_numpy(expected.step(lanes))) < 1e-9
+    assert (
+        difference(torch.from_numpy(found.predict(one.inputs)), torch.from_numpy(expected.predict(lanes.inputs))) < 1e-9
+    )
+
+
+def test_a_forecast_by_torch_is_that_of_the_kernels():
+    boats = [Online(Ensemble({"aid": AID(28.0)}, forecasts=Forecasts((0.4,))), (2,), b) for b in ("torch", "kernel")]
+    one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
+    found, expected = ([boat.step(one), boat.forecast([[0.5, 0.4]] * 5, 0.1).surge][1] for boat in boats)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def copies(online: Online) -> list[Online]:

@@ -404,15 +404,15 @@ class Stepper:
         estimator: Any = self.estimator
         if not hasattr(estimator, "forecast"):
             raise ConfigError(NONE)
-        plan = Inputs(*(torch.as_tensor(x, dtype=self._like.dtype, device=self._like.device) for x in inputs))
+        plan = Inputs(*(torch.tensor(x, dtype=self._like.dtype, device=self._like.device) for x in inputs))
         surge, width = estimator.forecast(self.state, plan)
         return _array(surge), _array(width)
 
     def _float(self, value: Any) -> Tensor:
-        return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device)
+        return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device).expand(self.batch)
 
     def _bool(self, value: Any) -> Tensor:
-        return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device)
+        return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device).expand(self.batch)
 
 
 def live(estimator: Estimator, state: Any, backend: str) -> Any:

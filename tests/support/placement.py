@@ -1,6 +1,9 @@
-"""What must not happen in a step on an accelerator: numbers that come from the host, or tensors that stay there."""
+"""What must not happen in a step on an accelerator, and a stand-in for one: the device `meta`, which has no values."""
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import torch
@@ -24,7 +27,8 @@ class _NoneFromTheHost(TorchFunctionMode):
             data = args[1] if name == "new_tensor" else args[0]
             assert isinstance(data, Tensor), f"{name}({data!r:.60}) is copied from the host"
         if name in ("__getitem__", "__setitem__"):
-            copied = [x for x in _parts(args[1]) if isinstance(x, list | np.ndarray)]
+            index = args[1] if isinstance(args[1], tuple) else (args[1],)
+            copied = [x for x in index if isinstance(x, list | np.ndarray)]
             assert not copied, f"the index {copied[0]!r:.60} is copied from the host"
         return func(*args, **(kwargs or {}))
 
@@ -40,25 +44,32 @@ class _NoneOnTheHost(TorchDispatchMode):
         return found
 
 
-class OnDevice:
-    """Steps inside this context keep to the device of their arguments.
+@contextmanager
+def on_device() -> Iterator[None]:
+    """Fails where steps inside it do not keep to the device of their arguments.
 
-    >>> x = torch.zeros(3, device="meta")
-    >>> with OnDevice():
-    ...     x.new_tensor([1.0, 2.0])
+    >>> with on_device():
+    ...     torch.zeros(3, device="meta").new_tensor([1.0, 2.0])
     Traceback (most recent call last):
     AssertionError: new_tensor([1.0, 2.0]) is copied from the host
     """
-
-    def __enter__(self) -> None:
-        self._modes = _NoneFromTheHost(), _NoneOnTheHost()
-        for mode in self._modes:
-            mode.__enter__()
-
-    def __exit__(self, *error: Any) -> None:
-        for mode in reversed(self._modes):
-            mode.__exit__(*error)
+    with _NoneFromTheHost(), _NoneOnTheHost():
+        yield
 
 
-def _parts(index: Any) -> tuple[Any, ...]:
-    return index if isinstance(index, tuple) else (index,)
+@contextmanager
+def read_as_ones() -> Iterator[None]:
+    """Every value that is read from `meta` is 1, so that code which reads results can be run to its end.
+
+    >>> with read_as_ones():
+    ...     torch.zeros(2, device="meta").tolist()
+    [1.0, 1.0]
+    """
+    with ExitStack() as stack:
+        for name in ("cpu", "item", "tolist", "__float__", "__bool__"):
+            stack.enter_context(patch.object(Tensor, name, _reading(getattr(Tensor, name))))
+        yield
+
+
+def _reading(method: Any) -> Any:
+    return lambda x: method(torch.ones(x.shape, dtype=x.dtype) if x.is_meta else x)

@@ -121,7 +121,9 @@ class Projected(Estimator):
 
     def learn(self, state: RLSState, inputs: Inputs, surge: Tensor) -> tuple[RLSState, Tensor]:
         state, predicted = self.estimator.learn(state, inputs, surge)
-        return state._replace(theta=_project(state.theta, state.factor, self.places, self.held, self.iterations)), predicted
+        return state._replace(
+            theta=_project(state.theta, state.factor, self.places, self.held, self.iterations)
+        ), predicted
 
     def start(self, state: RLSState, surge: Tensor) -> RLSState:
         return self.estimator.start(state, surge)

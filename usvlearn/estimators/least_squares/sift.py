@@ -49,7 +49,9 @@ def sift_step(
     >>> (factor @ factor.mT).diag()  # the second direction: nothing learned, nothing forgotten
     tensor([0.6667, 1.0000])
     """
-    informs = (informs if isinstance(informs, Tensor) else torch.full_like(innovation, informs, dtype=torch.bool))[..., None]
+    informs = (informs if isinstance(informs, Tensor) else torch.full_like(innovation, informs, dtype=torch.bool))[
+        ..., None
+    ]
     safe = torch.where(informs, phi, 1.0)  # the values of an uninformative sample must not reach the gradients
     x = torch.linalg.solve_triangular(factor, safe[..., None], upper=False).squeeze(-1)
     sums = (x * x).cumsum(-1)

@@ -68,6 +68,7 @@ class Forecasts(nn.Module):
         self.members = [members] if isinstance(members, str) else None if members is None else list(members)
         memory, growth = check_positive("forecasts.memory", memory, "of s"), check_not_negative("growth", growth)
         self.register_buffer("horizons", torch.tensor(chosen, dtype=torch.float64))
+        self.labels = tuple(f"{h:g}" for h in chosen)
         self.rule = BOA(memory=[memory + growth * h for h in chosen], scale=scale, share=share)
         self.names: tuple[str, ...] = ()
 
@@ -86,7 +87,7 @@ class Forecasts(nn.Module):
             raise ConfigError(f"forecasts.members: found {', '.join(names) or 'none'}, expected each member once")
         self.names, self.coverage, self.surge_max = tuple(names), coverage, surge_max
         self.rule.bind(names)
-        # Read once: `spec_of` copies hyperparameters from their device. A subclass may need other leaves than its class.
+        # A subclass may need other leaves than its class. `spec_of` reads hyperparameters, which waits for a device.
         self._frozen = {name: None if spec_of(members[name]) is None else members[name].frozen for name in names}
 
     def init(self, batch: Sequence[int], members: Mapping[str, Any], states: Mapping[str, Any]) -> ForecastState:
@@ -235,10 +236,10 @@ class Forecasts(nn.Module):
         """Weights and half-widths by horizon, as `weight_MEMBER_at_10` and `halfwidth_at_10`."""
         found: dict[str, Tensor] = {}
         weights = self._weights(state)
-        for k, h in enumerate(self.horizons.tolist()):
+        for k, h in enumerate(self.labels):
             own = weights[..., k, :].unbind(-1)
-            found |= {f"weight_{name}_at_{h:g}": weight for name, weight in zip(self.names, own, strict=True)}
-            found[f"halfwidth_at_{h:g}"] = self._halfwidths(state)[..., k]
+            found |= {f"weight_{name}_at_{h}": weight for name, weight in zip(self.names, own, strict=True)}
+            found[f"halfwidth_at_{h}"] = self._halfwidths(state)[..., k]
         return found
 
     def _leaves(self, member: str, state: Any) -> dict[str, Tensor]:

@@ -1,0 +1,259 @@
+"""Where numbers are: what an estimator makes is on the device to which it was moved.
+
+The device `meta` stands for an accelerator. It has shapes and no values: an operation there that mixes devices fails,
+and so does one that reads a value. Whether an accelerator computes the right numbers, these tests cannot tell;
+`benchmarks/cuda.py` compares them where there is one.
+"""
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from torch.func import functional_call, grad, vmap
+from torch.utils._pytree import tree_leaves
+
+from tests.support import ESTIMATORS, ROOT, over, random_samples
+from tests.support.kernel_cases import VARIANTS
+from tests.support.placement import on_device, read_as_ones
+from usvlearn import (
+    AID,
+    BOA,
+    RNN,
+    Ensemble,
+    Estimator,
+    Forecasts,
+    Inputs,
+    JointEKF,
+    Online,
+    Persistence,
+    Sample,
+    forecast,
+    rollout,
+)
+from usvlearn.cli.settings import ensemble_of
+from usvlearn.errors import ShapeError
+from usvlearn.estimators.least_squares.sift import sift_step
+from usvlearn.rollouts import stretches
+from usvlearn.signals import named_leaves, tree_map
+
+STEPS = 2
+
+
+def default() -> Ensemble:
+    """The ensemble of `train.py`: ten members, all rules, monitors and forecasts."""
+    with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
+        return ensemble_of(compose("train", ["estimators.rnn.neurons=6", "forecasts.horizons=[0.4,2.0]"]))
+
+
+def small() -> Ensemble:
+    """With forecasts."""
+    return Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=Forecasts((0.4,)))
+
+
+MORE = [  # what the estimators of `ESTIMATORS` leave out: rules, wrappers in wrappers, forecasts, projections
+    "aid_all_terms", "projected_all_terms", "projected_signs", "projected_free", "robust_rnn_replay", "rnn_paper",
+    "rnn_simple_literal_1", "rnn_simple_best_1", "rnn_gershgorin_literal_1", "rnn_gershgorin_best_1",
+    "rnn_lmi_literal_1", "memory_around_robust", "arx_no_lags", "every_rule", "sleepers", "all_fixed", "forecasts",
+    "forecasts_wrapped",
+]  # fmt: skip
+CASES = ESTIMATORS | {name: VARIANTS[name] for name in MORE} | {"default": default, "small": small}
+SOME = ["aid", "projected", "robust_memory", "rnn_replay", "joint", "arx", "weighted", "small"]  # of each family one
+CALLS = {  # of an estimator with its state and a run
+    "learn": lambda estimator, state, run: estimator.learn(state, at(run, 0).inputs, run.surge[0]),
+    "free_step": lambda estimator, state, run: estimator.free_step(state, at(run, 0).inputs),
+    "inflate": lambda estimator, state, run: estimator.inflate_covariance(state, run.surge[0]),
+    # Values are unknown on `meta`, so that each step of a rollout there calls `start`, `predict` and `update`.
+    "rollout": lambda estimator, state, run: rollout(estimator, state, run, lambda state: state, "torch"),
+    "forecast": lambda estimator, state, run: estimator.forecast(state, run.inputs),
+}
+
+
+def at(samples, k):
+    return tree_map(lambda x: x[k], samples)
+
+
+def away(tree):
+    return tree_map(lambda x: x.to("meta"), tree)
+
+
+def described(tree) -> list[tuple]:
+    return [(x.shape, x.dtype) for x in tree_leaves(tree) if isinstance(x, torch.Tensor)]
+
+
+def assert_away(found, expected) -> None:
+    """Everything is on `meta`, and of the shapes and dtypes that it has on the CPU."""
+    assert {x.device.type for x in tree_leaves(found) if isinstance(x, torch.Tensor)} <= {"meta"}
+    assert described(found) == described(expected)
+
+
+@pytest.mark.parametrize("name", CASES)
+@over("batch", [(), (2, 3)])
+def test_every_step_stays_on_the_device_of_the_state(name, batch):
+    here, there, run = CASES[name](), CASES[name]().to("meta"), random_samples(STEPS, *batch)
+    state = here.init(batch)
+    with on_device():
+        state_there = there.init(batch)
+    assert_away(state_there, state)
+    for what, call in CALLS.items():
+        if what == "forecast" and getattr(here, "forecasts", None) is None:
+            continue
+        expected = call(here, state, run)
+        with on_device():
+            found = call(there, state_there, away(run))
+        assert_away(found, expected)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_diagnostics_are_on_the_device_of_the_state(name):
+    here, there = CASES[name](), CASES[name]().to("meta")
+    with read_as_ones():
+        assert_away(there.monitor(there.init((2,))), here.monitor(here.init((2,))))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_number_of_an_estimator_moves_with_it(name):
+    """A tensor that is neither a parameter nor a buffer would stay behind."""
+    for path, part in CASES[name]().named_modules():
+        assert not [key for key, x in vars(part).items() if isinstance(x, torch.Tensor)], path
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_gradients_are_on_the_device_of_the_hyperparameters(name):
+    estimator, run = CASES[name]().to("meta"), away(random_samples(STEPS, 2))
+    parameters = [x for x in estimator.parameters() if x.requires_grad]
+    if not parameters:
+        return
+    with on_device():
+        loss = rollout(estimator, estimator.init((2,)), run)[1].square().mean()
+        found = torch.autograd.grad(loss, parameters, allow_unused=True)
+    assert any(x is not None for x in found)
+    assert all(x is None or (x.is_meta and x.shape == p.shape) for x, p in zip(found, parameters, strict=True))
+
+
+class Error(torch.nn.Module):
+    """The mean square error of a run, as a function of the hyperparameters of an estimator."""
+
+    def __init__(self, estimator: Estimator):
+        super().__init__()
+        self.estimator = estimator
+
+    def forward(self, run: Sample) -> torch.Tensor:
+        batch = run.surge.shape[1:]
+        return (rollout(self.estimator, self.estimator.init(batch), run)[1] - run.surge).square().mean()
+
+
+def gradients(estimator: Estimator, run: Sample, mapped=vmap):
+    """Of the error by each hyperparameter, for each lane `(lanes,)` alone."""
+    module = Error(estimator)
+    leaves = {name: x.detach() for name, x in module.named_parameters() if x.requires_grad}
+    return mapped(grad(lambda leaves, one: functional_call(module, leaves, (one,))), (None, 1))(leaves, run)
+
+
+def one_by_one(function, axes):
+    """As `vmap`, lane after lane."""
+
+    def mapped(leaves, run):
+        lanes = [function(leaves, tree_map(lambda x, k=k: x[:, k], run)) for k in range(run.surge.shape[1])]
+        return tree_map(lambda *x: torch.stack(x), *lanes)
+
+    return mapped
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_mapped_gradients_are_those_of_each_lane(name):
+    """Also where the lanes use their samples differently."""
+    estimator, run = CASES[name](), random_samples(4, 2)
+    fresh, dt = run.fresh.clone(), run.inputs.dt.clone()
+    fresh[2, 0], dt[2, 1] = False, 0.0  # one lane holds, where a segment of the other starts
+    run = Sample(run.inputs._replace(dt=dt), run.surge, fresh, run.measured)
+    found, expected = gradients(estimator, run), gradients(estimator, run, one_by_one)
+    for key, value in expected.items():
+        torch.testing.assert_close(found[key], value, msg=lambda m, k=key: f"{k}: {m}")
+    assert_away(gradients(CASES[name]().to("meta"), away(run)), found)
+
+
+def test_samples_on_another_device_than_the_state_are_refused():
+    aid, run = AID(28.0), random_samples(STEPS, 2)
+    with pytest.raises(
+        ShapeError, match=r"samples are on meta, the state's theta is on cpu: move the estimator with \.to"
+    ):
+        rollout(aid, aid.init((2,)), away(run))
+    with pytest.raises(
+        ShapeError, match=r"samples: inputs.heading is on meta, surge on cpu: move all with \.to\(cpu\)"
+    ):
+        rollout(aid, aid.init((2,)), run._replace(inputs=run.inputs._replace(heading=run.inputs.heading.to("meta"))))
+
+
+def test_a_boat_learns_on_the_device_of_its_estimator():
+    ensemble = Ensemble({"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=Forecasts((0.4,)))
+    with read_as_ones():
+        boat = Online(ensemble.to("meta"), (2,))
+        assert boat.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)).tolist() == [1.0, 1.0]
+        assert boat.foresee(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"][0].tolist() == [1.0, 1.0]
+        assert boat.forecast([[0.5, 0.5]] * 3, headings=0.0).surge.shape == (3, 2)
+        boat.state = boat.state
+        assert {leaf.device.type for _, leaf in named_leaves(boat.state)} == {"meta"}
+
+
+def test_stretches_of_arrays_are_sent_to_the_device_of_the_state():
+    ensemble = Ensemble({"aid": AID(28.0)}).to("meta")
+    parts = [tree_map(lambda x: x.numpy(), random_samples(STEPS, 2))] * 2
+    with read_as_ones():
+        for state, kept in stretches(ensemble, ensemble.init((2,)), parts, ["predictions"]):
+            assert state.predictions.is_meta and isinstance(kept["predictions"], np.ndarray)
+
+
+def test_a_forecast_is_on_the_device_of_the_state():
+    ensemble = Ensemble({"aid": AID(28.0)}, forecasts=Forecasts((0.4,))).to("meta")
+    with read_as_ones():
+        ahead = forecast(ensemble, ensemble.init((2,)), away(random_samples(STEPS, 2)).inputs)
+    assert all(x.is_meta and x.shape == (STEPS, 2) for x in ahead)
+
+
+def test_a_step_of_sift_alone_takes_every_sample_as_informative():
+    given = torch.zeros(2), torch.eye(2), torch.ones(2), torch.tensor(1.0), torch.tensor(0.5)
+    expected, there = sift_step(*given, torch.tensor(True)), [x.to("meta") for x in given]
+    torch.testing.assert_close(sift_step(*given), expected, rtol=0, atol=0)
+    with on_device():
+        assert_away(sift_step(*there), expected)
+
+
+class Stays(Persistence):
+    """Keeps a number that does not move with it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.shift = torch.zeros(2)
+
+    def predict(self, state, inputs):
+        return state, state.surge + self.shift
+
+
+class Lists(Persistence):
+    def predict(self, state, inputs):
+        return state, state.surge[..., [1, 0]]
+
+
+class Makes(Persistence):
+    def predict(self, state, inputs):
+        return state, state.surge * float(torch.zeros(2).sum())
+
+
+class Copies(Persistence):
+    def predict(self, state, inputs):
+        return state, state.surge + state.surge.new_tensor(1.0)
+
+
+class Reads(Persistence):
+    def predict(self, state, inputs):
+        return state, state.surge * float(inputs.dt.max())
+
+
+FAULTS = {Stays: "expected device meta", Lists: "the index", Makes: "on the CPU", Copies: "copied", Reads: "item"}
+
+
+@pytest.mark.parametrize("kind", FAULTS)
+def test_each_fault_of_placement_is_found(kind):
+    estimator, run = kind().to("meta"), away(random_samples(STEPS, 2))
+    with pytest.raises((AssertionError, RuntimeError), match=FAULTS[kind]), on_device():
+        rollout(estimator, estimator.init((2,)), run)
