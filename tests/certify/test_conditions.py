@@ -21,6 +21,7 @@ from certify.conditions import (
     tight,
 )
 from certify.weights import ShallowWeights
+from tests.support.placement import on_device
 
 EPS = torch.finfo(torch.float64).eps
 BOX = torch.tensor([0.0, -1, 0.25]).double(), torch.tensor([0.5, 1, 0.75]).double()
@@ -275,3 +276,13 @@ def test_the_identity_holds_at_no_condition():
     for condition in (*CONDITIONS.values(), *BEST_GAUGE.values()):
         assert condition(one, one).margin <= 0
     assert tight(one, one).margin == 0
+
+
+@pytest.mark.parametrize("batch", [(), (2, 3)])
+def test_conditions_stay_on_the_device_of_the_weights(batch):
+    """`meta` stands for an accelerator (`tests/estimators/test_devices.py`)."""
+    there, box = ShallowWeights(*(x.to("meta") for x in networks(*batch))), [x.to("meta") for x in BOX]
+    with on_device():
+        found = [each(there.a, there.w1) for each in (*CONDITIONS.values(), *BEST_GAUGE.values())]
+        found += [interval(there, *box), tight(there.a, there.w1, torch.full(batch, 0.5, device="meta"))]
+    assert all(x.is_meta and x.shape == batch and x.dtype == torch.float64 for each in found for x in each)

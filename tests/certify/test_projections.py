@@ -12,6 +12,7 @@ from certify.errors import CertifyError
 from certify.projections import project
 from certify.weights import ShallowWeights
 from tests.support import over
+from tests.support.placement import on_device
 
 BOUNDS = torch.tensor([0.0, 0, 0, -1, -1]).double(), torch.ones(5).double()
 CASES = [("simple", "literal"), ("simple", "best"), ("gershgorin", "literal"), ("gershgorin", "best"),
@@ -205,3 +206,18 @@ def test_bad_arguments():
             project(weights, rate=rate)
     with pytest.raises(CertifyError, match="bounds"):
         project(weights, "interval")
+
+
+@pytest.mark.parametrize("condition, gauge", CASES)
+@over("batch", [(), (2, 3)])
+def test_a_projection_stays_on_the_device_of_the_weights(condition, gauge, batch):
+    """And its gradient; `meta` stands for an accelerator (`tests/estimators/test_devices.py`)."""
+    here, bounds = networks(batch, dtype=torch.float32), tuple(x.float() for x in BOUNDS)
+    there, away = ShallowWeights(*(x.to("meta").requires_grad_() for x in here)), tuple(x.to("meta") for x in bounds)
+    expected = project(here, condition, 0.9, gauge, bounds)
+    for rate in (0.9, torch.full(batch, 0.9, device="meta")):
+        with on_device():
+            found = project(there, condition, rate, gauge, away)
+            (slope,) = torch.autograd.grad(found.a.sum(), there.a)
+        assert all(x.is_meta and (x.shape, x.dtype) == (y.shape, y.dtype) for x, y in zip(found, expected, strict=True))
+        assert slope.is_meta and slope.shape == here.a.shape

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from typing import Any, NamedTuple
 
 import torch
@@ -194,8 +195,10 @@ def lane_errors(
     """
     batch, first = (*settings, len(fleet.boats)), middle(fleet.runs) if measure.kind == FREE else 0
     if measure.kind == FORECAST:
+        own = next(chain(estimator.parameters(), estimator.buffers()), torch.zeros(()))
         ahead = Forecasts((measure.horizon,))
         estimator = Ensemble({"member": estimator}, {"own": Average()}, watched=False, forecasts=ahead)
+        ahead.to(own.device)
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))
     with torch.no_grad():
         state = estimator.init(batch)
