@@ -1,0 +1,398 @@
+"""Lanes on a GPU: steps and gradients by torch on CUDA, beside torch and compiled code on the CPU.
+
+python benchmarks/cuda.py                        where torch finds CUDA; writes the page
+python benchmarks/cuda.py --cpu                  the CPU's part alone, printed
+python benchmarks/cuda.py --compile              also by torch.compile, which compiles for minutes
+
+All is float64. Every lane has its own samples, and learns from each. The results of every way are compared with those
+of torch on the CPU.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import accuracy
+import torch
+from pages import publish
+from speed_steps import samples
+from timing import counted, machine, table, three_digits
+from torch import Tensor
+from torch.func import functional_call, grad, vmap
+
+from usvlearn import AID, RLS, RNN, Estimator, JointEKF, Sample, rollout
+from usvlearn.signals import named_leaves, tree_map
+
+MASS, SURGE_MAX, NOISE = 28.0, 2.74, 0.02  # kg, m/s, m/s
+PREDICTIONS, GRADIENTS = 1e-6, 1e-6  # m/s; of the largest entry: how far results may lie from those of the CPU
+TEMPORARIES = 8  # copies of a state that a step holds, about
+AT_REST = 100  # steps with which the boat's log begins, at most
+SLOW, LONGEST = 5.0, 60.0  # s of a work that is done once; above which more lanes are left out
+NONE = "No CUDA device was found, so nothing was measured; --cpu measures the part of the CPU."
+
+Work = Callable[[], Any]
+Make = Callable[[Estimator, Sample], Work]
+
+
+class Effort(NamedTuple):
+    """How much is measured."""
+
+    lanes: tuple[int, ...] = (1, 16, 256, 4096, 65536)
+    lane_steps: int = 2**19  # of a run, at least `fewest` steps and at most `most`
+    fewest: int = 4
+    most: int = 200
+    back: int = 50  # steps through which a gradient is taken
+    repeats: int = 5
+
+    def steps(self, lanes: int) -> int:
+        return min(self.most, max(self.fewest, self.lane_steps // lanes))
+
+
+QUICK = Effort((1, 4), 40, 2, 5, 3, 2)
+
+
+class Way(NamedTuple):
+    """Where and how a result is computed."""
+
+    device: str
+    make: Make
+
+
+class Kind(NamedTuple):
+    """What is measured."""
+
+    title: str
+    ways: Mapping[str, Way]
+    reference: Make  # on the CPU
+    keeps: bool  # all steps in memory, for a gradient
+
+
+def estimators() -> dict[str, Estimator]:
+    """One of each kind of arithmetic, and the default ensemble."""
+    known = {"aid": AID(MASS), "rls": RLS(), "rnn": RNN(surge_max=SURGE_MAX), "joint": JointEKF(SURGE_MAX, MASS)}
+    return known | {"default ensemble": accuracy.ensemble(())}
+
+
+def lanes_of(steps: int, lanes: int) -> Sample:
+    """A simulated boat's samples, `(steps, lanes)`; commands and noise differ by lane."""
+    generator = torch.Generator().manual_seed(0)
+    wide = tree_map(lambda x: x[AT_REST:, None].expand(steps, lanes), samples(AT_REST + steps))
+    shares = torch.linspace(0.5, 1.0, lanes, dtype=torch.float64)
+    left, right = (x * shares for x in wide.inputs[:2])
+    surge = wide.surge + NOISE * torch.randn(steps, lanes, generator=generator, dtype=torch.float64)
+    return wide._replace(inputs=wide.inputs._replace(command_left=left, command_right=right), surge=surge)
+
+
+def sent(run: Sample, device: str) -> Sample:
+    return tree_map(lambda x: x.contiguous().to(device), run)
+
+
+def rolled(estimator: Estimator, run: Sample, backend: str) -> Work:
+    """The predictions of a run, without gradients."""
+    state = tree_map(Tensor.detach, estimator.init(run.surge.shape[1:]))
+
+    def work() -> Tensor:
+        with torch.no_grad():
+            return rollout(estimator, state, run, backend=backend)[1]
+
+    return work
+
+
+def compiled(estimator: Estimator, run: Sample) -> Work:
+    return rolled(estimator, run, "kernel")
+
+
+def eager(estimator: Estimator, run: Sample) -> Work:
+    return rolled(estimator, run, "torch")
+
+
+def stepped(estimator: Estimator, run: Sample) -> Work:
+    """The predictions of a run by `torch.compile` of one step."""
+    step, start = torch.compile(estimator.learn), tree_map(Tensor.detach, estimator.init(run.surge.shape[1:]))
+
+    def work() -> Tensor:
+        state, found = start, []
+        with torch.no_grad():
+            for k in range(len(run.surge)):
+                state, surge = step(state, tree_map(lambda x, k=k: x[k], run.inputs), run.surge[k])
+                found.append(surge)
+        return torch.stack(found)
+
+    return work
+
+
+class Graphed:
+    """A run by replays of one captured step, which changes its state, its count and its predictions in place.
+
+    Where there is no CUDA the step is not captured, but made anew each time; tests do so.
+    """
+
+    def __init__(self, estimator: Estimator, run: Sample):
+        self.estimator, self.run = estimator, run
+        self.start = tree_map(Tensor.detach, estimator.init(run.surge.shape[1:]))
+        self.state = tree_map(torch.clone, self.start)
+        self.step_count = torch.zeros(1, dtype=torch.long, device=run.surge.device)
+        self.predictions = torch.zeros_like(run.surge)
+        self.replay: Work = self._captured() if run.surge.is_cuda else self._step
+
+    @torch.no_grad()
+    def _step(self) -> None:
+        now = tree_map(lambda x: x.index_select(0, self.step_count)[0], self.run)
+        state, predicted = self.estimator.learn(self.state, now.inputs, now.surge)
+        self._write(state)
+        self.predictions.index_copy_(0, self.step_count, predicted[None])
+        self.step_count += 1
+
+    def _write(self, state: Any) -> None:
+        """Overwrite the state; a leaf that lies in the memory of the old one is copied before."""
+        old = [leaf for _, leaf in named_leaves(self.state)]
+        places = {leaf.untyped_storage().data_ptr() for leaf in old}
+        new = [leaf for _, leaf in named_leaves(state)]
+        new = [leaf.clone() if leaf.untyped_storage().data_ptr() in places else leaf for leaf in new]
+        for into, leaf in zip(old, new, strict=True):
+            into.copy_(leaf)
+
+    def _captured(self) -> Work:
+        side = torch.cuda.Stream()
+        side.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(side):  # libraries are loaded, and memory is found, before the capture
+            for _ in range(2):
+                self._step()
+                self.step_count.zero_()
+        torch.cuda.current_stream().wait_stream(side)
+        graph = torch.cuda.CUDAGraph()
+        with torch.cuda.graph(graph):
+            self._step()
+        return graph.replay
+
+    def __call__(self) -> Tensor:
+        self._write(tree_map(torch.clone, self.start))
+        self.step_count.zero_()
+        for _ in range(len(self.run.surge)):
+            self.replay()
+        return self.predictions
+
+
+def error(estimator: Estimator, run: Sample) -> Tensor:
+    """The mean square error of a run, m²/s²."""
+    predicted = rollout(estimator, estimator.init(run.surge.shape[1:]), run, backend="torch")[1]
+    return (predicted - run.surge).square().mean()
+
+
+def learnable(estimator: Estimator) -> dict[str, Tensor]:
+    return {name: x for name, x in estimator.named_parameters() if x.requires_grad}
+
+
+def backward(estimator: Estimator, run: Sample) -> Work:
+    """The gradient of the error of all lanes together, by each hyperparameter."""
+    leaves = learnable(estimator)
+
+    def work() -> dict[str, Tensor]:
+        found = torch.autograd.grad(error(estimator, run), list(leaves.values()), allow_unused=True)
+        return {name: x for name, x in zip(leaves, found, strict=True) if x is not None}
+
+    return work
+
+
+class _Error(torch.nn.Module):
+    """`error` as a module, so that `torch.func` can replace its hyperparameters."""
+
+    def __init__(self, estimator: Estimator):
+        super().__init__()
+        self.estimator = estimator
+
+    def forward(self, run: Sample) -> Tensor:
+        return error(self.estimator, run)
+
+
+def mapped(estimator: Estimator, run: Sample) -> Work:
+    """The gradient of the error of each lane alone, `(lanes, …)`."""
+    module = _Error(estimator)
+    leaves = {name: x.detach() for name, x in learnable(module).items()}
+    each = vmap(grad(lambda leaves, one: functional_call(module, leaves, (one,))), (None, 1))
+    return lambda: each(leaves, run)
+
+
+def kinds(cuda: bool, compile_steps: bool) -> list[Kind]:
+    """What is measured, and by which ways; those of graphs last, because a failed capture may harm what follows."""
+    steps, back, lanes, graph = (
+        {"CPU, compiled": Way("cpu", compiled), "CPU, torch": Way("cpu", eager)},
+        {"CPU, torch": Way("cpu", backward)},
+        {"CPU, torch": Way("cpu", mapped)},
+        {},
+    )
+    device = "cuda" if cuda else "cpu"
+    if cuda:
+        steps["CUDA, torch"] = Way("cuda", eager)
+        back["CUDA, torch"] = Way("cuda", backward)
+        lanes["CUDA, torch"] = Way("cuda", mapped)
+        graph["CUDA graph"] = Way("cuda", Graphed)
+    if compile_steps:
+        steps[f"{device.upper()}, torch.compile"] = Way(device, stepped)
+    found = [Kind("A step", steps, eager, False), Kind("A gradient of all lanes together", back, backward, True)]
+    found += [Kind("A gradient of each lane", lanes, mapped, True), Kind("A step as a CUDA graph", graph, eager, False)]
+    return [kind for kind in found if kind.ways]
+
+
+def seconds(work: Work, device: str, repeats: int) -> float:
+    """Median time of a work; a slow one is done once. The first call, which may compile, is not measured."""
+    work()
+    spent = [_once(work, device)]
+    if spent[0] < SLOW:
+        spent += [_once(work, device) for _ in range(repeats - 1)]
+    return statistics.median(spent)
+
+
+def _once(work: Work, device: str) -> float:
+    if device != "cuda":
+        begin = time.perf_counter()
+        work()
+        return time.perf_counter() - begin
+    begun, ended = (torch.cuda.Event(enable_timing=True) for _ in range(2))
+    torch.cuda.synchronize()
+    begun.record()
+    work()
+    ended.record()
+    torch.cuda.synchronize()
+    return begun.elapsed_time(ended) / 1000  # from ms
+
+
+def room(device: str) -> float:
+    """Bytes that a measurement may use: half of what is free."""
+    if device == "cuda":
+        torch.cuda.empty_cache()
+        return torch.cuda.mem_get_info()[0] / 2
+    try:
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2
+    except (AttributeError, OSError, ValueError):  # no such question on this system
+        return 2.0**31
+
+
+def needed(estimator: Estimator, keeps: bool) -> float:
+    """Bytes for a lane of a step, about: of the state and its temporaries, or of what a gradient keeps."""
+    estimator, kept = estimator.to("cpu"), {}
+    if not keeps:
+        return TEMPORARIES * sum(x.numel() * x.element_size() for _, x in named_leaves(estimator.init()))
+
+    def keep(x: Tensor) -> Tensor:
+        kept[x.untyped_storage().data_ptr()] = x.untyped_storage().nbytes()
+        return x
+
+    run = lanes_of(2, 2)
+    with torch.autograd.graph.saved_tensors_hooks(keep, lambda x: x):
+        error(estimator, run)
+    return sum(kept.values()) / run.surge.numel()
+
+
+def rates(kind: Kind, way: Way, estimator: Estimator, effort: Effort) -> list[str]:
+    """Thousand lane-steps a second, for each number of lanes; – where it would not fit, or take too long."""
+    found, slowness, each = [], 0.0, needed(estimator, kind.keeps)  # s and bytes of a lane-step
+    for lanes in effort.lanes:
+        steps = effort.back if kind.keeps else effort.steps(lanes)
+        fits = each * lanes * (steps if kind.keeps else 1) <= room(way.device)
+        spent = timed(way, estimator, steps, lanes, effort) if fits and slowness * steps * lanes <= LONGEST else None
+        slowness = slowness if spent is None else spent / (steps * lanes)
+        found.append("–" if spent is None else three_digits(0.001 / slowness))
+    return found
+
+
+def timed(way: Way, estimator: Estimator, steps: int, lanes: int, effort: Effort) -> float | None:
+    """Seconds of a run; None if the GPU's memory does not suffice."""
+    try:
+        work = way.make(estimator.to(way.device), sent(lanes_of(steps, lanes), way.device))
+        return seconds(work, way.device, effort.repeats)
+    except torch.OutOfMemoryError:
+        return None
+
+
+def compared(kind: Kind, way: Way, estimator: Estimator, effort: Effort) -> str:
+    """The largest difference from torch on the CPU: of predictions in m/s, of gradients relative to the largest entry.
+
+    Raises:
+        SystemExit: it is too large.
+    """
+    reference = Way("cpu", kind.reference)
+    if way == reference:
+        return ""
+    lanes, limit = effort.lanes[1], GRADIENTS if kind.keeps else PREDICTIONS
+    run = lanes_of(min(effort.back, effort.steps(lanes)), lanes)
+    found, expected = (result(each, estimator, run) for each in (way, reference))
+    worst = max(_difference(found[name], x, kind.keeps) for name, x in expected.items())
+    if not worst <= limit:
+        raise SystemExit(f"{kind.title}: differs by {worst:.2g} from torch on the CPU, expected {limit:g} or less")
+    return f"{worst:.1g}"
+
+
+def result(way: Way, estimator: Estimator, run: Sample) -> dict[str, Tensor]:
+    """What a way computes, by name, on the CPU."""
+    found = way.make(estimator.to(way.device), sent(run, way.device))()
+    return {name: x.detach().cpu().clone() for name, x in named_leaves(found)}
+
+
+def _difference(found: Tensor, expected: Tensor, relative: bool) -> float:
+    largest = float(expected.abs().max()) if relative else 1.0
+    return float((found - expected).abs().max()) / (largest or 1.0)
+
+
+def section(kind: Kind, known: Mapping[str, Estimator], effort: Effort) -> list[str]:
+    """The table of a kind; its last column is the difference from torch on the CPU."""
+    rows = []
+    for name, estimator in known.items():
+        for title, way in kind.ways.items():
+            print(f"{kind.title}: {name}, {title} …", flush=True)
+            try:
+                shown = [*rates(kind, way, estimator, effort), compared(kind, way, estimator, effort)]
+            except RuntimeError as failure:
+                if way.make not in (Graphed, stepped):
+                    raise
+                shown = [f"not possible: {str(failure).splitlines()[0]}"] + [""] * len(effort.lanes)
+            rows.append([f"{name}, {title}", *shown])
+    head = ["thousand lane-steps/s", *(counted(n, "lane") for n in effort.lanes), "difference"]
+    return [f"## {kind.title}", "", *table(head, rows), ""]
+
+
+def page(cuda: bool, compile_steps: bool, effort: Effort, known: Mapping[str, Estimator]) -> list[str]:
+    """The page, as Markdown."""
+    gpu = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}; " if cuda else ""
+    threads = counted(torch.get_num_threads(), "thread")
+    text = [
+        "# Lanes on a GPU",
+        "",
+        f"Measured by `python benchmarks/cuda.py` in float64: medians of {effort.repeats} runs, after one that is not",
+        f"counted. The CPU uses {threads}. A gradient is taken through {effort.back} steps, and each of them counts",
+        f"as a lane-step. – marks what does not fit into half of the free memory, or takes more than {LONGEST:g} s.",
+        "The last column is the largest difference from torch on the CPU: of predictions in m/s, of gradients relative",
+        f"to the largest entry. More than {PREDICTIONS:g} and {GRADIENTS:g} would have ended the measurement.",
+        "",
+        f"{gpu}{machine()}.",
+        "",
+    ]
+    for kind in kinds(cuda, compile_steps):
+        text += section(kind, known, effort)
+    return text
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    asked = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    asked.add_argument("--cpu", action="store_true", help="the CPU's part alone, printed")
+    asked.add_argument("--compile", action="store_true", help="also by torch.compile")
+    asked.add_argument("--quick", action="store_true", help="on little data: whether it runs; printed")
+    given = asked.parse_args(arguments)
+    cuda = torch.cuda.is_available() and not given.cpu
+    if not cuda and not given.cpu:
+        print(NONE)
+        return
+    text = page(cuda, given.compile, QUICK if given.quick else Effort(), estimators())
+    if cuda and not given.quick:
+        publish(__file__, text)
+    else:
+        print(*text, sep="\n")
+
+
+if __name__ == "__main__":
+    main()
