@@ -234,7 +234,10 @@ def test_no_lanes_are_no_steps():
         assert rollout(aid, aid.init((0,)), random_samples(4, 0))[1].shape == (4, 0)
 
 
-def test_hyperparameters_are_mapped_over():
+@pytest.mark.parametrize("make", [
+    lambda: AID(28.0), lambda: Ensemble({"aid": AID(28.0), "rls": RLS()}, forecasts=Forecasts((0.4, 1.0))),
+], ids=["aid", "forecasts"])  # fmt: skip
+def test_hyperparameters_are_mapped_over(make):
     """vmap hands over parameters that no kernel can read."""
 
     samples = random_samples(5)
@@ -242,10 +245,10 @@ def test_hyperparameters_are_mapped_over():
     class Errors(torch.nn.Module):
         def __init__(self):
             super().__init__()
-            self.aid = AID(28.0)
+            self.estimator = make()
 
         def forward(self):
-            return rollout(self.aid, self.aid.init(), samples)[1]
+            return rollout(self.estimator, self.estimator.init(), samples)[1]
 
     module = Errors()
     stacked = {name: torch.stack([x.detach(), x.detach() + 1]) for name, x in module.named_parameters()}

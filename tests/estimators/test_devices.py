@@ -184,14 +184,14 @@ def test_samples_on_another_device_than_the_state_are_refused():
         rollout(aid, aid.init((2,)), run._replace(inputs=run.inputs._replace(heading=run.inputs.heading.to("meta"))))
 
 
-def test_a_boat_learns_on_the_device_of_its_estimator():
+def test_a_boat_learns_on_the_device_of_its_estimator(tmp_path):
     ensemble = Ensemble({"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=Forecasts((0.4,)))
     with read_as_ones():
         boat = Online(ensemble.to("meta"), (2,))
         assert boat.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)).tolist() == [1.0, 1.0]
         assert boat.foresee(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"][0].tolist() == [1.0, 1.0]
         assert boat.forecast([[0.5, 0.5]] * 3, headings=0.0).surge.shape == (3, 2)
-        boat.state = boat.state
+        boat.load(boat.save(tmp_path / "boat.safetensors"))
         assert {leaf.device.type for _, leaf in named_leaves(boat.state)} == {"meta"}
 
 
