@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from usvlearn.activity import doing
 from usvlearn.estimators.joint.reading import Identified, Quantity
 from usvlearn.evaluation.metrics import scores
 from usvlearn.report.activity_bar import Activity
-from usvlearn.report.tables import error_tables, identified_table, rejection_table, tuning_table
+from usvlearn.report.tables import error_tables, identified_table, rejection_table, summary_lines, tuning_table
 from usvlearn.report.terminal import Blocks, console
 
 WIDTHS = [60, 80, 100, 160]
@@ -128,6 +129,23 @@ def test_a_pipe_has_no_width_and_a_terminal_has_its_own(monkeypatch):
     assert max(len(re.sub(r"\x1b\[[\d;]*m", "", line)) for line in text.splitlines()) <= 60
     monkeypatch.delenv("COLUMNS")
     assert console(quiet=True).quiet and console().width > 10_000
+
+
+def test_a_notebook_is_sent_plain_text(monkeypatch, capsys):
+    """Rich would show HTML in Jupyter, and escape sequences in the text that `print(learned)` makes."""
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    table = Blocks("title", ["name"], ["MAE"])
+    table.add("aid", "0.0312", style="bold")
+    console().print(table)
+    assert capsys.readouterr().out.splitlines() == ["title", "", "name     MAE", "────────────", "aid   0.0312", ""]
+
+
+def test_a_folder_below_the_current_one_is_named_from_there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    results = {"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}
+    below, elsewhere = (summary_lines(results, folder) for folder in (tmp_path / "outputs" / "a b", Path("/elsewhere")))
+    assert below[1].startswith("files        outputs/a b:") and below[2].endswith("runs='outputs/a b'")
+    assert elsewhere[2].endswith("runs=/elsewhere")
 
 
 @over("width", WIDTHS)

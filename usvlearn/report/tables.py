@@ -210,6 +210,8 @@ def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
 def summary_lines(results: Mapping, folder: Path) -> list[str]:
     """The last lines of a run: its result, its folder, and the commands that show more.
 
+    A folder below the current one is named without it.
+
     >>> print(*summary_lines({"seconds": 2.0, "measure": "ensemble.mae", "objective": 0.05}, Path("run")), sep="\\n")
     MAE of ensemble: 0.0500 m/s; 2.0 s
     files        run: results.json, errors.csv, predictions, checkpoints
@@ -218,6 +220,7 @@ def summary_lines(results: Mapping, folder: Path) -> list[str]:
                  then http://localhost:6006/?smoothing=0#timeseries
     """
     measure, value = measure_of(results["measure"], ""), results["objective"]
+    folder = folder.relative_to(here) if folder.is_relative_to(here := Path.cwd()) else folder
     fleet = "&runFilter=fleet%2F" if len(results.get("boats", {})) > 1 else ""  # at first the means over boats
     return [
         f"{measure.title()}: {measure.shown(value)}; {results['seconds']:.1f} s",

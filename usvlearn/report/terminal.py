@@ -19,12 +19,12 @@ LEAST = 6  # least width, in columns, of a text that is folded
 
 
 def console(quiet: bool = False) -> Console:
-    """The standard output, as wide as the terminal.
+    """The standard output, as wide as the terminal. In a notebook it is text, too, and not HTML.
 
     Args:
         quiet: whether nothing is printed.
     """
-    found = Console(markup=False, quiet=quiet)
+    found = Console(markup=False, quiet=quiet, force_jupyter=False)
     if not found.is_terminal and "COLUMNS" not in os.environ:
         found.width = UNLIMITED
     return found
