@@ -1,5 +1,12 @@
-"""For the reference pages: the examples of docstrings, which stand there without a heading, become blocks of code."""
+"""For the reference pages: examples in docstrings become blocks of code, comments of fields their descriptions.
 
+The examples stand in docstrings without a heading. The shape and unit of a field stand in a comment behind it.
+"""
+
+import io
+import tokenize
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 import griffe
@@ -29,9 +36,23 @@ def fenced(text: str) -> str:
     return "\n".join([*lines, "```"] if inside else lines)
 
 
+@cache
+def comments(path: Path) -> dict[int, str]:
+    """The comments of a file by the number of their line."""
+    tokens = tokenize.generate_tokens(io.StringIO(path.read_text()).readline)
+    return {token.start[0]: token.string.lstrip("# ") for token in tokens if token.type == tokenize.COMMENT}
+
+
 class Doctests(griffe.Extension):
     """Changes the docstring of every class, function and module when it has been read."""
 
     def on_object(self, *, obj: griffe.Object, **_: Any) -> None:
         if obj.docstring and ">>> " in obj.docstring.value:
             obj.docstring.value = fenced(obj.docstring.value)
+
+    def on_attribute(self, *, attr: griffe.Attribute, **_: Any) -> None:
+        """Only fields of classes, which are annotated and described on their line."""
+        if attr.docstring is None and attr.annotation is not None and isinstance(attr.parent, griffe.Class):
+            said = comments(Path(str(attr.filepath))).get(attr.endlineno or 0)
+            if said:
+                attr.docstring = griffe.Docstring(said, parent=attr, lineno=attr.lineno, endlineno=attr.endlineno)

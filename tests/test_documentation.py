@@ -20,6 +20,7 @@ import pytest
 import yaml
 
 from tests.support import ROOT
+from usvlearn.logs.channel import AUXILIARY, CHANNELS, Source
 
 PAGES = sorted(
     path
@@ -32,7 +33,7 @@ FROM_NOTHING = ("README.md", "docs/start.md")  # they make the logs themselves
 RUN, PARSED, SHOWN = ("sh", "python"), ("yaml",), ("text", "c", "matlab", "ini", "xml", "html", "json")
 REASON = re.compile(r"<!-- not run: (?P<reason>[^>]{8,}) -->\s*$")
 BLOCK = re.compile(r"^(?P<indent> *)```(?P<language>\S*)[^\n]*\n(?P<text>.*?)^(?P=indent)```\s*$", re.M | re.S)
-COMMAND = re.compile(r"^ {4,}(usvlearn|python3?|pip|pytest|tensorboard|ros2|pUSVLearn) ", re.M)
+COMMAND = re.compile(r"^ {4,}(.*(&&|\|) )?(usvlearn|python3?|pip|pytest|tensorboard|ros2|git|mkdir|pUSVLearn) ", re.M)
 
 
 class Block(NamedTuple):
@@ -68,6 +69,7 @@ def test_every_block_says_what_it_is(name):
     outside = BLOCK.sub("", text)
     bare = COMMAND.search(outside)
     assert bare is None, f"{name}: a command outside of a block: {bare.group().strip()}"
+    assert not re.search(r"^\s*~~~|<pre", text, re.M), f"{name}: a block that is not fenced by ```"
 
 
 @pytest.fixture(scope="session")
@@ -96,6 +98,15 @@ def shell(commands: str, folder: Path, where: str) -> None:
     )
 
 
+def check_channels(node, where: str) -> None:
+    """That the channels in a configuration, or in a part of one, are legal."""
+    assert isinstance(node, dict) and node, where
+    channels = node.get("data", node).get("channels", node)
+    for name, options in channels.items():
+        if name in (*CHANNELS, *AUXILIARY) and isinstance(options.get("name"), str):
+            Source(**options)
+
+
 @pytest.mark.docs
 @pytest.mark.parametrize("name", NAMES)
 def test_every_block_runs(name, prepared, tmp_path, monkeypatch):
@@ -118,7 +129,7 @@ def test_every_block_runs(name, prepared, tmp_path, monkeypatch):
             with contextlib.redirect_stdout(io.StringIO()):
                 exec(compile("\n" * block.line + block.text, where, "exec"), names)
         elif block.language == "yaml":
-            assert yaml.safe_load(block.text), where
+            check_channels(yaml.safe_load(block.text), where)
 
 
 def test_every_public_name_has_a_place_in_the_reference():

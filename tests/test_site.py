@@ -6,6 +6,7 @@ import pytest
 import yaml
 from make_site import faults
 
+import usvlearn
 from tests.support import ROOT
 
 GOOD = (
@@ -52,6 +53,18 @@ def test_examples_of_docstrings_become_blocks():
     assert fenced("No example.") == "No example."
 
 
+def test_comments_of_fields_become_their_descriptions(tmp_path):
+    griffe = pytest.importorskip("griffe", reason="needs the extra docs")
+    from doctests import Doctests
+
+    (tmp_path / "shapes.py").write_text(
+        'class Box:\n    """A box."""\n\n    width: float  # m\n    depth: float\n    tall: int = 1  # steps\n'
+    )
+    box = griffe.load("shapes", search_paths=[tmp_path], extensions=griffe.load_extensions(Doctests))["Box"]
+    said = {name: member.docstring and member.docstring.value for name, member in box.members.items()}
+    assert said == {"width": "m", "depth": None, "tall": "steps"}
+
+
 def pages_of(tree):
     for entry in tree:
         for value in entry.values() if isinstance(entry, dict) else [entry]:
@@ -64,6 +77,13 @@ def test_the_menu_names_every_page_once():
     tutorials = {f"tutorials/{path.stem}.md" for path in (docs / "tutorials").glob("*.ipynb")}
     there = {path.relative_to(docs).as_posix() for path in docs.rglob("*.md")} | tutorials
     assert named == sorted(there)
+
+
+def test_the_release_is_the_same_in_every_file():
+    citation, changelog = yaml.safe_load((ROOT / "CITATION.cff").read_text()), (ROOT / "CHANGELOG.md").read_text()
+    version, date = re.search(r"^## (\d\S*) \((\S+)\)$", changelog, re.M).groups()
+    assert usvlearn.__version__.partition(".dev")[0] >= version
+    assert (citation["version"], str(citation["date-released"])) == (version, date)
 
 
 def test_links_of_the_pages_outside_of_the_site_lead_somewhere():

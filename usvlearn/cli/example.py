@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from collections.abc import Sequence
+from pathlib import Path
 
 from usvlearn.checkpoint import write_atomically
 from usvlearn.cli.without_hydra import out_folder, run_command
@@ -30,16 +32,22 @@ def work(arguments: Sequence[str]) -> None:
     from usvlearn.simulate.example_logs import example_logs
 
     given = parser().parse_args(arguments)
-    folder = out_folder(given.folder)
+    folder = out_folder(given.folder, "FOLDER")
     texts = example_logs(given.minutes, given.seed)
     for name in texts:
         if (folder / name).exists():
             raise ConfigError(f"{folder / name}: found a log there already: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in texts.items():
-        write_atomically(folder / name, text.encode())
-        print(folder / name)
-    print(f"a simulated boat; next: usvlearn inspect {given.folder} --name heron")
+    written: list[Path] = []
+    try:
+        for name, text in texts.items():
+            written.append(folder / name)
+            write_atomically(written[-1], text.encode())
+    except BaseException:  # Ctrl-C, too: some of the logs alone would be refused by the next call
+        for path in written:
+            path.unlink(missing_ok=True)
+        raise
+    print(*written, f"a simulated boat; next: usvlearn inspect {shlex.quote(given.folder)} --name heron", sep="\n")
 
 
 def main() -> int:

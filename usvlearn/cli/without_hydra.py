@@ -32,8 +32,8 @@ def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collec
     return 0
 
 
-def out_folder(given: str) -> Path:
-    """The folder of `--out`, which need not exist.
+def out_folder(given: str, option: str = "--out") -> Path:
+    """The folder that an option names, which need not exist.
 
     Raises:
         ConfigError: it is empty, or a file.
@@ -43,5 +43,5 @@ def out_folder(given: str) -> Path:
     """
     folder = Path(os.path.expanduser(given))
     if not given or (folder.exists() and not folder.is_dir()):
-        raise ConfigError(f"--out: found {'the file ' * bool(given)}{given!r}, expected a folder")
+        raise ConfigError(f"{option}: found {'the file ' * bool(given)}{given!r}, expected a folder")
     return folder

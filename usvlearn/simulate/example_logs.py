@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from usvlearn.errors import ConfigError, check_positive
+from usvlearn.errors import ConfigError
 from usvlearn.logs.channel import Recording
 from usvlearn.simulate.fleet import fleet
 
 KINDS = ("patrol", "lawn_mower", "convoy")  # of missions, each sailed once
-LONGEST = 1440.0  # min of a mission
+SHORTEST, LONGEST = 0.5, 1440.0  # min of a mission
 BEGIN = 10.0  # s after the start of the logger
 VARIABLES = {  # channel -> MOOS variable, its app, its unit in SI units
     "command_left": ("DESIRED_THRUST_L", "pMarinePID", 0.01),
@@ -30,14 +30,13 @@ def example_logs(minutes: float = 10.0, seed: int = 7) -> dict[str, str]:
         seed: of the boat, the missions and the sensors; equal seeds give equal texts.
 
     Raises:
-        ConfigError: the minutes are not positive, or more than a day.
+        ConfigError: the minutes are less than half of one, or more than a day.
 
     >>> list(example_logs(minutes=0.5))
     ['heron_1.alog', 'heron_2.alog', 'heron_3.alog']
     """
-    check_positive("minutes", minutes)
-    if minutes > LONGEST:
-        raise ConfigError(f"minutes: found {minutes!r}, expected at most {LONGEST:g} (a day)")
+    if not SHORTEST <= minutes <= LONGEST:
+        raise ConfigError(f"minutes: found {minutes!r}, expected {SHORTEST:g} to {LONGEST:g} (a day)")
     recordings = fleet(
         n=1,
         hours=minutes * len(KINDS) / 60,

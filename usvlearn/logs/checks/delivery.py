@@ -51,16 +51,17 @@ def rejected(e: Evidence) -> Iterator[Finding]:
                 continue
             severity = WARNING if cause in ("out_of_range", "backwards", "ahead") or count > MOST * total else NOTE
             text = f"{count / total:.0%} of {total} messages rejected: {cause.replace('_', ' ')}"
-            yield Finding(e.boat, name, "rejected", text, f"at most {MANY:.0%}", _remedy(e, name, cause), severity)
+            yield Finding(e.boat, name, "rejected", text, _expected(cause), _remedy(e, name, cause), severity)
+
+
+def _expected(cause: str) -> str:
+    return f"at most {MANY:.0%}{'; sort the rows of the log by their stamps' * (cause == 'backwards')}"
 
 
 def _remedy(e: Evidence, name: str, cause: str) -> str:
     if cause == "out_of_range" and name in LIMITS and len(e.values.get(name, ())):
         most = float(np.quantile(np.abs(e.values[name]), 0.995))
         return f"align.{LIMITS[name]}={math.ceil(10 * most) / 10:g}" if name not in COMMANDS else ""
-    if cause == "backwards":
-        back = max((float(np.max(-np.diff(each.time), initial=0.0)) for each in e.logs(name)), default=0.0)
-        return f"align.patience={math.ceil(10 * back) / 10:g}" if 0 < back < 60 else ""
     return ""
 
 
