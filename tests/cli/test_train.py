@@ -65,7 +65,7 @@ def test_results_have_what_was_identified(whole):
 def test_terminal(whole):
     text = (whole.parent / "output.txt").read_text()
     assert all(name in text for name in (*NAMES, "heron2", "MAE", "median", "RMSE", "skill", "m/s", "surge"))
-    assert f"tensorboard --logdir {whole}" in text
+    assert f"tensorboard --logdir {whole.name}/tensorboard" in text  # of the folder in which it was started
 
 
 def test_parameter_sets(whole):

@@ -67,8 +67,15 @@ NEWER = {  # arguments that version 0.1 did not have
 
 
 @pytest.mark.parametrize("member", ["rls", "sift_map"])
-def test_it_continues_where_it_was_killed(member, tmp_path):
-    """By its own settings under the names of today, also of its members; it ends as it ended then."""
+def test_it_continues_where_it_was_killed(member, tmp_path, monkeypatch):
+    """By its own settings under the names of today, also of its members; it ends as it ended then.
+
+    The last bits of simulated samples depend on the processor, so the samples count as those of then by their names.
+    That they are the same to rounding shows at the end, where the learned parameters are.
+    """
+    (then,) = json.loads((RUN / "runs.json").read_text())["boats"].values()
+    digests = {name: digest for name, _, digest in then}
+    monkeypatch.setattr("usvlearn.runs.run_folder.digest", lambda run, lane: digests[run.names[lane]])
     folder, text = tmp_path / "run", json.dumps(configuration(RUN))
     for old, new in NEWER.items():
         assert old in text
