@@ -59,13 +59,34 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
     >>> check(ShallowWeights([0.5], [1.0], [[0.0, 1.0]], [0.0])).W2.shape
     (1, 2)
     """
+    arrays = ShallowWeights(**as_float64(dict(zip(NAMES, weights, strict=True)), name))
+    shapes = {key: array.shape for key, array in zip(NAMES, arrays, strict=True)}
+    shape = arrays.a.shape
+    if not shape or arrays.w1.shape != shape or arrays.b.shape != shape or arrays.W2.shape[:-1] != shape:
+        listed = ", ".join(f"{key} {value}" for key, value in shapes.items())
+        raise CertifyError(f"{name}: found the shapes {listed}, expected a, w1, b (n,) and W2 (n, m)")
+    if shape[-1] == 0:
+        raise CertifyError(f"{name}: found a network without neurons, expected n of 1 or more")
+    return arrays
+
+
+def as_float64(values: Mapping[str, Any], name: str) -> dict[str, np.ndarray]:
+    """Named weights as float64 arrays.
+
+    Raises:
+        CertifyError: a weight that is NaN, infinite or no number, or that is changed by the conversion: an integer
+            beyond 2⁵³, a long double.
+
+    >>> as_float64({"a": [1, 2]}, "weights")["a"].dtype.name
+    'float64'
+    """
     try:
-        given = [np.asarray(x) for x in weights]
-        if kinds := {x.dtype.kind for x in given} - set("fiub"):
+        given = {key: np.asarray(x) for key, x in values.items()}
+        if kinds := {x.dtype.kind for x in given.values()} - set("fiub"):
             raise TypeError(f"kind {', '.join(sorted(kinds))}")
         with np.errstate(over="ignore", invalid="ignore"):
-            arrays = ShallowWeights(*(x.astype(np.float64) for x in given))
-            lost = [key for key, x, y in zip(NAMES, given, arrays, strict=True) if not _same(x, y)]
+            arrays = {key: x.astype(np.float64) for key, x in given.items()}
+            lost = [key for key, x in given.items() if not _same(x, arrays[key])]
     except (TypeError, ValueError) as error:
         raise CertifyError(
             f"{name}: found weights that are no numbers ({shortened(error)}), expected float arrays"
@@ -75,14 +96,7 @@ def check(weights: ShallowWeights, name: str = "weights") -> ShallowWeights:
             f"{name}: found values in {', '.join(lost)} that float64 cannot hold exactly, expected float64 values: "
             "convert them to float64 before, since a proof is about the exact weights"
         )
-    shapes = {key: array.shape for key, array in zip(NAMES, arrays, strict=True)}
-    shape = arrays.a.shape
-    if not shape or arrays.w1.shape != shape or arrays.b.shape != shape or arrays.W2.shape[:-1] != shape:
-        listed = ", ".join(f"{key} {value}" for key, value in shapes.items())
-        raise CertifyError(f"{name}: found the shapes {listed}, expected a, w1, b (n,) and W2 (n, m)")
-    if shape[-1] == 0:
-        raise CertifyError(f"{name}: found a network without neurons, expected n of 1 or more")
-    for key, array in zip(NAMES, arrays, strict=True):
+    for key, array in arrays.items():
         if count := int((~np.isfinite(array)).sum()):
             raise CertifyError(f"{name}: found {count} NaN or infinite values in {key}, expected finite weights")
     return arrays
@@ -165,6 +179,15 @@ def load(path: str | Path) -> list[Network]:
     Raises:
         CertifyError: no such file, of another kind, damaged, or without a shallow network.
     """
+    return from_tensors(read_tensors(path), str(path))
+
+
+def read_tensors(path: str | Path) -> dict[str, np.ndarray]:
+    """The tensors in a file by name; see `load`.
+
+    Raises:
+        CertifyError: no such file, of another kind, or damaged.
+    """
     path = Path(path)
     if path.suffix not in SUFFIXES:
         raise CertifyError(f"{path}: is no parameter set: expected a file that ends in {', '.join(SUFFIXES)}")
@@ -188,7 +211,7 @@ def load(path: str | Path) -> list[Network]:
     except Exception as error:  # a damaged file can make a reader raise anything
         cause = shortened(error) or type(error).__name__
         raise CertifyError(f"{path}: cannot be read as {path.suffix} of float32 or float64 ({cause})") from error
-    return from_tensors(tensors, str(path))
+    return tensors
 
 
 def _read_safetensors(path: Path) -> dict[str, np.ndarray]:

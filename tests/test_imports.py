@@ -76,7 +76,8 @@ OURS = {
 }  # fmt: skip
 # package -> the modules of certify that may import it, at their top or where they use it
 CERTIFY = {
-    "torch": {"certify.conditions", "certify.projections", "certify.compare", "certify.families", "certify.weights"},
+    "torch": {"certify.conditions", "certify.projections", "certify.compare", "certify.families", "certify.weights",
+              "certify.vector_rates", "certify.vector_projections"},
     "scipy": {"certify.box_cells"},
     "cvxpy": {"certify.lmi"},
     "matplotlib": {"certify.figures"},
