@@ -75,7 +75,7 @@ class LMI:
         if n < 1:
             raise CertifyError(f"n: found {n}, expected 1 or more neurons")
         self.n, self.condition, self.solver, self.strict, self.options = n, condition, solver.upper(), strict, options
-        cp = _cvxpy(self.solver)
+        cp = import_cvxpy(self.solver)
         self._a, self._w1 = cp.Parameter(n), cp.Parameter(n)
         self._metric, self._square, self._multipliers, self._t = (cp.Variable(k) for k in ((1, 1), (1, 1), n, ()))
 
@@ -156,18 +156,9 @@ class LMI:
         return a, w1
 
     def _run(self, problem: Any) -> tuple[str, float]:
-        """The solver's status and its time. Its output and its warnings are discarded."""
+        """The solver's status and its time."""
         start = time.perf_counter()
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                problem.solve(solver=self.solver, **self.options)
-            status = problem.status
-            found = [x.value for x in problem.variables()]
-            if status in USABLE and not all(x is not None and np.isfinite(x).all() for x in found):
-                status = "no finite values"
-        except _cvxpy().SolverError as error:
-            status = f"SolverError: {str(error).strip().splitlines()[0]}"
+        status = quietly(problem, self.solver, **self.options)
         return status, time.perf_counter() - start
 
     def _nothing(self, verdict: str, rate: float, status: str, seconds: float) -> Solution:
@@ -185,7 +176,22 @@ def _balance(a: np.ndarray, w1: np.ndarray) -> np.ndarray:
     return np.where((size > 0) & (weight > 0), both, one).clip(1 / FARTHEST, FARTHEST)
 
 
-def _cvxpy(solver: str | None = None) -> Any:
+def quietly(problem: Any, solver: str, **options: Any) -> str:
+    """Solve a problem of cvxpy; the solver's status. Its output and its warnings are discarded."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            problem.solve(solver=solver, **options)
+        status = problem.status
+        found = [x.value for x in problem.variables()]
+        if status in USABLE and not all(x is not None and np.isfinite(x).all() for x in found):
+            status = "no finite values"
+    except import_cvxpy().SolverError as error:
+        status = f"SolverError: {str(error).strip().splitlines()[0]}"
+    return status
+
+
+def import_cvxpy(solver: str | None = None) -> Any:
     """cvxpy, imported when it is used because that takes a second. If a solver is given, check that it solves (1)."""
     try:
         with warnings.catch_warnings():
