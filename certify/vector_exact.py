@@ -53,11 +53,13 @@ class Proof(NamedTuple):
 
 
 def matrix(values: Any) -> Matrix:
-    """The exact values of a matrix of floats.
+    """The exact values of a matrix of floats, or of fractions.
 
-    >>> matrix([[0.5, 1.0]])
-    [[Fraction(1, 2), Fraction(1, 1)]]
+    >>> matrix([[0.5, 1.0]]), matrix([[Fraction(1, 3)]])
+    ([[Fraction(1, 2), Fraction(1, 1)]], [[Fraction(1, 3)]])
     """
+    if isinstance(values, list) and all(isinstance(x, Fraction) for row in values for x in row):
+        return [row.copy() for row in values]
     return [[Fraction(*x.as_integer_ratio()) for x in row] for row in np.asarray(values, dtype=np.float64).tolist()]
 
 
@@ -103,6 +105,21 @@ def everywhere(weights: VectorWeights, phi: Activation) -> list[Slopes]:
     return [[(phi.least, phi.most)] * len(layer) for layer in layers]
 
 
+def changed(weights: VectorWeights, scaling: Matrix | None = None) -> tuple[Matrix, Matrix, Matrix]:
+    """T R T⁻¹, T A and W T⁻¹ exactly: the matrices of the state T x.
+
+    Raises:
+        CertifyError: T is singular.
+    """
+    R, A, W = matrix(weights.R), matrix(weights.A), matrix(weights.W)
+    if scaling is None:
+        return R, A, W
+    back = inverse(scaling)
+    if back is None:
+        raise CertifyError("scaling: found a singular T, expected a regular one")
+    return product(product(scaling, R), back), product(scaling, A), product(W, back)
+
+
 def rate(
     weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", scaling: Matrix | None = None
 ) -> Fraction:
@@ -122,12 +139,7 @@ def rate(
     >>> rate(net, everywhere(net, RELU))
     Fraction(3, 4)
     """
-    R, A, W = matrix(weights.R), matrix(weights.A), matrix(weights.W)
-    if scaling is not None:
-        back = inverse(scaling)
-        if back is None:
-            raise CertifyError("scaling: found a singular T, expected a regular one")
-        R, A, W = product(product(scaling, R), back), product(scaling, A), product(W, back)
+    R, A, W = changed(weights, scaling)
     middle = [] if weights.V is None else [matrix(weights.V)]
     layers, ends = [W, *middle, A], list(slopes)
     if norm == "one":

@@ -1,0 +1,459 @@
+"""Replay of a proof about a network with a vector state on a box, in integers: nothing here trusts the search.
+
+A proof is a binary tree that halves the box, as text in preorder, its tokens separated by blanks:
+
+    x1, x2, …, u1, u2, …   halve the box along that coordinate (`x` where the state has one component), at
+                           (lo + hi)/2 in binary64: the lower half's proof follows, then the upper's
+    .                      a leaf: the bound is computed there
+
+On a leaf every slope d_i of φ lies in an interval (`certify.vector_slopes`), and with one hidden layer
+
+    ‖J‖_∞ ≤ max_r max_{ε ∈ {±1}^q}  [R ε]_r + Σ_i max(d_i A_ri (W ε)_i)                                (1)
+
+after the scaling by T; ‖J‖_1 is that of the transposed matrices. Each (r, ε) is the bound of one scalar slope on the
+same hyperplanes z_i = 0. Neurons that share a hyperplane are merged: of relu(z) and relu(−z) just one is on. So (1) is
+exact where no hyperplane crosses the leaf, and on the whole leaf if all are crossed and every pattern occurs. With two
+hidden layers the first layer's intervals are propagated to the second, for each ε.
+
+The bound of the box is the greatest of its leaves. It is a Lipschitz constant of x ↦ f(x, u) in the norm: for x and x′
+in the box the segment between them, at one u, is cut by the leaves, and ‖J‖ is bounded on each part.
+
+A tree may come from anybody, so the effort is limited: at most HALVINGS halvings on a path, and at most WORK products.
+A tree beyond these limits is refused.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from certify.box_planes import Box, Region, region
+from certify.box_proof import HALVINGS
+from certify.vector_exact import Matrix, changed, transposed
+from certify.vector_slopes import (
+    BITS,
+    Ends,
+    Layer,
+    first_layer,
+    layer,
+    linear,
+    slope_ends,
+    smallest,
+    through,
+)
+from certify.vector_weights import Activation, VectorWeights
+
+WORK = 20_000_000  # products in a replay, about 3 s
+TANH = 100  # products that cost as much as a tanh, or its slope, at a point
+NODE = 30  # and as a node of the tree
+
+
+def bound(
+    weights: VectorWeights,
+    phi: Activation,
+    box: Box,
+    tree: str,
+    norm: str = "inf",
+    scaling: Matrix | None = None,
+) -> Fraction | None:
+    """An upper bound of the rate on a box: the greatest bound of a tree's leaves; None where the tree is refused.
+
+    Args:
+        weights: of one network, checked.
+        phi: its activation.
+        box: `(q + m,)`, x first; every component of x has a width.
+        tree: in the language of this module.
+        norm: "inf" or "one".
+        scaling: T, `(q, q)`; the identity by default.
+
+    >>> from certify.vector_weights import RELU, check
+    >>> half = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    >>> bound(half, RELU, Box(np.zeros(1), np.ones(1)), "."), bound(half, RELU, Box(np.zeros(1), np.ones(1)), "x .")
+    (Fraction(1, 2), None)
+    """
+    if not usual(weights, box):
+        return None
+    statement = slopes_on(weights, phi, box, norm, scaling)
+    found = _replay(tree, box, weights, statement)
+    return None if found is None else Fraction(found, statement.unit)
+
+
+def proves(
+    weights: VectorWeights,
+    phi: Activation,
+    box: Box,
+    tree: str,
+    rate: float | Fraction,
+    norm: str = "inf",
+    scaling: Matrix | None = None,
+) -> bool:
+    """Whether a tree proves that the rate on a box is below `rate`; arguments as of `bound`.
+
+    >>> from certify.vector_weights import RELU, check
+    >>> half = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    >>> [proves(half, RELU, Box(np.zeros(1), np.ones(1)), ".", rate) for rate in (0.6, 0.5)]
+    [True, False]
+    """
+    if not usual(weights, box):
+        return False
+    statement = slopes_on(weights, phi, box, norm, scaling)
+    limit = math.ceil(Fraction(rate) * statement.unit)  # an integer is below both or below neither
+    return _replay(tree, box, weights, statement, limit) is not None
+
+
+def proves_range(weights: VectorWeights, phi: Activation, box: Box, tree: str) -> bool:
+    """Whether a tree proves that f maps the box into the box's intervals of x. Every φ lies between two lines.
+
+    >>> from certify.vector_weights import RELU, check
+    >>> identity = check(VectorWeights(None, [[1.0]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    >>> [proves_range(identity._replace(b=np.array([b])), RELU, Box(np.zeros(1), np.ones(1)), ".") for b in (0.0, 0.5)]
+    [True, False]
+    """
+    return usual(weights, box) and _replay(tree, box, weights, _Range(weights, phi, box), 1) is not None
+
+
+def usual(weights: VectorWeights, box: Box) -> bool:
+    """Whether a box has finite ends, in order, for every coordinate, and each component of x has a width."""
+    q, shape = len(weights.R), (len(weights.R) + np.shape(weights.W2)[1],)
+    if np.shape(box.lo) != shape or np.shape(box.hi) != shape:
+        return False
+    ends = np.isfinite(box.lo).all() and np.isfinite(box.hi).all() and (box.lo <= box.hi).all()
+    return bool(ends and (box.lo[:q] < box.hi[:q]).all())
+
+
+class Statement(Protocol):
+    """What is bounded: a state for each node, and a bound at each leaf, in units of 1/unit."""
+
+    unit: int
+    work: int
+    cost: int  # of a node with its leaf, at most
+
+    def start(self, here: Region) -> Any: ...
+    def halve(self, state: Any, j: int, here: Region, half: Region) -> Any: ...
+    def leaf(self, here: Region, state: Any) -> int: ...
+
+
+class Gains(NamedTuple):
+    """[J ε]_r of one hidden layer, for all pairs (r, ε): start + Σ_g d_g gain_g, in units of 1/unit.
+
+    With relu and leaky d_g is 1 where z_g > 0, else 0; with tanh it is φ′(z_g).
+    """
+
+    planes: Layer  # (G,) z_g
+    start: list[int]  # (q 2^q,)
+    gain: list[list[int]]  # (G, q 2^q)
+    unit: int
+
+
+def gains(weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling: Matrix | None) -> Gains:
+    """The merged hyperplanes of the neurons that change J, and what each adds."""
+    R, A, W = changed(weights, scaling)
+    q, first = len(R), first_layer(weights, box)
+    fixed = [j for j in range(len(box.lo)) if box.lo[j] == box.hi[j]]
+    values = {j: Fraction(float(box.lo[j])) for j in fixed}
+    groups: dict[tuple[int, ...], list[Matrix]] = {}
+    planes: dict[tuple[int, ...], tuple[list[int], int]] = {}
+    for i, (row, constant) in enumerate(zip(first.rows, first.constants, strict=True)):
+        part = [[a[i] * w for w in W[i]] for a in A]  # what the neuron adds to J where its slope is 1
+        if not any(map(any, part)):
+            continue
+        constant += int(sum(row[j] * value for j, value in values.items()))
+        row = [0 if j in values else k for j, k in enumerate(row)]
+        sign = next((k for k in row if k), 1) > 0
+        size = math.gcd(constant, *row) if phi.name != "tanh" else 1  # tanh′ is even, but not homogeneous
+        size = size if sign else -size
+        key = (constant // size, *(k // size for k in row))
+        if key not in groups:
+            groups[key] = [[[Fraction(0)] * q for _ in range(q)] for _ in range(2)]
+            planes[key] = ([k if sign else -k for k in row], constant if sign else -constant)
+        slopes = (Fraction(0), Fraction(1)) if phi.name == "tanh" else (phi.least, Fraction(1))
+        for total, slope in zip(groups[key], slopes if sign or phi.name == "tanh" else slopes[::-1], strict=True):
+            for target, own in zip(total, part, strict=True):
+                for k, x in enumerate(own):
+                    target[k] += slope * x
+    base, steps = R, []
+    for low, high in groups.values():
+        base = [[x + y for x, y in zip(*pair, strict=True)] for pair in zip(base, low, strict=True)]
+        steps.append([[y - x for x, y in zip(*pair, strict=True)] for pair in zip(low, high, strict=True)])
+    if norm == "one":
+        base, steps = transposed(base), [transposed(step) for step in steps]
+    unit = math.lcm(*(x.denominator for X in (base, *steps) for row in X for x in row))
+    start, *gain = [[x.numerator * (unit // x.denominator) for x in _signed_sums(X)] for X in (base, *steps)]
+    kept = list(planes.values())
+    return Gains(Layer([row for row, _ in kept], [c for _, c in kept], first.bits), start, gain, unit)
+
+
+def _signed_sums(X: Matrix) -> list[Fraction]:
+    """[X ε]_r for all (r, ε)."""
+    signs = list(itertools.product((-1, 1), repeat=len(X)))
+    return [sum((x * sign for x, sign in zip(row, each, strict=True)), Fraction(0)) for row in X for each in signs]
+
+
+def slopes_on(
+    weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling: Matrix | None
+) -> _Patterns | _Tanh | _Deep:
+    """The statement that the rate is bounded."""
+    if weights.V is not None:
+        return _Deep(weights, phi, box, norm, scaling)
+    return (_Tanh if phi.name == "tanh" else _Patterns)(gains(weights, phi, box, norm, scaling))
+
+
+class _Crossed(NamedTuple):
+    """A region's open hyperplanes, with the bounds of z, and the bound of each (r, ε)."""
+
+    free: list[tuple[int, int, int]]
+    high: list[int]
+
+
+class _Patterns:
+    """(1) for relu and leaky, kept up to date from node to node."""
+
+    def __init__(self, found: Gains):
+        self.planes, start, gain, self.unit = found
+        self.top = [s + sum(max(g, 0) for g in column) for s, *column in zip(start, *gain, strict=True)]
+        self.on = [[min(g, 0) for g in each] for each in gain]  # what a sign that is settled changes
+        self.off = [[-max(g, 0) for g in each] for each in gain]
+        self.columns = [list(column) for column in zip(*self.planes.rows, strict=True)]
+        self.cost = NODE + 4 * len(gain) + 2 * len(start)
+        self.work = 0
+
+    def start(self, here: Region) -> _Crossed:
+        rows, constants, _ = self.planes
+        self.work += len(rows) * len(here.lo)
+        ends = [(g, *here.extremes(row, c)) for g, (row, c) in enumerate(zip(rows, constants, strict=True))]
+        return self._settled(ends, self.top)
+
+    def halve(self, state: _Crossed, j: int, here: Region, half: Region) -> _Crossed:
+        column = self.columns[j] if self.columns else []
+        raised, lowered = half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
+        ends = []
+        for g, least, most in state.free:
+            k = column[g]
+            if k > 0:
+                ends.append((g, least + k * raised, most + k * lowered))
+            else:
+                ends.append((g, least + k * lowered, most + k * raised))
+        return self._settled(ends, state.high)
+
+    def leaf(self, here: Region, state: _Crossed) -> int:
+        return max(state.high)
+
+    def _settled(self, ends: list[tuple[int, int, int]], high: list[int]) -> _Crossed:
+        self.work += 4 * len(ends)
+        free = []
+        for each in ends:
+            g, least, most = each
+            if least < 0 < most:
+                free.append(each)
+                continue
+            high = list(map(int.__add__, high, (self.on if least >= 0 else self.off)[g]))
+            self.work += len(high)
+        return _Crossed(free, high)
+
+
+class _Tanh:
+    """(1) for tanh, computed at each leaf."""
+
+    def __init__(self, found: Gains):
+        self.planes, start, gain, unit = found
+        self.base = [k << BITS for k in start]
+        self.gain, self.unit = gain, unit << BITS
+        self.cost = NODE + len(gain) * (len(start) + 2 * TANH)
+        self.work = 0
+
+    def start(self, here: Region) -> None:
+        return None
+
+    def halve(self, state: None, j: int, here: Region, half: Region) -> None:
+        return None
+
+    def leaf(self, here: Region, state: None) -> int:
+        rows, constants, bits = self.planes
+        self.work += self.cost
+        total = self.base
+        for row, constant, gain in zip(rows, constants, self.gain, strict=True):
+            low, high = slope_ends(TANH_SLOPES, *here.extremes(row, constant), bits + here.bits)
+            total = [x + k * (high if k > 0 else low) for x, k in zip(total, gain, strict=True)]
+        return max(total)
+
+
+TANH_SLOPES = Activation("tanh", Fraction(0))
+
+
+class _Deep:
+    """The bound for two hidden layers, computed at each leaf."""
+
+    def __init__(self, weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling: Matrix | None):
+        R, A, W = changed(weights, scaling)
+        self.phi, self.first, self.second = phi, first_layer(weights, box), layer(weights.V, weights.c)
+        V = [[Fraction(k, 1 << self.second.bits) for k in row] for row in self.second.rows]
+        self.turned = norm == "one"
+        if self.turned:
+            R, W, V, A = transposed(R), transposed(A), transposed(V), transposed(W)
+        (self.V, v_unit), (A_rows, a_unit), (W_rows, w_unit) = map(_whole, (V, A, W))
+        self.A = A_rows
+        self.unit = (v_unit * a_unit * w_unit) << (2 * BITS)
+        R_rows, r_unit = _whole(R)
+        self.unit *= r_unit
+        self.r_unit = r_unit
+        self.starts = []
+        scale = (v_unit * a_unit * w_unit) << (2 * BITS)
+        for signs in itertools.product((-1, 1), repeat=len(R)):
+            if signs[0] > 0:  # −ε gives the negative of both ends
+                sums = [[sum(x * s for x, s in zip(row, signs, strict=True)) for row in X] for X in (W_rows, R_rows)]
+                self.starts.append((sums[0], [x * scale for x in sums[1]]))
+        each = 6 * TANH if phi.name == "tanh" else 20
+        n, last, width = len(weights.b), len(weights.c), len(box.lo)
+        self.cost = NODE + 2 * n * last * (width + 2) + (n + last) * (each + width)
+        self.cost += len(self.starts) * (2 * n * last + 2 * last * len(R))
+        self.work = 0
+
+    def start(self, here: Region) -> None:
+        return None
+
+    def halve(self, state: None, j: int, here: Region, half: Region) -> None:
+        return None
+
+    def leaf(self, here: Region, state: None) -> int:
+        self.work += self.cost
+        inner, ends = linear(self.first, here)
+        ends_of: list[Ends] = [_slope_list(self.phi, ends, inner.bits + here.bits)]
+        outer, ends = through(self.phi, inner, ends, self.second, here)
+        ends_of.append(_slope_list(self.phi, ends, outer.bits + here.bits))
+        first, second = ends_of[::-1] if self.turned else ends_of
+        most = None
+        for moved, direct in self.starts:
+            pairs = [
+                (k * low, k * high) if k > 0 else (k * high, k * low)
+                for k, (low, high) in zip(moved, first, strict=True)
+            ]
+            pairs = [_combined(row, pairs) for row in self.V]
+            pairs = [
+                (x * (low if x > 0 else high), y * (high if y > 0 else low))
+                for (x, y), (low, high) in zip(pairs, second, strict=True)
+            ]
+            for row, start in zip(self.A, direct, strict=True):
+                least, greatest = _combined(row, pairs)
+                size = max(start + greatest * self.r_unit, -start - least * self.r_unit)
+                most = size if most is None else max(most, size)
+        return most or 0
+
+
+class _Range:
+    """f stays in the box's intervals of x: a leaf's bound is 0 or 1, below or above the limit 1."""
+
+    unit = 1
+
+    def __init__(self, weights: VectorWeights, phi: Activation, box: Box):
+        self.phi, self.first, self.q = phi, first_layer(weights, box), len(weights.R)
+        zero = np.zeros(self.q)
+        joint = layer(np.concatenate([weights.A, weights.R], 1), zero)  # in common units
+        n = weights.A.shape[1]
+        self.last = Layer([row[:n] for row in joint.rows], joint.constants, joint.bits)
+        self.direct = [row[n:] for row in joint.rows]
+        self.second = None if weights.V is None else layer(weights.V, weights.c)
+        widths = [len(self.first.rows), *([] if self.second is None else [len(self.second.rows)]), self.q]
+        each = 6 * TANH if phi.name == "tanh" else 20
+        self.cost = NODE + sum((2 * len(box.lo) + 8) * k * j + each * k for k, j in itertools.pairwise(widths))
+        self.root = region(box)
+        self.work = 0
+
+    def start(self, here: Region) -> None:
+        return None
+
+    def halve(self, state: None, j: int, here: Region, half: Region) -> None:
+        return None
+
+    def leaf(self, here: Region, state: None) -> int:
+        self.work += self.cost
+        found, ends = linear(self.first, here)
+        if self.second is not None:
+            found, ends = through(self.phi, found, ends, self.second, here)
+        found, ends = through(self.phi, found, ends, self.last, here)
+        # R x is added to the lines, and, where the constants are better, to the ends
+        unit, depth = found.bits - self.last.bits, here.bits - self.root.bits
+        for r, row in enumerate(self.direct):
+            moved = [k << unit for k in row]
+            moved += [0] * (len(here.lo) - self.q)
+            low, high = ends[r]
+            straight = -smallest([-k for k in moved], 0, here)
+            under = smallest([x + y for x, y in zip(found.low[r], moved, strict=True)], found.low_constants[r], here)
+            over = [-x - y for x, y in zip(found.high[r], moved, strict=True)]
+            most = min(high + straight, -smallest(over, -found.high_constants[r], here))
+            least = max(low + smallest(moved, 0, here), under)
+            if least < self.root.lo[r] << (found.bits + depth) or most > self.root.hi[r] << (found.bits + depth):
+                return 1
+        return 0
+
+
+def _slope_list(phi: Activation, ends: Ends, bits: int) -> Ends:
+    return [slope_ends(phi, least, most, bits) for least, most in ends]
+
+
+def _combined(row: Sequence[int], pairs: Ends) -> tuple[int, int]:
+    """The least and the greatest Σ k d over intervals of d."""
+    least = sum(k * (x if k > 0 else y) for k, (x, y) in zip(row, pairs, strict=True))
+    return least, sum(k * (y if k > 0 else x) for k, (x, y) in zip(row, pairs, strict=True))
+
+
+def _whole(X: Matrix) -> tuple[list[list[int]], int]:
+    """Integers and one denominator."""
+    below = math.lcm(*(x.denominator for row in X for x in row))
+    return [[x.numerator * (below // x.denominator) for x in row] for row in X], below
+
+
+def coordinates(q: int, m: int) -> list[str]:
+    """The names of a box's coordinates.
+
+    >>> coordinates(2, 1), coordinates(1, 0)
+    (['x1', 'x2', 'u1'], ['x'])
+    """
+    return [*(["x"] if q == 1 else [f"x{j}" for j in range(1, q + 1)]), *(f"u{j}" for j in range(1, m + 1))]
+
+
+def _replay(tree: str, box: Box, weights: VectorWeights, statement: Statement, limit: int | None = None) -> int | None:
+    """The greatest bound of a tree's leaves; None where the text is no tree, or a bound is not below the limit."""
+    q, width = len(weights.R), len(box.lo)
+    tokens = tree.split() if isinstance(tree, str) and tree.isascii() else []
+    places = {name: j for j, name in enumerate(coordinates(q, width - q))}
+    halvings = _halvings(tokens, places)
+    if halvings is None or halvings > HALVINGS:
+        return None
+    whole = region(box, halvings)
+    pending = [(whole, statement.start(whole))]
+    greatest = None
+    for token in tokens:
+        here, state = pending.pop()
+        statement.work += NODE
+        if token == ".":
+            found = statement.leaf(here, state)
+            if limit is not None and found >= limit:
+                return None
+            greatest = found if greatest is None else max(greatest, found)
+        else:
+            j = places[token]
+            halves = here.halves(j)
+            if halves is None:
+                return None
+            pending += [(half, statement.halve(state, j, here, half)) for half in reversed(halves)]
+        if statement.work > WORK:
+            return None
+    return greatest
+
+
+def _halvings(tokens: list[str], places: dict[str, int]) -> int | None:
+    """The most halvings on a path; None where the tokens are no tree."""
+    pending, most = [0], 0
+    for token in tokens:
+        if not pending or (token != "." and token not in places):
+            return None
+        count = pending.pop()
+        if token != ".":
+            pending += [count + 1, count + 1]
+            most = max(most, count + 1)
+    return None if pending else most
