@@ -8,6 +8,7 @@ short.
 
 from __future__ import annotations
 
+import itertools
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -60,9 +61,14 @@ def balance(weights: VectorWeights) -> Balanced:
 
     state = _ratio(_largest(weights.W[alive[0]], 0), _largest(weights.A[:, alive[-1]], 1), root=2)
     state /= np.exp2(np.round(np.log2(state).mean()))
+    R, total = state[:, None] * weights.R / state, np.eye(len(state))
     maps = [hidden[0] / state, *hidden[1:], weights.A * state[:, None]]
     kept = [np.ones(len(state), bool), *alive, np.ones(len(state), bool)]
-    layers = [X[np.ix_(rows, columns)] for X, columns, rows in zip(maps, kept, kept[1:], strict=False)]
+    layers = [X[np.ix_(rows, columns)] for X, (columns, rows) in zip(maps, itertools.pairwise(kept), strict=True)]
+    for X in layers:
+        total = np.abs(X) @ total
+    size = _ratio(np.array(np.linalg.norm(R, 2) + np.linalg.norm(total, 2) / 2), np.ones(())).item()
+    maps[-1], layers[-1] = maps[-1] / size, layers[-1] / size
     neurons = [np.ones(len(x)) for x in alive]
     for _ in range(1 if weights.V is None else ROUNDS):
         for k, here in enumerate(alive):
@@ -70,12 +76,7 @@ def balance(weights: VectorWeights) -> Balanced:
             neurons[k][here] *= c
             layers[k], layers[k + 1] = layers[k] * c[:, None], layers[k + 1] / c
     _make_faint(maps, neurons, reached, leads)
-
-    R, total = state[:, None] * weights.R / state, np.eye(len(state))
-    for X in layers:
-        total = np.abs(X) @ total
-    size = _ratio(np.array(np.linalg.norm(R, 2) + np.linalg.norm(total, 2) / 2), np.ones(())).item()
-    return Balanced(R / size, [*layers[:-1], layers[-1] / size], state, neurons, alive, size)
+    return Balanced(R / size, layers, state, neurons, alive, size)
 
 
 def _make_faint(

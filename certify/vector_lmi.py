@@ -2,12 +2,13 @@
 
 M of (3) in `certify.vector_exact` is linear in P and the multipliers Λ at a fixed rate κ:
 
-    t(κ) = max t   over P, Λ, t   with   M(P, Λ, κ) ⪰ t I,   trace P = q                                   (1)
+    t(κ) = max t   over P, Λ, t   with   M(P, Λ, κ) ⪰ t diag(ε P₀, P₀, ε Λ₀),   trace P₀⁻¹P = q                (1)
 
-κ can be certified iff t(κ) > 0, and t does not decrease in κ. (1) has an inner point and a bounded t for every κ, so
-that no program is infeasible. The smallest κ is the root of t, found by secants and bisection. P and Λ of a slightly
-larger κ are rounded to short fractions and proved in rational arithmetic: the solver only proposes them. (1) is solved
-for the equal network of `certify.vector_balance`.
+κ can be certified iff t(κ) > 0. (1) has an inner point and a bounded t for every κ, so that no program is infeasible.
+Dinkelbach's iteration for generalised eigenvalues finds the smallest κ from above: the next κ is the smallest one that
+P and Λ of (1) allow, and (P₀, Λ₀) are the last P and Λ, without which it needs twice as many programs. P and Λ of a
+slightly larger κ are rounded to short fractions and proved in rational arithmetic: the solver only proposes them. (1)
+is solved for the equal network of `certify.vector_balance`.
 """
 
 from __future__ import annotations
@@ -27,10 +28,13 @@ from certify.vector_exact import Proof, proves
 from certify.vector_weights import Activation, VectorWeights, check
 
 SMALLEST = 2.0**-12  # rate of the balanced network: one whose slopes are all zero has the rate 0, which is no κ
+FLOOR = 0.01  # of P₀ and Λ₀: beside a singular P₀ the solver fails
+EPSILON = 0.1  # of (1): 1 needs half as many programs again, 0.01 makes the solver fail now and then
 WIDENED = (5e-6, 1e-4, 1e-3, 1e-2, 0.1)  # relative distances above the smallest rate at which a proof is tried
 BITS = (12, 17, 22, 28, 36, 52)  # of the fractions of P and Λ
 PROGRAMS = 40  # at most, for one smallest rate
-CLOSE = 1e-6  # relative width of the bracket of the smallest rate
+CLOSE = 1e-6  # relative decrease of κ at which the iteration ends
+SAMPLES = 50  # patterns, for a first κ
 
 
 class Solved(NamedTuple):
@@ -67,30 +71,31 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
     """
     start, weights = time.perf_counter(), _one(weights, most)
     program = Program(balance(weights), phi, most, solver)
-    size = program.network.size
-    low, high = SMALLEST, math.inf
-    kappa, status, margin = 1.0, "", math.nan
-    ends: list[tuple[float, float]] = []  # the last two κ with their t
-    while len(program.seconds) < PROGRAMS and high > low * (1 + CLOSE):
-        margin, _, status = program.solve(kappa)
-        if math.isnan(margin):
+    size = Fraction(program.network.size)
+    kappa, high = 1.5 * max(SMALLEST, _largest_sampled_slope(program.network, phi, most)), math.inf
+    margin, status = math.nan, ""
+    while program.solved < PROGRAMS:
+        margin, x, status = program.solve(kappa)
+        if x is None or not margin > 0:
+            if math.isfinite(high) or x is None:
+                break
+            kappa *= 2
+            continue
+        high = max(min(program.proved(x, kappa), kappa), SMALLEST)
+        program.scale_by(x)
+        if high > kappa * (1 - CLOSE):
             break
-        low, high = (low, min(kappa, high)) if margin > 0 else (max(kappa, low), high)
-        ends = [*ends[-1:], (kappa, margin)]
-        kappa = _next(low, high, ends)
+        kappa = high
 
-    def answer(verdict: str, kappa: Fraction | None = None, proof: Proof | None = None) -> Solved:
-        rate = high * size if math.isfinite(high) else math.nan
-        seconds = time.perf_counter() - start
-        return Solved(verdict, rate, kappa, proof, margin, status, solver, seconds, len(program.seconds))
-
-    if math.isfinite(high):
-        for widened in WIDENED:
-            short = _short(high * (1 + widened))
-            margin, x, status = program.solve(float(short))
-            if x is not None and (proof := program.proof(weights, x, short * Fraction(size))):
-                return answer("certified", short * Fraction(size), proof)
-    return answer("unknown")
+    rate, exact, proof = high * float(size) if math.isfinite(high) else math.nan, None, None
+    for widened in WIDENED if math.isfinite(high) else ():
+        short = _short(high * (1 + widened))
+        margin, x, status = program.solve(float(short))
+        if x is not None and (proof := program.proof(weights, x, short * size)):
+            exact = short * size
+            break
+    verdict = "certified" if proof else "unknown"
+    return Solved(verdict, rate, exact, proof, margin, status, solver, time.perf_counter() - start, program.solved)
 
 
 def certify(
@@ -108,12 +113,18 @@ def certify(
         raise CertifyError(f"rate: found {rate}, expected a finite number above 0")
     program = Program(balance(weights), phi, most, solver)
     kappa = min(max(Fraction(rate) / Fraction(program.network.size), Fraction(1, 2**60)), Fraction(2**20))
-    margin, x, status = program.solve(float(kappa))
-    proof = None if x is None else program.proof(weights, x, Fraction(rate))
-    verdict = "certified" if proof else "not certified" if margin < -TOLERANCE else "unknown"
-    seconds = time.perf_counter() - start
-    exact = Fraction(rate) if proof else None
-    return Solved(verdict, float(rate), exact, proof, margin, status, solver, seconds, len(program.seconds))
+    proof, verdict = None, "unknown"
+    for _ in range(2):  # the second time scaled by the P and Λ of the first
+        margin, x, status = program.solve(float(kappa))
+        if x is None or margin < -TOLERANCE:
+            verdict = "unknown" if x is None else "not certified"
+            break
+        if proof := program.proof(weights, x, Fraction(rate)):
+            verdict = "certified"
+            break
+        program.scale_by(x)
+    exact, seconds = Fraction(rate) if proof else None, time.perf_counter() - start
+    return Solved(verdict, float(rate), exact, proof, margin, status, solver, seconds, program.solved)
 
 
 def _one(weights: VectorWeights, most: int) -> VectorWeights:
@@ -125,19 +136,18 @@ def _one(weights: VectorWeights, most: int) -> VectorWeights:
     return weights
 
 
-def _next(low: float, high: float, ends: list[tuple[float, float]]) -> float:
-    """The next κ: near the root of the secant through the last two, on its farther side; else between the bounds."""
-    if not math.isfinite(high):
-        return 2 * low
-    if len(ends) == 2 and ends[0][1] != ends[1][1]:
-        (k0, t0), (k1, t1) = ends
-        root = k1 - t1 * (k1 - k0) / (t1 - t0)
-        if low < root < high:
-            beyond = max(0.05 * abs(root - k1), CLOSE / 3 * high)
-            aim = root + beyond if high - root > root - low else root - beyond
-            if low < aim < high:
-                return aim
-    return math.sqrt(low * high) if high > 2 * low else (low + high) / 2
+def _largest_sampled_slope(network: Balanced, phi: Activation, most: int) -> float:
+    """The largest spectral radius of R + A D W over some D: no rate is smaller. D is 0, β I, or drawn from one seed."""
+    generator, largest = np.random.default_rng(0), 0.0
+    for k in range(SAMPLES):
+        J = np.eye(len(network.R))
+        for layer, X in enumerate(network.layers):
+            J = X @ J
+            if layer < len(network.layers) - 1:
+                on = generator.random(len(X)) < (0.0, 1.0, 0.5)[min(k, 2)]
+                J *= np.where(on, float(most), float(phi.least))[:, None]
+        largest = max(largest, float(np.abs(np.linalg.eigvals(network.R + J)).max()))
+    return largest
 
 
 def _short(kappa: float) -> Fraction:
@@ -153,94 +163,113 @@ class Program:
     """
 
     def __init__(self, network: Balanced, phi: Activation, most: int, solver: str) -> None:
-        self.network, self.phi, self.most, self.solver = network, phi, most, solver.upper()
-        self.seconds: list[float] = []  # of each program solved
+        self.network, self.phi, self.most, self.solver, self.solved = network, phi, most, solver.upper(), 0
         alpha, beta = float(phi.least), float(most)
         R, hidden, A = network.R, network.layers[:-1], network.layers[-1]
         self.q, self.widths = len(R), [len(X) for X in hidden]
-        starts = [0, *itertools.accumulate([self.q, self.q, *self.widths])]
-        self.parts = [slice(i, j) for i, j in itertools.pairwise(starts)]
-        N = starts[-1]
-        self.corners = list(zip(*np.triu_indices(self.q), strict=True))  # of P's upper triangle
+        parts = [slice(i, j) for i, j in itertools.pairwise(itertools.accumulate([0, self.q, self.q, *self.widths]))]
+        first, self.state, last = parts[0], parts[1], parts[-1]
+        self.size = 2 * self.q + sum(self.widths)
+        self.corners = list(zip(*(x.tolist() for x in np.triu_indices(self.q)), strict=True))  # of P's upper triangle
         count = len(self.corners) + sum(self.widths) + 1
-        self.fixed, self.square = np.zeros((count, N, N)), np.zeros((count, N, N))  # M = Σ x_k (fixed_k + κ² square_k)
-        first, second = self.parts[:2]
+        self.fixed, self.square = np.zeros((2, count, self.size, self.size))  # M = Σ x_k (fixed_k + κ² square_k)
         for k, (i, j) in enumerate(self.corners):
             P = np.zeros((self.q, self.q))
-            P[i, j] = P[j, i] = 1.0
-            self._put(self.fixed[k], first, first, P)
-            self._put(self.fixed[k], first, second, P @ R)
-            self._put(self.fixed[k], first, self.parts[-1], P @ A)
-            self._put(self.square[k], second, second, P)
+            P[[i, j], [j, i]] = 1.0
+            for part, block in ((first, P), (self.state, P @ R), (last, P @ A)):
+                self.fixed[k][first, part], self.fixed[k][part, first] = block, block.T
+            self.square[k][self.state, self.state] = P
         k = len(self.corners)
-        for layer, X in enumerate(hidden):
-            into, own = self.parts[1 + layer], self.parts[2 + layer]
-            for i, row in enumerate(X):
-                self.fixed[k][own.start + i, own.start + i] = 2.0
-                self.fixed[k][into, own.start + i] = self.fixed[k][own.start + i, into] = -(alpha + beta) * row
+        for X, into, own in zip(hidden, parts[1:], parts[2:], strict=False):
+            for i, row in enumerate(X, own.start):
+                self.fixed[k][i, i] = 2.0
+                self.fixed[k][into, i] = self.fixed[k][i, into] = -(alpha + beta) * row
                 self.fixed[k][into, into] += 2 * alpha * beta * np.outer(row, row)
                 k += 1
-        self.fixed[k] = -np.eye(N)
-        self._solve = self._clarabel if self.solver == "CLARABEL" else self._by_cvxpy
-        self._prepare()
+        self._import()
+        self._scale(np.eye(self.q), np.ones(sum(self.widths)))
 
-    def _put(self, M: np.ndarray, rows: slice, columns: slice, block: np.ndarray) -> None:
-        M[rows, columns] = block
-        M[columns, rows] = block.T
-
-    def _prepare(self) -> None:
-        N, count = self.fixed.shape[1], len(self.fixed)
-        rows, columns = np.triu_indices(N)
-        order = np.lexsort((rows, columns))  # the upper triangle, column by column, as Clarabel has it
-        self._triangle = rows[order], columns[order]
-        self._weight = np.where(rows[order] == columns[order], 1.0, math.sqrt(2))
-        self._trace = np.zeros(count)
-        self._trace[[k for k, (i, j) in enumerate(self.corners) if i == j]] = 1.0
+    def _import(self) -> None:
+        """The solver, and for Clarabel the upper triangles of the matrices, column by column."""
         if self.solver != "CLARABEL":
             import_cvxpy(self.solver)
-
-    def matrix(self, x: np.ndarray, kappa: float) -> np.ndarray:
-        """M(P, Λ, κ) − t I."""
-        return np.tensordot(x, self.fixed, 1) + kappa**2 * np.tensordot(x, self.square, 1)
-
-    def solve(self, kappa: float) -> tuple[float, np.ndarray | None, str]:
-        """t, the unknowns and the solver's status; t is NaN and the unknowns None where the solver fails."""
-        start = time.perf_counter()
-        x, status = self._solve(kappa)
-        self.seconds.append(time.perf_counter() - start)
-        if x is None or not np.isfinite(x).all():
-            return math.nan, None, status
-        x = np.append(x[:-1], 0.0)
-        margin = float(np.linalg.eigvalsh(self.matrix(x, kappa))[0])  # which the solver may not reach
-        return margin, x, status
-
-    def _clarabel(self, kappa: float) -> tuple[np.ndarray | None, str]:
+            return
         try:
-            import clarabel
+            import clarabel  # noqa: F401
             from scipy.sparse import csc_matrix
         except ImportError as error:
             raise CertifyError(
                 "clarabel is not installed, expected it for an LMI: run pip install 'usvlearn[lmi]'"
             ) from error
+        self._fixed, self._square = (csc_matrix(-self._triangle(X).T) for X in (self.fixed, self.square))
+
+    def _triangle(self, X: np.ndarray) -> np.ndarray:
+        j, i = np.tril_indices(self.size)
+        return X[..., i, j] * np.where(i == j, 1.0, math.sqrt(2))
+
+    def matrix(self, x: np.ndarray, kappa: float) -> np.ndarray:
+        """M(P, Λ, κ)."""
+        return np.tensordot(x[:-1], self.fixed[:-1], 1) + kappa**2 * np.tensordot(x[:-1], self.square[:-1], 1)
+
+    def scale_by(self, x: np.ndarray) -> None:
+        """The P₀ and Λ₀ of the next programs are the P and Λ among these unknowns, in bounds."""
+        P, lam = np.tensordot(x, self.square, 1)[self.state, self.state], x[len(self.corners) : -1]
+        unit = max(np.trace(P), 1e-300) / self.q
+        self._scale(P / unit + FLOOR * np.eye(self.q), (lam / unit).clip(FLOOR, 1 / FLOOR))
+
+    def _scale(self, P: np.ndarray, lam: np.ndarray) -> None:
+        E, q = np.zeros((self.size, self.size)), self.q
+        E[:q, :q], E[q : 2 * q, q : 2 * q], E[2 * q :, 2 * q :] = EPSILON * P, P, EPSILON * np.diag(lam)
+        inverse = np.linalg.inv(P)
+        self.scaling, self.fixed[-1] = E, -E
+        self.trace = np.zeros(len(self.fixed))
+        self.trace[: len(self.corners)] = [inverse[i, j] * (1 if i == j else 2) for i, j in self.corners]
+
+    def solve(self, kappa: float) -> tuple[float, np.ndarray | None, str]:
+        """t, the unknowns and the solver's status; t is NaN and the unknowns None where the solver fails."""
+        self.solved += 1
+        x, status = self._by_clarabel(kappa) if self.solver == "CLARABEL" else self._by_cvxpy(kappa)
+        if x is None or not np.isfinite(x).all():
+            return math.nan, None, status
+        back = np.linalg.inv(np.linalg.cholesky(self.scaling))
+        return float(np.linalg.eigvalsh(back @ self.matrix(x, kappa) @ back.T)[0]), x, status  # t as it is reached
+
+    def _by_clarabel(self, kappa: float) -> tuple[np.ndarray | None, str]:
+        import clarabel
+        from scipy.sparse import csc_matrix, hstack, vstack
+
         count = len(self.fixed)
-        triangle = (self.fixed + kappa**2 * self.square)[:, *self._triangle] * self._weight
-        A = csc_matrix(np.vstack([self._trace, -triangle.T]))
+        unknowns = (self._fixed + kappa**2 * self._square)[:, :-1]
+        A = vstack([csc_matrix(self.trace), hstack([unknowns, csc_matrix(self._triangle(self.scaling)[:, None])])])
         b = np.zeros(A.shape[0])
         b[0] = self.q
-        cones = [clarabel.ZeroConeT(1), clarabel.PSDTriangleConeT(self.fixed.shape[1])]
+        cones = [clarabel.ZeroConeT(1), clarabel.PSDTriangleConeT(self.size)]
         settings = clarabel.DefaultSettings()
         settings.verbose = False
-        found = clarabel.DefaultSolver(csc_matrix((count, count)), -np.eye(count)[-1], A, b, cones, settings).solve()
+        none, objective = csc_matrix((count, count)), -np.eye(count)[-1]
+        found = clarabel.DefaultSolver(none, objective, A.tocsc(), b, cones, settings).solve()
         return np.array(found.x), str(found.status)
 
     def _by_cvxpy(self, kappa: float) -> tuple[np.ndarray | None, str]:
         cp = import_cvxpy()
-        N, x = self.fixed.shape[1], cp.Variable(len(self.fixed))
-        flat = (self.fixed + kappa**2 * self.square).reshape(len(self.fixed), -1)
-        M = cp.reshape(flat.T @ x, (N, N), order="C")
-        problem = cp.Problem(cp.Maximize(x[-1]), [(M + M.T) / 2 >> 0, self._trace @ x == self.q])
+        x, flat = cp.Variable(len(self.fixed)), (self.fixed + kappa**2 * self.square).reshape(len(self.fixed), -1)
+        M = cp.reshape(flat.T @ x, (self.size, self.size), order="C")
+        problem = cp.Problem(cp.Maximize(x[-1]), [(M + M.T) / 2 >> 0, self.trace @ x == self.q])
         status = quietly(problem, self.solver)
         return x.value, status
+
+    def proved(self, x: np.ndarray, kappa: float) -> float:
+        """The smallest κ at which M is positive semidefinite with the P and Λ of a larger one, where t > 0."""
+        M, own = self.matrix(x, 0.0), self.state
+        others = np.delete(np.arange(len(M)), own)
+        cross = M[own, others]
+        try:
+            root = np.linalg.inv(np.linalg.cholesky(np.tensordot(x, self.square, 1)[own, own]))
+            least = root @ (cross @ np.linalg.solve(M[np.ix_(others, others)], cross.T) - M[own, own]) @ root.T
+            square = float(np.linalg.eigvalsh((least + least.T) / 2)[-1])
+        except np.linalg.LinAlgError:
+            return kappa
+        return math.sqrt(max(square, 0.0)) if math.isfinite(square) else kappa
 
     def proof(self, weights: VectorWeights, x: np.ndarray, kappa: Fraction) -> Proof | None:
         """The shortest fractions near the unknowns that prove κ for the weights as given; None if there are none."""
