@@ -34,6 +34,7 @@ WIDENED = (5e-6, 1e-4, 1e-3, 1e-2, 0.1)  # relative distances above the smallest
 BITS = (12, 17, 22, 28, 36, 52)  # of the fractions of P and Λ
 PROGRAMS = 40  # at most, for one smallest rate
 CLOSE = 1e-6  # relative decrease of κ at which the iteration ends
+LARGEST_DENSE = 60  # rows of M with which a failed program is solved again without its sparsity
 SAMPLES = 50  # patterns, for a first κ
 
 
@@ -244,10 +245,12 @@ class Program:
         b = np.zeros(A.shape[0])
         b[0] = self.q
         cones = [clarabel.ZeroConeT(1), clarabel.PSDTriangleConeT(self.size)]
-        settings = clarabel.DefaultSettings()
-        settings.verbose = False
-        none, objective = csc_matrix((count, count)), -np.eye(count)[-1]
-        found = clarabel.DefaultSolver(none, objective, A.tocsc(), b, cones, settings).solve()
+        none, objective, settings = csc_matrix((count, count)), -np.eye(count)[-1], clarabel.DefaultSettings()
+        settings.verbose = settings.chordal_decomposition_compact = False  # compact fails near the smallest κ
+        for settings.chordal_decomposition_enable in (True, False):
+            found = clarabel.DefaultSolver(none, objective, A.tocsc(), b, cones, settings).solve()
+            if str(found.status) in ("Solved", "AlmostSolved") or self.size > LARGEST_DENSE:
+                break
         return np.array(found.x), str(found.status)
 
     def _by_cvxpy(self, kappa: float) -> tuple[np.ndarray | None, str]:
