@@ -59,16 +59,24 @@ def balance(weights: VectorWeights) -> Balanced:
         leads.insert(0, _largest(weights.V[leads[0]], 0) > 0)
     alive = [x & y for x, y in zip(reached, leads, strict=True)]
 
-    state = _ratio(_largest(weights.W[alive[0]], 0), _largest(weights.A[:, alive[-1]], 1), root=2)
-    state /= np.exp2(np.round(np.log2(state).mean()))
-    R, total = state[:, None] * weights.R / state, np.eye(len(state))
-    maps = [hidden[0] / state, *hidden[1:], weights.A * state[:, None]]
+    ins, outs = _largest(weights.W[alive[0]], 0), _largest(weights.A[:, alive[-1]], 1)
+    both = (ins > 0) & (outs > 0)
+    state = _ratio(ins, outs, root=2)
+    middle = np.round(np.log2(state[both]).mean()) if both.any() else 0.0
+    state = np.where(both, state / np.exp2(middle), 1.0)
     kept = [np.ones(len(state), bool), *alive, np.ones(len(state), bool)]
+
+    def scaled(state: np.ndarray) -> tuple[float, np.ndarray, list[np.ndarray], np.ndarray]:
+        R, total = state[:, None] * weights.R / state, np.eye(len(state))
+        maps = [hidden[0] / state, *hidden[1:], weights.A * state[:, None]]
+        for X, (columns, rows) in zip(maps, itertools.pairwise(kept), strict=True):
+            total = np.abs(X[np.ix_(rows, columns)]) @ total
+        norm = np.array(np.linalg.norm(R, 2) + np.linalg.norm(total, 2) / 2)
+        return _ratio(norm, np.ones(())).item(), R, maps, state
+
+    size, R, maps, state = min(scaled(np.ones(len(state))), scaled(state), key=lambda found: found[0])
+    maps[-1] = maps[-1] / size
     layers = [X[np.ix_(rows, columns)] for X, (columns, rows) in zip(maps, itertools.pairwise(kept), strict=True)]
-    for X in layers:
-        total = np.abs(X) @ total
-    size = _ratio(np.array(np.linalg.norm(R, 2) + np.linalg.norm(total, 2) / 2), np.ones(())).item()
-    maps[-1], layers[-1] = maps[-1] / size, layers[-1] / size
     neurons = [np.ones(len(x)) for x in alive]
     for _ in range(1 if weights.V is None else ROUNDS):
         for k, here in enumerate(alive):

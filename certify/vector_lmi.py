@@ -32,6 +32,7 @@ FLOOR = 0.01  # of P₀ and Λ₀: beside a singular P₀ the solver fails
 EPSILON = 0.1  # of (1): 1 needs half as many programs again, 0.01 makes the solver fail now and then
 WIDENED = (5e-6, 1e-4, 1e-3, 1e-2, 0.1)  # relative distances above the smallest rate at which a proof is tried
 BITS = (12, 17, 22, 28, 36, 52)  # of the fractions of P and Λ
+NEGLIGIBLE = 1e-20  # of the balanced network's R and A: the solver fails on such entries
 PROGRAMS = 40  # at most, for one smallest rate
 CLOSE = 1e-6  # relative decrease of κ at which the iteration ends
 LARGEST_DENSE = 60  # rows of M with which a failed program is solved again without its sparsity
@@ -180,6 +181,7 @@ class Program:
             for part, block in ((first, P), (self.state, P @ R), (last, P @ A)):
                 self.fixed[k][first, part], self.fixed[k][part, first] = block, block.T
             self.square[k][self.state, self.state] = P
+        self.fixed[np.abs(self.fixed) < NEGLIGIBLE] = 0.0
         k = len(self.corners)
         for X, into, own in zip(hidden, parts[1:], parts[2:], strict=False):
             for i, row in enumerate(X, own.start):
