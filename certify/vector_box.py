@@ -24,7 +24,7 @@ from certify.box_planes import Box
 from certify.box_search import BOXES, CLIMBERS, REPLAYED, Search
 from certify.errors import CertifyError
 from certify.rounding import float_above, float_below
-from certify.vector_box_proof import NODE, WORK, bound, coordinates, proves_range, slopes_on, usual
+from certify.vector_box_proof import Range, bound, coordinates, proves_range, slopes_on, usual
 from certify.vector_box_search import Floats, range_bounds
 from certify.vector_exact import NORMS, Matrix
 from certify.vector_points import norm_at, value_at
@@ -178,9 +178,10 @@ def invariance(
     ends = [(Fraction(float(lo)), Fraction(float(hi))) for lo, hi in zip(box.lo[:q], box.hi[:q], strict=True)]
     small = 1e-12 * (1 + float(np.abs(box.lo[:q]).max() + np.abs(box.hi[:q]).max()))
     bounds, halve = range_bounds(weights, phi, box)
+    most = min(Range(weights, phi, box).nodes, BOXES)
     for margin in (0.0, small):  # rounding may hide that a leaf is just open
         search = Search(_constant(-margin), small, end)
-        left = search.boxes(bounds, halve, None, box, 0, BOXES // 10, 0.0)[0]
+        left = search.boxes(bounds, halve, None, box, 0, most, 0.0)[0]
         if search.point is not None:
             values = value_at(weights, phi, search.point)
             if any(low > hi or high < lo for (low, high), (lo, hi) in zip(values, ends, strict=True)):
@@ -211,7 +212,7 @@ def _search(
         return net.climb(y, box, rng)
 
     search.reached(*climb(points[order]))
-    most = WORK // max(slopes_on(weights, phi, box, norm, scaling).cost, NODE)
+    most = slopes_on(weights, phi, box, norm, scaling).nodes
     most = min(most, max(int(REPLAYED * (end - time.perf_counter())), 1), BOXES)
     search.open = search.boxes(net.bound, net.halve, climb, box, 0, most, SMALL)[0].max(initial=-math.inf)
     seen = None

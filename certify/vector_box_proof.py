@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple, Protocol
 
@@ -38,17 +37,20 @@ from certify.vector_exact import Matrix, changed, transposed
 from certify.vector_slopes import (
     BITS,
     Ends,
+    Integers,
     Layer,
     first_layer,
     layer,
     linear,
+    signed,
     slope_ends,
     smallest,
     through,
+    whole,
 )
 from certify.vector_weights import Activation, VectorWeights
 
-WORK = 20_000_000  # products in a replay, about 3 s
+WORK = 8_000_000  # products in a replay, about 2 s
 TANH = 100  # products that cost as much as a tanh, or its slope, at a point
 NODE = 30  # and as a node of the tree
 
@@ -114,7 +116,7 @@ def proves_range(weights: VectorWeights, phi: Activation, box: Box, tree: str) -
     >>> [proves_range(identity._replace(b=np.array([b])), RELU, Box(np.zeros(1), np.ones(1)), ".") for b in (0.0, 0.5)]
     [True, False]
     """
-    return usual(weights, box) and _replay(tree, box, weights, _Range(weights, phi, box), 1) is not None
+    return usual(weights, box) and _replay(tree, box, weights, Range(weights, phi, box), 1) is not None
 
 
 def usual(weights: VectorWeights, box: Box) -> bool:
@@ -131,7 +133,7 @@ class Statement(Protocol):
 
     unit: int
     work: int
-    cost: int  # of a node with its leaf, at most
+    nodes: int  # of a tree whose replay does not exceed WORK
 
     def start(self, here: Region) -> Any: ...
     def halve(self, state: Any, j: int, here: Region, half: Region) -> Any: ...
@@ -219,7 +221,7 @@ class _Patterns:
         self.on = [[min(g, 0) for g in each] for each in gain]  # what a sign that is settled changes
         self.off = [[-max(g, 0) for g in each] for each in gain]
         self.columns = [list(column) for column in zip(*self.planes.rows, strict=True)]
-        self.cost = NODE + 4 * len(gain) + 2 * len(start)
+        self.nodes = WORK // (NODE + 4 * len(gain) + 2 * len(start))
         self.work = 0
 
     def start(self, here: Region) -> _Crossed:
@@ -263,7 +265,8 @@ class _Tanh:
         self.planes, start, gain, unit = found
         self.base = [k << BITS for k in start]
         self.gain, self.unit = gain, unit << BITS
-        self.cost = NODE + len(gain) * (len(start) + 2 * TANH)
+        self.cost = 2 * NODE + len(gain) * (len(start) + 2 * TANH)
+        self.nodes = 2 * WORK // self.cost
         self.work = 0
 
     def start(self, here: Region) -> None:
@@ -286,7 +289,7 @@ TANH_SLOPES = Activation("tanh", Fraction(0))
 
 
 class _Deep:
-    """The bound for two hidden layers, computed at each leaf."""
+    """The bound for two hidden layers, computed at each leaf: −ε gives the negative of both ends."""
 
     def __init__(self, weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling: Matrix | None):
         R, A, W = changed(weights, scaling)
@@ -295,22 +298,17 @@ class _Deep:
         self.turned = norm == "one"
         if self.turned:
             R, W, V, A = transposed(R), transposed(A), transposed(V), transposed(W)
-        (self.V, v_unit), (A_rows, a_unit), (W_rows, w_unit) = map(_whole, (V, A, W))
-        self.A = A_rows
-        self.unit = (v_unit * a_unit * w_unit) << (2 * BITS)
-        R_rows, r_unit = _whole(R)
-        self.unit *= r_unit
-        self.r_unit = r_unit
-        self.starts = []
-        scale = (v_unit * a_unit * w_unit) << (2 * BITS)
-        for signs in itertools.product((-1, 1), repeat=len(R)):
-            if signs[0] > 0:  # −ε gives the negative of both ends
-                sums = [[sum(x * s for x, s in zip(row, signs, strict=True)) for row in X] for X in (W_rows, R_rows)]
-                self.starts.append((sums[0], [x * scale for x in sums[1]]))
-        each = 6 * TANH if phi.name == "tanh" else 20
+        q = len(R)
+        signs = whole([(1, *each) for each in itertools.product((-1, 1), repeat=q - 1)]).T  # (q, 2^(q−1))
+        (R_rows, r_unit), (W_rows, w_unit), (V_rows, v_unit), (A_rows, a_unit) = map(_integers, (R, W, V, A))
+        self.unit = (r_unit * w_unit * v_unit * a_unit) << (2 * BITS)
+        self.direct = (R_rows @ signs) * (self.unit // r_unit)
+        self.moved = signed((W_rows @ signs) * r_unit)
+        self.V, self.A = signed(V_rows), signed(A_rows)
         n, last, width = len(weights.b), len(weights.c), len(box.lo)
-        self.cost = NODE + 2 * n * last * (width + 2) + (n + last) * (each + width)
-        self.cost += len(self.starts) * (2 * n * last + 2 * last * len(R))
+        each = 6 * TANH if phi.name == "tanh" else 60
+        self.cost = 2 * NODE + (2 * n * last * (width + 3) + 2 * len(signs.T) * (n + q) * last) // 2 + (n + last) * each
+        self.nodes = 2 * WORK // self.cost
         self.work = 0
 
     def start(self, here: Region) -> None:
@@ -322,29 +320,19 @@ class _Deep:
     def leaf(self, here: Region, state: None) -> int:
         self.work += self.cost
         inner, ends = linear(self.first, here)
-        ends_of: list[Ends] = [_slope_list(self.phi, ends, inner.bits + here.bits)]
+        first = _slopes(self.phi, ends, inner.bits + here.bits)
         outer, ends = through(self.phi, inner, ends, self.second, here)
-        ends_of.append(_slope_list(self.phi, ends, outer.bits + here.bits))
-        first, second = ends_of[::-1] if self.turned else ends_of
-        most = None
-        for moved, direct in self.starts:
-            pairs = [
-                (k * low, k * high) if k > 0 else (k * high, k * low)
-                for k, (low, high) in zip(moved, first, strict=True)
-            ]
-            pairs = [_combined(row, pairs) for row in self.V]
-            pairs = [
-                (x * (low if x > 0 else high), y * (high if y > 0 else low))
-                for (x, y), (low, high) in zip(pairs, second, strict=True)
-            ]
-            for row, start in zip(self.A, direct, strict=True):
-                least, greatest = _combined(row, pairs)
-                size = max(start + greatest * self.r_unit, -start - least * self.r_unit)
-                most = size if most is None else max(most, size)
-        return most or 0
+        second = _slopes(self.phi, ends, outer.bits + here.bits)
+        if self.turned:
+            first, second = second, first
+        least, most = _moved(self.moved, first)
+        least, most = _combined(self.V, least, most)
+        least, most = _moved(signed(least), second)[0], _moved(signed(most), second)[1]
+        least, most = _combined(self.A, least, most)
+        return int(max((most + self.direct).max(), (-least - self.direct).max()))
 
 
-class _Range:
+class Range:
     """f stays in the box's intervals of x: a leaf's bound is 0 or 1, below or above the limit 1."""
 
     unit = 1
@@ -355,11 +343,13 @@ class _Range:
         joint = layer(np.concatenate([weights.A, weights.R], 1), zero)  # in common units
         n = weights.A.shape[1]
         self.last = Layer([row[:n] for row in joint.rows], joint.constants, joint.bits)
-        self.direct = [row[n:] for row in joint.rows]
+        zeros = [0] * (len(box.lo) - self.q + 1)
+        self.direct = whole([[*row[n:], *zeros] for row in joint.rows])  # R, as rows of `Linear`
         self.second = None if weights.V is None else layer(weights.V, weights.c)
         widths = [len(self.first.rows), *([] if self.second is None else [len(self.second.rows)]), self.q]
-        each = 6 * TANH if phi.name == "tanh" else 20
-        self.cost = NODE + sum((2 * len(box.lo) + 8) * k * j + each * k for k, j in itertools.pairwise(widths))
+        each = 6 * TANH if phi.name == "tanh" else 60
+        self.cost = 2 * NODE + sum((len(box.lo) + 3) * k * j + each * k for k, j in itertools.pairwise(widths))
+        self.nodes = 2 * WORK // self.cost
         self.root = region(box)
         self.work = 0
 
@@ -375,36 +365,40 @@ class _Range:
         if self.second is not None:
             found, ends = through(self.phi, found, ends, self.second, here)
         found, ends = through(self.phi, found, ends, self.last, here)
-        # R x is added to the lines, and, where the constants are better, to the ends
-        unit, depth = found.bits - self.last.bits, here.bits - self.root.bits
-        for r, row in enumerate(self.direct):
-            moved = [k << unit for k in row]
-            moved += [0] * (len(here.lo) - self.q)
-            low, high = ends[r]
-            straight = -smallest([-k for k in moved], 0, here)
-            under = smallest([x + y for x, y in zip(found.low[r], moved, strict=True)], found.low_constants[r], here)
-            over = [-x - y for x, y in zip(found.high[r], moved, strict=True)]
-            most = min(high + straight, -smallest(over, -found.high_constants[r], here))
-            least = max(low + smallest(moved, 0, here), under)
-            if least < self.root.lo[r] << (found.bits + depth) or most > self.root.hi[r] << (found.bits + depth):
+        moved = self.direct << (found.bits - self.last.bits)  # R x, in units of the rows
+        straight = list(zip(smallest(moved, here).tolist(), (-smallest(-moved, here)).tolist(), strict=True))
+        under = smallest(found.low + moved, here).tolist()
+        over = (-smallest(-found.high - moved, here)).tolist()
+        depth = here.bits - self.root.bits + found.bits
+        for r, (low, high) in enumerate(straight):  # by the lines, or by intervals
+            least, most = max(under[r], ends[r][0] + low), min(over[r], ends[r][1] + high)
+            if least < self.root.lo[r] << depth or most > self.root.hi[r] << depth:
                 return 1
         return 0
 
 
-def _slope_list(phi: Activation, ends: Ends, bits: int) -> Ends:
-    return [slope_ends(phi, least, most, bits) for least, most in ends]
+def _slopes(phi: Activation, ends: Ends, bits: int) -> tuple[Integers, Integers]:
+    """The least and the greatest slope of each neuron, `(n, 1)`."""
+    found = whole([slope_ends(phi, least, most, bits) for least, most in ends])
+    return found[:, :1], found[:, 1:]
 
 
-def _combined(row: Sequence[int], pairs: Ends) -> tuple[int, int]:
-    """The least and the greatest Σ k d over intervals of d."""
-    least = sum(k * (x if k > 0 else y) for k, (x, y) in zip(row, pairs, strict=True))
-    return least, sum(k * (y if k > 0 else x) for k, (x, y) in zip(row, pairs, strict=True))
+def _moved(signs: tuple[Integers, Integers], slopes: tuple[Integers, Integers]) -> tuple[Integers, Integers]:
+    """The ends of d k, for the positive and the negative parts of k and intervals of d ≥ 0."""
+    (plus, minus), (low, high) = signs, slopes
+    return low * plus + high * minus, high * plus + low * minus
 
 
-def _whole(X: Matrix) -> tuple[list[list[int]], int]:
+def _combined(parts: tuple[Integers, Integers], least: Integers, most: Integers) -> tuple[Integers, Integers]:
+    """The ends of X y for the positive and the negative parts of X and intervals of y."""
+    plus, minus = parts
+    return plus @ least + minus @ most, plus @ most + minus @ least
+
+
+def _integers(X: Matrix) -> tuple[Integers, int]:
     """Integers and one denominator."""
     below = math.lcm(*(x.denominator for row in X for x in row))
-    return [[x.numerator * (below // x.denominator) for x in row] for row in X], below
+    return whole([[x.numerator * (below // x.denominator) for x in row] for row in X]), below
 
 
 def coordinates(q: int, m: int) -> list[str]:

@@ -20,12 +20,12 @@ constant is then chosen so that the line is a bound.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from fractions import Fraction
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from certify.box_planes import Box, Region, integers, region
 from certify.vector_exact import Slopes
@@ -37,15 +37,17 @@ GUARD = 16  # more bits within e^(−t)
 FINE = 1 << (BITS + GUARD)
 STEPS = 32  # of the table of e^(−k/STEPS) in [0, 1]
 Ends = list[tuple[int, int]]  # the least and the greatest value of each neuron
+Integers = NDArray[np.object_]  # Python integers of any size, which numpy multiplies and adds exactly
 
 
 class Linear(NamedTuple):
-    """low·y + low constant ≤ z ≤ high·y + high constant for all y = (x, u) of a region, neuron by neuron."""
+    """low·(y, 1) ≤ z ≤ high·(y, 1) for all y = (x, u) of a region, neuron by neuron.
 
-    low: list[list[int]]  # (n, q + m), units of 2^−bits
-    low_constants: list[int]  # (n,), units of 2^−(bits + the region's bits)
-    high: list[list[int]]
-    high_constants: list[int]
+    Rows are in units of 2^−bits, and their last entries, the constants, in units of 2^−(bits + the region's bits).
+    """
+
+    low: Integers  # (n, q + m + 1)
+    high: Integers  # (n, q + m + 1)
     bits: int
 
 
@@ -212,54 +214,45 @@ def linear(first: Layer, here: Region) -> tuple[Linear, Ends]:
     """The first layer's z, which is linear, and its ends in units of 2^−(bits + the region's bits)."""
     constants = [c << here.bits for c in first.constants]
     ends = [here.extremes(row, c) for row, c in zip(first.rows, first.constants, strict=True)]
-    return Linear(first.rows, constants, first.rows, constants, first.bits), ends
+    rows = whole([[*row, c] for row, c in zip(first.rows, constants, strict=True)])
+    return Linear(rows, rows, first.bits), ends
 
 
 def through(phi: Activation, before: Linear, ends: Ends, after: Layer, here: Region) -> tuple[Linear, Ends]:
     """Linear bounds of rows·φ(z) + constants, and its ends: those of the bounds, or of interval arithmetic."""
-    bits, width = before.bits + here.bits, len(here.lo)
-    low, low_constants, high, high_constants = [], [], [], []
-    values = []
-    for j, (least, most) in enumerate(ends):
-        s, t, S, T = lines(phi, least, most, bits)
-        low.append([s * k for k in before.low[j]])
-        low_constants.append(s * before.low_constants[j] + t)
-        high.append([S * k for k in before.high[j]])
-        high_constants.append(S * before.high_constants[j] + T)
-        values.append((value_bounds(phi, least, bits)[0], value_bounds(phi, most, bits)[1]))
-    found = Linear([], [], [], [], after.bits + BITS + before.bits)
-    reached = []
-    for row, c in zip(after.rows, after.constants, strict=True):
-        lower, upper = [0] * width, [0] * width
-        constant = c << (BITS + bits)
-        least = most = bottom = top = constant
-        for j, k in enumerate(row):
-            if not k:
-                continue
-            under, over = (low, high) if k > 0 else (high, low)
-            lower = [x + k * y for x, y in zip(lower, under[j], strict=True)]
-            upper = [x + k * y for x, y in zip(upper, over[j], strict=True)]
-            a, b = (low_constants, high_constants) if k > 0 else (high_constants, low_constants)
-            bottom, top = bottom + k * a[j], top + k * b[j]
-            down, up = values[j] if k > 0 else values[j][::-1]
-            least, most = least + k * down, most + k * up
-        for rows, constants, linear_row, linear_constant in (
-            (found.low, found.low_constants, lower, bottom),
-            (found.high, found.high_constants, upper, top),
-        ):
-            rows.append(linear_row)
-            constants.append(linear_constant)
-        reached.append((max(least, smallest(lower, bottom, here)), min(most, -smallest(_minus(upper), -top, here))))
-    return found, reached
+    bits = before.bits + here.bits
+    known = whole([lines(phi, least, most, bits) for least, most in ends]).T
+    low, high = known[0][:, None] * before.low, known[2][:, None] * before.high  # slopes are not negative
+    low[:, -1] += known[1]
+    high[:, -1] += known[3]
+    least = whole([value_bounds(phi, each, bits)[0] for each, _ in ends])
+    most = whole([value_bounds(phi, each, bits)[1] for _, each in ends])
+    plus, minus = signed(whole(after.rows))
+    offsets = whole([c << (BITS + bits) for c in after.constants])
+    lower, upper = plus @ low + minus @ high, plus @ high + minus @ low
+    lower[:, -1] += offsets
+    upper[:, -1] += offsets
+    bottom = np.maximum(smallest(lower, here), plus @ least + minus @ most + offsets)
+    top = np.minimum(-smallest(-upper, here), plus @ most + minus @ least + offsets)
+    reached = list(zip(bottom.tolist(), top.tolist(), strict=True))
+    return Linear(lower, upper, after.bits + BITS + before.bits), reached
 
 
-def smallest(row: Sequence[int], constant: int, here: Region) -> int:
-    """The least value of a linear function on a region."""
-    return constant + sum(k * (lo if k > 0 else hi) for k, lo, hi in zip(row, here.lo, here.hi, strict=True))
+def whole(values: Any) -> Integers:
+    """An array of Python integers."""
+    return np.array(values, dtype=object)
 
 
-def _minus(row: Sequence[int]) -> list[int]:
-    return [-k for k in row]
+def signed(X: Integers) -> tuple[Integers, Integers]:
+    """The positive and the negative entries."""
+    return np.maximum(X, 0), np.minimum(X, 0)
+
+
+def smallest(rows: Integers, here: Region) -> Integers:
+    """The least value of each row·(y, 1) on a region, `(n,)`."""
+    plus, minus = signed(rows[:, :-1])
+    least: Integers = plus @ whole(here.lo) + minus @ whole(here.hi) + rows[:, -1]
+    return least
 
 
 def intervals(weights: VectorWeights, phi: Activation, box: Box) -> list[Slopes]:
