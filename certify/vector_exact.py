@@ -53,13 +53,13 @@ class Proof(NamedTuple):
 
 
 def matrix(values: Any) -> Matrix:
-    """The exact values of a matrix of floats, or of fractions.
+    """The exact values of a matrix of floats, or of fractions: a list of rows, see `certify.steps.stepped`.
 
     >>> matrix([[0.5, 1.0]]), matrix([[Fraction(1, 3)]])
     ([[Fraction(1, 2), Fraction(1, 1)]], [[Fraction(1, 3)]])
     """
-    if isinstance(values, list) and all(isinstance(x, Fraction) for row in values for x in row):
-        return [row.copy() for row in values]
+    if isinstance(values, list) and any(isinstance(x, Fraction) for row in values for x in row):
+        return [[Fraction(x) for x in row] for row in values]
     return [[Fraction(*x.as_integer_ratio()) for x in row] for row in np.asarray(values, dtype=np.float64).tolist()]
 
 
@@ -139,24 +139,29 @@ def rate(
     >>> rate(net, everywhere(net, RELU))
     Fraction(3, 4)
     """
+    return max(value for _, values in row_sums(weights, slopes, norm, scaling) for value in values)
+
+
+def row_sums(
+    weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", scaling: Matrix | None = None
+) -> list[tuple[tuple[int, ...], list[Fraction]]]:
+    """For each ε the greatest [J ε]_r of all r, whose maximum is (2); with two hidden layers bounds of them.
+
+    Arguments and errors are those of `rate`. Computed in integers over common denominators.
+    """
     R, A, W = changed(weights, scaling)
     middle = [] if weights.V is None else [matrix(weights.V)]
-    layers, ends = [W, *middle, A], list(slopes)
+    layers, own = [W, *middle, A], list(slopes)
     if norm == "one":
-        R, layers, ends = transposed(R), [transposed(X) for X in reversed(layers)], ends[::-1]
-    return _largest_row_sum(R, layers, ends)
-
-
-def _largest_row_sum(R: Matrix, layers: Sequence[Matrix], slopes: Sequence[Slopes]) -> Fraction:
-    """(2), in integers over common denominators."""
+        R, layers, own = transposed(R), [transposed(X) for X in reversed(layers)], own[::-1]
     direct, unit = _integers(R)
     found = [_integers(X) for X in layers]
     ends = []
-    for each in slopes:
+    for each in own:
         flat, below = _integers([[x for pair in each for x in pair]])
         ends.append((list(zip(flat[0][::2], flat[0][1::2], strict=True)), below))
     whole = math.prod([below for _, below in found]) * math.prod([below for _, below in ends])
-    most = None
+    sums = []
     for signs in itertools.product((-1, 1), repeat=len(R)):
         least = greatest = [sum(x for x in _signed(row, signs)) for row in found[0][0]]
         for (X, _), (bounds, _) in zip(found[1:], ends, strict=True):
@@ -167,8 +172,8 @@ def _largest_row_sum(R: Matrix, layers: Sequence[Matrix], slopes: Sequence[Slope
             least = [sum(k * (x if k > 0 else y) for k, (x, y) in zip(row, pairs, strict=True)) for row in X]
             greatest = [sum(k * (y if k > 0 else x) for k, (x, y) in zip(row, pairs, strict=True)) for row in X]
         values = [sum(_signed(row, signs)) * whole + y * unit for row, y in zip(direct, greatest, strict=True)]
-        most = max(values) if most is None else max(most, *values)
-    return Fraction(most or 0, whole * unit)
+        sums.append((signs, [Fraction(value, whole * unit) for value in values]))
+    return sums
 
 
 def _signed(row: Sequence[int], signs: Sequence[int]) -> list[int]:

@@ -203,7 +203,13 @@ def first_layer(weights: VectorWeights, box: Box) -> Layer:
 
 
 def layer(matrix: Any, constants: Any) -> Layer:
-    """V φ + c, or A φ."""
+    """V φ + c, or A φ, of floats.
+
+    Raises:
+        TypeError: fractions, which no power of two makes integers.
+    """
+    if np.asarray(matrix).dtype != np.float64:
+        raise TypeError(f"found a matrix of {np.asarray(matrix).dtype}, expected float64")
     rows, width = np.asarray(matrix), np.shape(matrix)[1] + 1
     flat, bits = integers(np.concatenate([rows, np.asarray(constants)[:, None]], 1))
     split = [flat[i * width : (i + 1) * width] for i in range(len(rows))]
