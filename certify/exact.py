@@ -99,12 +99,12 @@ def multipliers(condition: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | fl
         return Multipliers(ONE, [Fraction(1, n + 1)] * n)
     if condition == "gershgorin":  # the slack of the lemma's sum is shared by the λ_i and both sides of p
         shares = [ai / (1 - wi) for ai, wi in sizes]
-        quarter = _power_below((2 - _sum(shares)) / 4)
+        quarter = power_below((2 - _sum(shares)) / 4)
         lam = [share + quarter / n for share in shares]
         least = _sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
         return Multipliers((least // quarter + 1) * quarter, lam)
     # λ_i = |a_i|/(κ |w_i|); where one of the two is zero, a value that keeps its share of the slack below 1/(4n)
-    slack = _power_below(1 - found / rate)
+    slack = power_below(1 - found / rate)
     lam = []
     for ai, wi in sizes:
         if ai and wi:
@@ -185,7 +185,7 @@ def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate
     return definiteness(matrix(a, w1, p, lam, rate, CORNER[condition])) == 1
 
 
-def _power_below(x: Fraction) -> Fraction:
+def power_below(x: Fraction) -> Fraction:
     """A power of two in (x/4, x], so that a proof's fractions stay short."""
     bits = x.numerator.bit_length() - x.denominator.bit_length() - 1
     return Fraction(2) ** bits

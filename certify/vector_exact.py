@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from certify.errors import CertifyError
-from certify.exact import definiteness
+from certify.exact import definiteness, power_below
 from certify.vector_weights import Activation, VectorWeights
 
 ZERO, ONE = Fraction(0), Fraction(1)
@@ -207,6 +207,36 @@ def gershgorin(weights: VectorWeights) -> tuple[Fraction, Fraction | None]:
         sums.append(total + sum(shares, ZERO))
     half = max(sums) / 2
     return min(1 - half, least), half if least > 0 else None
+
+
+def gershgorin_proof(weights: VectorWeights, kappa: Fraction) -> Proof | None:
+    """P and Λ that prove a rate for β = 2 where the lemma holds at it; None where it does not, or with two layers.
+
+    At the rate κ the lemma makes [2I − P, R/κ, A/κ; ·, P, −WᵀΛ; ·, ·, Λ] strictly dominated by its diagonal for some
+    diagonal P and Λ: its sums leave a slack, which is shared by λ_i and both sides of p_r. As 2 − p ≤ 1/p, the matrix
+    with P⁻¹ in place of 2I − P is positive definite, too. Scaled by P, κ I and κ I, it is (3) with κ²Λ/2 for Λ.
+
+    >>> from certify.vector_weights import RELU, check
+    >>> net = check(VectorWeights(None, [[0.5]], [[0.5]], np.zeros((1, 0)), [0.0]))
+    >>> found = gershgorin_proof(net, Fraction(3, 4))
+    >>> proves(net, RELU, found, Fraction(3, 4), Fraction(2)), gershgorin_proof(net, Fraction(1, 2))
+    (True, None)
+    """
+    half = None if weights.V is not None else gershgorin(weights)[1]
+    if half is None or not half < kappa:
+        return None
+    R, A, W = ([[abs(x) for x in row] for row in matrix(X)] for X in (weights.R, weights.A, weights.W))
+    slack = power_below((2 - 2 * half / kappa) / 4)
+    unit = slack / 2 ** len(W).bit_length()  # at most slack/n
+    shares = [
+        sum(column, ZERO) / kappa / (1 - sum(row, ZERO)) for column, row in zip(zip(*A, strict=True), W, strict=True)
+    ]
+    lam = [(share // (unit / 2) + 1) * unit / 2 for share in shares]
+    metric = identity(len(R))
+    for r in range(len(R)):
+        least = sum((row[r] for row in R), ZERO) / kappa + sum((w[r] * x for w, x in zip(W, lam, strict=True)), ZERO)
+        metric[r][r] = (least // slack + 1) * slack
+    return Proof(metric, [[kappa * kappa * x / 2 for x in lam]])
 
 
 def inequality(

@@ -1,0 +1,33 @@
+"""Random networks with a vector state, and the norm of their slopes."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from certify.vector_exact import Matrix, inverse
+from certify.vector_weights import VectorWeights, check
+
+
+def draw(rng: np.random.Generator, q: int, n: int, second: int = 0, inputs: int = 2) -> VectorWeights:
+    """Gaussian weights, some zero, with a skip connection in two of three; a second hidden layer of that width."""
+    last = second or n
+    A, W, W2 = (rng.standard_normal(shape) for shape in ((q, last), (n, q), (n, inputs)))
+    V = rng.standard_normal((second, n)) if second else None
+    R = rng.standard_normal((q, q)) * rng.choice([0.0, 0.3, 1.0])
+    for X in (A, W, R):
+        X[rng.random(X.shape) < 0.1] = 0.0
+    return check(VectorWeights(R, A, W, W2, rng.standard_normal(n), V, rng.standard_normal(second) if second else None))
+
+
+def draw_scaling(rng: np.random.Generator, q: int) -> Matrix:
+    """A regular T of small fractions."""
+    while True:
+        T = [[Fraction(int(x), 4) for x in row] for row in rng.integers(-8, 9, (q, q))]
+        if inverse(T) is not None:
+            return T
+
+
+def spectral(slopes: np.ndarray, metric: Matrix) -> float:
+    """The largest norm of the slopes, `(…, q, q)`, in √(xᵀ P x)."""
+    root = np.linalg.cholesky(np.array(metric, dtype=float)).T
+    return float(np.linalg.norm(root @ slopes @ np.linalg.inv(root), 2, axis=(-2, -1)).max())
