@@ -45,6 +45,7 @@ from certify.vector_slopes import (
     signed,
     slope_ends,
     smallest,
+    tanh_slope,
     through,
     whole,
 )
@@ -280,12 +281,9 @@ class _Tanh:
         self.work += self.cost
         total = self.base
         for row, constant, gain in zip(rows, constants, self.gain, strict=True):
-            low, high = slope_ends(TANH_SLOPES, *here.extremes(row, constant), bits + here.bits)
+            low, high = tanh_slope(*here.extremes(row, constant), bits + here.bits)
             total = [x + k * (high if k > 0 else low) for x, k in zip(total, gain, strict=True)]
         return max(total)
-
-
-TANH_SLOPES = Activation("tanh", Fraction(0))
 
 
 class _Deep:

@@ -68,9 +68,16 @@ def lines(phi: Activation, least: np.ndarray, most: np.ndarray, slack: np.ndarra
         band = (steep - flat) / 2 * (most - least) / 2
         straight = 2 * band < high - low
         s, at = np.where(straight, s, 0.0), value(phi, middle) - s * middle
-        return Lines(
-            flat, steep, s, np.where(straight, at - band, low), s, np.where(straight, at + band, high), low, high
+        under, over = np.where(straight, at - band, low), np.where(straight, at + band, high)
+        chord = (high - low) / np.maximum(most - least, TINY)
+        tangent, one_sided = slope(phi, middle), (least >= 0) | (most <= 0)
+        below = (chord, low - chord * least), (tangent, value(phi, middle) - tangent * middle)
+        concave = least >= 0
+        (s1, t1), (s2, t2) = (
+            tuple(np.where(one_sided, np.where(concave, x, y), z) for x, y, z in zip(*three, strict=True))
+            for three in ((below[0], below[1], (s, under)), (below[1], below[0], (s, over)))
         )
+        return Lines(flat, steep, s1, t1, s2, t2, low, high)
     chord = np.where(steep == flat, flat, (high - low) / np.maximum(most - least, TINY))
     tangent = np.where((flat == steep) | (most <= -least), flat, 1.0)
     zero = np.zeros_like(least)

@@ -10,7 +10,7 @@ r = t − k ln 2 ∈ [0, 1), and Σ (−r)^n/n! alternates with falling terms, s
 first term left out. Every product is rounded down, and the sum of all these errors is added on either side.
 
 With two hidden layers the argument of the second, V φ(z) + c, is bounded by a linear function of (x, u) on either side.
-For that each φ(z) lies between two lines: a convex φ between its chord and a tangent, and any φ between
+For that each φ(z) lies between two lines: a convex or concave φ between its chord and a tangent, and any φ between
 
     φ(m) + s (z − m) ± ω ρ,   m = (l + h)/2,  ρ ≥ |z − m|,  ω ≥ |φ′ − s|               (mean value theorem)     (1)
 
@@ -36,6 +36,7 @@ ONE = 1 << BITS
 GUARD = 16  # more bits within e^(−t)
 FINE = 1 << (BITS + GUARD)
 STEPS = 32  # of the table of e^(−k/STEPS) in [0, 1]
+TANH = Activation("tanh", Fraction(0))
 Ends = list[tuple[int, int]]  # the least and the greatest value of each neuron
 Integers = NDArray[np.object_]  # Python integers of any size, which numpy multiplies and adds exactly
 
@@ -173,16 +174,13 @@ def lines(phi: Activation, least: int, most: int, bits: int) -> tuple[int, int, 
     >>> [k / ONE for k in lines(RELU, -1, 3, 0)]
     [1.0, 0.0, 0.75, 0.75]
     """
-    (low, _), (_, high) = value_bounds(phi, least, bits), value_bounds(phi, most, bits)
-    flattest, steepest = slope_ends(phi, least, most, bits)
     if phi.name == "tanh":
-        slope = (flattest + steepest) // 2
-        middle = (least + most) // 2
-        band = max(steepest - slope, slope - flattest) * max(most - middle, middle - least)
-        if 2 * band >= high - low:
-            return 0, low, 0, high
-        down, up = value_bounds(phi, middle, bits)
-        return slope, down - slope * middle - band, slope, up - slope * middle + band
+        if most <= 0:  # tanh is odd
+            s, t, S, T = _tanh_lines(-most, -least, bits)
+            return S, -T, s, -t
+        return _tanh_lines(least, most, bits)
+    flattest, steepest = slope_ends(phi, least, most, bits)
+    (low, _), (_, high) = value_bounds(phi, least, bits), value_bounds(phi, most, bits)
     if least >= 0:
         return ONE, 0, ONE, 0
     chord = steepest if most <= 0 else (high - low) // (most - least)
@@ -190,6 +188,26 @@ def lines(phi: Activation, least: int, most: int, bits: int) -> tuple[int, int, 
     tangent = ONE if most > -least else flattest
     below = min(value_bounds(phi, z, bits)[0] - tangent * z for z in (least, most, min(most, 0)))
     return tangent, below, chord, above
+
+
+def _tanh_lines(least: int, most: int, bits: int) -> tuple[int, int, int, int]:
+    """The lines for tanh: a chord and a tangent where z ≥ 0, else (1) or constants."""
+    phi = TANH
+    (low, _), (_, high) = value_bounds(phi, least, bits), value_bounds(phi, most, bits)
+    flattest, steepest = tanh_slope(least, most, bits)
+    middle = (least + most) // 2
+    down, up = value_bounds(phi, middle, bits)
+    reach = max(most - middle, middle - least)
+    if least >= 0 and most > least:  # concave
+        chord = (value_bounds(phi, most, bits)[0] - low) // (most - least)
+        below = min(value_bounds(phi, z, bits)[0] - chord * z for z in (least, most))
+        tangent, upper = tanh_slope(middle, middle, bits)
+        return chord, below, tangent, up - tangent * middle + (upper - tangent) * reach
+    slope = (flattest + steepest) // 2
+    band = max(steepest - slope, slope - flattest) * reach
+    if 2 * band >= high - low:
+        return 0, low, 0, high
+    return slope, down - slope * middle - band, slope, up - slope * middle + band
 
 
 def first_layer(weights: VectorWeights, box: Box) -> Layer:
