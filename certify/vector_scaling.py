@@ -28,7 +28,8 @@ from certify.vector_weights import Activation, VectorWeights
 
 STEPS = 60  # linear programs from one start
 ITERATIONS = 400  # of F
-FIRST, LAST = 0.3, 1e-6  # δ, and where the search ends
+FIRST, LAST = 0.3, 1e-4  # δ, and where the search ends
+GAIN = 1e-5  # of K, relative: a program that expects less ends the search, too
 GRIDS = (2**6, 2**10, 2**16, 2**24)  # denominators of T
 WORTH = 1e-3  # relative gain for which T gets longer fractions
 WORST = 1e7  # condition of T
@@ -115,11 +116,11 @@ def improve(values: Values, T: np.ndarray, until: float) -> np.ndarray:
         columns = np.column_stack([slopes.T, -np.ones(now.size)])
         bounds = [(-delta, delta)] * (q * q) + [(None, None)]
         found = linprog(np.eye(q * q + 1)[-1], columns, -now.ravel(), bounds=bounds, method="highs")
-        if not found.success:
+        if not found.success or K - found.x[-1] <= GAIN * K:
             break
         moved = T + found.x[:-1].reshape(q, q) @ T
         then = values.largest(moved)
-        if K - then <= 1e-9 * K:
+        if K - then <= GAIN / 10 * K:
             delta /= 4
             continue
         if K - then > 0.75 * (K - found.x[-1]):
@@ -131,13 +132,6 @@ def improve(values: Values, T: np.ndarray, until: float) -> np.ndarray:
 def starts(weights: VectorWeights, phi: Activation, values: Values, metric: np.ndarray | None) -> Iterator[np.ndarray]:
     """The T from which the search starts."""
     yield np.diag(best_diagonal(values))
-    middle = float(phi.least + phi.most) / 2
-    slope = weights.A @ ((middle * weights.V @ (middle * weights.W)) if weights.V is not None else middle * weights.W)
-    for J in (weights.R + slope, weights.R):
-        eigenvalues, vectors = np.linalg.eig(J)
-        basis = np.where(eigenvalues.imag >= 0, vectors.real, vectors.imag)  # a pair's real and imaginary parts
-        if np.linalg.cond(basis) < 1e4:
-            yield np.linalg.inv(basis)
     if metric is not None and np.linalg.eigvalsh(metric)[0] > 0:
         root = np.linalg.cholesky(metric).T
         generator = np.random.default_rng(0)
@@ -145,6 +139,13 @@ def starts(weights: VectorWeights, phi: Activation, values: Values, metric: np.n
         yield np.sqrt(eigenvalues)[:, None] * vectors.T
         for k in range(TURNS + 1):
             yield (np.eye(len(root)) if k == 0 else np.linalg.qr(generator.standard_normal(root.shape))[0]) @ root
+    middle = float(phi.least + phi.most) / 2
+    slope = weights.A @ ((middle * weights.V @ (middle * weights.W)) if weights.V is not None else middle * weights.W)
+    for J in (weights.R + slope, weights.R):
+        eigenvalues, vectors = np.linalg.eig(J)
+        basis = np.where(eigenvalues.imag >= 0, vectors.real, vectors.imag)  # a pair's real and imaginary parts
+        if np.linalg.cond(basis) < 1e4:
+            yield np.linalg.inv(basis)
 
 
 def best_scaling(
@@ -169,13 +170,14 @@ def best_scaling(
     >>> found.kind, found.rate < Fraction(51, 100)
     ('diagonal', True)
     """
-    until, q = time.perf_counter() + seconds, len(weights.R)
+    start, q = time.perf_counter(), len(weights.R)
     slopes = everywhere(weights, phi)
     found = [Scaling(norm, identity(q), rate(weights, slopes, norm), "none") for norm in NORMS]
     if q == 1:
         return found[0]  # K does not depend on T
     P = None if metric is None else np.array([[float(x) for x in row] for row in metric])
-    for norm in NORMS:
+    for k, norm in enumerate(NORMS, 1):
+        until = start + seconds * k / len(NORMS)
         values = Values(weights, phi, norm)
         tried = [("diagonal", np.diag(best_diagonal(values)))]
         for T in starts(weights, phi, values, P) if full else ():
