@@ -36,6 +36,7 @@ NEGLIGIBLE = 1e-20  # of the balanced network's R and A: the solver fails on suc
 PROGRAMS = 40  # at most, for one smallest rate
 CLOSE = 1e-6  # relative decrease of κ at which the iteration ends
 LARGEST_DENSE = 60  # rows of M with which a failed program is solved again without its sparsity
+MOST = Fraction(64)  # κ of a program, far above the rate of a balanced network
 SAMPLES = 50  # patterns, for a first κ
 
 
@@ -114,7 +115,8 @@ def certify(
     if not (math.isfinite(rate) and rate > 0):
         raise CertifyError(f"rate: found {rate}, expected a finite number above 0")
     program = Program(balance(weights), phi, most, solver)
-    kappa = min(max(Fraction(rate) / Fraction(program.network.size), Fraction(1, 2**60)), Fraction(2**20))
+    kappa = Fraction(rate) / Fraction(program.network.size)
+    kappa = min(max(kappa, Fraction(1, 2**60)), MOST)  # what proves MOST also proves more
     proof, verdict = None, "unknown"
     for _ in range(2):  # the second time scaled by the P and Λ of the first
         margin, x, status = program.solve(float(kappa))
@@ -278,7 +280,7 @@ class Program:
 
     def proof(self, weights: VectorWeights, x: np.ndarray, kappa: Fraction) -> Proof | None:
         """The shortest fractions near the unknowns that prove κ for the weights as given; None if there are none."""
-        count, scaled = len(self.corners), float(kappa / Fraction(self.network.size))
+        count, scaled = len(self.corners), float(min(kappa / Fraction(self.network.size), MOST))
         for bits in BITS:
             P = [[Fraction(0)] * self.q for _ in range(self.q)]
             for (i, j), value in zip(self.corners, x.tolist(), strict=False):
