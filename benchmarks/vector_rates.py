@@ -132,7 +132,8 @@ def main() -> None:
         *ladder(states, neurons, seeds),
         "",
         "K_∞ is the exact evaluation in fractions. The time of full T is that of all starts in both norms, with the P "
-        "of the inequality as one of them; it ends after 10 s.",
+        "of the inequality as one of them; it ends after 10 s. One thread, beside other work, so that "
+        "times compare within a row only.",
         "",
         "## Two hidden layers",
         "",
