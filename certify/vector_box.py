@@ -24,10 +24,11 @@ from certify.box_planes import Box
 from certify.box_search import BOXES, CLIMBERS, REPLAYED, Search
 from certify.errors import CertifyError
 from certify.rounding import float_above, float_below
-from certify.vector_box_proof import Range, bound, coordinates, proves_range, slopes_on, usual
+from certify.vector_box_proof import bound, coordinates, proves_range, usual
 from certify.vector_box_search import Floats, range_bounds
 from certify.vector_exact import NORMS, Matrix
 from certify.vector_points import norm_at, value_at
+from certify.vector_statements import Range, slopes_on
 from certify.vector_weights import Activation, VectorWeights, check
 
 LARGEST = 1e60  # a weight or an end of the box; products of a few are floats

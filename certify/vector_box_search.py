@@ -15,9 +15,9 @@ import numpy as np
 
 from certify.box_planes import Box
 from certify.box_search import EPS, TINY
-from certify.vector_box_proof import gains
 from certify.vector_exact import Matrix, changed
 from certify.vector_slopes import Layer
+from certify.vector_statements import gains
 from certify.vector_weights import RELU, Activation, VectorWeights
 
 TRIES = 16  # points on a line at which ‖J‖ is tried

@@ -94,7 +94,7 @@ def test_a_forged_or_damaged_tree_is_refused():
         return proves(net, RELU, box, tree, rate, **more)
 
     assert accepted(found.tree) and not accepted(found.tree, 0.99 * K)
-    assert not accepted(found.tree, net=weights._replace(A=1.01 * weights.A))
+    assert not accepted(found.tree, net=weights._replace(A=1.1 * weights.A))
     for k in range(len(tokens)):
         assert not accepted(" ".join(tokens[:k] + tokens[k + 1 :]))
         for other in ("x", "x0", "x3", "x01", "u0", "u2", "z0", "e0:1", "..", "x1:0.5", "ü1"):
