@@ -157,10 +157,11 @@ def rate(
 
     seen, _, text = _search(weights, phi, box, norm, scaling, threshold, math.inf, end, 1.0)
     proved = bound(weights, phi, box, text, norm, scaling)
-    plain = _plain(weights, phi, box, norm, scaling)
-    upper = plain if proved is None else min(plain, float_above(proved))
+    upper, plain = math.inf if proved is None else float_above(proved), _plain(weights, phi, box, norm, scaling)
+    if plain <= upper:
+        upper, text = plain, "."
     lower, witness = _witness(seen, len(weights.R))
-    return VectorRate(lower, upper, witness, text if proved is not None else ".", time.perf_counter() - started)
+    return VectorRate(lower, upper, witness, text, time.perf_counter() - started)
 
 
 @QUIET
