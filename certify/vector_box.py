@@ -21,14 +21,14 @@ from typing import NamedTuple
 import numpy as np
 
 from certify.box_planes import Box
-from certify.box_search import BOXES, CLIMBERS, REPLAYED, Search
+from certify.box_search import BATCH, BOXES, CLIMBERS, REPLAYED, Search
 from certify.errors import CertifyError
 from certify.rounding import float_above, float_below
 from certify.vector_box_proof import bound, coordinates, proves_range, usual
 from certify.vector_box_search import Floats, range_bounds
 from certify.vector_exact import NORMS, Matrix
 from certify.vector_points import norm_at, value_at
-from certify.vector_statements import Range, slopes_on
+from certify.vector_statements import Range, Statement, slopes_on
 from certify.vector_weights import Activation, VectorWeights, check
 
 LARGEST = 1e60  # a weight or an end of the box; products of a few are floats
@@ -180,7 +180,7 @@ def invariance(
     ends = [(Fraction(float(lo)), Fraction(float(hi))) for lo, hi in zip(box.lo[:q], box.hi[:q], strict=True)]
     small = 1e-12 * (1 + float(np.abs(box.lo[:q]).max() + np.abs(box.hi[:q]).max()))
     bounds, halve = range_bounds(weights, phi, box)
-    most = min(Range(weights, phi, box).nodes, BOXES)
+    most = min(replayed(Range(weights, phi, box)), BOXES)
     for margin in (0.0, small):  # rounding may hide that a leaf is just open
         search = Search(_constant(-margin), small, end)
         left = search.boxes(bounds, halve, None, box, 0, most, 0.0)[0]
@@ -214,13 +214,18 @@ def _search(
         return net.climb(y, box, rng)
 
     search.reached(*climb(points[order]))
-    most = slopes_on(weights, phi, box, norm, scaling).nodes
+    most = replayed(slopes_on(weights, phi, box, norm, scaling))
     most = min(most, max(int(REPLAYED * (end - time.perf_counter())), 1), BOXES)
     search.open = search.boxes(net.bound, net.halve, climb, box, 0, most, SMALL)[0].max(initial=-math.inf)
     seen = None
     if search.point is not None and (exact := norm_at(weights, phi, search.point, norm, scaling)) is not None:
         seen = exact, search.point
     return seen, search, _text(search, len(weights.R), box)
+
+
+def replayed(statement: Statement) -> int:
+    """Nodes at which a search ends, so that its tree can be replayed: the last round may add a quarter and a batch."""
+    return max(int(0.78 * statement.nodes) - 2 * BATCH, 1)
 
 
 def _text(search: Search, q: int, box: Box) -> str:

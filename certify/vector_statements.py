@@ -32,7 +32,7 @@ from certify.vector_slopes import (
 )
 from certify.vector_weights import Activation, VectorWeights
 
-WORK = 8_000_000  # products in a replay, about 2 s
+WORK = 24_000_000  # products in a replay, about 4 s
 TANH = 100  # products that cost as much as a tanh, or its slope, at a point
 NODE = 30  # and as a node of the tree
 
@@ -212,7 +212,7 @@ class _Deep:
         self.moved = signed((W_rows @ signs) * r_unit)
         self.V, self.A = signed(V_rows), signed(A_rows)
         n, last, width = len(weights.b), len(weights.c), len(box.lo)
-        each = 6 * TANH if phi.name == "tanh" else 60
+        each = 8 * TANH if phi.name == "tanh" else 250
         self.cost = 2 * NODE + (2 * n * last * (width + 3) + 2 * len(signs.T) * (n + q) * last) // 2 + (n + last) * each
         self.nodes = 2 * WORK // self.cost
         self.work = 0
@@ -253,7 +253,7 @@ class Range:
         self.direct = whole([[*row[n:], *zeros] for row in joint.rows])  # R, as rows of `Linear`
         self.second = None if weights.V is None else layer(weights.V, weights.c)
         widths = [len(self.first.rows), *([] if self.second is None else [len(self.second.rows)]), self.q]
-        each = 6 * TANH if phi.name == "tanh" else 60
+        each = 8 * TANH if phi.name == "tanh" else 250
         self.cost = 2 * NODE + sum((len(box.lo) + 3) * k * j + each * k for k, j in itertools.pairwise(widths))
         self.nodes = 2 * WORK // self.cost
         self.root = region(box)
