@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.regressors.layer import QuasiStatic as QuasiStatic
     from usvlearn.estimators.regressors.layer import SurgeDynamics as SurgeDynamics
     from usvlearn.estimators.rnn.layer import RNN as RNN
+    from usvlearn.estimators.vector_rnn.layer import VectorRNN as VectorRNN
     from usvlearn.estimators.wrappers.bank import Bank as Bank
     from usvlearn.estimators.wrappers.memory.layer import WithMemory as WithMemory
     from usvlearn.estimators.wrappers.robust.layer import Robust as Robust
@@ -43,10 +44,12 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.signals import Inputs as Inputs
     from usvlearn.signals import Run as Run
     from usvlearn.signals import Sample as Sample
+    from usvlearn.signals import VectorSample as VectorSample
 
 _HOME = {
     "Inputs": "signals",
     "Sample": "signals",
+    "VectorSample": "signals",
     "Run": "signals",
     "Fleet": "signals",
     "Estimator": "estimator",
@@ -63,6 +66,7 @@ _HOME = {
     "Robust": "estimators.wrappers.robust.layer",
     "Projected": "estimators.least_squares.projected",
     "RNN": "estimators.rnn.layer",
+    "VectorRNN": "estimators.vector_rnn.layer",
     "Persistence": "estimators.baselines.persistence.layer",
     "Acceleration": "estimators.baselines.acceleration.layer",
     "JointEKF": "estimators.joint.layer",

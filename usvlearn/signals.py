@@ -44,6 +44,19 @@ class Sample(NamedTuple):
     measured: Array  # bool: `fresh`, and the speed arrived inside its window
 
 
+class VectorSample(NamedTuple):
+    """One aligned time step of several components of the velocity: surge, sway and yaw rate, or some of them.
+
+    The components come last, after the axes of the other leaves. A sample whose `inputs.dt` is 0 starts a segment, as
+    of `Sample`. `inputs.yaw_rate` is not used where the yaw rate is a component.
+    """
+
+    inputs: Inputs
+    velocity: Array  # (..., components) at the end of the step, m/s, m/s, rad/s; NaN where there was none
+    fresh: Array  # bool: every input arrived inside its staleness window
+    measured: Array  # (..., components) bool: and the component did
+
+
 UNITS = {  # of a run's time, and of all fields of its samples
     "time": "s", "command_left": "share of full scale", "command_right": "share of full scale",
     "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s", "surge": "m/s", "fresh": "bool",

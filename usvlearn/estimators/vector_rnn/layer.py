@@ -1,0 +1,374 @@
+"""The network of several components in torch: equations (1) to (4) of `state`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from certify.vector_projections import CONDITIONS, project
+from certify.vector_rates import rate
+from certify.vector_weights import VectorWeights
+from usvlearn.errors import ConfigError, ShapeError, check_choice, check_positive
+from usvlearn.estimators.rnn.kept import whole
+from usvlearn.estimators.rnn.layer import clipped
+from usvlearn.estimators.rnn.state import STRIDE, TURN
+from usvlearn.estimators.vector_rnn.state import (
+    BETA2,
+    COAST_LIMIT,
+    EPSILON,
+    MOST_KEPT,
+    MOST_NEURONS,
+    MOST_WINDOWS,
+    Kept,
+    NetworkWeights,
+    VectorRNNState,
+)
+from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.signals import PLAUSIBLE, PLAUSIBLE_INPUTS, Inputs, VectorSample, tree_map, where
+
+
+def network(weights: NetworkWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+    """x⁺ of (1), `(*batch, q)`, and z, `(*batch, n)`.
+
+    >>> one, eye = torch.ones(2), torch.eye(2)
+    >>> network(NetworkWeights(eye, eye, eye, torch.zeros(2, 1), one), torch.tensor([0.25, -2.0]), one[:1])[0]
+    tensor([ 1.5000, -2.0000])
+    """
+    R, A, W, W2, b = weights
+    z = _times(W, x) + _times(W2, u) + b
+    return _times(R, x) + _times(A, z.relu()), z
+
+
+def _times(X: Tensor, y: Tensor) -> Tensor:
+    return (X @ y[..., None])[..., 0]
+
+
+def gradient(weights: NetworkWeights, window: Kept) -> Tensor:
+    """(3) for each window, `(*batch, parameters)` in the order R, A, W, W2, b.
+
+    Args:
+        weights: `(*batch, …)`.
+        window: leaves `(*batch, H, …)`, in the order of time; `count` and `turn` are not used.
+    """
+    R, A, W, _, _ = weights
+    steps = window.before.shape[-2]
+    x, states, hidden, errors = window.before[..., 0, :], [], [], []
+    for k in range(steps):
+        departs = window.before[..., k, :]
+        x = departs if k == 0 else torch.where(window.successive[..., k, None] > 0, x, departs)
+        states.append(x)
+        x, z = network(weights, x, window.inputs[..., k, :])
+        hidden.append(z)
+        errors.append(window.weight[..., k, :] * (x - window.target[..., k, :]) / steps)
+    back, lambdas, zetas = torch.zeros_like(x), [], []
+    for k in reversed(range(steps)):
+        lam = errors[k] + back
+        zeta = _times(A.mT, lam) * (hidden[k] > 0)
+        back = (_times(R.mT, lam) + _times(W.mT, zeta)) * window.successive[..., k, None]
+        lambdas.append(lam)
+        zetas.append(zeta)
+    lam, zeta = torch.stack(lambdas[::-1], -1), torch.stack(zetas[::-1], -1)  # (*batch, q or n, H)
+    x, relu = torch.stack(states, -2), torch.stack(hidden, -2).relu()  # (*batch, H, q or n)
+    parts = lam @ x, lam @ relu, zeta @ x, zeta @ window.inputs, zeta.sum(-1, keepdim=True)
+    return torch.cat([part.flatten(-2) for part in parts], -1)
+
+
+class VectorRNN(nn.Module):
+    """Shallow ReLU network of surge, sway and yaw rate that contracts while it learns; n = 20 neurons by default.
+
+    Its verbs are those of an `Estimator`, for a velocity of several components in place of the surge.
+
+    Args:
+        maxima: v_max of each component, m/s, m/s, rad/s, by which it is divided. Their number is q.
+        neurons: n.
+        heading: whether sin θ and cos θ are inputs, beside the commands.
+        rate: Adam's learning rate at the first update; broadcasts against the batch.
+        rate_ratio: relative rates of R, A, W, W₂ and b; those of W and W₂ also scale the initial neurons.
+        decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
+        clip: the norm that no lane's gradient exceeds; None for no limit.
+        stability: "project" onto `condition` after every update, or "none".
+        condition: "exact" (all activation patterns, in the norm (4)) or "gershgorin" (the paper's lemma).
+        contraction_rate: κ; broadcasts against the batch.
+        scaling: t of (4), one number a component; ones by default. `certify.vector_scaling` finds one.
+        kept: M, samples that are kept.
+        window: H, steps of a free run in the loss.
+        windows: B, of which all but one are learned again.
+        seed: of the initial neurons.
+
+    Raises:
+        ConfigError: an argument outside its range.
+
+    >>> rnn = VectorRNN(maxima=(2.7, 0.5, 1.0))
+    >>> state, dt = rnn.init(), torch.tensor(0.2)
+    >>> velocity, one = torch.tensor([1.0, 0.0, 0.1]), torch.tensor(1.0)
+    >>> state = rnn.start(state, velocity.double())
+    >>> rnn.predict(state, Inputs(one, one, 0 * one, 0 * one, dt))[1].detach()
+    tensor([0.9990, 0.0000, 0.0999], dtype=torch.float64)
+    """
+
+    maxima: Tensor  # (q,)
+    scaling: Tensor  # (q,)
+    ratio: Tensor  # (parameters,) in the order of the gradient
+
+    def __init__(
+        self,
+        maxima: Sequence[float] = (3.0, 1.0, 1.5),
+        neurons: int = 20,
+        heading: bool = False,
+        rate: Hyper = 1e-3,
+        rate_ratio: Sequence[float] = (1.0, 1.0, 1.0, 1.0, 1.0),
+        decay: int | None = 1000,
+        clip: float | None = 0.1,
+        stability: str = "project",
+        condition: str = "exact",
+        contraction_rate: Hyper = 0.999,
+        scaling: Sequence[float] | None = None,
+        kept: int = 1000,
+        window: int = 10,
+        windows: int = 8,
+        seed: int = 0,
+    ):
+        super().__init__()
+        top = [check_positive("maxima", each, "of m/s or rad/s") for each in maxima]
+        q, m = len(top), 4 if heading else 2
+        if not 1 <= q <= 6:
+            raise ConfigError(f"maxima: found {q} numbers, expected one for each of 1 to 6 components")
+        for name, value, least, most in (
+            ("neurons", neurons, 2 * m + 1, MOST_NEURONS),
+            ("kept", kept, 1, MOST_KEPT),
+            ("window", window, 1, kept),
+            ("windows", windows, 1, MOST_WINDOWS),
+            ("seed", seed, 0, 2**63 - 1),
+        ):
+            if isinstance(value, bool) or not (isinstance(value, int) and least <= value <= most):
+                raise ConfigError(f"{name}: found {value!r}, expected a whole number, {least} … {most}")
+        self.decay = None if decay is None else check_positive("decay", decay, "of updates")
+        self.clip = None if clip in (None, math.inf) else check_positive("clip", clip, ", or null for no limit")
+        check_choice("stability", stability, ("none", "project"))
+        self.condition = check_choice("condition", condition, CONDITIONS)
+        t = [1.0] * q if scaling is None else [check_positive("scaling", each) for each in scaling]
+        if len(t) != q or (condition == "gershgorin" and scaling is not None):
+            expected = "none for gershgorin" if condition == "gershgorin" else f"{q} numbers, as maxima has"
+            raise ConfigError(f"scaling: found {len(t)} numbers, expected {expected}")
+        self.heading, self.kept, self.window, self.windows = bool(heading), kept, window, windows
+        self.rate, kappa = Positive(rate, "rate"), UnitInterval(contraction_rate, "contraction_rate")
+        self.initial_rate = float(kappa().detach().min())
+        self.contraction_rate = kappa if stability == "project" else None
+        self.register_buffer("maxima", as_tensor(top))
+        self.register_buffer("scaling", as_tensor(t))
+        ratio = as_tensor(list(rate_ratio), "rate_ratio")
+        if ratio.shape != (5,) or not bool(((ratio >= 0) & ratio.isfinite()).all()):
+            raise ConfigError(f"rate_ratio: found {list(rate_ratio)}, expected five numbers of 0 or more")
+        weights = initial_weights(q, m, neurons, ratio, torch.Generator().manual_seed(seed))
+        self.R, self.A, self.W, self.W2, self.b = map(nn.Parameter, weights)
+        flat = [each.expand(w.numel()) for each, w in zip(ratio, weights, strict=True)]
+        self.register_buffer("ratio", torch.cat(flat))
+
+    @property
+    def _initial(self) -> NetworkWeights:
+        return NetworkWeights(self.R, self.A, self.W, self.W2, self.b)
+
+    def init(self, batch: Sequence[int] = ()) -> VectorRNNState:
+        """The state before the first sample, leaves `(*batch, …)`."""
+        batch, zero = tuple(batch), self.R.new_zeros
+        check_broadcast(self, batch)
+        weights = NetworkWeights(*(w.expand(*batch, *w.shape) for w in self._initial))
+        kappa = self.R.new_full((), self.initial_rate) if self.contraction_rate is None else self.contraction_rate()
+        weights = self._stable(weights._replace(R=weights.R * kappa[..., None, None]))
+        q, m, M = len(self.maxima), self.W2.shape[-1], self.kept
+        samples = Kept(zero(*batch, M, q), zero(*batch, M, m), zero(*batch, M, q), zero(*batch, M, q), zero(*batch, M),
+                       zero(batch), zero(batch))  # fmt: skip
+        unbroken = torch.zeros(batch, dtype=torch.bool, device=self.R.device)
+        return VectorRNNState(weights, zero(*batch, len(self.ratio)), zero(batch), zero(*batch, q), unbroken, samples)
+
+    def network_inputs(self, inputs: Inputs) -> Tensor:
+        """u of (1), `(*batch, 2 or 4)`."""
+        u = [inputs.command_left, inputs.command_right]
+        return torch.stack([*u, inputs.heading.sin(), inputs.heading.cos()] if self.heading else u, -1)
+
+    def predict(self, state: VectorRNNState, inputs: Inputs) -> tuple[VectorRNNState, Tensor]:
+        """The state one step on, without learning, and the predicted velocity, `(*batch, q)`."""
+        x, _ = network(state.weights, state.velocity / self.maxima, self.network_inputs(inputs).to(self.maxima))
+        return state._replace(velocity=self._limited(x), unbroken=torch.zeros_like(state.unbroken)), x * self.maxima
+
+    def update(
+        self, state: VectorRNNState, inputs: Inputs, velocity: Tensor, measured: Tensor | None = None
+    ) -> VectorRNNState:
+        """Learn from a velocity, `(*batch, q)`; a component that was not measured is left as predicted.
+
+        Args:
+            state: the one that was given to `predict`.
+            inputs: leaves `(*batch,)`.
+            velocity: m/s, m/s, rad/s; finite.
+            measured: `(*batch, q)` bool; all by default.
+        """
+        x, u = state.velocity / self.maxima, self.network_inputs(inputs).to(self.maxima)
+        weight = torch.ones_like(x) if measured is None else measured.to(x).expand_as(x)
+        predicted, _ = network(state.weights, x, u)
+        target = velocity / self.maxima * weight
+        kept = _added(state.kept, (x, u, target, weight, state.unbroken.to(x)))
+        windows, kept = self._windows(kept)
+        each = NetworkWeights(*(w.unsqueeze(x.ndim - 1) for w in state.weights))  # for (*batch, windows)
+        found = gradient(each, windows).mean(-2)
+        learned = self._descend(state, found if self.clip is None else clipped(found, self.clip))
+        after = torch.where(weight > 0, velocity, self._limited(predicted))
+        return learned._replace(velocity=after, unbroken=torch.ones_like(state.unbroken), kept=kept)
+
+    def start(self, state: VectorRNNState, velocity: Tensor) -> VectorRNNState:
+        """The state with this velocity as the one from which the next step departs; nothing is learned."""
+        return state._replace(velocity=velocity, unbroken=torch.zeros_like(state.unbroken))
+
+    def forward(self, state: VectorRNNState, sample: VectorSample) -> tuple[VectorRNNState, Tensor]:
+        """Learn from what was measured, coast where nothing was, hold where inputs are stale, start a segment.
+
+        Returns the next state and the predicted velocity, `(*batch, q)`: NaN where no step was made.
+        """
+        steps, known, starts = _masks(sample)
+        measured = known & sample.measured & steps[..., None]
+        inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
+        velocity = torch.where(known, sample.velocity, 0.0).to(self.maxima)
+        coasted, predicted = self.predict(state, inputs)
+        learned = self.update(state, inputs, torch.where(measured, velocity, 0.0), measured)
+        started = self.start(state, torch.where(known, velocity, state.velocity))
+        for mask, tree in ((steps, coasted), (measured.any(-1), learned), (starts, started)):
+            state = tree_map(lambda new, old, mask=mask: where(mask, new, old), tree, state)
+        return state, torch.where(steps[..., None], predicted, math.nan)
+
+    def rollout(
+        self, state: VectorRNNState, samples: VectorSample, learn: bool = True
+    ) -> tuple[VectorRNNState, Tensor]:
+        """Run over samples, predicting before learning; or free, from the inputs alone.
+
+        Args:
+            state: leaves `(*batch, …)`.
+            samples: leaves `(time, *batch)`, and `(time, *batch, q)`.
+            learn: False for a free run: the velocity is taken only where a segment starts, and nothing is learned.
+
+        Returns:
+            The last state, and the predictions, `(time, *batch, q)`, NaN where no step was made.
+
+        Raises:
+            ShapeError: samples of another number of components.
+
+        >>> t = torch.ones(200, dtype=torch.float64)
+        >>> every = torch.ones(200, 1, dtype=torch.bool)
+        >>> samples = VectorSample(Inputs(t, t, 0 * t, 0 * t, 0.4 * t), 1.5 * t[:, None], t > 0, every)
+        >>> rnn = VectorRNN(maxima=(3.0,), kept=50)
+        >>> state, predicted = rnn.rollout(rnn.init(), samples)
+        >>> bool((predicted[-1] - 1.5).abs() < 0.05)
+        True
+        """
+        if (found := samples.velocity.shape[-1]) != len(self.maxima):
+            raise ShapeError(f"velocity: found {found} components, expected {len(self.maxima)}, as maxima has")
+        if not learn:
+            samples = samples._replace(measured=torch.zeros_like(samples.measured))
+        predictions = []
+        for k in range(len(samples.velocity)):
+            sample = tree_map(lambda x, k=k: x[k], samples)
+            state, predicted = self(state, sample) if learn else self._free(state, sample)
+            predictions.append(predicted)
+        return state, torch.stack(predictions)
+
+    def _free(self, state: VectorRNNState, sample: VectorSample) -> tuple[VectorRNNState, Tensor]:
+        """`forward` where nothing is measured but at the start of a segment, without the cost of an update."""
+        steps, known, starts = _masks(sample)
+        inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
+        coasted, predicted = self.predict(state, inputs)
+        velocity = torch.where(steps[..., None], coasted.velocity, state.velocity)
+        velocity = torch.where(starts[..., None] & known, sample.velocity.to(velocity), velocity)
+        unbroken = state.unbroken & ~(steps | starts)
+        predicted = torch.where(steps[..., None], predicted, math.nan)
+        return state._replace(velocity=velocity, unbroken=unbroken), predicted
+
+    def monitor(self, state: VectorRNNState) -> dict[str, Tensor]:
+        """The exact rate of the weights in the norm (4), `(*batch,)`."""
+        return {"contraction_rate": rate(VectorWeights(*state.weights), self.scaling.diag())}
+
+    def save(self, state: VectorRNNState, path: str | Path) -> None:
+        """Write the weights as .npz, which `certify.vector_weights.load` reads; with `maxima` and `scaling`."""
+        weights = {name: w.detach().cpu().numpy() for name, w in state.weights._asdict().items()}
+        np.savez(path, maxima=self.maxima.cpu().numpy(), scaling=self.scaling.cpu().numpy(), **weights)
+
+    def _limited(self, x: Tensor) -> Tensor:
+        """The velocity from which a step departs that no measurement has corrected."""
+        return x.clamp(-COAST_LIMIT, COAST_LIMIT) * self.maxima
+
+    def _stable(self, weights: NetworkWeights) -> NetworkWeights:
+        if self.contraction_rate is None:
+            return weights
+        scaling = self.scaling if self.condition == "exact" else None
+        return NetworkWeights(
+            *project(VectorWeights(*weights), self.contraction_rate(), scaling, self.condition)[: len(weights)]
+        )
+
+    def _windows(self, kept: Kept) -> tuple[Kept, Kept]:
+        """The windows to be learned, leaves `(*batch, B, H, …)`, and the samples with the counter moved on."""
+        M, H, device = self.kept, self.window, kept.turn.device
+        count = whole(kept.count, 2 * M)[..., None]
+        filled = count.clamp(max=M)
+        turns = whole(kept.turn, TURN)[..., None] + STRIDE * torch.arange(self.windows, device=device)
+        ends = torch.cat([torch.zeros_like(count), turns[..., :-1] % TURN * filled // TURN], -1)  # age, (*batch, B)
+        ages = ends[..., None] + torch.arange(H - 1, -1, -1, device=device)  # (*batch, B, H)
+        there = ages < filled[..., None]
+        place = ((count[..., None] - 1 - ages) % M).flatten(-2)
+
+        def at(rows: Tensor) -> Tensor:
+            index = place if rows.ndim == place.ndim else place[..., None]
+            return rows.take_along_dim(index, place.ndim - 1).unflatten(place.ndim - 1, ages.shape[-2:])
+
+        before, inputs, target, weight, successive = (at(rows) for rows in kept[:5])
+        first = there.cumsum(-1) == 1  # nothing leads to the oldest sample that is kept
+        successive = successive * (there & ~first)
+        windows = Kept(before, inputs, target, weight * there[..., None], successive, kept.count, kept.turn)
+        return windows, kept._replace(turn=(turns[..., -1] % TURN).to(kept.turn))
+
+    def _descend(self, state: VectorRNNState, grad: Tensor) -> VectorRNNState:
+        """One step of Adam (Kingma & Ba 2015) without a mean of the gradient, and one projection."""
+        step_size, count = self.rate(), state.updates + 1
+        if self.decay is not None:
+            step_size = step_size * (1 + (state.updates / self.decay).floor()).rsqrt()
+        v = state.moment.lerp(grad * grad, 1 - BETA2)
+        v_hat = v / (1 - BETA2**count)[..., None]
+        step = step_size[..., None] * self.ratio * grad / (v_hat.clamp(min=torch.finfo(v.dtype).tiny).sqrt() + EPSILON)
+        parts = step.split([w.numel() for w in self._initial], -1)
+        moved = (w - d.reshape(w.shape) for w, d in zip(state.weights, parts, strict=True))
+        return state._replace(weights=self._stable(NetworkWeights(*moved)), moment=v, updates=count)
+
+
+def initial_weights(q: int, m: int, n: int, ratio: Tensor, generator: torch.Generator) -> NetworkWeights:
+    """R = I, A = 0, and neurons whose kinks lie where |x_i| ≤ 1 and |u_j| ≤ 1; the first 2m are relu(±u_j)."""
+
+    def uniform(*shape: int) -> Tensor:
+        return 2 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1
+
+    W, W2 = ratio[2] * uniform(n, q) / math.sqrt(q + m), ratio[3] * uniform(n, m) / math.sqrt(q + m)
+    b = -((W * uniform(n, q)).sum(-1) + (W2 * uniform(n, m)).sum(-1))
+    unit = torch.eye(m, dtype=torch.float64)
+    W[: 2 * m], W2[: 2 * m], b[: 2 * m] = 0.0, torch.cat([unit, -unit]), 0.0
+    return NetworkWeights(torch.eye(q, dtype=torch.float64), torch.zeros(q, n, dtype=torch.float64), W, W2, b)
+
+
+def _masks(sample: VectorSample) -> tuple[Tensor, Tensor, Tensor]:
+    """`steps`, `known`, `starts`: a step is made; a component is a plausible number; a segment starts."""
+    known, dt = sample.velocity.abs() < PLAUSIBLE, sample.inputs.dt
+    steps = sample.fresh & (dt > 0)
+    for name in ("command_left", "command_right", "heading", "dt"):
+        steps = steps & (getattr(sample.inputs, name).abs() < getattr(PLAUSIBLE_INPUTS, name))
+    return steps, known, (dt == 0) & known.any(-1)
+
+
+def _added(kept: Kept, sample: tuple[Tensor, ...]) -> Kept:
+    """The samples with one more, the first five leaves of `Kept` without the axis M, in the place of the oldest."""
+    size = kept.successive.shape[-1]
+    count = whole(kept.count, 2 * size)
+    here = torch.arange(size, device=count.device) == (count % size)[..., None]  # (*batch, M)
+    *rows, successive = sample
+    rows = [torch.where(here[..., None], new[..., None, :], old) for new, old in zip(rows, kept[:4], strict=True)]
+    successive = torch.where(here, successive[..., None], kept.successive)
+    count = torch.where(count + 1 < 2 * size, count + 1, size)
+    return Kept(*rows, successive, count.to(successive), kept.turn)
