@@ -53,7 +53,7 @@ def gradient(weights: NetworkWeights, window: Kept) -> Tensor:
 
     Args:
         weights: `(*batch, …)`.
-        window: leaves `(*batch, H, …)`, in the order of time; `count` and `turn` are not used.
+        window: leaves `(*batch, H, …)`, in the order of time; `learned` and `turn` are not used.
     """
     R, A, W, _, _ = weights
     steps = window.before.shape[-2]
@@ -309,7 +309,7 @@ class VectorRNN(nn.Module):
     def _windows(self, kept: Kept) -> tuple[Kept, Kept]:
         """The windows to be learned, leaves `(*batch, B, H, …)`, and the samples with the counter moved on."""
         M, H, device = self.kept, self.window, kept.turn.device
-        count = whole(kept.count, 2 * M)[..., None]
+        count = whole(kept.learned, 2 * M)[..., None]
         filled = count.clamp(max=M)
         turns = whole(kept.turn, TURN)[..., None] + STRIDE * torch.arange(self.windows, device=device)
         ends = torch.cat([torch.zeros_like(count), turns[..., :-1] % TURN * filled // TURN], -1)  # age, (*batch, B)
@@ -324,7 +324,7 @@ class VectorRNN(nn.Module):
         before, inputs, target, weight, successive = (at(rows) for rows in kept[:5])
         first = there.cumsum(-1) == 1  # nothing leads to the oldest sample that is kept
         successive = successive * (there & ~first)
-        windows = Kept(before, inputs, target, weight * there[..., None], successive, kept.count, kept.turn)
+        windows = Kept(before, inputs, target, weight * there[..., None], successive, kept.learned, kept.turn)
         return windows, kept._replace(turn=(turns[..., -1] % TURN).to(kept.turn))
 
     def _descend(self, state: VectorRNNState, grad: Tensor) -> VectorRNNState:
@@ -365,10 +365,12 @@ def _masks(sample: VectorSample) -> tuple[Tensor, Tensor, Tensor]:
 def _added(kept: Kept, sample: tuple[Tensor, ...]) -> Kept:
     """The samples with one more, the first five leaves of `Kept` without the axis M, in the place of the oldest."""
     size = kept.successive.shape[-1]
-    count = whole(kept.count, 2 * size)
+    count = whole(kept.learned, 2 * size)
     here = torch.arange(size, device=count.device) == (count % size)[..., None]  # (*batch, M)
-    *rows, successive = sample
-    rows = [torch.where(here[..., None], new[..., None, :], old) for new, old in zip(rows, kept[:4], strict=True)]
+    *others, successive = sample
+    before, u, target, weight = (
+        torch.where(here[..., None], new[..., None, :], old) for new, old in zip(others, kept[:4], strict=True)
+    )
     successive = torch.where(here, successive[..., None], kept.successive)
     count = torch.where(count + 1 < 2 * size, count + 1, size)
-    return Kept(*rows, successive, count.to(successive), kept.turn)
+    return Kept(before, u, target, weight, successive, count.to(successive), kept.turn)

@@ -56,7 +56,7 @@ class Kept(NamedTuple):
     target: Tensor  # (*batch, M, q) x that was measured; 0 where none was
     weight: Tensor  # (*batch, M, q) 1 where it was measured, else 0
     successive: Tensor  # (*batch, M) 1 where the sample one place earlier led to this one, else 0
-    count: Tensor  # (*batch,) samples so far, which goes from 2M back to M
+    learned: Tensor  # (*batch,) count of samples so far, which goes from 2M back to M
     turn: Tensor  # (*batch,) the counter of the windows
 
 
