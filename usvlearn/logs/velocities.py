@@ -1,0 +1,94 @@
+"""Logs with several components of the velocity, such as surge, sway and yaw rate, on one grid of time.
+
+Each component is aligned as `usvlearn.logs.align` aligns the surge: the target of the step from t_k to t_k + dt is the
+last message of the component in it. The grid starts with the first message of the component, so all components have to
+come with the same stamps, as the fields of one message do.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.logs.align import Aligned, align
+from usvlearn.logs.channel import CHANNELS, SURGE, Source
+from usvlearn.logs.read import Reader, read_recordings
+from usvlearn.signals import VectorSample
+
+
+class VectorRun(NamedTuple):
+    """One log on the grid."""
+
+    name: str
+    time: np.ndarray  # (time,) s since the log's start
+    samples: VectorSample  # leaves (time,), and (time, components)
+
+
+def read_velocities(
+    path: str | os.PathLike,
+    reader: Reader,
+    channels: Mapping[str, Source | Mapping | None],
+    components: Mapping[str, Source | Mapping],
+    boat: str | None = None,
+    limits: Mapping[str, float] | None = None,
+    **options: Any,
+) -> list[VectorRun]:
+    """Read all logs of one boat.
+
+    Args:
+        path, reader, boat: as of `usvlearn.logs.read.read_recordings`.
+        channels: the commands, the heading, and perhaps the yaw rate as an input, as there.
+        components: name -> where it is logged, in SI units: m/s, m/s, rad/s. In their order they are the components of
+            `VectorSample.velocity`. Another unit is converted by `span`.
+        limits: name -> the size beyond which a message is rejected, in SI units; 10 by default.
+        **options: of `usvlearn.Aligner`, but for `surge_max`.
+
+    Raises:
+        ConfigError: no component, or a surge among the channels.
+        LogFormatError: a log cannot be read, or two components have other stamps.
+
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from usvlearn.logs.csv_table import Table
+    >>> inputs = {"command_left": {"name": "L"}, "command_right": {"name": "R"}, "heading": {"name": "psi"}}
+    >>> components = {"surge": {"name": "u"}, "sway": {"name": "v"}}
+    >>> with TemporaryDirectory() as folder:
+    ...     rows = [f"{k / 10},0.5,0.5,0,1.0,{k / 100}" for k in range(9)]
+    ...     _ = Path(folder, "run.csv").write_text("\\n".join(["t,L,R,psi,u,v", *rows]))
+    ...     runs = read_velocities(folder, Table("t"), inputs, components, dt=0.4)
+    >>> runs[0].name, runs[0].samples.velocity.tolist()
+    ('run', [[1.0, 0.0], [1.0, 0.04], [1.0, 0.08]])
+    """
+    if not components or SURGE in channels:
+        found = "surge among the channels" if components else "no component"
+        raise ConfigError(f"components: found {found}, expected surge, sway or yaw_rate there, each with its name")
+    aligned: dict[str, list[Aligned]] = {}
+    for name, source in components.items():
+        recordings = read_recordings(path, reader, {**channels, SURGE: source}, boat)
+        most = (limits or {}).get(name, 10.0)
+        aligned[name] = [align(_inputs_and(each.channels), surge_max=most, **options) for each in recordings]
+        runs = [recording.run for recording in recordings]
+    first, found = next(iter(aligned)), []
+    for k, run in enumerate(runs):
+        parts = {name: logs[k] for name, logs in aligned.items()}
+        time, samples = parts[first].time, parts[first].samples
+        for name, other in parts.items():
+            if other.time.shape != time.shape or not np.allclose(other.time, time, rtol=0, atol=1e-6):
+                raise LogFormatError(
+                    f"{run}: found other stamps of {name} than of {first}, expected both in the same messages: name "
+                    "fields of one message, or leave one component out"
+                )
+        velocity = np.stack([each.samples.surge for each in parts.values()], -1)
+        fresh = np.logical_and.reduce([each.samples.fresh for each in parts.values()])
+        measured = np.stack([each.samples.measured for each in parts.values()], -1)
+        found.append(VectorRun(run, time, VectorSample(samples.inputs, velocity, fresh, measured)))
+    return found
+
+
+def _inputs_and(channels: Mapping[str, Any]) -> dict[str, Any]:
+    """The channels that an `Aligner` takes, without those of a track."""
+    return {name: channels[name] for name in CHANNELS if name in channels}
