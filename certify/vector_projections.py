@@ -40,7 +40,7 @@ from certify.vector_rates import signs
 from certify.vector_weights import VectorWeights
 
 CONDITIONS = ("exact", "gershgorin")
-ROUNDS = 8  # multipliers that are improved for each row
+ROUNDS = 6  # multipliers that are improved for each row
 
 
 def project(

@@ -1,0 +1,249 @@
+"""The network of surge, sway and yaw rate: its gradient, its masks, what it learns, and that it contracts meanwhile."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from certify import vector_exact
+from certify.vector_weights import RELU, VectorWeights, check, load
+from usvlearn import Inputs, VectorRNN, VectorSample
+from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.estimators.vector_rnn.layer import gradient, network
+from usvlearn.estimators.vector_rnn.state import Kept, NetworkWeights
+from usvlearn.signals import named_leaves, tree_map
+from usvlearn.simulate.planar import planar_runs
+
+MAXIMA = (2.75, 0.25, 0.75)
+
+
+def tensors(samples: VectorSample) -> VectorSample:
+    return tree_map(torch.from_numpy, samples)
+
+
+def at(samples: VectorSample, k) -> VectorSample:
+    return tree_map(lambda x: x[k], samples)
+
+
+def same(one, other) -> bool:
+    return all(torch.equal(x, y) for (_, x), (_, y) in zip(named_leaves(one), named_leaves(other), strict=True))
+
+
+@pytest.fixture(scope="module")
+def boat():
+    """Two runs of 2 minutes, leaves (time, 2)."""
+    return tensors(planar_runs(0, 2.0, 2)[0])
+
+
+def drawn(seed: int = 0, steps: int = 6, q: int = 3, n: int = 7, m: int = 2) -> tuple[NetworkWeights, Kept]:
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn(shape, generator=generator, dtype=torch.float64)
+
+    weights = NetworkWeights(normal(q, q) / 3, normal(q, n) / 3, normal(n, q), normal(n, m), normal(n))
+    mask = (torch.rand(steps, q, generator=generator) > 0.3).double()
+    led = torch.tensor([1.0, 1, 0, 1, 1, 1][:steps]).double()
+    zero = torch.zeros(()).double()
+    return weights, Kept(normal(steps, q), normal(steps, m), normal(steps, q), mask, led, zero, zero)
+
+
+def loss(weights: NetworkWeights, window: Kept) -> torch.Tensor:
+    """(2) of one window, step by step."""
+    total, x, steps = torch.zeros(()).double(), window.before[0], len(window.before)
+    for k in range(steps):
+        if k > 0 and not window.successive[k]:
+            x = window.before[k]
+        x, _ = network(weights, x, window.inputs[k])
+        total = total + (window.weight[k] * (x - window.target[k]).square()).sum()
+    return total / (2 * steps)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("steps", [1, 2, 6])
+def test_the_gradient_is_that_of_autograd(seed, steps):
+    weights, window = drawn(seed, steps)
+    leaves = [w.requires_grad_() for w in weights]
+    found = torch.autograd.grad(loss(NetworkWeights(*leaves), window), leaves)
+    expected = torch.cat([g.flatten() for g in found])
+    torch.testing.assert_close(gradient(NetworkWeights(*(w.detach() for w in weights)), window), expected)
+
+
+def test_it_starts_as_persistence(boat):
+    rnn = VectorRNN(MAXIMA, contraction_rate=0.99)
+    state, _ = rnn(rnn.init((2,)), at(boat, 0))
+    _, predicted = rnn.predict(state, at(boat, 1).inputs)
+    torch.testing.assert_close(predicted, 0.99 * boat.velocity[0], atol=1e-9, rtol=1e-6)
+
+
+def test_every_set_while_learning_contracts_in_fractions(boat):
+    """At a rate of learning that is far too high, and with measurements that are wrong."""
+    rnn = VectorRNN(MAXIMA, rate=0.5, scaling=(1.0, 0.3, 0.8), kept=50, window=5, windows=3).requires_grad_(False)
+    state, loose = rnn.init((2,)), VectorRNN(MAXIMA, rate=0.5, stability="none", kept=50).requires_grad_(False)
+    free = loose.init((2,))
+    wrong = boat._replace(velocity=torch.where(torch.arange(601)[:, None, None] % 7 == 0, 90.0, boat.velocity))
+    T = vector_exact.matrix(np.diag([1.0, 0.3, 0.8]))
+    largest = Fraction(0)
+    for k in range(60):
+        state, _ = rnn(state, at(wrong, k))
+        free, _ = loose(free, at(wrong, k))
+        for lane in range(2):
+            weights = check(VectorWeights(*(w[lane].numpy() for w in state.weights)))
+            rate = vector_exact.rate(weights, vector_exact.everywhere(weights, RELU), scaling=T)
+            assert rate <= Fraction(0.999)
+            largest = max(largest, rate)
+    assert largest > Fraction(0.99)  # the limit was reached
+    assert float(loose.monitor(free)["contraction_rate"].min()) > 1
+
+
+def test_two_starts_contract_while_the_weights_learn(boat):
+    """Weights learned by one trajectory, applied to two: the distance shrinks by κ at every step."""
+    t = torch.tensor([1.0, 0.3, 0.8]).double() / torch.tensor(MAXIMA).double()
+    rnn = VectorRNN(MAXIMA, rate=5e-3, scaling=(1.0, 0.3, 0.8), contraction_rate=0.98, kept=50).requires_grad_(False)
+    boat = tree_map(lambda x: x[:200, 0], boat)
+    state = rnn.init()
+    x, y = torch.tensor([2.0, 0.1, 0.3]).double(), torch.tensor([-1.0, -0.2, -0.5]).double()
+    for k in range(1, 200):
+        before = (t * (x - y)).abs().max()
+        inputs = at(boat, k).inputs
+        x, y = (rnn.predict(rnn.start(state, each), inputs)[1] for each in (x, y))
+        assert (t * (x - y)).abs().max() <= 0.98 * before + 1e-12
+        state, _ = rnn(state, at(boat, k))
+
+
+@pytest.mark.slow
+def test_what_is_learned_simulates_better_than_a_linear_fit():
+    """On the simulated boat, which is not linear; the linear fit knows the same run."""
+    train, test = tensors(planar_runs(0, 20.0, 1)[0]), tensors(planar_runs(1, 3.0, 4)[0])
+    rnn = VectorRNN(MAXIMA, rate=1e-3, stability="none").requires_grad_(False)
+    state, _ = rnn.rollout(rnn.init((1,)), train)
+    state = tree_map(lambda x: x.expand(4, *x.shape[1:]), state)
+    _, free = rnn.rollout(state, test, learn=False)
+    x = torch.cat([train.velocity[:-1, 0], torch.stack(train.inputs[:2], -1)[1:, 0]], -1)
+    fit = torch.linalg.lstsq(x, train.velocity[1:, 0]).solution
+    linear = [test.velocity[0]]
+    for k in range(1, len(test.velocity)):
+        linear.append(torch.cat([linear[-1], torch.stack(test.inputs[:2], -1)[k]], -1) @ fit)
+    errors = [(each[1:] - test.velocity[1:]).abs().mean((0, 1)) for each in (free, torch.stack(linear))]
+    assert (errors[0][1:] < errors[1][1:]).all(), errors
+
+
+def test_a_component_that_is_missing_is_not_learned_from_and_coasts(boat):
+    """Its number does not matter, and the network predicts on from its own."""
+    one = tree_map(lambda x: x[:30, 0], boat)
+    mask = one.measured.clone()
+    mask[5:, 1] = False
+    rnn = VectorRNN(MAXIMA, kept=20).requires_grad_(False)
+    found = []
+    for value in (torch.nan, torch.inf, 5.0):
+        velocity = torch.where(mask, one.velocity, value)
+        found.append(rnn.rollout(rnn.init(), one._replace(velocity=velocity, measured=mask)))
+    for state, predictions in found:
+        assert predictions[1:].isfinite().all()
+        assert all(
+            torch.equal(x, y) for (_, x), (_, y) in zip(named_leaves(found[0][0]), named_leaves(state), strict=True)
+        )
+    before = rnn.rollout(rnn.init(), one._replace(measured=mask))[0]
+    assert torch.equal(before.velocity[[0, 2]], one.velocity[-1, [0, 2]])
+    torch.testing.assert_close(before.velocity[1], found[0][1][-1, 1])
+
+
+def test_a_bad_sample_changes_nothing(boat):
+    one = tree_map(lambda x: x[:40, 0], boat)
+    rnn = VectorRNN(MAXIMA, kept=20).requires_grad_(False)
+    state, _ = rnn.rollout(rnn.init(), one)
+    good = at(one, 39)
+    bad = [
+        good._replace(fresh=torch.tensor(False)),
+        good._replace(inputs=good.inputs._replace(command_left=torch.tensor(torch.nan).double())),
+        good._replace(inputs=good.inputs._replace(heading=torch.tensor(torch.inf).double())),
+        good._replace(inputs=good.inputs._replace(dt=torch.tensor(-1.0).double())),
+    ]
+    for sample in bad:
+        after, predicted = rnn(state, sample)
+        assert predicted.isnan().all()
+        assert same(after, state)
+    nothing = good._replace(velocity=good.velocity * torch.nan)
+    coasted, predicted = rnn(state, nothing)
+    assert predicted.isfinite().all() and torch.equal(coasted.velocity, predicted) and not coasted.unbroken
+    assert all(torch.equal(x, y) for x, y in zip(coasted.weights, state.weights, strict=True))
+
+
+def test_lanes_do_not_mix_and_a_window_never_joins_two_segments(boat):
+    """Lane by lane as alone; and after a start the oldest samples are of no influence once M new ones came."""
+    rnn = VectorRNN(MAXIMA, kept=8, window=4, windows=3).requires_grad_(False)
+    both, _ = rnn.rollout(rnn.init((2,)), tree_map(lambda x: x[:40], boat))
+    for lane in range(2):
+        alone, _ = rnn.rollout(rnn.init(), tree_map(lambda x, lane=lane: x[:40, lane], boat))
+        for (_, x), (_, y) in zip(named_leaves(both), named_leaves(alone), strict=True):
+            torch.testing.assert_close(x[lane], y)
+    # a window with a start within it: its gradient is the sum of those of its parts
+    weights, window = drawn(1)
+    parts = [tree_map(lambda x: x[slice_] if x.ndim else x, window) for slice_ in (slice(0, 2), slice(2, 6))]  # noqa: B023
+    joined = gradient(weights, window) * 6
+    torch.testing.assert_close(joined, 2 * gradient(weights, parts[0]) + 4 * gradient(weights, parts[1]))
+
+
+def test_windows_of_kept_samples_are_in_the_order_of_time(boat):
+    """Each sample's target is what the next one departs from, also where the ring is full."""
+    rnn = VectorRNN(MAXIMA, kept=16, window=5, windows=4).requires_grad_(False)
+    state = rnn.init()
+    for k in range(50):
+        state, _ = rnn(state, tree_map(lambda x, k=k: x[k, 0], boat))
+        windows, _ = rnn._windows(state.kept)
+        follows = windows.successive[:, 1:] > 0
+        expected = torch.where(follows[..., None], windows.target[:, :-1], 0.0)
+        torch.testing.assert_close(torch.where(follows[..., None], windows.before[:, 1:], 0.0), expected)
+        if k >= 5:
+            assert follows[0].all()
+            torch.testing.assert_close(windows.target[0, -1] * rnn.maxima, boat.velocity[k, 0])
+        assert (windows.weight.sum() > 0) == (k > 0)
+
+
+def test_the_saved_weights_are_those_that_certify_reads(boat, tmp_path):
+    rnn = VectorRNN(MAXIMA, kept=20).requires_grad_(False)
+    state, _ = rnn.rollout(rnn.init((2,)), tree_map(lambda x: x[:50], boat))
+    rnn.save(state, tmp_path / "boat.npz")
+    networks = load(tmp_path / "boat.npz")
+    assert [each.path[-3:] for each in networks] == ["[0]", "[1]"]
+    for lane, each in enumerate(networks):
+        for name, w in state.weights._asdict().items():
+            assert np.array_equal(getattr(each.weights, name), w[lane].numpy())
+    with np.load(tmp_path / "boat.npz") as file:
+        assert file["maxima"].tolist() == list(MAXIMA)
+
+
+def test_a_heading_is_an_input_where_asked_for():
+    rnn = VectorRNN(MAXIMA, heading=True)
+    one = torch.ones(2).double()
+    found = rnn.network_inputs(Inputs(one, 2 * one, one * torch.pi / 2, one, one))
+    torch.testing.assert_close(found, torch.tensor([[1.0, 2.0, 1.0, 0.0]] * 2).double())
+    assert rnn.init((2,)).weights.W2.shape == (2, 20, 4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"maxima": ()}, "maxima: found 0 numbers"),
+        ({"maxima": (1.0, -1.0)}, "maxima: found -1.0"),
+        ({"neurons": 4}, "neurons: found 4, expected a whole number, 5 … 1000"),
+        ({"window": 11, "kept": 10}, "window: found 11, expected a whole number, 1 … 10"),
+        ({"windows": True}, "windows: found True"),
+        ({"condition": "tight"}, "condition: found 'tight', expected one of exact, gershgorin"),
+        ({"stability": "penalty"}, "stability: found 'penalty'"),
+        ({"scaling": (1.0, 1.0)}, "scaling: found 2 numbers, expected 3"),
+        ({"scaling": (1.0, 1.0, 1.0), "condition": "gershgorin"}, "expected none for gershgorin"),
+        ({"rate_ratio": (1.0,)}, "rate_ratio: found .* expected five numbers"),
+        ({"contraction_rate": 1.5}, "contraction_rate"),
+    ],
+)
+def test_errors_name_what_was_expected(arguments, message):
+    with pytest.raises(ConfigError, match=message):
+        VectorRNN(**arguments)
+
+
+def test_samples_of_other_components_are_refused(boat):
+    rnn = VectorRNN((3.0,))
+    with pytest.raises(ShapeError, match="found 3 components, expected 1"):
+        rnn.rollout(rnn.init((2,)), boat)
