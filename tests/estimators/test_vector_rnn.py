@@ -49,6 +49,11 @@ def drawn(seed: int = 0, steps: int = 6, q: int = 3, n: int = 7, m: int = 2) -> 
     return weights, Kept(normal(steps, q), normal(steps, m), normal(steps, q), mask, led, zero, zero)
 
 
+def together(*windows: Kept) -> Kept:
+    """With the axis B."""
+    return tree_map(lambda *x: torch.stack(x), *windows)
+
+
 def loss(weights: NetworkWeights, window: Kept) -> torch.Tensor:
     """(2) of one window, step by step."""
     total, x, steps = torch.zeros(()).double(), window.before[0], len(window.before)
@@ -67,7 +72,11 @@ def test_the_gradient_is_that_of_autograd(seed, steps):
     leaves = [w.requires_grad_() for w in weights]
     found = torch.autograd.grad(loss(NetworkWeights(*leaves), window), leaves)
     expected = torch.cat([g.flatten() for g in found])
-    torch.testing.assert_close(gradient(NetworkWeights(*(w.detach() for w in weights)), window), expected)
+    weights = NetworkWeights(*(w.detach() for w in weights))
+    torch.testing.assert_close(gradient(weights, together(window)), expected)
+    other = drawn(seed + 99, steps)[1]
+    mean = (gradient(weights, together(window)) + gradient(weights, together(other))) / 2
+    torch.testing.assert_close(gradient(weights, together(window, other)), mean)
 
 
 def test_it_starts_as_persistence(boat):
@@ -181,8 +190,8 @@ def test_lanes_do_not_mix_and_a_window_never_joins_two_segments(boat):
     # a window with a start within it: its gradient is the sum of those of its parts
     weights, window = drawn(1)
     parts = [tree_map(lambda x: x[slice_] if x.ndim else x, window) for slice_ in (slice(0, 2), slice(2, 6))]  # noqa: B023
-    joined = gradient(weights, window) * 6
-    torch.testing.assert_close(joined, 2 * gradient(weights, parts[0]) + 4 * gradient(weights, parts[1]))
+    joined, first, second = (gradient(weights, together(each)) for each in (window, *parts))
+    torch.testing.assert_close(6 * joined, 2 * first + 4 * second)
 
 
 def test_windows_of_kept_samples_are_in_the_order_of_time(boat):

@@ -48,33 +48,42 @@ def _times(X: Tensor, y: Tensor) -> Tensor:
     return (X @ y[..., None])[..., 0]
 
 
-def gradient(weights: NetworkWeights, window: Kept) -> Tensor:
-    """(3) for each window, `(*batch, parameters)` in the order R, A, W, W2, b.
+def gradient(weights: NetworkWeights, windows: Kept) -> Tensor:
+    """(3), the mean over B windows, `(*batch, parameters)` in the order R, A, W, W2, b.
 
     Args:
         weights: `(*batch, …)`.
-        window: leaves `(*batch, H, …)`, in the order of time; `learned` and `turn` are not used.
+        windows: leaves `(*batch, B, H, …)`, in the order of time; `learned` and `turn` are not used.
     """
-    R, A, W, _, _ = weights
-    steps = window.before.shape[-2]
-    x, states, hidden, errors = window.before[..., 0, :], [], [], []
+    R, A, W, W2, b = weights
+    count, steps = windows.successive.shape[-2:]
+
+    def by_time(rows: Tensor) -> list[Tensor]:  # H times (*batch, q or m, B): each window is a column
+        return list(rows.movedim(-2, 0).mT.unbind(0))
+
+    successive = list(windows.successive[..., None, :, :].unbind(-1))  # H times (*batch, 1, B)
+    departs, u = by_time(windows.before), by_time(windows.inputs)
+    states, hidden, reached = [], [], []
+    x = departs[0]
     for k in range(steps):
-        departs = window.before[..., k, :]
-        x = departs if k == 0 else torch.where(window.successive[..., k, None] > 0, x, departs)
+        x = departs[k] if k == 0 else torch.where(successive[k] > 0, x, departs[k])
+        z = W @ x + (W2 @ u[k] + b[..., None])
+        h = z.relu()
         states.append(x)
-        x, z = network(weights, x, window.inputs[..., k, :])
-        hidden.append(z)
-        errors.append(window.weight[..., k, :] * (x - window.target[..., k, :]) / steps)
-    back, lambdas, zetas = torch.zeros_like(x), [], []
+        hidden.append(h)
+        x = R @ x + A @ h
+        reached.append(x)
+    error = (torch.stack(reached) - torch.stack(by_time(windows.target))) * torch.stack(by_time(windows.weight))
+    errors = (error / (steps * count)).unbind(0)
+    lambdas, zetas = [errors[-1]], []
     for k in reversed(range(steps)):
-        lam = errors[k] + back
-        zeta = _times(A.mT, lam) * (hidden[k] > 0)
-        back = (_times(R.mT, lam) + _times(W.mT, zeta)) * window.successive[..., k, None]
-        lambdas.append(lam)
+        zeta = (A.mT @ lambdas[-1]) * (hidden[k] > 0)
         zetas.append(zeta)
-    lam, zeta = torch.stack(lambdas[::-1], -1), torch.stack(zetas[::-1], -1)  # (*batch, q or n, H)
-    x, relu = torch.stack(states, -2), torch.stack(hidden, -2).relu()  # (*batch, H, q or n)
-    parts = lam @ x, lam @ relu, zeta @ x, zeta @ window.inputs, zeta.sum(-1, keepdim=True)
+        if k > 0:
+            lambdas.append(errors[k - 1] + (R.mT @ lambdas[-1] + W.mT @ zeta) * successive[k])
+    lam, zeta = torch.cat(lambdas[::-1], -1), torch.cat(zetas[::-1], -1)  # (*batch, q or n, H B)
+    after, before = torch.cat(hidden, -1).mT, torch.cat(states, -1).mT
+    parts = lam @ before, lam @ after, zeta @ before, zeta @ torch.cat(u, -1).mT, zeta.sum(-1, keepdim=True)
     return torch.cat([part.flatten(-2) for part in parts], -1)
 
 
@@ -120,8 +129,8 @@ class VectorRNN(nn.Module):
         maxima: Sequence[float] = (3.0, 1.0, 1.5),
         neurons: int = 20,
         heading: bool = False,
-        rate: Hyper = 1e-3,
-        rate_ratio: Sequence[float] = (1.0, 1.0, 1.0, 1.0, 1.0),
+        rate: Hyper = 8e-4,
+        rate_ratio: Sequence[float] = (0.3, 0.3, 1.0, 1.0, 1.0),
         decay: int | None = 1000,
         clip: float | None = 0.1,
         stability: str = "project",
@@ -213,8 +222,7 @@ class VectorRNN(nn.Module):
         target = velocity / self.maxima * weight
         kept = _added(state.kept, (x, u, target, weight, state.unbroken.to(x)))
         windows, kept = self._windows(kept)
-        each = NetworkWeights(*(w.unsqueeze(x.ndim - 1) for w in state.weights))  # for (*batch, windows)
-        found = gradient(each, windows).mean(-2)
+        found = gradient(state.weights, windows)
         learned = self._descend(state, found if self.clip is None else clipped(found, self.clip))
         after = torch.where(weight > 0, velocity, self._limited(predicted))
         return learned._replace(velocity=after, unbroken=torch.ones_like(state.unbroken), kept=kept)
