@@ -64,8 +64,8 @@ def read_velocities(
     ('run', [[1.0, 0.0], [1.0, 0.04], [1.0, 0.08]])
     """
     if not components or SURGE in channels:
-        found = "surge among the channels" if components else "no component"
-        raise ConfigError(f"components: found {found}, expected surge, sway or yaw_rate there, each with its name")
+        what = "surge among the channels" if components else "no component"
+        raise ConfigError(f"components: found {what}, expected surge, sway or yaw_rate there, each with its name")
     aligned: dict[str, list[Aligned]] = {}
     for name, source in components.items():
         recordings = read_recordings(path, reader, {**channels, SURGE: source}, boat)
