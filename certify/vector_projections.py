@@ -18,9 +18,11 @@ No sign of α changes. Given all other multipliers, with what they leave of ρ a
 in descending order of a_i/d_εi. This maximises the dual problem along one coordinate. Each round does so for the
 constraint of a row whose multiplier is furthest from its optimum, and the rounds converge to the nearest point.
 
-`gershgorin`: the paper's lemma for a vector state, in the Euclidean norm. Each neuron with ‖W_i‖₁ > ½ is first rescaled
-to ½, which changes no output and makes the sums of the lemma smallest in total. Then R and A are scaled by one factor:
-this is a point that satisfies the lemma, not the nearest one.
+`gershgorin`: the paper's lemma for a vector state, of an elliptic norm that it does not name. Each neuron with
+‖W_i‖₁ > ½ is first rescaled to ½, which changes no output. With that the sums of the lemma are smallest in total. Then
+each r is one constraint on the sizes of all entries, and the nearest R and A follow by (2) and (3) without ρ:
+
+    Σ_k (|R_rk| + |R_kr|) + Σ_i |A_ri| + Σ_i |W_ir|/(1 − ‖W_i‖₁) Σ_s |A_si| ≤ 2 κ.                         (4)
 
 Both conditions are 1-homogeneous in (R, A). So the factor min(1, κ/rate), applied last, row by row for `exact`, makes
 the result hold after any number of rounds. The rate that it uses is increased by a bound of all rounding errors. If
@@ -34,6 +36,7 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from certify.errors import CertifyError
 from certify.vector_rates import signs
@@ -57,20 +60,20 @@ def project(
         rate: κ, `(*batch,)` or a number, in (0, 1].
         scaling: the diagonal of T, `(q,)`, positive; ones by default. Distances are those of T R T⁻¹ and T A. The
             condition `gershgorin` has no scaling.
-        condition: `exact`, in the norm ‖T x‖_∞; or `gershgorin`, which implies a Euclidean norm.
+        condition: `exact`, in the norm ‖T x‖_∞; or `gershgorin`, in an elliptic norm.
         rounds: see (3). More of them come nearer; the rate holds after any number.
 
     Raises:
         CertifyError: an unknown condition, a rate outside (0, 1], two hidden layers, or a scaling that is not positive.
 
     >>> one, eye = torch.ones(2, 1).double(), torch.eye(2).double()
-    >>> near = project(VectorWeights(eye, eye / 2, eye, one, one[:, 0]), rate=0.75)
+    >>> near = project(VectorWeights(eye, eye / 2, eye, one, one[:, 0]), rate=0.75, rounds=30)
     >>> [round(float(x), 3) for x in (near.R[0, 0], near.A[0, 0])]
     [0.625, 0.125]
     """
     _check(weights, rate, scaling, condition)
     if condition == "gershgorin":
-        return _by_lemma(weights, rate)
+        return _by_lemma(weights, rate, rounds)
     R, A, W = weights.R, weights.A, weights.W
     if scaling is not None:
         t = scaling.to(A)
@@ -121,23 +124,35 @@ def _row_rates_above(R: Tensor, A: Tensor, W: Tensor) -> Tensor:
 
 def _nearest(R: Tensor, A: Tensor, W: Tensor, kappa: Tensor, rounds: int) -> tuple[Tensor, Tensor]:
     """(2) after some rounds of (3). Rows are `(*batch, q, …)`, constraints come before the last axis."""
-    q = W.shape[-1]
-    eps = signs(q, W)  # (2^q, q)
-    size, sign = A.abs(), A.sign()
+    eps, sign = signs(W.shape[-1], W), A.sign()
     d = (sign[..., :, None, :] * (W @ eps.mT).mT[..., None, :, :]).relu()  # (*batch, q, 2^q, n)
-    target = kappa[..., None]  # (*batch, 1, 1)
-    theta = d.new_zeros(d.shape[:-1])  # (*batch, q, 2^q)
+    theta = _multipliers(R, A.abs(), eps, d, kappa[..., None], rounds)
+    return R - theta @ eps, sign * _left(A.abs(), theta, d).relu()
+
+
+def _left(size: Tensor, theta: Tensor, d: Tensor) -> Tensor:
+    """|α_i| − Σ θ_ε d_εi, `(…, n)`."""
+    return size - (theta[..., None, :] @ d)[..., 0, :]
+
+
+def _multipliers(rho: Tensor, size: Tensor, eps: Tensor, d: Tensor, target: Tensor, rounds: int) -> Tensor:
+    """θ of (2), `(…, c)`, for c constraints on ρ `(…, k)` and on sizes `(…, n)`, which are κ `(…, 1)` at most.
+
+    Args:
+        eps: the coefficients of ρ, `(c, k)`, ±1.
+        d: those of the sizes, `(…, c, n)`, of 0 or more.
+    """
+    theta = d.new_zeros(d.shape[:-1])
     for _ in range(rounds):
-        rho = R - theta @ eps
-        left = size - (theta[..., None, :] @ d)[..., 0, :]
-        excess = rho @ eps.mT + (d @ left.relu()[..., None])[..., 0] - target  # the dual's slope
+        p, left = rho - theta @ eps, _left(size, theta, d)
+        excess = p @ eps.mT + (d @ left.relu()[..., None])[..., 0] - target  # the dual's slope
         away = torch.where(theta > 0, excess.abs(), excess)
-        place = away.detach().argmax(-1, keepdim=True)  # (*batch, q, 1)
+        place = away.detach().argmax(-1, keepdim=True)  # (…, 1)
         own, c = theta.gather(-1, place), eps[place[..., 0]]
         row = d.take_along_dim(place[..., None], -2)[..., 0, :]
-        best = _threshold(left + own * row, row, ((rho + own * c) * c).sum(-1, keepdim=True) - target, q)
-        theta = theta.scatter(-1, place, best)
-    return R - theta @ eps, sign * (size - (theta[..., None, :] @ d)[..., 0, :]).relu()
+        offset = ((p + own * c) * c).sum(-1, keepdim=True) - target
+        theta = theta.scatter(-1, place, _threshold(left + own * row, row, offset, eps.shape[-1]))
+    return theta
 
 
 def _threshold(size: Tensor, cost: Tensor, offset: Tensor, q: int) -> Tensor:
@@ -147,16 +162,25 @@ def _threshold(size: Tensor, cost: Tensor, offset: Tensor, q: int) -> Tensor:
     ratio, order = torch.where(cost > 0, size / cost.clamp(min=floor), 0.0).sort(-1, descending=True)
     size, cost = size.gather(-1, order), cost.gather(-1, order) * (ratio > 0)
     sums, squares = (size * cost).cumsum(-1), (cost * cost).cumsum(-1)
-    quotients = torch.cat([offset / q, (offset + sums) / (q + squares)], -1)
+    quotients = torch.cat([offset, offset + sums], -1) / (q + pad(squares, (1, 0))).clamp(min=floor)
     return quotients.amax(-1, keepdim=True).clamp(min=0)
 
 
-def _by_lemma(weights: VectorWeights, rate: Tensor | float) -> VectorWeights:
+def _by_lemma(weights: VectorWeights, rate: Tensor | float, rounds: int) -> VectorWeights:
     R, A, W, W2, b, *_ = weights
+    q, n = A.shape[-2:]
     c = 0.5 / W.abs().sum(-1).clamp(min=0.5)  # (*batch, n); 1 where nothing is rescaled
     A, W, W2, b = A / c[..., None, :], W * c[..., None], W2 * c[..., None], b * c
     kappa, room = _inner(rate, A), 1 - W.abs().sum(-1)
-    shares = (A.abs().sum(-2) / room)[..., None] * W.abs()  # (*batch, n, q)
-    half = (R.abs().sum(-1) + R.abs().sum(-2) + A.abs().sum(-1) + shares.sum(-2)).amax(-1) / 2
-    factor = (kappa / (half * (1 + _rounding(A))).maximum(kappa))[..., None, None]
-    return VectorWeights(R * factor, A * factor, W, W2, b)
+    eye = torch.eye(q, dtype=A.dtype, device=A.device)
+    of_R = (eye[:, :, None] + eye[:, None, :]).expand(*A.shape[:-2], q, q, q)  # (*batch, r, k, l)
+    of_A = eye[..., None] + (W.mT.abs() / room[..., None, :])[..., None, :]  # (*batch, r, s, i)
+    d = torch.cat([of_R.flatten(-2), of_A.flatten(-2)], -1)  # (*batch, q, q² + qn)
+    both = torch.cat([R.flatten(-2), A.flatten(-2)], -1)
+    theta = _multipliers(both[..., :0], both.abs(), d.new_zeros(q, 0), d, 2 * kappa[..., None], rounds)
+    near = both.sign() * _left(both.abs(), theta, d).relu()
+    near = torch.where(near.isfinite().all(-1, keepdim=True), near, both)
+    half = (d @ near.abs()[..., None])[..., 0].amax(-1) / 2
+    near = near * (kappa / (half * (1 + _rounding(A))).maximum(kappa))[..., None]
+    R, A = near[..., : q * q].unflatten(-1, (q, q)), near[..., q * q :].unflatten(-1, (q, n))
+    return VectorWeights(R, A, W, W2, b)

@@ -181,6 +181,21 @@ def test_the_lemma_holds_in_fractions_and_rescaling_changes_no_output(dtype):
     assert not torch.equal(gauged.W, small.W)
 
 
+def test_many_rounds_reach_the_nearest_network_of_the_lemma():
+    """With W of ‖W_i‖₁ = ½, by a quadratic program."""
+    drawn = networks((10,), n=5)
+    weights = drawn._replace(W=drawn.W / (2 * drawn.W.abs().sum(-1, keepdim=True)))
+    near = project(weights, 0.9, condition="gershgorin", rounds=300)
+    for k in range(10):
+        R, A, W, *_ = single(weights, k)
+        x, y = cp.Variable(R.shape), cp.Variable(A.shape)
+        share = 2 * cp.sum(cp.abs(y), axis=0) @ np.abs(W)  # ‖W_i‖₁ = ½ leaves ½
+        sums = cp.sum(cp.abs(x), axis=1) + cp.sum(cp.abs(x), axis=0) + cp.sum(cp.abs(y), axis=1) + share
+        problem = cp.Problem(cp.Minimize(cp.sum_squares(x - R) + cp.sum_squares(y - A)), [sums <= 1.8])
+        nearest = float(problem.solve(solver="CLARABEL")) ** 0.5
+        assert abs(float(distance(near, weights)[k]) / nearest - 1) < 1e-4
+
+
 def test_the_best_scaling_of_a_linear_map_reaches_its_spectral_radius():
     rng = np.random.default_rng(0)
     for q in (1, 2, 3, 4):

@@ -243,6 +243,7 @@ def test_a_heading_is_an_input_where_asked_for():
         ({"stability": "penalty"}, "stability: found 'penalty'"),
         ({"scaling": (1.0, 1.0)}, "scaling: found 2 numbers, expected 3"),
         ({"scaling": (1.0, 1.0, 1.0), "condition": "gershgorin"}, "expected none for gershgorin"),
+        ({"importance": (1.0,)}, "importance: found 1 numbers, expected 3"),
         ({"rate_ratio": (1.0,)}, "rate_ratio: found .* expected five numbers"),
         ({"contraction_rate": 1.5}, "contraction_rate"),
     ],

@@ -104,6 +104,7 @@ class VectorRNN(nn.Module):
         condition: "exact" (all activation patterns, in the norm (4)) or "gershgorin" (the paper's lemma).
         contraction_rate: κ; broadcasts against the batch.
         scaling: t of (4), one number a component; ones by default. `certify.vector_scaling` finds one.
+        importance: of the squared error of each divided component in the loss; ones by default.
         kept: M, samples that are kept.
         window: H, steps of a free run in the loss.
         windows: B, of which all but one are learned again.
@@ -122,6 +123,7 @@ class VectorRNN(nn.Module):
 
     maxima: Tensor  # (q,)
     scaling: Tensor  # (q,)
+    importance: Tensor  # (q,)
     ratio: Tensor  # (parameters,) in the order of the gradient
 
     def __init__(
@@ -137,6 +139,7 @@ class VectorRNN(nn.Module):
         condition: str = "exact",
         contraction_rate: Hyper = 0.999,
         scaling: Sequence[float] | None = None,
+        importance: Sequence[float] | None = None,
         kept: int = 1000,
         window: int = 10,
         windows: int = 8,
@@ -160,16 +163,22 @@ class VectorRNN(nn.Module):
         self.clip = None if clip in (None, math.inf) else check_positive("clip", clip, ", or null for no limit")
         check_choice("stability", stability, ("none", "project"))
         self.condition = check_choice("condition", condition, CONDITIONS)
-        t = [1.0] * q if scaling is None else [check_positive("scaling", each) for each in scaling]
+        t, g = (
+            [1.0] * q if given is None else [check_positive(name, each) for each in given]
+            for name, given in (("scaling", scaling), ("importance", importance))
+        )
         if len(t) != q or (condition == "gershgorin" and scaling is not None):
             expected = "none for gershgorin" if condition == "gershgorin" else f"{q} numbers, as maxima has"
             raise ConfigError(f"scaling: found {len(t)} numbers, expected {expected}")
+        if len(g) != q:
+            raise ConfigError(f"importance: found {len(g)} numbers, expected {q}, as maxima has")
         self.heading, self.kept, self.window, self.windows = bool(heading), kept, window, windows
         self.rate, kappa = Positive(rate, "rate"), UnitInterval(contraction_rate, "contraction_rate")
         self.initial_rate = float(kappa().detach().min())
         self.contraction_rate = kappa if stability == "project" else None
         self.register_buffer("maxima", as_tensor(top))
         self.register_buffer("scaling", as_tensor(t))
+        self.register_buffer("importance", as_tensor(g))
         ratio = as_tensor(list(rate_ratio), "rate_ratio")
         if ratio.shape != (5,) or not bool(((ratio >= 0) & ratio.isfinite()).all()):
             raise ConfigError(f"rate_ratio: found {list(rate_ratio)}, expected five numbers of 0 or more")
@@ -220,7 +229,7 @@ class VectorRNN(nn.Module):
         weight = torch.ones_like(x) if measured is None else measured.to(x).expand_as(x)
         predicted, _ = network(state.weights, x, u)
         target = velocity / self.maxima * weight
-        kept = _added(state.kept, (x, u, target, weight, state.unbroken.to(x)))
+        kept = _added(state.kept, (x, u, target, weight * self.importance, state.unbroken.to(x)))
         windows, kept = self._windows(kept)
         found = gradient(state.weights, windows)
         learned = self._descend(state, found if self.clip is None else clipped(found, self.clip))

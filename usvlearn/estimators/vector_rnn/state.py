@@ -6,7 +6,7 @@ With x_i = v_i/v_max,i for surge, sway and yaw rate, and u = [ξ_L, ξ_R], or [�
 
 The last M samples are kept. The loss is that of free runs over windows of H of them: a window starts at the velocity
 from which its first step departed, and each later step departs from the network's own velocity, unless the samples are
-not successive. With w_ki = 1 where component i was measured, else 0,
+not successive. With w_ki = `importance` of component i where it was measured, else 0,
 
     L = 1/(2 B H) Σ_windows Σ_k Σ_i w_ki (x̂_{k+1,i} − x_meas,k+1,i)²                                       (2)
 
@@ -54,7 +54,7 @@ class Kept(NamedTuple):
     before: Tensor  # (*batch, M, q) x from which the step departs
     inputs: Tensor  # (*batch, M, m) u
     target: Tensor  # (*batch, M, q) x that was measured; 0 where none was
-    weight: Tensor  # (*batch, M, q) 1 where it was measured, else 0
+    weight: Tensor  # (*batch, M, q) w where it was measured, else 0
     successive: Tensor  # (*batch, M) 1 where the sample one place earlier led to this one, else 0
     learned: Tensor  # (*batch,) count of samples so far, which goes from 2M back to M
     turn: Tensor  # (*batch,) the counter of the windows
