@@ -1,7 +1,7 @@
-"""The conditions against the full LMI, and both against the exact rate on a box: python -m certify compare.
+"""What each condition certifies, and what Gershgorin's lemma loses to the LMI: python -m certify compare.
 
-How often each certifies random, initialised and trained networks; how much slower than the exact rate it makes them
-look; the time constants that it allows; whether the solver agrees with the closed form; and how long each takes.
+Random, initialised and trained networks, and those of your runs: the loss of each condition against the exact rate, by
+n and by signs; how many networks it certifies; which time constants; whether a solver agrees; how long each takes.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import statistics
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import torch
@@ -21,71 +23,122 @@ from certify import box as box_search
 from certify import conditions, exact
 from certify.assess import solver
 from certify.box_proof import proves
-from certify.certificate import CONDITIONS
-from certify.equilibria import equilibria
+from certify.comparison_counts import (
+    GAUGED,
+    conservatism,
+    contingency,
+    of_losses,
+    summarise,
+)
 from certify.errors import CertifyError
-from certify.families import initial_networks, random_networks, trained_networks
+from certify.families import initial_networks, random_networks, signed_networks, trained_networks
+from certify.gauge import loss
+from certify.paper_tests import CORNERS, KNOTS, ORDERS, at_rate, paper_tests
 from certify.printed import progress
-from certify.weights import ShallowWeights, find, load
+from certify.rounding import float_above
+from certify.run_steps import given
+from certify.weights import ShallowWeights
 
-CORNERS = {"lambda": ("lmi",), "2lambda": ("tight",), "both": ("lmi", "tight")}
-ORDERS = {"nonstrict": (False,), "strict": (True,), "both": (False, True)}
-KNOTS = {"paper": ("paper",), "all": ("all",), "both": ("paper", "all")}
+SHARES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5)  # of the neurons with the rarer sign
+INPUTS = (1, 2, 3, 4, 5, 6, 8)  # m, of the box search
+SEARCHED = 5  # networks for each m
+ROUNDS = 5  # in which the LMI and the closed form are timed in turn
+DT = 0.4  # s, of the trained networks
+QUICK = {"networks": 8, "neurons": 6, "sizes": "4,8", "largest": 8, "seconds": 0.2}  # of --quick
 
 
-def examine(weights: ShallowWeights, solve: Callable | None, seconds: float) -> dict[str, Any]:
-    """Which conditions certify one network, the rate at which each holds, and the answer of the solver."""
-    found = exact.conditions(weights.a, weights.w1)
+class Family(NamedTuple):
+    """Networks that are compared with each other."""
+
+    networks: Sequence[ShallowWeights]
+    steps: Sequence[float | None]  # dt of each, s; None where the family has none
+    drawn: bool  # independently, so that shares and medians have intervals
+
+
+def examine(weights: ShallowWeights, solve: Callable | None, seconds: float, dt: float | None = None) -> dict[str, Any]:
+    """Which conditions certify one network, the smallest rate at which each holds, what Gershgorin loses, the solver.
+
+    Args:
+        weights: of one network.
+        solve: see `certify.assess.solver`; None: no LMI is solved.
+        seconds: of each search on the box.
+        dt: s, the step of its samples, if it has one.
+    """
+    found, best = exact.conditions(weights.a, weights.w1), exact.best_gauge(weights.a, weights.w1)
     box = box_search.operating_box(weights.W2.shape[-1])
     bracket = box_search.rate(weights, box, seconds=seconds)
     verdict = box_search.certify(weights, box, seconds=seconds).verdict
     interval = conditions.interval(*_tensors(weights, box))
-    rates = {name: None if each.rate is None else float(each.rate) for name, each in found.items()}
+    rates = {name: None if each.rate is None else float_above(each.rate) for name, each in found.items()}
+    rates |= {GAUGED[name]: float_above(rate) for name, rate in best.items()}
+    certified = {name: each.margin > 0 for name, each in found.items()}
+    certified |= {GAUGED[name]: rate < 1 for name, rate in best.items()}
     row: dict[str, Any] = {
+        "n": len(weights.a),
+        "dt": dt,
         "K": rates["tight"],
         "K_box": [bracket.lower, bracket.upper],
         "closed": bracket.closed,
-        "certified": {name: each.margin > 0 for name, each in found.items()},
+        "certified": {**certified, "interval": proves(weights, box, ".", 1), "box": verdict == "certified"},
         "rates": {**rates, "interval": float(interval.rate), "box": bracket.upper},
+        "loss": _loss(weights),
     }
-    row["certified"] |= {"interval": proves(weights, box, ".", 1), "box": verdict == "certified"}
     if solve is not None:
         row["solved"] = {name: solved for name, solved in solve(weights).items() if name != "solver"}
     return row
+
+
+def _loss(weights: ShallowWeights) -> dict[str, Any] | None:
+    """`certify.gauge.loss` as JSON."""
+    found = loss(weights.a, weights.w1)
+    if found is None:
+        return None
+    numbers = {name: float(getattr(found, name)) for name in ("ratio", "simple", "rarer")}
+    return {**numbers, "one_sign": found.ratio == 1, "false": list(found.false)}
 
 
 def _tensors(weights: ShallowWeights, box) -> tuple[ShallowWeights, torch.Tensor, torch.Tensor]:
     return ShallowWeights(*map(torch.tensor, weights)), torch.tensor(box.lo), torch.tensor(box.hi)
 
 
-def summarise(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float | None]]:
-    """Per tier: share certified, median of rate/K_box, largest K certified, agreement with the solver."""
-    summary: dict[str, dict[str, float | None]] = {}
-    for tier in CONDITIONS:
-        ratios = [
-            math.inf if row["rates"][tier] is None else row["rates"][tier] / row["K_box"][1]
-            for row in rows
-            if row["K_box"][1] > 0
-        ]
-        middle = float(np.median(ratios)) if ratios else math.inf
-        held = [row["K"] for row in rows if row["certified"][tier]]
-        summary[tier] = {
-            "share": len(held) / len(rows),
-            "conservatism": middle if math.isfinite(middle) else None,
-            "largest_K": max(held, default=None),
-            "disagreements": None,
-        }
-        solved = [(row["solved"][tier]["verdict"] == "certified", row) for row in rows if tier in row.get("solved", {})]
-        if solved:
-            summary[tier]["disagreements"] = sum(said != row["certified"][tier] for said, row in solved)
-    return summary
+def by_neurons(sizes: Sequence[int], count: int, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """The smallest rate of each condition over K, for random and initialised networks of several sizes."""
+    rows = []
+    for name, draw in (("initialised", initial_networks), ("random", random_networks)):
+        for n in sizes:
+            found = []
+            for weights in draw(count, n, rng):
+                rates = {key: each.rate for key, each in exact.conditions(weights.a, weights.w1).items()}
+                rates |= {GAUGED[key]: rate for key, rate in exact.best_gauge(weights.a, weights.w1).items()}
+                K = max(exact.extreme_slopes(weights.a, weights.w1))
+                over = {key: math.inf if rate is None else float(rate / K) for key, rate in rates.items()}
+                found.append({"over_K": over, "loss": _loss(weights)})
+            rows.append({"family": name, "n": n, "networks": count, "tiers": conservatism(found), **of_losses(found)})
+    return rows
+
+
+def by_signs(sizes: Sequence[int], count: int, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """σ/K by the share of neurons whose s_i has the rarer sign, for networks of several sizes."""
+    rows = []
+    for n in sizes:
+        for rarer in dict.fromkeys(round(share * n) for share in SHARES):
+            found = [{"loss": _loss(weights)} for weights in signed_networks(count, n, rarer, rng)]
+            rows.append({"n": n, "rarer": rarer / n, "networks": count, **of_losses(found)})
+    return rows
 
 
 def timing(n: int, solver_name: str, largest: int, rng: np.random.Generator) -> dict[str, Any]:
-    """The time for a network of n neurons, s, the least of several calls: closed forms, exact arithmetic, LMI, box."""
+    """The time for a network of n neurons, s, the least of several calls: closed forms, exact arithmetic, LMI, box.
+
+    `lmi_first` includes the compilation of the problem, `lmi_again` cvxpy's own work; `solver` is the solver's time
+    alone, as it reports it. `ratio` is the median over rounds of the LMI solved again over the closed
+    form, timed in turn.
+    """
     weights, calls = works(n, rng)
-    row: dict[str, Any] = {"n": n, "lmi_first": None, "lmi_again": None}
-    row |= {name: _least(work, times) for name, (work, times) in calls.items()}
+    row: dict[str, Any] = {"n": n, "lmi_first": None, "lmi_again": None, "solver": None, "ratio": None}
+    searches: list[Any] = [calls["box"][0]() for _ in range(calls["box"][1])]
+    row |= {name: _least(work, times) for name, (work, times) in calls.items() if name != "box"}
+    row |= {"box": min(each.seconds for each in searches), "box_closed": all(each.closed for each in searches)}
     if n <= largest:
         from certify.lmi import LMI
 
@@ -93,13 +146,22 @@ def timing(n: int, solver_name: str, largest: int, rng: np.random.Generator) -> 
         problem = LMI(n, "tight", solver=solver_name)
         problem.solve(weights.a, weights.w1)
         row["lmi_first"] = time.perf_counter() - began
-        row["lmi_again"] = _least(partial(problem.solve, 0.99 * weights.a, weights.w1), 3)
+        closed, again = [], []
+        own: list[Any] = []
+        for _ in range(ROUNDS):
+            closed.append(_least(*calls["closed_tight"]))
+            again.append(_least(partial(problem.solve, 0.99 * weights.a, weights.w1), 1))
+            stats = problem.problem.solver_stats
+            own.append(getattr(stats, "solve_time", None))
+        row["lmi_again"] = min(again)
+        row["solver"] = None if None in own else min(own)
+        row["ratio"] = statistics.median(x / y for x, y in zip(again, closed, strict=True))
     return row
 
 
 def works(n: int, rng: np.random.Generator) -> tuple[ShallowWeights, dict[str, tuple[Callable[[], object], int]]]:
     """A network of n neurons, and what is timed but for the LMI, with how often; `box` takes an initial network."""
-    weights, initial = _at_rate(random_networks(1, n, rng)[0], "tight", 0.9), initial_networks(1, n, rng)[0]
+    weights, initial = at_rate(random_networks(1, n, rng)[0], "tight", 0.9), initial_networks(1, n, rng)[0]
     a, w1 = torch.tensor(weights.a), torch.tensor(weights.w1)
     return weights, {
         **{f"closed_{name}": (partial(each, a, w1), 50) for name, each in conditions.CONDITIONS.items()},
@@ -123,131 +185,125 @@ def _least(call: Callable, times: int) -> float:
     return min(found)
 
 
-def paper_tests(networks: Sequence[ShallowWeights], choices: argparse.Namespace) -> list[dict[str, Any]]:
-    """The paper's tests literally, and corrected: M ⪰ 0 or M ≻ 0, Λ or 2Λ in the corner, knots i < n or all.
-
-    The matrix is tested with networks just beyond each condition's edge, where a solver errs, and with a = w₁ = 1,
-    b = 0, which is the identity: K = 1, and every state is an equilibrium.
-    """
-    rows = []
-    one, zero = np.ones(1), np.zeros(1)
-    identity = ShallowWeights(one, one, np.zeros((1, 4)), zero)
-    for condition in CORNERS[choices.corner]:
-        scaled = [weights for weights in networks if np.any(weights.a * weights.w1)][:20]
-        edge = [_at_rate(weights, condition, 1 + beyond) for weights in scaled for beyond in (1e-8, 1e-7, 1e-6)]
-        inside = [_at_rate(weights, condition, 0.999) for weights in scaled]
-        for strict in ORDERS[choices.order]:
-            says = _says(condition, strict, choices.solver)
-            rows.append({
-                "test": f"M {'≻' if strict else '⪰'} 0, {'Λ' if condition == 'lmi' else '2Λ'}",
-                "inside": [sum(map(says, inside)), len(inside)],
-                "beyond": [sum(map(says, edge)), len(edge)],
-                "identity": says(identity),
-                "contracting": sum(exact.conditions(w.a, w.w1)["tight"].margin > 0 for w in edge),
-            })  # fmt: skip
-    every = [[each.x for each in equilibria(w, np.zeros(w.W2.shape[-1]))] for w in networks]
-    for knots in KNOTS[choices.knots]:
-        found = every if knots == "all" else [truncated_equilibria(w) for w in networks]
-        wrong = sum(len(x) != len(y) or not np.allclose(x, y, atol=1e-9) for x, y in zip(found, every, strict=True))
-        name = "all knots" if knots == "all" else "knots i < n"
-        rows.append({"test": f"equilibria at u = 0, {name}", "wrong": [wrong, len(networks)]})
-    return rows
+def box_timing(m: int, n: int, seconds: float, rng: np.random.Generator) -> dict[str, Any]:
+    """The time of the exact rate on the box of x in [0, 1] and m inputs in [−1, 1], s, and how often it was found."""
+    box = box_search.box([(0.0, 1.0), *[(-1.0, 1.0)] * m], m)
+    found = [box_search.rate(w, box, seconds=seconds) for w in initial_networks(SEARCHED, n, rng, m)]
+    gaps = [each.upper / each.lower - 1 for each in found if each.lower > 0]
+    return {
+        "m": m,
+        "n": n,
+        "seconds": [each.seconds for each in found],
+        "closed": sum(each.closed for each in found),
+        "widest": max(gaps, default=None),
+    }
 
 
-def _at_rate(weights: ShallowWeights, condition: str, rate: float) -> ShallowWeights:
-    found = exact.conditions(weights.a, weights.w1)[condition].rate
-    assert found is not None  # lmi and tight hold at some rate
-    return weights._replace(a=weights.a * (rate / float(found)))
-
-
-def _says(condition: str, strict: bool, solver_name: str) -> Callable[[ShallowWeights], bool]:
-    """Whether the test passes: solved with a margin and proved (≻), or the solver's answer for plain M ⪰ 0."""
-    from certify.lmi import LMI
-
-    problems: dict[int, LMI] = {}
-
-    def says(weights: ShallowWeights) -> bool:
-        n = len(weights.a)
-        if n not in problems:
-            problems[n] = LMI(n, condition, solver=solver_name, strict=strict)
-        return problems[n].solve(weights.a, weights.w1).verdict in ("certified", "feasible")
-
-    return says
-
-
-def truncated_equilibria(weights: ShallowWeights) -> list[float]:
-    """Equilibria as the paper's set S finds them, from the knots of the first n − 1 neurons alone, at u = 0.
-
-    Between two of these critical values the map is assumed to be linear. It is not linear at the last neuron's knot.
-
-    >>> tooth = ShallowWeights(np.array([2.0]), np.array([1.0]), np.zeros((1, 0)), np.array([-0.25]))
-    >>> truncated_equilibria(tooth), [found.x for found in equilibria(tooth, [])]
-    ([0.0], [0.0, 0.5])
-    """
-    a, w1, _, b = weights
-    with np.errstate(divide="ignore", invalid="ignore"):
-        knots = (-b / w1)[:-1]
-    x = np.unique(np.concatenate([[0.0, 1.0], knots[(knots >= 0) & (knots <= 1)]]))
-    gap = (np.maximum(w1 * x[:, None] + b, 0.0) @ a) - x
-    found = [float(x[k]) for k in range(len(x)) if gap[k] == 0]
-    crossed = [k for k in range(len(x) - 1) if gap[k] * gap[k + 1] < 0]
-    return sorted(found + [float(x[k] + (x[k + 1] - x[k]) * gap[k] / (gap[k] - gap[k + 1])) for k in crossed])
-
-
-def study(options: argparse.Namespace, given: Sequence[ShallowWeights] = ()) -> dict[str, Any]:
+def study(options: argparse.Namespace) -> dict[str, Any]:
     """The whole comparison, as JSON."""
     torch.set_num_threads(1)
-    rng = np.random.default_rng(options.seed)
+    rng, count, n = np.random.default_rng(options.seed), options.networks, options.neurons
+    runs, dt = given(options.paths, options.dt), options.dt or DT
     families = {
-        "random": random_networks(options.networks, options.neurons, rng),
-        "initialised": initial_networks(options.networks, options.neurons, rng),
-        f"trained, dt {options.dt:g} s": trained_networks(options.networks, options.neurons, rng, options.dt),
-        **({"given": list(given)} if given else {}),
+        "random": Family(random_networks(count, n, rng), [None] * count, True),
+        "initialised": Family(initial_networks(count, n, rng), [None] * count, True),
+        "trained": Family(trained_networks(count, n, rng, dt), [dt] * count, True),
     }
+    for run in runs:
+        families[f"run {run.name}"] = Family([each.weights for each in run.networks], run.steps, False)
     solve = None if options.no_lmi else solver(options.solver)
-    work = [(name, weights) for name, networks in families.items() for weights in networks]
-    rows = [(name, examine(weights, solve, options.seconds)) for name, weights in progress(work, "comparing")]
-    examined = {name: [row for other, row in rows if other == name] for name in families}
     largest = 0 if options.no_lmi else options.largest
+    work = [
+        (name, *each) for name, family in families.items() for each in zip(family.networks, family.steps, strict=True)
+    ]
+    examined: dict[str, list[dict[str, Any]]] = {name: [] for name in families}
+    for name, weights, step in progress(work, "comparing"):
+        solvable = solve if len(weights.a) <= max(largest, n) else None
+        examined[name].append(examine(weights, solvable, options.seconds, step))
+    found = {
+        name: {
+            "drawn": families[name].drawn,
+            "networks": rows,
+            "tiers": summarise(rows, families[name].drawn),
+            "contingency": contingency(rows, families[name].drawn),
+            **of_losses(rows),
+        }
+        for name, rows in examined.items()
+    }
+    neurons, signs = by_neurons(options.sizes, count, rng), by_signs((n, 10 * n), count, rng)
     return {
-        "neurons": options.neurons,
-        "dt": options.dt,
+        "neurons": n,
+        "dt": dt,
         "seed": options.seed,
-        "families": {name: {"networks": some, "tiers": summarise(some)} for name, some in examined.items()},
-        "timings": [timing(n, options.solver, largest, rng) for n in options.sizes],
-        "paper": [] if options.no_lmi else paper_tests([w for _, w in work], options),
+        "seconds": options.seconds,
+        "solver": None if options.no_lmi else options.solver,
+        "notes": [note for run in runs for note in run.notes],
+        "theorem": _theorem([*found.values(), *neurons, *signs]),
+        "families": found,
+        "by_neurons": neurons,
+        "by_signs": signs,
+        "timings": [timing(size, options.solver, largest, rng) for size in progress(options.sizes, "timing by n")],
+        "box_times": [box_timing(m, n, options.seconds, rng) for m in progress(INPUTS, "timing by m")],
+        "paper": [] if options.no_lmi else paper_tests([weights for _, weights, _ in work], options),
+    }
+
+
+def _theorem(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """On how many networks the theorem was checked, and where its ratio lay."""
+    known = [part["ratio"] for part in parts if part["ratio"] is not None]
+    return {
+        "networks": sum(part["with_slope"] for part in parts),
+        "without_slope": sum(part["without_slope"] for part in parts),
+        "false": sorted({name for part in parts for name in part["false"]}),
+        "least": min((each["least"] for each in known), default=None),
+        "greatest": max((each["greatest"] for each in known), default=None),
+        "one_sign": sum(part["one_sign"] for part in parts),
     }
 
 
 def main(arguments: Sequence[str], say: Callable) -> int:
     """The command; returns its exit code. `say` calls what writes to standard output."""
     options = _parse(arguments)
-    given = [network.weights for path in find(options.paths) for network in load(path)]
-    result = study(options, given)
+    if options.page is not None:
+        from certify.comparison_page import check_folder
+
+        check_folder(options.page)
+    result = study(options)
     if options.json:
         say(print, json.dumps(result, indent=1, allow_nan=False))
     else:
         from certify.printed import show_comparison
 
         say(show_comparison, result)
-    if options.plot:
-        from certify.figures import comparison_figure, save
+    if options.plot or options.page is not None:
+        from certify.comparison_figures import pictures, save_all
 
-        save(comparison_figure(result), options.plot)
+        drawn = pictures(result)
+        if options.plot:
+            save_all(drawn, Path(options.plot))
+        if options.page is not None:
+            from certify.comparison_page import write
+
+            command = " ".join(["python -m certify compare", *arguments])
+            page = write(Path(options.page), result, drawn, command)
+            if not options.json:
+                say(print, f"page: {page}")
     return 0
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser("python -m certify compare", description=__doc__)
+    parser.add_argument("paths", nargs="*", metavar="PATH", help="folders of runs, or parameter sets: a family each")
+    parser.add_argument("--page", metavar="FOLDER", help="write the result as a page: index.html, report.md, figures/")
+    parser.add_argument("--networks", type=int, help="of each family, and of each size (default: 60)")
+    parser.add_argument("--neurons", type=int, help="of each network of a family (default: 20)")
     parser.add_argument(
-        "paths", nargs="*", metavar="PATH", help="parameter sets of your own, a family beside the others"
+        "--dt", type=float, help=f"s, step of the trained networks (default: {DT:g}) and of sets whose run tells none"
     )
-    parser.add_argument("--networks", type=int, default=60, help="of each family (default: 60)")
-    parser.add_argument("--neurons", type=int, default=20, help="of each network (default: 20)")
-    parser.add_argument("--dt", type=float, default=0.4, help="s, step of the trained networks (default: 0.4)")
-    parser.add_argument("--sizes", default="10,20,50,100,200,500", help="n to time, parted by commas")
-    parser.add_argument("--largest", type=int, default=100, help="n up to which the LMI is timed (default: 100)")
-    parser.add_argument("--seconds", type=float, default=2.0, help="of each search on a box (default: 2)")
+    parser.add_argument("--sizes", help="n that are compared and timed (default: 5,10,20,50,100,200,500)")
+    parser.add_argument("--largest", type=int, help="n up to which the LMI is solved (default: 100)")
+    parser.add_argument("--seconds", type=float, help="of each search on a box (default: 2)")
+    parser.add_argument("--quick", action="store_true", help="all, on few small networks: whether it runs")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--solver", default="CLARABEL", help="a name that cvxpy knows (default: CLARABEL)")
     parser.add_argument("--no-lmi", action="store_true", help="closed forms, exact arithmetic and boxes alone")
@@ -255,13 +311,23 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--corner", choices=CORNERS, default="both", help="of the paper's matrix: Λ or 2Λ")
     parser.add_argument("--knots", choices=KNOTS, default="both", help="of equilibria: the paper's i < n, or all")
     parser.add_argument("--json", action="store_true", help="everything, on standard output")
-    parser.add_argument("--plot", metavar="FILE", help="draw the comparison")
+    parser.add_argument("--plot", metavar="FILE", help="draw the pictures alone: FILE with the name of each in it")
+
+    def refuse(message: str) -> NoReturn:
+        raise CertifyError(f"{message}: see python -m certify compare --help")
+
+    parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
     options = parser.parse_args(arguments)
+    usual = {"networks": 60, "neurons": 20, "sizes": "5,10,20,50,100,200,500", "largest": 100, "seconds": 2.0}
+    for name, value in (usual | (QUICK if options.quick else {})).items():
+        if getattr(options, name) is None:
+            setattr(options, name, value)
     if options.seed < 0:
         raise CertifyError(f"--seed: found {options.seed}, expected a whole number of 0 or more")
     for name in ("networks", "neurons", "dt", "seconds"):
-        if not 0 < getattr(options, name) < math.inf:
-            raise CertifyError(f"--{name}: found {getattr(options, name)}, expected a number above 0")
+        value = getattr(options, name)
+        if value is not None and not 0 < value < math.inf:
+            raise CertifyError(f"--{name}: found {value}, expected a number above 0")
     options.sizes = _sizes(options.sizes)
     return options
 
@@ -273,4 +339,4 @@ def _sizes(text: str) -> list[int]:
         found = [0]
     if min(found) < 1:
         raise CertifyError(f"--sizes: found {text!r}, expected whole numbers above 0, parted by commas")
-    return found
+    return list(dict.fromkeys(found))

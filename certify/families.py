@@ -31,15 +31,21 @@ def random_networks(count: int, n: int, rng: np.random.Generator) -> list[Shallo
     return found
 
 
-def initial_networks(count: int, n: int, rng: np.random.Generator) -> list[ShallowWeights]:
-    """As torch.nn.Linear draws them: uniform within ±1/√(fan-in)."""
-    width = 1 / math.sqrt(5)
+def initial_networks(count: int, n: int, rng: np.random.Generator, inputs: int = 4) -> list[ShallowWeights]:
+    """As torch.nn.Linear draws them: uniform within ±1/√(fan-in), the fan-in being 1 + m and n."""
+    width = 1 / math.sqrt(1 + inputs)
     return [
         ShallowWeights(
-            rng.uniform(-1, 1, n) / math.sqrt(n), *(rng.uniform(-width, width, size) for size in (n, (n, 4), n))
+            rng.uniform(-1, 1, n) / math.sqrt(n), *(rng.uniform(-width, width, size) for size in (n, (n, inputs), n))
         )
         for _ in range(count)
     ]
+
+
+def signed_networks(count: int, n: int, rarer: int, rng: np.random.Generator) -> list[ShallowWeights]:
+    """Initial networks of which `rarer` neurons have s_i < 0, and the others s_i > 0."""
+    signs = np.where(np.arange(n) < rarer, -1.0, 1.0)
+    return [w._replace(a=np.abs(w.a) * signs, w1=np.abs(w.w1)) for w in initial_networks(count, n, rng)]
 
 
 def trained_networks(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+import re
+from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -196,56 +198,28 @@ def save(figure, path: str | Path) -> None:
         raise CertifyError(f"{path}: cannot be written ({error}): give a file such as map.png") from error
 
 
-def comparison_figure(result: Mapping[str, Any]):
-    """The results of `certify.compare.study`: shares certified, rates against the exact one, time constants, times."""
-    figure = blank("the figure of the comparison", figsize=(12, 8.4), dpi=100, layout="constrained")
-    (shares, ratios), (constants, costs) = figure.subplots(2, 2)
-    families = list(result["families"])
-    trained = next((name for name in families if name.startswith("given")), families[2])
-    rows = result["families"][trained]["networks"]
-    for k, (tier, colour) in enumerate(TIER_COLOURS.items()):
-        height = [100 * result["families"][name]["tiers"][tier]["share"] for name in families]
-        bars = shares.bar(np.arange(len(families)) + 0.13 * (k - 2.5), height, 0.12, color=colour, label=tier)
-        shares.bar_label(bars, fmt="%.0f", fontsize=7, padding=1)
-        ratio = np.sort([row["rates"][tier] / row["K_box"][1] for row in rows if row["rates"][tier] is not None])
-        if len(ratio):
-            ratios.step(ratio, np.arange(1, len(ratio) + 1) / len(rows), where="post", color=colour, label=tier)
-    shares.set_xticks(range(len(families)), families)
-    shares.set(ylabel="certified contracting, %", ylim=(0, 128), title=f"Share certified, n = {result['neurons']}")
-    shares.legend(ncols=3, fontsize=8, frameon=False, loc="upper left")
-    ratios.axvline(1, color=INK, linewidth=0.8)
-    ratios.set(xscale="log", xlabel="rate at which it holds / exact rate on the box", ylabel="share of networks",
-               title=f"Conservatism ({trained})")  # fmt: skip
-    ratios.legend(fontsize=8, frameon=False)
-    dt, limit = result["dt"], {"simple": 0.25, "gershgorin and lmi": 0.5}
-    exact = [-dt / np.log(row["K_box"][1]) for row in rows if 0 < row["K_box"][1] < 1]
-    if exact:
-        heights, _, _ = constants.hist(
-            exact, bins=np.geomspace(min(*exact, dt / 3) * 0.9, max(exact) * 1.1, 30), color=PALE
-        )
-        constants.set_ylim(0, 1.35 * heights.max())
-    for (name, K), colour in zip(limit.items(), ("#D55E00", "#CC79A7"), strict=True):
-        constants.axvline(-dt / np.log(K), color=colour, linewidth=2, label=f"{name}: none slower than this passes")
-    constants.set(xscale="log", xlabel="time constant −dt / ln K on the box, s", ylabel="networks",
-                  title=f"Implied time constant ({trained})")  # fmt: skip
-    constants.xaxis.set_major_formatter("{x:g}")
-    constants.xaxis.set_minor_formatter("")
-    constants.legend(fontsize=8, edgecolor="none", loc="upper left")
-    n = [row["n"] for row in result["timings"]]
-    lines = {
-        "closed_tight": ("closed form (torch)", TIER_COLOURS["tight"]), "exact_rate": ("exact rate", "#999999"),
-        "proof": ("p, Λ and LDLᵀ in rationals", INK), "box": ("box, branch and bound", TIER_COLOURS["box"]),
-        "lmi_again": ("LMI, solved again", TIER_COLOURS["lmi"]), "lmi_first": ("LMI, first time", "#882255"),
-    }  # fmt: skip
-    for key, (label, colour) in lines.items():
-        known = [(size, row[key]) for size, row in zip(n, result["timings"], strict=True) if row[key] is not None]
-        if known:
-            costs.loglog(*zip(*known, strict=True), marker="o", markersize=4, color=colour, label=label)
-    costs.set(xlabel="neurons n", ylabel="time of one network, s", title="Cost")
-    costs.legend(fontsize=8, frameon=False)
-    for axes in (shares, ratios, constants, costs):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.title.set_fontsize(11)
-        axes.grid(color="#EEEEEE", linewidth=0.8)
-        axes.set_axisbelow(True)
-    return figure
+def svg_of_page(figure, name: str) -> tuple[str, bytes, bytes]:
+    """A figure as SVG for a page, whose theme it follows, and as SVG and PNG files on white.
+
+    Args:
+        figure: of matplotlib, with text in INK or black, grids in #EEEEEE.
+        name: by which its ids differ from those of the page's other figures.
+    """
+    from matplotlib import rc_context
+
+    def saved(kind: str, **options: Any) -> bytes:
+        content = io.BytesIO()
+        figure.savefig(content, format=kind, bbox_inches="tight", pad_inches=0.05, **options)
+        return content.getvalue()
+
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        drawn = saved("svg", transparent=True, metadata={"Date": None}).decode()
+    whole = re.sub("(<svg[^>]*>)", r'\1<rect width="100%" height="100%" fill="white"/>', drawn, count=1).encode()
+    inline = re.sub("<metadata>.*?</metadata>", "", drawn[drawn.index("<svg") :], flags=re.DOTALL)
+    inline = re.sub(r'(id="|href="#|url\(#)', rf"\g<1>{name}-", inline)
+    theme = {INK: "currentColor", "#000000": "currentColor", "#eeeeee": "var(--line)", "#ffffff": "var(--page)"}
+    for colour, variable in theme.items():
+        inline = re.sub(re.escape(colour), variable, inline, flags=re.IGNORECASE)
+    own = 1.3 * figure.get_size_inches()[0]
+    start = f'<svg style="--own: {own:.1f}in" role="img" aria-label="{escape(name)}"'
+    return inline.replace("<svg", start, 1), whole, saved("png", dpi=150, facecolor="white")

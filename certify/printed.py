@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from collections import Counter
@@ -256,49 +255,17 @@ def progress(items: Sequence, lines: str):
 
 
 def show_comparison(result: dict[str, Any]) -> None:
-    """The tables of `certify.compare`."""
+    """The result of `certify.compare` in words, then question by question with its tables."""
+    from certify.comparison_tables import headline, highlights, parts, settings
+
     console = _console()
-    headings = ("tier", "certified", "rate/exact", "largest K certified", "time constant", "solver disagrees")
-    for name, family in result["families"].items():
-        rows = []
-        for tier, row in family["tiers"].items():
-            K, ratio = row["largest_K"], row["conservatism"]
-            slowest = "–" if K is None or not 0 < K < 1 else f"{-result['dt'] / math.log(K):.3g} s"
-            share, disagreements = f"{100 * row['share']:.0f} %", row["disagreements"]
-            lines = ["–" if ratio is None else f"{ratio:.3g}", "–" if K is None else f"{K:.4g}", slowest]
-            rows.append([tier, share, *lines, "" if disagreements is None else str(disagreements)])
-        _print(console, f"{name}: {len(family['networks'])} networks of {result['neurons']} neurons", headings, rows)
-    _print_timings(console, result["timings"])
-    if result["paper"]:
-        _print_paper(console, result["paper"])
-
-
-def _print_timings(console: Console, rows: Sequence[dict[str, Any]]) -> None:
-    keys = {"closed_tight": "closed form", "exact_rate": "exact rate", "proof": "p, Λ, LDLᵀ", "box": "box",
-            "lmi_first": "LMI first", "lmi_again": "LMI again"}  # fmt: skip
-    lines = []
-    for row in rows:
-        ratio = "–" if row["lmi_again"] is None else f"{row['lmi_again'] / row['closed_tight']:.2g}"
-        lines.append([str(row["n"]), *(_seconds(row[key]) for key in keys), ratio])
-    title = "Time of one network; ratio: LMI solved again / closed form"
-    _print(console, title, ("n", *keys.values(), "ratio"), lines)
-
-
-def _seconds(x: float | None) -> str:
-    if x is None:
-        return "–"
-    return next(f"{x * scale:.3g} {unit}" for scale, unit in ((1, "s"), (1e3, "ms"), (1e6, "µs")) if x * scale >= 1)
-
-
-def _print_paper(console: Console, rows: Sequence[dict[str, Any]]) -> None:
-    headings = ("test", "accepted at 0.999 of its edge", "accepted just beyond", "identity", "wrong")
-    lines = []
-    for row in rows:
-        if "wrong" in row:
-            lines.append([row["test"], "", "", "", "{} of {}".format(*row["wrong"])])
-        else:
-            wrong = row["identity"] + max(0, row["beyond"][0] - row["contracting"])
-            identity = "accepted" if row["identity"] else "refused"
-            lines.append([row["test"], "{} of {}".format(*row["inside"]), "{} of {}".format(*row["beyond"]), identity,
-                         f"{wrong} not contracting"])  # fmt: skip
-    _print(console, "The paper's tests, literally and fixed", headings, lines)
+    console.print(headline(result), *highlights(result), sep="\n", soft_wrap=True)
+    for part in parts(result):
+        console.print(f"\n{part.title}", style="bold", soft_wrap=True)
+        for sentence in part.said:
+            console.print(f"  {sentence}", soft_wrap=True)
+        console.print()
+        for table in part.tables:
+            _print(console, *table)
+    for sentence in settings(result):
+        console.print(sentence, soft_wrap=True)
