@@ -263,7 +263,7 @@ def _theorem(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def main(arguments: Sequence[str], say: Callable) -> int:
     """The command; returns its exit code. `say` calls what writes to standard output."""
-    options = _parse(arguments)
+    options = parse(arguments)
     if options.page is not None:
         from certify.comparison_page import check_folder
 
@@ -291,7 +291,8 @@ def main(arguments: Sequence[str], say: Callable) -> int:
     return 0
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """The options of the command; see `python -m certify compare --help`."""
     parser = argparse.ArgumentParser("python -m certify compare", description=__doc__)
     parser.add_argument("paths", nargs="*", metavar="PATH", help="folders of runs, or parameter sets: a family each")
     parser.add_argument("--page", metavar="FOLDER", help="write the result as a page: index.html, report.md, figures/")

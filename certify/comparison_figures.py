@@ -187,13 +187,13 @@ def _constants(result: Mapping[str, Any]) -> Picture | None:
     for tier, count in sorted(seen.items(), key=lambda each: TIERS.index(each[0]) if each[0] else len(TIERS)):
         colour = PALE if tier is None else COLOURS[tier]
         axes.plot([], [], ".", color=colour, markersize=9, label=f"{tier or 'no condition'}: {count}")
-    _legend(axes, "first certified by", at=1.0)
+    _legend(axes, "narrowest condition", at=1.0)
     beyond = sum(row["K_box"][1] >= 1 for each in result["families"].values() for row in each["networks"] if row["dt"])
     return Picture(
         figure,
         "Which time constants can be certified: each dot is a network, coloured by the narrowest condition that "
         "certifies it; lines: the time constants that a condition cannot reach."
-        + (f" {beyond} networks with K ≥ 1 on the box have none." if beyond else ""),
+        + (f" Not drawn, since K ≥ 1 on the box: {beyond}." if beyond else ""),
     )
 
 

@@ -51,6 +51,8 @@ table { border-collapse: collapse; font-size: .85rem; } th, td { padding: .2rem 
   border-bottom: 1px solid var(--line); white-space: nowrap; } .n { text-align: right;
   font-variant-numeric: tabular-nums; } thead th { position: sticky; top: 0; background: var(--page); }
 tbody th { font-weight: 600; }
+.beside { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(34rem, 100%), 1fr)); gap: 0 1.5rem; }
+.beside > div { min-width: 0; }
 .rows { max-height: 30rem; overflow: auto; }
 pre { background: var(--card); padding: .7rem 1rem; overflow-x: auto; border-radius: .5rem; font-size: .85rem; }
 @media (max-width: 52rem) { body { padding: .6rem .8rem; } }
@@ -66,7 +68,8 @@ def check_folder(folder: str | Path) -> None:
     place = Path(folder)
     if not str(folder) or (place.exists() and not place.is_dir()):
         raise CertifyError(f"--page: found {str(folder)!r}, which is a file or empty, expected a folder")
-    if place.is_dir() and any(place.iterdir()) and not (place / RESULT).is_file():
+    found = {path.name for path in place.iterdir()} if place.is_dir() else set()
+    if found - {INDEX, MARKDOWN, FIGURES, RESULT} or (found - {FIGURES} and RESULT not in found):
         raise CertifyError(f"--page: {folder} holds something that is no page of a comparison: name another folder")
     try:
         (place / FIGURES).mkdir(parents=True, exist_ok=True)
@@ -151,13 +154,16 @@ def _section(part: Part, drawn: Mapping[str, Picture], inline: Mapping[str, str]
     body = [f'<section id="{part.key}"><h2>{escape(part.title)}</h2>', _list(part.said)]
     if part.key == "gauge":
         paragraphs = "".join(f"<p>{escape(each)}</p>" for each in PROOF)
-        body.append(f"<details><summary>The proof</summary>{paragraphs}</details>")
+        body.append(f"<details open><summary>The proof</summary>{paragraphs}</details>")
     for name in part.pictures:
         if name in drawn:
             caption = f"<figcaption>{escape(drawn[name].caption)}</figcaption>"
             body.append(f'<figure><div class="wide">{inline[name]}</div>{caption}</figure>')
-    body += [f'<h3>{escape(table.title)}</h3><div class="rows">{_html_table(table)}</div>' for table in part.tables]
-    return "\n".join([*body, "</section>"])
+    tables = "\n".join(
+        f'<div><h3>{escape(table.title)}</h3><div class="rows">{_html_table(table)}</div></div>'
+        for table in part.tables
+    )
+    return "\n".join([*body, f'<div class="beside">{tables}</div></section>'])
 
 
 def _html_table(table: Table) -> str:

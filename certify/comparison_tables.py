@@ -43,7 +43,7 @@ def headline(result: Mapping[str, Any]) -> str:
     return (
         "By itself Gershgorin's lemma never loses more than a factor of 2 to the LMI, however many neurons: in its "
         "best gauge its smallest rate is σ/K times that of the LMI, and σ/K lies between "
-        f"{below(theorem['least'], 3)} and {above(theorem['greatest'], 5)} on the {theorem['networks']:,} networks of "
+        f"{below(theorem['least'], 3)} and {above(theorem['greatest'], 6)} on the {theorem['networks']:,} networks of "
         "this run."
     )
 
@@ -147,7 +147,7 @@ def _spread(found: Mapping[str, Any] | None) -> list[str]:
     low, high = found["spread"]
     return [
         _middle(found["median"], found["interval"]), f"{_three(low)} to {_three(high)}", below(found["least"], 4),
-        above(found["greatest"], 4),
+        above(found["greatest"], 6),
     ]  # fmt: skip
 
 

@@ -76,9 +76,7 @@ def loss(a: ArrayLike, w1: ArrayLike) -> Loss | None:
     ratio, simple = best["gershgorin"] / lmi, best["simple"] / lmi
     signs = [x > 0 for x in s if x]
     statements = {
-        "Gershgorin in the gauge |w| = ½ has the rate 2σ": in_gauge["gershgorin"].rate
-        == best["gershgorin"]
-        == 2 * sigma,
+        "Gershgorin reaches 2σ in the gauge |w| = ½": in_gauge["gershgorin"].rate == best["gershgorin"] == 2 * sigma,
         "simple reaches 4(n+1) max|s| in the gauge |w| = ½": in_gauge["simple"].rate == best["simple"],
         "no smaller rate as given": all(
             (rate := given[name].rate) is None or rate >= best[name] for name in ("gershgorin", "simple")

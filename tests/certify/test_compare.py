@@ -1,17 +1,31 @@
-"""The comparison: what its families are, what it counts, and that its tables and picture say it."""
+"""The comparison: what its families are, what it counts, and that its words, tables, pictures and page say it."""
 
+import contextlib
+import io
+import itertools
 import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from certify import exact
+import usvlearn.report
+from certify import comparison_counts, exact
 from certify.__main__ import main
 from certify.assess import solver
-from certify.compare import examine, paper_tests, summarise, truncated_equilibria
+from certify.compare import examine
+from certify.comparison_counts import TIERS, contingency, summarise
+from certify.comparison_figures import pictures
+from certify.comparison_page import STYLE
+from certify.comparison_tables import headline, limit, parts
 from certify.equilibria import equilibria
 from certify.families import initial_networks, random_networks, trained_networks
+from certify.paper_tests import paper_tests, truncated_equilibria
 from certify.weights import ShallowWeights
+
+QUICK = ["compare", "--quick", "--networks", "6"]
 
 
 def test_families_are_what_they_are_called():
@@ -33,19 +47,42 @@ def test_families_are_what_they_are_called():
 def test_summary_counts_what_was_examined():
     rng = np.random.default_rng(1)
     networks = random_networks(12, 4, rng)
-    rows = [examine(w, solver(), 2.0) for w in networks]
+    rows = [examine(w, solver(), 2.0, 0.5) for w in networks]
     told = summarise(rows)
-    shares = [told[tier]["share"] for tier in ("simple", "gershgorin", "lmi", "tight", "interval", "box")]
-    assert shares == sorted(shares) and shares[3] == np.mean([row["K"] < 1 for row in rows])
-    assert told["box"]["conservatism"] == pytest.approx(1)
-    assert told["lmi"]["conservatism"] >= 2 - 1e-9 and told["tight"]["conservatism"] >= 1 - 1e-9
+    for chain in (("simple", "gershgorin", "lmi", "tight", "interval", "box"), (TIERS[1], TIERS[3], "lmi")):
+        shares = [told[tier]["share"] for tier in chain]
+        assert shares == sorted(shares)
+    assert told["tight"]["share"] == np.mean([row["K"] < 1 for row in rows])
+    assert told["lmi"]["conservatism"] == pytest.approx(2) and told["tight"]["conservatism"] == pytest.approx(1)
+    assert told["box"]["conservatism"] <= 1 + 1e-9
     assert told["lmi"]["disagreements"] == told["tight"]["disagreements"] == 0
+    K = [row["K"] for row in rows if row["K"] < 1]
+    assert told["tight"]["largest_K"] == max(K) and told["lmi"]["largest_K"] == max(x for x in K if x < 0.5)
+    assert told["tight"]["largest_time_constant"] == pytest.approx(-0.5 / np.log(max(K)))
+    low, high = told["tight"]["share_interval"]
+    assert low < told["tight"]["share"] < high and summarise(rows, drawn=False)["tight"]["share_interval"] is None
+    for name in ("simple", "gershgorin", "lmi", "tight"):
+        assert told[name]["largest_K"] is None or told[name]["largest_K"] < limit(name, 4)
     assert all(row["K_box"][0] <= row["K"] + 1e-12 for row in rows)
     for row in rows:
         assert row["closed"] and row["K_box"][1] - row["K_box"][0] <= 1e-5 * row["K_box"][1]
+        s = networks[rows.index(row)].a * networks[rows.index(row)].w1
+        assert row["loss"]["ratio"] == pytest.approx(np.abs(s).sum() / row["K"]) and row["loss"]["false"] == []
     assert not examine(random_networks(1, 40, rng)[0], None, 1e-6)["closed"]  # too little time
     rows[0]["solved"]["tight"]["verdict"] = "unknown" if rows[0]["certified"]["tight"] else "certified"
     assert summarise(rows)["tight"]["disagreements"] == 1
+
+
+def test_the_contingency_table():
+    rows = [examine(w, None, 1.0) for w in random_networks(60, 5, np.random.default_rng(4))]
+    for gauge, found in contingency(rows).items():
+        assert sum(found[key] for key in ("both", "only_lmi", "only_gershgorin", "neither")) == 60
+        assert found["only_gershgorin"] == 0 < found["both"]  # a theorem
+        assert found["both"] + found["only_lmi"] == sum(row["certified"]["lmi"] for row in rows)
+        assert found["missed_interval"][0] <= found["missed"] <= found["missed_interval"][1], gauge
+    assert contingency(rows)["best gauge"]["both"] > contingency(rows)["as given"]["both"]
+    rows[0]["certified"] |= {"lmi": False, "gershgorin": True}
+    assert contingency(rows)["as given"]["only_gershgorin"] == 1
 
 
 def test_the_papers_tests_literally_and_mended():
@@ -76,17 +113,240 @@ def test_truncated_equilibria_are_right_where_the_last_neuron_has_no_knot():
     assert len(truncated_equilibria(turned)) != len(found)
 
 
-def test_the_command(tmp_path, capsys):
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The command's output as text, its result, and the folder of its page."""
     pytest.importorskip("matplotlib")
-    np.savez(tmp_path / "own.npz", a=[0.9], w1=[1.0], W2=np.zeros((1, 4)), b=[0.5])
-    options = ["--networks", "3", "--neurons", "4", "--sizes", "4,6", "--seconds", "0.5"]
-    assert main(["compare", str(tmp_path / "own.npz"), *options, "--plot", str(tmp_path / "c.png")]) == 0
-    text = capsys.readouterr().out
-    assert max(map(len, text.splitlines())) <= 160
-    for part in ("random: 3 networks", "given: 1 networks", "LMI again", "M ⪰ 0, 2Λ", "simple", "box"):
-        assert part in text
-    assert (tmp_path / "c.png").stat().st_size > 10_000
-    assert main(["compare", *options, "--no-lmi", "--json"]) == 0
+    pytest.importorskip("cvxpy")
+    folder = tmp_path_factory.mktemp("compare")
+    np.savez(folder / "own <&>|.npz", a=[0.9], w1=[1.0], W2=np.zeros((1, 4)), b=[0.5])
+    said = []
+
+    def say(write, *arguments):
+        with contextlib.redirect_stdout(io.StringIO()) as text:
+            write(*arguments)
+        said.append(text.getvalue())
+
+    from certify.compare import main as compare
+
+    arguments = [
+        str(folder / "own <&>|.npz"),
+        *QUICK[1:],
+        "--page",
+        str(folder / "page"),
+        "--plot",
+        str(folder / "c.pdf"),
+    ]
+    assert compare(arguments, say) == 0
+    return said[0], json.loads((folder / "page" / "comparison.json").read_text()), folder
+
+
+def test_the_terminal_says_the_result_first(made):
+    text, result, _ = made
+    assert text.splitlines()[0] == headline(result)
+    assert "never loses more than a factor of 2" in headline(result) and "σ/K" in headline(result)
+    assert max(map(len, (line for line in text.splitlines() if "  " in line.strip()))) <= 170
+    for part in parts(result):
+        assert part.title in text and all(sentence in text for sentence in part.said)
+        assert all(table.title in text for table in part.tables)
+        assert all(len(row) == len(table.headings) for table in part.tables for row in table.rows)
+    for words in ("random: 6 networks", "LMI again", "M ⪰ 0, 2Λ", "box", "only Gershgorin"):
+        assert words in text
+
+
+def test_the_result_holds_all(made):
+    _, result, _ = made
+    assert set(result["families"]) == {"random", "initialised", "trained", "run own <&>|"}
+    theorem = result["theorem"]
+    drawn = sum(len(family["networks"]) for family in result["families"].values())
+    swept = sum(row["networks"] for name in ("by_neurons", "by_signs") for row in result[name])
+    assert theorem["networks"] + theorem["without_slope"] == drawn + swept and theorem["false"] == []
+    assert 1 <= theorem["least"] <= theorem["greatest"] <= 2
+    assert {row["n"] for row in result["by_neurons"]} == {4, 8} == {row["n"] for row in result["timings"]}
+    assert all(row["tiers"]["lmi"]["median"] == 2 for row in result["by_neurons"])
+    for row in result["by_signs"]:
+        assert 1 <= row["ratio"]["least"] <= row["ratio"]["median"] <= row["ratio"]["greatest"] <= 2
+        assert (row["rarer"] == 0) == (row["ratio"]["greatest"] == 1)
+    assert all(0 < row["solver"] < row["lmi_again"] < row["lmi_first"] for row in result["timings"])
+    assert [row["m"] for row in result["box_times"]] == [1, 2, 3, 4, 5, 6, 8]
+
+
+def test_a_theorem_that_fails_is_said_first(made):
+    _, result, _ = made
+    broken = {**result, "theorem": {**result["theorem"], "false": ["the ratio is σ/K"]}}
+    assert "NOT confirmed: the ratio is σ/K" in headline(broken)
+    assert "fails" in " ".join(parts(broken)[0].said) and "holds on all" not in " ".join(parts(broken)[0].said)
+    family = {**result["families"]["random"], "contingency": {"as given": {
+        **result["families"]["random"]["contingency"]["as given"], "only_gershgorin": 2}}}  # fmt: skip
+    assert "CONTRADICTS" in " ".join(parts({**result, "families": {"random": family}})[3].said)
+
+
+class Elements(HTMLParser):
+    """The tags of a page, what it loads, and its text."""
+
+    def __init__(self):
+        super().__init__()
+        self.tags, self.loaded, self.text, self.ids = [], [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.tags.append(tag)
+        self.ids += [found["id"]] if "id" in found else []
+        self.loaded += [found[key] for key in ("src", "href", "xlink:href") if key in found]
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_page(made):
+    _, result, folder = made
+    page = Elements()
+    whole = (folder / "page" / "index.html").read_text()
+    page.feed(whole)
+    text = "".join(page.text)
+    assert all(link.startswith(("#", "data:")) for link in page.loaded) and "script" not in page.tags
+    assert not re.search(r"url\((?!#)", whole) and "@import" not in whole
+    assert len(set(page.ids)) == len(page.ids)
+    assert page.tags.count("svg") == len(pictures(result)) == 6 and "own" not in page.tags
+    assert text.index(headline(result)) < text.index("What does Gershgorin lose")
+    assert "own <&>|: " in text and "∎" in text and "95 %" in text
+    for part in parts(result):
+        assert all(cell in text for table in part.tables for row in table.rows for cell in row)
+    markdown = (folder / "page" / "report.md").read_text()
+    assert headline(result) in markdown and "∎" in markdown
+    for target in re.findall(r"\]\(([^)]+\.svg)\)", markdown):
+        assert (folder / "page" / target).stat().st_size > 3000
+    lines = ["", *markdown.splitlines()]
+    assert all(not before or before[0] == "|" for before, line in itertools.pairwise(lines) if line[:2] == "| ")
+    widths = [len(re.findall(r"(?<!\\)\|", line)) for line in lines if line[:2] == "| "]
+    assert min(widths) > 3
+    assert sorted(path.name for path in folder.glob("c-*.pdf")) == [
+        f"c-{name}.pdf" for name in sorted(pictures(result))
+    ]
+
+
+def test_no_picture_has_an_empty_panel_or_ticks_that_touch(made):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    _, result, _ = made
+    for name, (figure, caption) in pictures(result).items():
+        assert caption.endswith(".")
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        renderer = canvas.get_renderer()
+        for axes in figure.axes:
+            drawn = [len(line.get_xdata()) for line in axes.lines if line.axes is axes]
+            assert sum(drawn) > 1 or axes.collections, name
+            for axis in (axes.xaxis, axes.yaxis):
+                shown = [label for label in axis.get_ticklabels() if label.get_text()]
+                boxes = [label.get_window_extent(renderer) for label in shown]
+                assert not any(one.overlaps(two) for k, one in enumerate(boxes) for two in boxes[k + 1 :]), name
+            texts = [text.get_window_extent(renderer) for text in axes.texts if text.get_transform() == axes.transAxes]
+            assert not any(one.overlaps(two) for k, one in enumerate(texts) for two in texts[k + 1 :]), name
+            if legend := axes.get_legend():  # beside the axes, not across their lines
+                assert legend.get_window_extent(renderer).x0 >= axes.get_window_extent(renderer).x1, name
+
+
+def test_the_page_looks_like_the_report_of_a_run():
+    report = (Path(usvlearn.report.__file__).parent / "page.css").read_text()
+    variables = [set(re.findall(r"--\w+: ?#\w+", style)) for style in (STYLE, report)]
+    assert variables[0] == variables[1] and len(variables[0]) > 10
+    for rule in (r"body \{.*?\}", r"\.wide svg \{.*?\}", r"h1 \{.*?\}"):
+        one, other = (re.sub(r"\s+", " ", re.search(rule, style, re.DOTALL)[0]) for style in (STYLE, report))
+        assert one == other
+
+
+def run_folder(folder, dt=(0.0, 0.25, 0.25, 0.5), boats=("heron",)):
+    """A run of two boats' sets, which tells its steps as `usvlearn train` does."""
+    for boat in boats:
+        place = folder / "checkpoints" / boat
+        place.mkdir(parents=True)
+        np.savez(place / "00000_0000004.npz", a=[0.5], w1=[1.0], W2=np.zeros((1, 4)), b=[0.1])
+    (folder / "predictions").mkdir()
+    steps = np.stack([np.array(dt) * (k + 1) for k in range(len(boats))], -1)
+    np.savez(folder / "predictions" / "00000_0000004.npz", dt=steps, boats=np.array(boats))
+    return folder
+
+
+def test_the_networks_of_a_run_have_its_own_steps(tmp_path):
+    from certify.run_steps import given
+
+    run = run_folder(tmp_path / "run", boats=("heron", "otter"))
+    (family,) = given([run])
+    assert family.steps == [0.25, 0.5] and family.notes == [] and family.name == "run"
+    one, other = given([run / "checkpoints" / "otter", run_folder(tmp_path / "more" / "run")])
+    assert (one.name, one.steps, other.name, other.steps) == ("otter", [0.5], "run", [0.25])
+    assert [each.name for each in given([run, tmp_path / "more" / "run"])] == ["run", "run'"]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"no zip", {"dt": np.zeros((4, 1))}, {"dt": np.full((4, 1), np.nan)}, {"dt": np.ones((4, 3))},
+     {"dt": np.ones(4)}, {"dt": np.array([["a"]])}, {"dt": np.array([[None]], dtype=object)},
+     {"dt": np.full((4, 1), 1e9)}],
+)  # fmt: skip
+def test_damaged_predictions_of_a_run_are_told_and_the_rest_is_used(tmp_path, content):
+    from certify.run_steps import given
+
+    run = run_folder(tmp_path / "run")
+    beside = run / "predictions" / "00000_0000004.npz"
+    if isinstance(content, bytes):
+        beside.write_bytes(content)
+    else:
+        np.savez(beside, boats=np.array(["heron"]), **content)
+    (family,) = given([run])
+    assert family.steps == [None] and len(family.networks) == 1
+    assert str(beside) in family.notes[0] and "expected dt in s" in family.notes[0] and "give --dt" in family.notes[1]
+    assert given([run], 0.3)[0].steps == [0.3] and "--dt, 0.3 s, is used" in given([run], 0.3)[0].notes[1]
+
+
+def test_folders_that_are_no_run_have_no_steps(tmp_path):
+    from certify.errors import CertifyError
+    from certify.run_steps import given
+
+    run = run_folder(tmp_path / "run")
+    (run / "predictions" / "00000_0000004.npz").unlink()
+    (family,) = given([run])
+    assert family.steps == [None] and "no step is saved beside 1 of 1 files" in family.notes[0]
+    np.savez(tmp_path / "old.npz", a=[0.5], w1=[1.0], W2=np.zeros((1, 4)), b=[0.1])
+    np.savez(run / "predictions" / "00000_0000004.npz", predictions=np.zeros((4, 1, 1)))  # an older run
+    assert given([run])[0].steps == given([tmp_path / "old.npz"])[0].steps == [None]
+    (run / "checkpoints" / "heron" / "00000_0000004.npz").write_bytes(b"damaged")
+    with pytest.raises(CertifyError, match="cannot be read"):
+        given([run])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--networks", "0"], "--networks: found 0"),
+        (["--sizes", "4,x"], "--sizes: found '4,x'"),
+        (["--dt", "nan"], "--dt: found nan"),
+        (["--unknown"], "unrecognized arguments"),
+        (["nowhere"], "nowhere: no such file"),
+        (["--page", "{file}"], "--page: found"),
+        (["--page", "{other}"], "holds something that is no page"),
+        (["--page", "{file}/below"], "cannot be made"),
+    ],
+)
+def test_bad_input_is_told_before_the_work(tmp_path, capsys, arguments, words):
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.tex").write_text("x")
+    places = {"file": tmp_path / "file", "other": tmp_path / "other"}
+    assert main([*QUICK, *(each.format(**places) for each in arguments)]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and words in error and error.count("\n") == 1
+    assert (tmp_path / "other" / "thesis.tex").read_text() == "x"
+
+
+def test_without_a_solver(tmp_path, capsys, monkeypatch):
+    """Only families, counts and text: the costly parts are left out."""
+    assert main([*QUICK, "--no-lmi", "--json", "--neurons", "3", "--sizes", "2"]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert set(result["families"]) == {"random", "initialised", "trained, dt 0.4 s"} and result["paper"] == []
-    assert [row["n"] for row in result["timings"]] == [4, 6] and result["timings"][0]["lmi_again"] is None
+    assert set(result["families"]) == {"random", "initialised", "trained"} and result["paper"] == []
+    assert result["timings"][0]["lmi_again"] is None and result["solver"] is None
+    assert result["families"]["random"]["tiers"]["lmi"]["disagreements"] is None
+    assert [part.key for part in parts(result)] == ["gauge", "neurons", "shares", "contingency", "constants", "times"]
+    assert len(pictures(result)) == 6
+    assert comparison_counts.middle([1.0, np.inf, np.inf])["median"] is None
