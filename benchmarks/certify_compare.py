@@ -1,11 +1,17 @@
 """What Gershgorin's lemma loses to the LMI, and which networks, of runs too, each condition certifies.
 
-python benchmarks/certify_compare.py RUN …     writes docs/benchmarks/certify_compare.md and its pictures
+python benchmarks/certify_compare.py     six minutes; writes docs/benchmarks/certify_compare.md and its pictures
 
-The page is that of `python -m certify compare RUN … --page FOLDER`, with the machine on which the times were measured.
+The page is that of the last command of COMMANDS, with the machine on which the times were measured. The commands before
+it make the runs whose networks are compared, one of an example's logs and one of a simulated fleet.
 """
 
+import contextlib
+import shlex
+import subprocess
 import sys
+import tempfile
+from importlib.metadata import version
 
 from pages import FOLDER, publish
 from timing import machine
@@ -16,18 +22,27 @@ from certify.comparison_page import markdown
 from certify.figures import svg_of_page
 
 NAME = "certify_compare"
+COMMANDS = """\
+python -m usvlearn example logs
+python -m usvlearn inspect logs --name heron
+python -m usvlearn train data=my_boat.yaml hydra.run.dir=outputs/heron
+python -m usvlearn train data=simulated data.n=8 data.hours=0.5 align.dt=0.2 hydra.run.dir=outputs/fleet
+python -m certify compare outputs/heron outputs/fleet --page page"""
 
 
 def main() -> None:
-    computer, result = machine(), study(parse(sys.argv[1:]))
+    *runs, compare = map(shlex.split, COMMANDS.splitlines())
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        for command in runs:
+            print(*command, file=sys.stderr)
+            subprocess.run([sys.executable, *command[1:]], check=True, stdout=subprocess.DEVNULL)
+        computer, result = machine(), study(parse(compare[4:]))
     drawn = pictures(result)
     for name, picture in drawn.items():
         (FOLDER / f"{NAME}_{name}.svg").write_bytes(svg_of_page(picture.figure, name)[1])
-    command = " ".join([f"python benchmarks/{NAME}.py", *sys.argv[1:]])
-    text = markdown(result, drawn, command, f"{NAME}_{{}}.svg")
-    publish(
-        __file__, f"{text}\nTimes: {computer}. Other work ran beside it; a ratio is the median of rounds in turn.\n"
-    )
+    text = markdown(result, drawn, COMMANDS, f"{NAME}_{{}}.svg")
+    solvers = ", ".join(f"{name} {version(name)}" for name in ("cvxpy", "clarabel"))
+    publish(__file__, f"{text}\nTimes: {computer}; {solvers}. A ratio is the median of rounds in turn.\n")
 
 
 if __name__ == "__main__":

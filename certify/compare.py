@@ -203,7 +203,7 @@ def study(options: argparse.Namespace) -> dict[str, Any]:
     """The whole comparison, as JSON."""
     torch.set_num_threads(1)
     rng, count, n = np.random.default_rng(options.seed), options.networks, options.neurons
-    runs, dt = given(options.paths, options.dt), options.dt or DT
+    runs, dt = given(options.paths, options.dt, options.sets), options.dt or DT
     families = {
         "random": Family(random_networks(count, n, rng), [None] * count, True),
         "initialised": Family(initial_networks(count, n, rng), [None] * count, True),
@@ -297,6 +297,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("paths", nargs="*", metavar="PATH", help="folders of runs, or parameter sets: a family each")
     parser.add_argument("--page", metavar="FOLDER", help="write the result as a page: index.html, report.md, figures/")
     parser.add_argument("--networks", type=int, help="of each family, and of each size (default: 60)")
+    parser.add_argument("--sets", type=int, default=100, help="most parameter sets of a PATH (default: 100)")
     parser.add_argument("--neurons", type=int, help="of each network of a family (default: 20)")
     parser.add_argument(
         "--dt", type=float, help=f"s, step of the trained networks (default: {DT:g}) and of sets whose run tells none"
@@ -325,7 +326,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
             setattr(options, name, value)
     if options.seed < 0:
         raise CertifyError(f"--seed: found {options.seed}, expected a whole number of 0 or more")
-    for name in ("networks", "neurons", "dt", "seconds"):
+    for name in ("networks", "sets", "neurons", "dt", "seconds"):
         value = getattr(options, name)
         if value is not None and not 0 < value < math.inf:
             raise CertifyError(f"--{name}: found {value}, expected a number above 0")

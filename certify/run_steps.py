@@ -3,11 +3,14 @@
 RUN/checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the parameter set after S steps of run R
 RUN/predictions/RRRRR_SSSSSSS.npz                of the steps before it: dt (steps, boats), s; boats (boats,)
 
+A boat whose run ends sooner than those of others has its last set before the end of a file.
+
 These files may come from anybody: what is absent or damaged is reported, and the rest is used.
 """
 
 from __future__ import annotations
 
+import re
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -21,6 +24,7 @@ from certify.weights import UNPACKED, Network, find, load, matched
 
 CHECKPOINTS, PREDICTIONS = "checkpoints", "predictions"
 LONGEST_STEP = 1e4  # s
+NAMED = re.compile(r"(\d{1,18})_(\d{1,18})", re.ASCII)
 
 
 class Given(NamedTuple):
@@ -32,12 +36,13 @@ class Given(NamedTuple):
     notes: list[str]  # a sentence for each file whose step is unknown though a run saved it, and for those without
 
 
-def given(paths: Iterable[str | Path], dt: float | None = None) -> list[Given]:
+def given(paths: Iterable[str | Path], dt: float | None = None, most: int = 100) -> list[Given]:
     """A family for each path: a run's folder, that of a sweep, or a file.
 
     Args:
         paths: of files and folders, and patterns.
         dt: s, of the sets whose run does not tell.
+        most: files of a path that are read, evenly spaced, if it holds more.
 
     Raises:
         CertifyError: a path names nothing, or a file is no parameter set.
@@ -47,7 +52,9 @@ def given(paths: Iterable[str | Path], dt: float | None = None) -> list[Given]:
         networks: list[Network] = []
         steps: list[float | None] = []
         notes, unknown = [], 0
-        for file in find([path]):
+        every = find([path])
+        files = every if len(every) <= most else [every[round(k)] for k in np.linspace(0, len(every) - 1, most)]
+        for file in files:
             found = load(file)
             try:
                 step = step_of(file)
@@ -62,9 +69,21 @@ def given(paths: Iterable[str | Path], dt: float | None = None) -> list[Given]:
             name += "'"
         if unknown:
             instead = "their time constants are in steps: give --dt" if dt is None else f"--dt, {dt:g} s, is used"
-            notes.append(f"{name}: no step is saved beside {unknown} of {len(set(find([path])))} files; {instead}")
+            notes.append(f"{name}: no step is saved beside {unknown} of {len(files)} files; {instead}")
+        if len(files) < len(every):
+            notes.append(f"{name}: {len(files)} of {len(every)} files, evenly spaced; --sets takes more")
         families.append(Given(name, networks, steps, notes))
     return families
+
+
+def _beside(folder: Path, name: str) -> Path | None:
+    """The file of predictions in which the steps before a parameter set end: of its run, the first up to its step."""
+    if not (wanted := NAMED.fullmatch(name)):
+        return None
+    run, step = wanted.groups()
+    ends = [(int(found[2]), path) for path in folder.glob("*.npz") if (found := NAMED.fullmatch(path.stem))
+            and found[1] == run and path.is_file()]  # fmt: skip
+    return min(((end, path) for end, path in ends if end >= int(step)), default=(0, None))[1]
 
 
 def step_of(file: Path) -> float | None:
@@ -76,8 +95,8 @@ def step_of(file: Path) -> float | None:
     folder = file.absolute().parent
     if folder.parent.name != CHECKPOINTS:
         return None
-    beside = folder.parent.parent / PREDICTIONS / f"{file.stem}.npz"
-    if not beside.is_file():
+    beside = _beside(folder.parent.parent / PREDICTIONS, file.stem)
+    if beside is None:
         return None
     try:
         with zipfile.ZipFile(beside) as archive:

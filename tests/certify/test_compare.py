@@ -277,6 +277,10 @@ def test_the_networks_of_a_run_have_its_own_steps(tmp_path):
     one, other = given([run / "checkpoints" / "otter", run_folder(tmp_path / "more" / "run")])
     assert (one.name, one.steps, other.name, other.steps) == ("otter", [0.5], "run", [0.25])
     assert [each.name for each in given([run, tmp_path / "more" / "run"])] == ["run", "run'"]
+    (whole,) = given([tmp_path])  # as a sweep: each set with the step of its own run
+    assert sorted(whole.steps) == [0.25, 0.25, 0.5]
+    (part,) = given([tmp_path], most=2)
+    assert len(part.networks) == 2 and "2 of 3 files, evenly spaced" in part.notes[-1]
 
 
 @pytest.mark.parametrize(
@@ -298,6 +302,18 @@ def test_damaged_predictions_of_a_run_are_told_and_the_rest_is_used(tmp_path, co
     assert family.steps == [None] and len(family.networks) == 1
     assert str(beside) in family.notes[0] and "expected dt in s" in family.notes[0] and "give --dt" in family.notes[1]
     assert given([run], 0.3)[0].steps == [0.3] and "--dt, 0.3 s, is used" in given([run], 0.3)[0].notes[1]
+
+
+def test_a_boat_whose_run_ends_sooner_has_the_steps_of_the_file_in_which_it_ends(tmp_path):
+    from certify.run_steps import step_of
+
+    run = run_folder(tmp_path / "run")
+    for name, dt in (("00000_0000009", 0.7), ("00001_0000009", 0.8)):
+        np.savez(run / "predictions" / f"{name}.npz", dt=np.full((5, 1), dt), boats=np.array(["heron"]))
+    place = run / "checkpoints" / "heron"
+    steps = {"00000_0000003": 0.25, "00000_0000004": 0.25, "00000_0000005": 0.7, "00000_0000010": None,
+             "00001_0000001": 0.8, "00002_0000001": None, "last": None}  # fmt: skip
+    assert {name: step_of(place / f"{name}.npz") for name in steps} == steps
 
 
 def test_folders_that_are_no_run_have_no_steps(tmp_path):
