@@ -30,7 +30,8 @@ python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on
 python -m certify multirun/SWEEP --plot sweep.png         a table of its jobs: stability against accuracy
 python -m certify net.npz --certificate proofs            a JSON certificate each
 python -m certify --verify proofs/*.json                  check certificates, without solver and torch
-python -m certify compare                                 the conditions against the LMI, see compare --help
+python -m certify net3.npz --lmi --steps                  a state of several components: A, W, W2, b, and R, V, c
+python -m certify compare outputs/RUN --page page         the conditions against the LMI, see compare --help
 """
 
 

@@ -87,20 +87,20 @@ def conservatism(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {tier: middle([row["over_K"][tier] for row in rows]) for tier in SEEN}
 
 
-def middle(values: Sequence[float]) -> dict[str, Any]:
+def middle(values: Sequence[float], drawn: bool = True) -> dict[str, Any]:
     """Median, its 95 % interval, and the quantiles SPREAD; None where infinite."""
     ordered = sorted(values)
     low, high = (ordered[round(q * (len(ordered) - 1))] for q in SPREAD)
     return {
         "median": _finite(median(values)),
-        "interval": _interval(values),
+        "interval": _interval(values) if drawn else None,
         "spread": [_finite(low), _finite(high)],
         "least": _finite(ordered[0]),
         "greatest": _finite(ordered[-1]),
     }
 
 
-def of_losses(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def of_losses(rows: Sequence[dict[str, Any]], drawn: bool = True) -> dict[str, Any]:
     """Of the theorem's check: how many networks have a slope, σ/K over them, how many have one sign, what failed."""
     known = [row["loss"] for row in rows if row["loss"] is not None]
     return {
@@ -108,7 +108,7 @@ def of_losses(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "without_slope": len(rows) - len(known),
         "one_sign": sum(each["one_sign"] for each in known),
         "false": sorted({name for each in known for name in each["false"]}),
-        "ratio": middle([each["ratio"] for each in known]) if known else None,
+        "ratio": middle([each["ratio"] for each in known], drawn) if known else None,
     }
 
 

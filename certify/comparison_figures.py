@@ -149,7 +149,7 @@ def _constants(result: Mapping[str, Any]) -> Picture | None:
     rows = {}
     for name, family in result["families"].items():
         known = [(row["dt"] * steps, row) for row in family["networks"]
-                 if row["dt"] and (steps := steps_of(row["K_box"][1])) is not None]  # fmt: skip
+                 if row["dt"] and (steps := steps_of(row["K_box"][1]))]  # fmt: skip
         if known:
             rows[name] = (known, max(row["dt"] for _, row in known), max(row["n"] for _, row in known))
     if not rows:

@@ -11,6 +11,7 @@ It looks like the report of a run (`usvlearn.report`), which certify may not imp
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -110,8 +111,9 @@ def markdown(
             text += ["**Proof.** " + PROOF[0], *PROOF[1:]]
         text += [f"![{drawn[name].caption}]({files.format(name)})" for name in part.pictures if name in drawn]
         text += [f"{table.title}:\n\n{_markdown_table(table)}" for table in part.tables]
-    text += ["## How it was made", _bullets(settings(result)), f"```sh\n{command}\n```"]
-    return "\n\n".join(text) + "\n"
+    text += ["## How it was made", _bullets(settings(result))]
+    plain = re.sub("<(?=[a-zA-Z/!?])", "&lt;", "\n\n".join(text))  # no name becomes a tag
+    return f"{plain}\n\n```sh\n{command}\n```\n"
 
 
 def _bullets(sentences: Sequence[str]) -> str:

@@ -119,7 +119,7 @@ def made(tmp_path_factory):
     pytest.importorskip("matplotlib")
     pytest.importorskip("cvxpy")
     folder = tmp_path_factory.mktemp("compare")
-    np.savez(folder / "own <&>|.npz", a=[0.9], w1=[1.0], W2=np.zeros((1, 4)), b=[0.5])
+    np.savez(folder / "own <b>&|.npz", a=[0.9], w1=[1.0], W2=np.zeros((1, 4)), b=[0.5])
     said = []
 
     def say(write, *arguments):
@@ -130,7 +130,7 @@ def made(tmp_path_factory):
     from certify.compare import main as compare
 
     arguments = [
-        str(folder / "own <&>|.npz"),
+        str(folder / "own <b>&|.npz"),
         *QUICK[1:],
         "--page",
         str(folder / "page"),
@@ -156,8 +156,9 @@ def test_the_terminal_says_the_result_first(made):
 
 def test_the_result_holds_all(made):
     _, result, _ = made
-    assert set(result["families"]) == {"random", "initialised", "trained", "run own <&>|"}
+    assert set(result["families"]) == {"random", "initialised", "trained", "run own <b>&|"}
     theorem = result["theorem"]
+    assert result["families"]["random"]["ratio"]["interval"] and not result["families"]["run own <b>&|"]["drawn"]
     drawn = sum(len(family["networks"]) for family in result["families"].values())
     swept = sum(row["networks"] for name in ("by_neurons", "by_signs") for row in result[name])
     assert theorem["networks"] + theorem["without_slope"] == drawn + swept and theorem["false"] == []
@@ -179,6 +180,20 @@ def test_a_theorem_that_fails_is_said_first(made):
     family = {**result["families"]["random"], "contingency": {"as given": {
         **result["families"]["random"]["contingency"]["as given"], "only_gershgorin": 2}}}  # fmt: skip
     assert "CONTRADICTS" in " ".join(parts({**result, "families": {"random": family}})[3].said)
+
+
+def test_networks_without_a_slope_and_without_a_step_are_shown(made):
+    _, result, _ = made
+    zero, one = np.zeros(2), np.ones(2)
+    for dt in (None, 0.4):
+        rows = [examine(ShallowWeights(zero, one, np.zeros((2, 1)), one), None, 0.5, dt)]
+        family = {"drawn": False, "networks": rows, "tiers": summarise(rows, False),
+                  "contingency": contingency(rows, False), **comparison_counts.of_losses(rows, False)}  # fmt: skip
+        alone = {**result, "families": {"run zero": family}}
+        text = " ".join(cell for part in parts(alone) for table in part.tables for row in table.rows for cell in row)
+        assert rows[0]["loss"] is None and "nan" not in text
+        assert set(pictures(result)) - set(pictures(alone)) == ({"constants"} if dt is None else set())
+    assert headline({**result, "theorem": {"networks": 0, "false": []}}).startswith("No network of this run has")
 
 
 class Elements(HTMLParser):
@@ -207,12 +222,13 @@ def test_the_page(made):
     assert all(link.startswith(("#", "data:")) for link in page.loaded) and "script" not in page.tags
     assert not re.search(r"url\((?!#)", whole) and "@import" not in whole
     assert len(set(page.ids)) == len(page.ids)
-    assert page.tags.count("svg") == len(pictures(result)) == 6 and "own" not in page.tags
+    assert page.tags.count("svg") == len(pictures(result)) == 6 and "b" not in page.tags
     assert text.index(headline(result)) < text.index("What does Gershgorin lose")
-    assert "own <&>|: " in text and "∎" in text and "95 %" in text
+    assert "own <b>&|: " in text and "∎" in text and "95 %" in text
     for part in parts(result):
         assert all(cell in text for table in part.tables for row in table.rows for cell in row)
     markdown = (folder / "page" / "report.md").read_text()
+    assert not re.search(r"<\w", markdown.partition("```")[0])
     assert headline(result) in markdown and "∎" in markdown
     for target in re.findall(r"\]\(([^)]+\.svg)\)", markdown):
         assert (folder / "page" / target).stat().st_size > 3000
