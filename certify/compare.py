@@ -266,6 +266,10 @@ def _theorem(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 def main(arguments: Sequence[str], say: Callable) -> int:
     """The command; returns its exit code. `say` calls what writes to standard output."""
     options = parse(arguments)
+    if options.plot is not None or options.page is not None:
+        from certify.comparison_figures import check_drawing
+
+        check_drawing(options.plot)
     if options.page is not None:
         from certify.comparison_page import check_folder
 
@@ -277,11 +281,11 @@ def main(arguments: Sequence[str], say: Callable) -> int:
         from certify.printed import show_comparison
 
         say(show_comparison, result)
-    if options.plot or options.page is not None:
+    if options.plot is not None or options.page is not None:
         from certify.comparison_figures import pictures, save_all
 
         drawn = pictures(result)
-        if options.plot:
+        if options.plot is not None:
             save_all(drawn, Path(options.plot))
         if options.page is not None:
             from certify.comparison_page import write

@@ -12,6 +12,7 @@ import numpy as np
 
 from certify.comparison_counts import GAUGED, SEEN, TIERS, steps_of
 from certify.comparison_tables import TIMES, limit
+from certify.errors import CertifyError
 from certify.figures import INK, PALE, TIER_COLOURS, blank, save
 
 COLOURS = {**TIER_COLOURS, **{GAUGED[name]: TIER_COLOURS[name] for name in GAUGED}}
@@ -45,6 +46,17 @@ def pictures(result: Mapping[str, Any]) -> dict[str, Picture]:
     }  # fmt: skip
     drawn = {name: draw(result) for name, draw in drawings.items()}
     return {name: picture for name, picture in drawn.items() if picture is not None}
+
+
+def check_drawing(path: str | None) -> None:
+    """Check before the work that pictures can be drawn, and written to files such as `path`.
+
+    Raises:
+        CertifyError: matplotlib is not installed, or the path's ending is no format of it.
+    """
+    known = blank("a picture of the comparison").canvas.get_supported_filetypes()
+    if path is not None and Path(path).suffix.lstrip(".").lower() not in known:
+        raise CertifyError(f"--plot: found {path!r}, expected a file such as compare.png or compare.pdf")
 
 
 def save_all(drawn: Mapping[str, Picture], path: Path) -> None:
@@ -108,7 +120,7 @@ def _neurons(result: Mapping[str, Any]) -> Picture | None:
         names.append((middle[-1], tier, COLOURS[tier]))
         heights += middle
     axes.set(xscale="log", yscale="log", ylim=(0.85, 1.25 * max(heights)))
-    _ticks(axes.set_xticks, [row["n"] for row in rows])
+    _ticks(axes.set_xticks, apart([row["n"] for row in rows]))
     _ticks(axes.set_yticks, [y for y in (1, 2, 4, 8, 16, 32, 64, 128, 256) if y < 1.25 * max(heights)])
     axes.minorticks_off()
     _name_ends(axes, names)
@@ -212,7 +224,7 @@ def _times(result: Mapping[str, Any]) -> Picture | None:
                 [row["n"]], [row["box"]], "o", color=COLOURS["box"], markerfacecolor="white", markersize=6, zorder=5
             )
     axes.set(xscale="log", yscale="log", ylim=(0.6 * min(heights), 1.8 * max(heights)))
-    _ticks(axes.set_xticks, [row["n"] for row in result["timings"]])
+    _ticks(axes.set_xticks, apart([row["n"] for row in result["timings"]]))
     _time_ticks(axes, heights)
     axes.minorticks_off()
     _name_ends(axes, names)
@@ -268,6 +280,21 @@ def _plain(axes) -> None:
 
 def _ticks(put: Callable, places: Sequence[float]) -> None:
     put(places, [f"{x:g}" for x in places])
+
+
+def apart(sizes: Sequence[int]) -> list[int]:
+    """Those of the sizes whose labels do not touch on a logarithmic axis; the greatest is one of them.
+
+    >>> apart([5, 10, 20, 50, 95, 100, 105])
+    [5, 10, 20, 50, 105]
+    """
+    ordered = sorted(set(sizes), reverse=True)
+    least = 0.07 * math.log(ordered[0] / ordered[-1])
+    kept = ordered[:1]
+    for n in ordered[1:]:
+        if math.log(kept[-1] / n) >= least:
+            kept.append(n)
+    return kept[::-1]
 
 
 def _time_ticks(axes, heights: Sequence[float]) -> None:

@@ -309,7 +309,9 @@ def _times(result: Mapping[str, Any]) -> Part:
             f"time of the closed form, which says the same, for n = {solved[0]['n']} to {solved[-1]['n']}."
         )
         if shares := [row["solver"] / row["lmi_again"] for row in solved if row["solver"] is not None]:
-            said.append(f"The solver itself needs {100 * min(shares):.0f} to {100 * max(shares):.0f} % of its wall time.")
+            said.append(
+                f"The solver itself needs {100 * min(shares):.0f} to {100 * max(shares):.0f} % of its wall time."
+            )
     said.append("All but the search on a box see a and w₁ alone, so that their time does not depend on m.")
     late = [str(row["m"]) for row in result["box_times"] if row["closed"] < len(row["seconds"])]
     said.append(

@@ -5,6 +5,7 @@ import io
 import itertools
 import json
 import re
+import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -241,24 +242,27 @@ def test_the_page(made):
     ]
 
 
-def test_no_picture_has_an_empty_panel_or_ticks_that_touch(made):
+@pytest.mark.parametrize("sizes", [(4, 8), (95, 100, 105, 500), (7,)])
+def test_no_picture_has_an_empty_panel_or_texts_that_touch(made, sizes):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    _, result, _ = made
+    result = dict(made[1])
+    for key in ("by_neurons", "timings"):  # other sizes in place of the measured ones
+        families = dict.fromkeys(row.get("family") for row in result[key])
+        first = {family: next(row for row in result[key] if row.get("family") == family) for family in families}
+        result[key] = [{**row, "n": n} for row in first.values() for n in sizes]
     for name, (figure, caption) in pictures(result).items():
         assert caption.endswith(".")
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         renderer = canvas.get_renderer()
         for axes in figure.axes:
-            drawn = [len(line.get_xdata()) for line in axes.lines if line.axes is axes]
-            assert sum(drawn) > 1 or axes.collections, name
-            for axis in (axes.xaxis, axes.yaxis):
-                shown = [label for label in axis.get_ticklabels() if label.get_text()]
-                boxes = [label.get_window_extent(renderer) for label in shown]
-                assert not any(one.overlaps(two) for k, one in enumerate(boxes) for two in boxes[k + 1 :]), name
-            texts = [text.get_window_extent(renderer) for text in axes.texts if text.get_transform() == axes.transAxes]
-            assert not any(one.overlaps(two) for k, one in enumerate(texts) for two in texts[k + 1 :]), name
+            assert sum(len(line.get_xdata()) for line in axes.lines) > 1, name
+            groups = [axis.get_ticklabels() for axis in (axes.xaxis, axes.yaxis)]
+            groups.append([text for text in axes.texts if text.get_transform() == axes.transAxes])
+            for texts in groups:
+                boxes = [text.get_window_extent(renderer) for text in texts if text.get_text()]
+                assert not any(one.overlaps(two) for one, two in itertools.combinations(boxes, 2)), name
             if legend := axes.get_legend():  # beside the axes, not across their lines
                 assert legend.get_window_extent(renderer).x0 >= axes.get_window_extent(renderer).x1, name
 
@@ -359,6 +363,8 @@ def test_folders_that_are_no_run_have_no_steps(tmp_path):
         (["--page", "{file}"], "--page: found"),
         (["--page", "{other}"], "holds something that is no page"),
         (["--page", "{file}/below"], "cannot be made"),
+        (["--plot", ""], "--plot: found ''"),
+        (["--plot", "picture.xyz"], "expected a file such as compare.png"),
     ],
 )
 def test_bad_input_is_told_before_the_work(tmp_path, capsys, arguments, words):
@@ -370,6 +376,13 @@ def test_bad_input_is_told_before_the_work(tmp_path, capsys, arguments, words):
     error = capsys.readouterr().err
     assert error.startswith("error: ") and words in error and error.count("\n") == 1
     assert (tmp_path / "other" / "thesis.tex").read_text() == "x"
+
+
+def test_a_page_without_matplotlib_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert main([*QUICK, "--page", str(tmp_path / "page")]) == 2
+    error = capsys.readouterr().err
+    assert "needs matplotlib: run `pip install 'usvlearn[plot]'`" in error and not (tmp_path / "page").exists()
 
 
 def test_without_a_solver(tmp_path, capsys, monkeypatch):
