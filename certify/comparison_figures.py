@@ -133,7 +133,9 @@ def _neurons(result: Mapping[str, Any]) -> Picture | None:
 
 def _shares(result: Mapping[str, Any]) -> Picture | None:
     families = result["families"]
-    figure = blank("the pictures of the comparison", figsize=(WIDTH, 3.6), dpi=110, layout="constrained")
+    width = WIDTH * max(1.0, (1 + len(families)) / 6)
+    figure = blank("the pictures of the comparison", figsize=(width, 3.7), dpi=110, layout="constrained")
+    figure.supxlabel("share of the networks that are certified, %", fontsize=SMALL + 1, color=INK)
     panels = figure.subplots(1, len(families), sharey=True, squeeze=False)[0]
     for axes, (name, family) in zip(panels, families.items(), strict=True):
         for k, tier in enumerate(TIERS):
@@ -145,7 +147,7 @@ def _shares(result: Mapping[str, Any]) -> Picture | None:
             hollow = {"markerfacecolor": "white"} if tier in GAUGED.values() else {}
             axes.plot([share], [k], "o", color=COLOURS[tier], markersize=6.5, clip_on=False, zorder=4, **hollow)
         axes.set(xlim=(-4, 104), ylim=(len(TIERS) - 0.5, -0.5))
-        axes.set_xticks([0, 50, 100], ["0", "50", "100 %"])
+        axes.set_xticks([0, 50, 100])
         axes.set_yticks(range(len(TIERS)), TIERS)
         _plain(axes)
         axes.tick_params(axis="y", length=0)

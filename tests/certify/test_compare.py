@@ -256,6 +256,8 @@ def test_no_picture_has_an_empty_panel_or_texts_that_touch(made, sizes):
         canvas = FigureCanvasAgg(figure)
         canvas.draw()
         renderer = canvas.get_renderer()
+        across = [text.get_window_extent(renderer) for axes in figure.axes for text in axes.get_xticklabels()]
+        assert not any(one.overlaps(two) for one, two in itertools.combinations(across, 2)), name
         for axes in figure.axes:
             assert sum(len(line.get_xdata()) for line in axes.lines) > 1, name
             groups = [axis.get_ticklabels() for axis in (axes.xaxis, axes.yaxis)]
