@@ -45,7 +45,9 @@ INPUTS = (1, 2, 3, 4, 5, 6, 8)  # m, of the box search
 SEARCHED = 5  # networks for each m
 ROUNDS = 5  # in which the LMI and the closed form are timed in turn
 DT = 0.4  # s, of the trained networks
-QUICK = {"networks": 8, "neurons": 6, "sizes": "4,8", "largest": 8, "seconds": 0.2}  # of --quick
+USUAL = {"networks": 60, "neurons": 20, "sizes": "5,10,20,50,100,200,500", "largest": 100, "seconds": 2.0,
+         "training": 3000}  # fmt: skip
+QUICK = {"networks": 8, "neurons": 6, "sizes": "4,8", "largest": 8, "seconds": 0.2, "training": 500}  # of --quick
 
 
 class Family(NamedTuple):
@@ -209,7 +211,7 @@ def study(options: argparse.Namespace) -> dict[str, Any]:
     families = {
         "random": Family(random_networks(count, n, rng), [None] * count, True),
         "initialised": Family(initial_networks(count, n, rng), [None] * count, True),
-        "trained": Family(trained_networks(count, n, rng, dt), [dt] * count, True),
+        "trained": Family(trained_networks(count, n, rng, dt, options.training), [dt] * count, True),
     }
     for run in runs:
         families[f"run {run.name}"] = Family([each.weights for each in run.networks], run.steps, False)
@@ -311,6 +313,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--sizes", help="n that are compared and timed (default: 5,10,20,50,100,200,500)")
     parser.add_argument("--largest", type=int, help="n up to which the LMI is solved (default: 100)")
     parser.add_argument("--seconds", type=float, help="of each search on a box (default: 2)")
+    parser.add_argument("--training", type=int, help="steps of Adam of the trained networks (default: 3000)")
     parser.add_argument("--quick", action="store_true", help="all, on few small networks: whether it runs")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--solver", default="CLARABEL", help="a name that cvxpy knows (default: CLARABEL)")
@@ -326,13 +329,12 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
     parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
     options = parser.parse_args(arguments)
-    usual = {"networks": 60, "neurons": 20, "sizes": "5,10,20,50,100,200,500", "largest": 100, "seconds": 2.0}
-    for name, value in (usual | (QUICK if options.quick else {})).items():
+    for name, value in (USUAL | (QUICK if options.quick else {})).items():
         if getattr(options, name) is None:
             setattr(options, name, value)
     if options.seed < 0:
         raise CertifyError(f"--seed: found {options.seed}, expected a whole number of 0 or more")
-    for name in ("networks", "sets", "neurons", "dt", "seconds"):
+    for name in ("networks", "sets", "neurons", "dt", "seconds", "training"):
         value = getattr(options, name)
         if value is not None and not 0 < value < math.inf:
             raise CertifyError(f"--{name}: found {value}, expected a number above 0")

@@ -109,7 +109,8 @@ def markdown(
         text += [f"## {part.title}", _bullets(part.said)]
         if part.key == "gauge":
             text += ["**Proof.** " + PROOF[0], *PROOF[1:]]
-        text += [f"![{drawn[name].caption}]({files.format(name)})" for name in part.pictures if name in drawn]
+        shown = [name for name in part.pictures if name in drawn]
+        text += [f"![{part.title}]({files.format(name)})\n\n*{drawn[name].caption}*" for name in shown]
         text += [f"{table.title}:\n\n{_markdown_table(table)}" for table in part.tables]
     text += ["## How it was made", _bullets(settings(result))]
     plain = re.sub("<(?=[a-zA-Z/!?])", "&lt;", "\n\n".join(text))  # no name becomes a tag

@@ -107,7 +107,11 @@ def parts(result: Mapping[str, Any]) -> list[Part]:
 
 def _theorem(result: Mapping[str, Any]) -> Part:
     theorem, steps = result["theorem"], "fails" if result["theorem"]["false"] else "holds"
-    said = [STATEMENT]
+    said = [
+        STATEMENT,
+        "Why: in its best gauge, |w_{1i}| = ½, Gershgorin's smallest rate is 2σ, σ = Σ|s_i| = P + N. The LMI's is 2K, "
+        "K = max(P, N). P and −N are the sums of the positive and of the negative s_i = a_i w_{1i}.",
+    ]
     said.append(
         f"Each step of the proof {steps} on all {theorem['networks']:,} networks with a slope, evaluated in fractions; "
         f"{theorem['one_sign']:,} of them have s_i of one sign."
@@ -125,7 +129,7 @@ def _theorem(result: Mapping[str, Any]) -> Part:
         for row in result["by_signs"]
     ]
     rows += [
-        [f"as drawn ({name})", _sizes(each["networks"]), str(each["with_slope"]), *_spread(each["ratio"])]
+        [f"{name}, as they are", _sizes(each["networks"]), str(each["with_slope"]), *_spread(each["ratio"])]
         for name, each in result["families"].items()
     ]
     table = Table(
