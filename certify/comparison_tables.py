@@ -208,6 +208,10 @@ def _shares(result: Mapping[str, Any]) -> Part:
         found["disagreements"] for family in result["families"].values() for found in family["tiers"].values()
         if found["disagreements"] is not None
     ]  # fmt: skip
+    if left := sum(not row["closed"] for family in result["families"].values() for row in family["networks"]):
+        said.append(
+            f"Of {left} networks the rate on the box was not found in {result['seconds']:g} s; its upper bound counts."
+        )
     if wrong:
         said.append(f"The solver and the closed forms disagree in {sum(wrong)} verdicts.")
     return Part("shares", "How many networks does each condition certify?", said, tables, ["shares"])
