@@ -52,8 +52,8 @@ table { border-collapse: collapse; font-size: .85rem; } th, td { padding: .2rem 
   border-bottom: 1px solid var(--line); white-space: nowrap; } .n { text-align: right;
   font-variant-numeric: tabular-nums; } thead th { position: sticky; top: 0; background: var(--page); }
 tbody th { font-weight: 600; }
-.beside { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(34rem, 100%), 1fr)); gap: 0 1.5rem; }
-.beside > div { min-width: 0; }
+.beside { display: flex; flex-wrap: wrap; gap: 0 2.5rem; }
+.beside > div { max-width: 100%; }
 .rows { max-height: 30rem; overflow: auto; }
 pre { background: var(--card); padding: .7rem 1rem; overflow-x: auto; border-radius: .5rem; font-size: .85rem; }
 @media (max-width: 52rem) { body { padding: .6rem .8rem; } }
