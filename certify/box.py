@@ -7,7 +7,7 @@ At fixed u each z_i with s_i ≠ 0 changes sign at one x. So every slope of x �
 the least rate with |f(x₁, u) − f(x₂, u)| ≤ K_box |x₁ − x₂| on the box. A cell whose closure only touches the box does
 not count. An input of zero width is fixed: cells are then open in x and the other inputs. x itself has a width.
 
-The searches are in `certify.box_search` and `certify.box_cells`; `certify.box_proof` proves the result, in integers.
+`certify.box_slopes` chooses the search; `certify.box_proof` proves the result, in integers.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify.box_cells import search_slopes
-from certify.box_planes import Box, slope_at, value_at
+from certify.box_planes import Box, planes, slope_at, value_at
 from certify.box_proof import proves, proves_range
 from certify.box_search import BOXES, REPLAYED, Search, forms_of, search_range
+from certify.box_slopes import search_slopes
 from certify.errors import CertifyError
 from certify.rounding import float_below
 from certify.weights import ShallowWeights, check
@@ -130,8 +130,8 @@ def rate(weights: ShallowWeights, box: Box, gap: float = 1e-6, seconds: float = 
     """
     started = time.perf_counter()
     weights = _checked(weights, box)
-    forms = forms_of(weights, box)
-    search = Search(lambda best: best + max(gap * best, forms.slack), math.inf, started + seconds)
+    forms = forms_of(planes(weights, box), box)
+    search = Search(lambda best: best + max(gap * best, forms.slack), math.inf, started + seconds, proof=False)
     search_slopes(search, forms, box, 10 * BOXES)
     seen = _witness(weights, search.point)
     lower = abs(seen.slope) if seen else 0.0
@@ -160,7 +160,7 @@ def certify(weights: ShallowWeights, box: Box, rate: float = 1.0, seconds: float
     weights = _checked(weights, box)
     if not (rate > 0 and math.isfinite(rate)):
         raise CertifyError(f"rate: found {rate}, expected a number above 0")
-    forms = forms_of(weights, box)
+    forms = forms_of(planes(weights, box), box)
     search = Search(_constant(np.nextafter(float(rate), 0.0)), float(rate), started + 0.7 * seconds)
     search_slopes(search, forms, box, int(REPLAYED * seconds))
     seen = _witness(weights, search.point)

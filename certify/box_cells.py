@@ -1,10 +1,10 @@
-"""The search of `certify.box` for the greatest slope: branch and bound over boxes, then over cells.
+"""The search of `certify.box` for the greatest slope over cells, where halving boxes is not enough.
 
 Halving never ends at a point where more hyperplanes meet than there are coordinates: all of them cross every box around
 it, although not all of their sign patterns occur. A small box is therefore split into cells, by the sign of one z at a
 time. A linear program finds a point with the signs of a cell, or multipliers that prove that there is none. Its data
 are computed in integers and rounded once, so a box may have any size. Where hyperplanes meet in a point, the
-multipliers must cancel exactly, and they are solved for in fractions. With many inputs cells are better than boxes.
+multipliers must cancel exactly, and they are solved for in fractions.
 """
 
 from __future__ import annotations
@@ -18,32 +18,10 @@ from fractions import Fraction
 import numpy as np
 
 from certify.box_planes import Box, Planes, Region, excluded, region
-from certify.box_search import BOXES, CLIMBERS, LEFT, Forms, Search, climb, slope_bounds, slopes_at
+from certify.box_search import Forms, Search, slopes_at
 
-FEW_BOXES = 500  # boxes tried before cells, if there are many inputs
-CELLED = 30  # hyperplanes up to which the cells of a whole box are tried
-SMALL = 2.0**-16  # share of the whole box's width down to which boxes are halved
-MANY = 7  # with this many free coordinates or more, cells are better than boxes
 FAINT = 1e-9  # relative size below which a solver's number counts as zero
 SHORT = (16, 4096, 10**8)  # denominators to which multipliers are rounded, to keep a proof short
-
-
-def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
-    """Search max |slope|: at most `most` boxes, then the cells of the open boxes, or of the whole box."""
-    G, rng = len(forms.c), np.random.default_rng(0)
-    bound, halve = slope_bounds(forms)
-    search.reached(*climb(forms, box, rng.uniform(box.lo, box.hi, (CLIMBERS, len(box.lo)))))
-    many = int((box.lo < box.hi).sum()) >= MANY
-    most = min(most, FEW_BOXES if many else min(BOXES, 16 << min(G, 20)) if G <= CELLED else most)
-    queue = search.boxes(bound, halve, lambda y: climb(forms, box, y), box, G, most, SMALL)
-    search.open = queue[0].max(initial=-math.inf)
-    if len(queue[0]) and not search.over():
-        if len(queue[0]) > LEFT:
-            search.limit, search.closed = search.upper(), -math.inf
-            search.count, search.halvings = 1, []
-            signs = np.zeros((1, G), np.int8)
-            queue = [np.full(1, search.limit), box.lo[None], box.hi[None], signs, np.zeros(1, np.int64)]
-        search_cells(search, forms, queue, rng)
 
 
 def search_cells(search: Search, forms: Forms, queue: list[np.ndarray], rng: np.random.Generator) -> None:

@@ -177,9 +177,17 @@ def excluded(found: Planes, region: Region, multipliers: dict[int, int]) -> bool
     """Whether Σ μ_g z_g ≤ 0 on a whole box, so that no point in it has all z_g of the sign of μ_g; plane: μ."""
     if not multipliers or not all(multipliers.values()):
         return False
-    row = [sum(mu * found.rows[g][j] for g, mu in multipliers.items()) for j in range(len(region.lo))]
-    constant = sum(mu * found.constants[g] for g, mu in multipliers.items())
-    return region.extremes(row, constant)[1] <= 0
+    return region.extremes(*combined(found, multipliers))[1] <= 0
+
+
+def combined(found: Planes, multipliers: dict[int, int]) -> tuple[list[int], int]:
+    """Σ μ_g z_g as a row and a constant; plane: μ, at least one.
+
+    >>> combined(Planes([0, 1], [[1], [3]], [0, 2], [1, 1], [0, 0], 0, 0), {0: -1, 1: 2})
+    ([5], 4)
+    """
+    columns = zip(*([mu * k for k in found.rows[g]] for g, mu in multipliers.items()), strict=True)
+    return list(map(sum, columns)), sum(mu * found.constants[g] for g, mu in multipliers.items())
 
 
 def _preactivations(weights: ShallowWeights, point: Any) -> tuple[list[int], int]:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from certify.box_planes import Box, Planes, planes, region
+from certify.box_planes import Box, Planes, region
 from certify.weights import ShallowWeights
 
 BATCH = 256  # boxes halved at once
@@ -39,8 +39,9 @@ class Forms(NamedTuple):
     planes: Planes  # these alone
 
 
-def forms_of(weights: ShallowWeights, box: Box) -> Forms:
-    found, here = planes(weights, box), region(box)
+def forms_of(found: Planes, box: Box) -> Forms:
+    """The planes that cross a box of any number of coordinates, in floats; the others are counted in the start."""
+    here = region(box)
     crossing, start = [], 0
     for g, (row, constant, above, below) in enumerate(zip(*found[1:5], strict=True)):
         least, most = here.extremes(row, constant)
@@ -70,7 +71,7 @@ def forms_of(weights: ShallowWeights, box: Box) -> Forms:
 class Search:
     """Branch and bound: the tree so far, the best value so far, and the open leaves."""
 
-    def __init__(self, threshold: Callable[[float], float], target: float, end: float):
+    def __init__(self, threshold: Callable[[float], float], target: float, end: float, proof: bool = True):
         self.threshold = threshold  # a bound up to threshold(best) needs no further split
         self.target = target  # a best of this or more ends the search
         self.end = end  # of time
@@ -83,6 +84,7 @@ class Search:
         self.splits: dict[int, tuple[str, int]] = {}  # node: token, first child
         self.halvings: list[tuple[np.ndarray, ...]] = []  # the same of many boxes each: nodes, tokens, first children
         self.leaves: dict[int, str] = {}  # proofs of the leaves that are not "."
+        self.proof = proof  # whether the tree is needed
 
     def over(self) -> bool:
         return self.best >= self.target or time.perf_counter() > self.end
@@ -94,6 +96,11 @@ class Search:
         k = int(values.argmax())
         if values[k] > self.best:
             self.best, self.point = float(values[k]), points[k].copy()
+
+    def restart(self) -> None:
+        """Forget the tree; the bound that it has reached stays."""
+        self.limit, self.closed, self.open = self.upper(), -math.inf, -math.inf
+        self.count, self.halvings, self.splits, self.leaves = 1, [], {}, {}
 
     def text(self) -> str:
         """The tree in preorder."""

@@ -86,6 +86,7 @@ CERTIFY = {
         "certify.vector_projections",
     },
     "scipy": {"certify.box_cells", "certify.vector_lmi", "certify.vector_scaling"},
+    "highspy": {"certify.box_duals"},
     "cvxpy": {"certify.lmi"},
     "clarabel": {"certify.vector_lmi"},
     "matplotlib": {"certify.figures"},

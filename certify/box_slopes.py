@@ -1,0 +1,56 @@
+"""Which search `certify.box` makes for the greatest slope: over boxes, over cells, or by linear programs.
+
+Boxes are halved fastest (`certify.box_search`), but their number grows exponentially with the coordinates, and where
+hyperplanes meet in a point halving would not end. So few boxes are tried where the coordinates are many; then the whole
+box is split into cells, by linear programs over all of its planes if the package `highspy` is installed
+(`certify.box_duals`), else by `certify.box_cells`. The same bound and the same proof result, later or with a wider gap.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+
+import numpy as np
+
+from certify.box_cells import search_cells
+from certify.box_duals import search_duals
+from certify.box_planes import Box
+from certify.box_search import BOXES, CLIMBERS, LEFT, Forms, Search, climb, slope_bounds
+
+FEW_BOXES = 500  # boxes tried before cells, if there are many inputs
+CELLED = 30  # hyperplanes up to which the cells of a whole box are tried
+SMALL = 2.0**-16  # share of the whole box's width down to which boxes are halved
+MANY = 7  # with this many free coordinates or more, cells are better than boxes
+
+
+def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
+    """Search max |slope|: at most `most` boxes, then the cells of the open boxes, or of the whole box.
+
+    Args:
+        search: what is known; it receives the tree, the best point and the bounds.
+        forms: the planes, over any number of coordinates.
+        box: of these coordinates.
+        most: boxes tried.
+    """
+    G, rng = len(forms.c), np.random.default_rng(0)
+    bound, halve = slope_bounds(forms)
+    search.reached(*climb(forms, box, rng.uniform(box.lo, box.hi, (CLIMBERS, len(box.lo)))))
+    many = int((box.lo < box.hi).sum()) >= MANY
+    most = min(most, FEW_BOXES if many else min(BOXES, 16 << min(G, 20)) if G <= CELLED else most)
+    queue = search.boxes(bound, halve, lambda y: climb(forms, box, y), box, G, most, SMALL)
+    search.open = queue[0].max(initial=-math.inf)
+    if not len(queue[0]) or search.over():
+        return
+    if len(queue[0]) > LEFT:
+        search.restart()
+        if many and installed() and search_duals(search, forms, box, rng):
+            return
+        signs = np.zeros((1, G), np.int8)
+        queue = [np.full(1, search.limit), box.lo[None], box.hi[None], signs, np.zeros(1, np.int64)]
+    search_cells(search, forms, queue, rng)
+
+
+def installed() -> bool:
+    """Whether the solver of `certify.box_duals` can be imported."""
+    return importlib.util.find_spec("highspy") is not None
