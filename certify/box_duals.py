@@ -1,7 +1,7 @@
 """The search of `certify.box` for the greatest slope by linear programs, for boxes of many coordinates.
 
 In a cell some z_i ("parted") have known signs and the others ("free") any. On each side of the slope planes are turned
-so that z_i > 0 adds a gain g_i ≥ 0. With L_i = min z_i < 0 over the box, free planes and parted ones, on or off, satisfy
+so that z_i > 0 adds a gain g_i ≥ 0. With L_i = min z_i < 0 over the box, free planes and parted ones (on, off) satisfy
 
     g_i [z_i > 0] ≤ g_i + μ_i z_i,  0 ≤ μ_i ≤ g_i/|L_i|;        0 ≤ μ_i z_i,  μ_i ≥ 0 (on) or μ_i ≤ 0 (off)       (1)
     slope ≤ start + Σ_{free, on} g_i + min_μ max_box Σ μ_i z_i                                                   (2)
@@ -31,7 +31,8 @@ from certify.box_search import EPS, Forms, Search, climb, slopes_at
 
 CAP = 100.0  # the largest μ tried, in the solver's units
 STARTS = 256  # points from which the search for a high slope begins
-CLIMBED = 16  # points that the programs find before the search climbs from them
+ROUNDED = 5  # a high slope is sought from the point of every fifth program
+CLIMBED = 16  # and by climbing after so many such points
 WHOLE = 1e-7  # a plane's share below which it counts as on, and above one minus which as off
 FINEST = 60  # bits to which multipliers are rounded at most
 
@@ -131,7 +132,7 @@ class _Cells:
     def __init__(self, search: Search, forms: Forms, box: Box, rng: np.random.Generator):
         self.search, self.forms, self.box, self.rng = search, forms, box, rng
         self.heap: list[tuple[float, int, Node]] = []
-        self.tie, self.stuck = itertools.count(), -math.inf
+        self.tie, self.stuck, self.popped = itertools.count(), -math.inf, 0
         self.seen: list[np.ndarray] = []  # points of programs, from which to climb
 
     def run(self, sides: list[Side]) -> None:
@@ -148,7 +149,9 @@ class _Cells:
             z = side.heights + side.rows @ node.v
             share = np.where(node.signs == 0, np.clip(z / side.floor, 0, 1), 0.0)  # by which a free plane is off
             score = side.gain * share * (1 - share)
-            self.climb_from(node, z)
+            if self.popped % ROUNDED == 0:
+                self.climb_from(node, z)
+            self.popped += 1
             if score.max() > WHOLE * side.unit:
                 self.split(node, int(score.argmax()), -bound)
             else:

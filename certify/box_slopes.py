@@ -1,9 +1,10 @@
 """Which search `certify.box` makes for the greatest slope: over boxes, over cells, or by linear programs.
 
-Boxes are halved fastest (`certify.box_search`), but their number grows exponentially with the coordinates, and where
-hyperplanes meet in a point halving would not end. So few boxes are tried where the coordinates are many; then the whole
-box is split into cells, by linear programs over all of its planes if the package `highspy` is installed
-(`certify.box_duals`), else by `certify.box_cells`. The same bound and the same proof result, later or with a wider gap.
+Boxes are halved fastest (`certify.box_search`), but their number grows exponentially with the coordinates d, and where
+hyperplanes meet in a point halving would not end. A program's time grows with the G hyperplanes and hardly with d. The
+rule is measured (docs/benchmarks/box.md): for d ≥ 7 and G ≤ 2^d few boxes are tried; then the whole box is split into
+cells, by linear programs over all of its planes (`certify.box_duals`). Without the package `highspy` these cells are
+split by `certify.box_cells`: what is proved is as true, but the gap is wider, or is closed later.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from certify.box_search import BOXES, CLIMBERS, LEFT, Forms, Search, climb, slop
 FEW_BOXES = 500  # boxes tried before cells, if there are many inputs
 CELLED = 30  # hyperplanes up to which the cells of a whole box are tried
 SMALL = 2.0**-16  # share of the whole box's width down to which boxes are halved
-MANY = 7  # with this many free coordinates or more, cells are better than boxes
+MANY = 7  # free coordinates from which on cells are better than boxes, with up to 2^coordinates hyperplanes
 
 
 def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
@@ -36,7 +37,7 @@ def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
     G, rng = len(forms.c), np.random.default_rng(0)
     bound, halve = slope_bounds(forms)
     search.reached(*climb(forms, box, rng.uniform(box.lo, box.hi, (CLIMBERS, len(box.lo)))))
-    many = int((box.lo < box.hi).sum()) >= MANY
+    many = cells_are_better(int((box.lo < box.hi).sum()), G)
     most = min(most, FEW_BOXES if many else min(BOXES, 16 << min(G, 20)) if G <= CELLED else most)
     queue = search.boxes(bound, halve, lambda y: climb(forms, box, y), box, G, most, SMALL)
     search.open = queue[0].max(initial=-math.inf)
@@ -49,6 +50,15 @@ def search_slopes(search: Search, forms: Forms, box: Box, most: int) -> None:
         signs = np.zeros((1, G), np.int8)
         queue = [np.full(1, search.limit), box.lo[None], box.hi[None], signs, np.zeros(1, np.int64)]
     search_cells(search, forms, queue, rng)
+
+
+def cells_are_better(coordinates: int, hyperplanes: int) -> bool:
+    """Whether a whole box is split into cells after a few boxes.
+
+    >>> cells_are_better(5, 20), cells_are_better(7, 100), cells_are_better(7, 200), cells_are_better(9, 200)
+    (False, True, False, True)
+    """
+    return coordinates >= MANY and hyperplanes <= 2**coordinates
 
 
 def installed() -> bool:
