@@ -207,7 +207,8 @@ def loaded(code: str) -> set[str]:
     return set(done.stdout.splitlines()[-1].split())
 
 
-HEAVY = {"torch", "scipy", "matplotlib", "tensorboard", "numba", "rosbags", "cvxpy", "clarabel", "optuna"}
+HEAVY = {"torch", "scipy", "matplotlib", "tensorboard", "numba", "rosbags", "cvxpy", "clarabel", "highspy",
+         "optuna"}  # fmt: skip
 
 
 def test_the_package_is_imported_at_no_cost():

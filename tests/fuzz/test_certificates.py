@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from certify import certificate, exact
+from certify import box_slopes, certificate, exact
 from certify.box import certify, operating_box
 from certify.box_planes import Box, planes
 from certify.box_proof import proves
@@ -32,6 +32,11 @@ TOKENS = (
     "e0:1,1:-1,2:3",
     "e",
     "e0:0",
+    "s",
+    "d1",
+    "d2,0:1",
+    "d4,0:3,1:-1",
+    "d0,0:1",
     "y",
     "",
 )
@@ -217,8 +222,13 @@ def test_a_damaged_file_is_read_or_refused_in_one_sentence(rng, cases, tmp_path)
 
 
 @pytest.mark.fuzz(cases=1_000, slow=100_000)
-def test_no_tree_proves_a_rate_that_is_reached(rng, cases):
+@pytest.mark.parametrize("programs", [False, True], ids=["boxes", "programs"])
+def test_no_tree_proves_a_rate_that_is_reached(rng, cases, programs, monkeypatch):
     """Trees at random and honest trees changed, of the right tokens, at the exact rate and just above it."""
+    if programs:
+        pytest.importorskip("highspy")
+        for name, value in (("cells_are_better", lambda *counts: True), ("FEW_BOXES", 0), ("LEFT", 0)):
+            monkeypatch.setattr(box_slopes, name, value)
     tried = proved = 0
     while tried < cases:
         weights = draw(rng)
@@ -227,12 +237,23 @@ def test_no_tree_proves_a_rate_that_is_reached(rng, cases):
         if not truth:
             continue
         neurons = planes(weights, box).neuron
-        splits = ["x", *(f"u{j}" for j in range(1, len(box.lo))), *(f"z{k}" for k in neurons)]
+        splits = ["s", "x", *(f"u{j}" for j in range(1, len(box.lo))), *(f"z{k}" for k in neurons)]
         honest = certify(weights, box, float(truth) * (1 + 1e-9), 20.0).tree.split()
 
         def leaf(neurons=neurons):
             chosen = rng.permutation(neurons)[: rng.integers(1, 4)]
-            return "." if rng.random() < 0.4 else "e" + ",".join(f"{k}:{rng.choice([-2, -1, 1, 2])}" for k in chosen)
+            pairs = ",".join(f"{k}:{rng.choice([-2, -1, 1, 2])}" for k in chosen)
+            return str(rng.choice([".", f"e{pairs}", f"d{rng.choice([1, 4, 16])},{pairs}"]))
+
+        def shifted(token):
+            """A leaf of multipliers with one of them changed a little."""
+            k = int(rng.integers(token.count(":"))) + 1 if ":" in token else 0
+            head, *tail = token.split(":")
+            parts = [head, *tail]
+            if k:
+                number, comma, rest = parts[k].partition(",")
+                parts[k] = str(int(number) + int(rng.choice([-1, 1, 3]))) + comma + rest
+            return ":".join(parts)
 
         def grown(depth, splits=splits, leaf=leaf):
             if depth == 0 or rng.random() < 0.2:
@@ -243,7 +264,8 @@ def test_no_tree_proves_a_rate_that_is_reached(rng, cases):
             tokens = list(honest)
             for _ in range(int(rng.integers(1, 4))):
                 k = int(rng.integers(len(tokens)))
-                tokens[k : k + 1] = [leaf()] if tokens[k][0] in ".e" and rng.random() < 0.7 else grown(2)
+                changed = [shifted(tokens[k])] if rng.random() < 0.5 else [leaf()]
+                tokens[k : k + 1] = changed if tokens[k][0] in ".ed" and rng.random() < 0.7 else grown(2)
             for tree in (" ".join(tokens), " ".join(grown(int(rng.integers(1, 5))))):
                 assert not proves(weights, box, tree, truth), (weights, tree)
                 proved += proves(weights, box, tree, truth * (1 + Fraction(1, 10**9)))
