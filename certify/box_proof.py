@@ -41,7 +41,7 @@ DIGITS = 1500  # of a multiplier
 WORK = 4_000_000  # bounds of hyperplanes in a replay, about 2 s
 CHORD = 64  # bits of a chord's slope, rounded up
 MULTIPLIER = re.compile(rf"([0-9]{{1,9}}):(-?[0-9]{{1,{DIGITS}}})")
-DIVISOR = re.compile(rf"0*[1-9][0-9]{{0,{DIGITS - 1}}}")
+DIVISOR = re.compile(rf"[1-9][0-9]{{0,{DIGITS - 1}}}")
 
 
 def proves(weights: ShallowWeights, box: Box, tree: str, rate: float | Fraction) -> bool:

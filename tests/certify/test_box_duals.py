@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from certify import box_slopes
-from certify.box import certify, operating_box, rate
+from certify.box import box, certify, operating_box, rate
 from certify.box_planes import Box, Planes, planes
 from certify.box_proof import proves, proves_sum
 from certify.box_search import Search, forms_of
@@ -151,6 +151,8 @@ def test_a_tampered_proof_by_programs_is_refused(duals):
             "d",
             "d0," + ",".join(pairs),
             "d-" + token[1:],
+            "d0" + token[1:],
+            "d" + "0" * 5000 + token[1:],
             token + ",",
             token + "," + pairs[0],  # a plane twice
             divisor + ",99:1",  # a neuron that does not exist
@@ -225,6 +227,16 @@ def test_a_network_without_biases_is_decided_by_programs(duals, n, m):
     assert found.closed
     verdict = certify(weights, over, found.lower * (1 + 1e-9), seconds=60)
     assert verdict.verdict == "certified" and proves(weights, over, verdict.tree, verdict.rate)
+
+
+def test_a_fixed_input_is_part_of_the_constant(duals):
+    weights = network(10, 3, 4)
+    folded = weights._replace(W2=weights.W2[:, :2], b=weights.b + 0.3 * weights.W2[:, 2])
+    at = box("0:1,-1:1,-1:1,0.3:0.3", 3)
+    found = rate(weights, at)
+    assert found.closed and found.lower == pytest.approx(rate(folded, operating_box(2)).lower, abs=1e-15)
+    verdict = certify(weights, at, found.upper * 1.001)
+    assert verdict.verdict == "certified" and proves(weights, at, verdict.tree, verdict.rate)
 
 
 @pytest.mark.parametrize("scale", [1e-40, 1e-12, 1e12, 1e40])
