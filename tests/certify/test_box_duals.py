@@ -22,7 +22,7 @@ from tests.support.networks import network, star
 def duals(monkeypatch):
     """Every box is searched by linear programs at once."""
     pytest.importorskip("highspy")
-    monkeypatch.setattr(box_slopes, "cells_are_better", lambda coordinates, hyperplanes: True)
+    monkeypatch.setattr(box_slopes, "programs_are_better", lambda *counts: True)
     monkeypatch.setattr(box_slopes, "FEW_BOXES", 0)
     monkeypatch.setattr(box_slopes, "LEFT", 0)
 

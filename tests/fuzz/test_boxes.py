@@ -69,6 +69,6 @@ def test_every_rate_is_decided_as_by_exact_cells(rng, cases):
 def test_every_rate_is_decided_by_linear_programs_as_by_exact_cells(rng, cases, monkeypatch):
     """The search for many inputs, on networks small enough for exact cells."""
     pytest.importorskip("highspy")
-    for name, value in (("cells_are_better", lambda *counts: True), ("FEW_BOXES", 0), ("LEFT", 0)):
+    for name, value in (("programs_are_better", lambda *counts: True), ("FEW_BOXES", 0), ("LEFT", 0)):
         monkeypatch.setattr(box_slopes, name, value)
     assert decided(rng, cases) > cases / 2

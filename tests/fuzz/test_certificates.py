@@ -227,7 +227,7 @@ def test_no_tree_proves_a_rate_that_is_reached(rng, cases, programs, monkeypatch
     """Trees at random and honest trees changed, of the right tokens, at the exact rate and just above it."""
     if programs:
         pytest.importorskip("highspy")
-        for name, value in (("cells_are_better", lambda *counts: True), ("FEW_BOXES", 0), ("LEFT", 0)):
+        for name, value in (("programs_are_better", lambda *counts: True), ("FEW_BOXES", 0), ("LEFT", 0)):
             monkeypatch.setattr(box_slopes, name, value)
     tried = proved = 0
     while tried < cases:
