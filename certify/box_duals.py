@@ -37,6 +37,15 @@ WHOLE = 1e-7  # a plane's share below which it counts as on, and above one minus
 FINEST = 60  # bits to which multipliers are rounded at most
 
 
+def installed() -> bool:
+    """Whether the solver can be imported."""
+    try:
+        import highspy  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
 class Solution(NamedTuple):
     """The solution of (3) in a cell."""
 

@@ -10,13 +10,12 @@ d ≥ 7 and G ≤ 2^d: what is proved is as true, but the gap is wider, or is cl
 
 from __future__ import annotations
 
-import importlib.util
 import math
 
 import numpy as np
 
 from certify.box_cells import search_cells
-from certify.box_duals import search_duals
+from certify.box_duals import installed, search_duals
 from certify.box_planes import Box
 from certify.box_search import BOXES, CLIMBERS, LEFT, Forms, Search, climb, slope_bounds
 
@@ -63,8 +62,3 @@ def programs_are_better(coordinates: int, hyperplanes: int, proof: bool) -> bool
     (False, True, False)
     """
     return coordinates >= PROGRAMS and hyperplanes <= 2 ** (coordinates + proof)
-
-
-def installed() -> bool:
-    """Whether the solver of `certify.box_duals` can be imported."""
-    return importlib.util.find_spec("highspy") is not None
