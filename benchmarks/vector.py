@@ -20,7 +20,7 @@ from pages import publish
 from torch import Tensor
 
 from certify import vector_exact
-from certify.vector_scaling import best_scaling
+from certify.vector_scaling import best_diagonal
 from certify.vector_weights import RELU, VectorWeights, check
 from usvlearn import VectorRNN, VectorSample
 from usvlearn.signals import tree_map
@@ -291,7 +291,7 @@ def study(boat: Boat, seeds: int) -> list[str]:
         norm = None if name == "network, none" else options.get("scaling", scaling)
         free, one, chosen, best = joint(boat, {**options, "scaling": norm, "importance": boat.importance}, seeds)
         if name == "network, none":  # T of `exact`: where the networks of all seeds contract fastest, in the mean
-            found = np.log([best_scaling(each) for each in networks_of(chosen)]).mean(0)
+            found = np.log([best_diagonal(each) for each in networks_of(chosen)]).mean(0)
             norm = scaling = [float(f"{x:.2g}") for x in np.exp(found - found.max())]
         note = above(largest_rate(chosen, norm))
         if options.get("condition") == "gershgorin":

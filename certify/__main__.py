@@ -15,12 +15,16 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify import certificate, sweep_jobs, sweep_rows
+from certify import certificate, sweep_jobs, sweep_rows, vector_certificate
 from certify.certificate import CONDITIONS
 from certify.errors import CertifyError, quoted
-from certify.weights import SUFFIXES, Network, digest, find, load
+from certify.vector_run import Judged, judge, plot, write_certificates
+from certify.vector_weights import VectorNetwork, activation, of_shallow, read_both
+from certify.vector_weights import digest as vector_digest
+from certify.weights import SUFFIXES, Network, digest, find
 
 CERTIFIED, NOT_ALL, BAD_INPUT, STOPPED = 0, 1, 2, 130  # exit codes
+EVERY_CONDITION = (*CONDITIONS, *(name for name in vector_certificate.CONDITIONS if name not in CONDITIONS))
 LONGEST_PATH = 4096  # characters of a path that a certificate names
 EPILOG = """
 exit code: 0 all certified by --condition, 1 not all, 2 bad input, 130 Ctrl-C
@@ -71,7 +75,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         "python -m certify", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs or sweeps, patterns")
-    parser.add_argument("--condition", choices=CONDITIONS, default="tight", help="what is judged (default: tight)")
+    parser.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: tight)")
     parser.add_argument("--all", action="store_true", help="of a sweep: every parameter set, not each boat's last one")
     parser.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (cvxpy)")
     parser.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
@@ -86,6 +90,12 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--input", metavar="U,…", help="u at which equilibria are listed (default: zeros, as in the paper)"
     )
+    parser.add_argument(
+        "--activation",
+        metavar="PHI",
+        help="of the networks: relu, tanh or leaky:α (default: relu; --verify: as claimed)",
+    )
+    parser.add_argument("--steps", action="store_true", help="of a vector state: prove all steps up to the largest")
     parser.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
     parser.add_argument("--json", action="store_true", help="a list of objects on standard output")
     parser.add_argument("--certificate", metavar="DIR", help="write a JSON certificate of each set that is certified")
@@ -128,7 +138,8 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 
 def _run(options: argparse.Namespace) -> int:
-    code, networks = CERTIFIED, []
+    phi = activation(options.activation or "relu")
+    code, networks, vectors = CERTIFIED, [], []
     jobs = [] if options.verify else sweep_jobs.jobs(options.paths)
     if jobs:
         _refuse_options_of_single_sets(options)
@@ -136,26 +147,35 @@ def _run(options: argparse.Namespace) -> int:
         code = _error(problem)
     for path in sweep_jobs.chosen(jobs, options.all) if jobs else find(options.paths):
         try:
-            networks += load(path)
+            shallow, others = read_both(path, phi)
         except CertifyError as error:  # the other files are still judged
             code = _error(error)
-    if options.paths and not networks:
+            continue
+        networks += shallow
+        vectors += others
+    if options.paths and not networks and not vectors:
         return code
+    if jobs:
+        vectors = []  # the table of a sweep is about shallow networks
     if options.headings and any(network.inputs != 4 for network in networks):
         raise CertifyError("--headings: found a network without the four inputs of heading and commands")
     if options.plot is not None and (not options.plot or options.plot.endswith(os.sep) or Path(options.plot).is_dir()):
         raise CertifyError(f"--plot: found {options.plot!r}, expected a file such as map.png")
     if options.verify:
-        return max(code, _verify(options.verify, networks, options.json))
+        return max(code, _verify(options, networks, vectors))
+    judged = judge(options, vectors) if vectors else Judged([], [], [], [])
+    for failure in judged.failures:
+        code = _error(failure)
     networks, rows, code = _assess(options, networks, code)
-    if not rows:
+    if not rows and not judged.rows:
         return code
-    held = [_holds(row, options.condition) for row in rows]
+    condition = _for_one_state(options.condition)
+    held = [_holds(row, condition) for row in rows]
     notes = []
     if options.certificate is not None:
-        notes += _write_certificates(options, networks, rows, held)
+        notes += _write_certificates(options, networks, rows, held, judged)
     if options.plot and not jobs:
-        notes += _plot(options, networks)
+        notes += _plot(options, networks, judged)
     if jobs:
         table = sweep_rows.rows(jobs, networks, rows, held)
         left = sweep_rows.unjudged(jobs, table)
@@ -164,18 +184,18 @@ def _run(options: argparse.Namespace) -> int:
         code = max(code, NOT_ALL if left else CERTIFIED)
         rows = [*table, *left]
     if options.json:
-        _say(print, json.dumps(rows, indent=1, allow_nan=False))
+        _say(print, json.dumps([*rows, *judged.rows], indent=1, allow_nan=False))
         for note in notes:
             print(note, file=sys.stderr)
     elif jobs:
         from certify.printed import show_sweep
 
-        _say(show_sweep, table, left, options.condition, options.all, notes)
+        _say(show_sweep, table, left, condition, options.all, notes)
     else:
         from certify.printed import show
 
-        _say(show, rows, options.condition, held, notes, options.dt)
-    return max(code, CERTIFIED if all(held) else NOT_ALL)
+        _say(show, rows, condition, held, notes, options.dt, judged.rows)
+    return max(code, CERTIFIED if all(held + judged.held) else NOT_ALL)
 
 
 def _refuse_options_of_single_sets(options: argparse.Namespace) -> None:
@@ -241,36 +261,43 @@ def _input(text: str | None, m: int, path: str) -> np.ndarray:
     return u
 
 
+def _for_one_state(condition: str | None) -> str:
+    """What is judged of a shallow network; its tight condition is exact."""
+    return "tight" if condition in (None, "exact") else str(condition)
+
+
 def _holds(row: dict[str, Any], condition: str) -> bool:
     if condition in row["certified"]:
         return row["certified"][condition]
     return row["box"]["verdict" if condition == "box" else "interval"] == "certified"
 
 
-def _write_certificates(options, networks: Sequence[Network], rows, held) -> list[str]:
+def _write_certificates(options, networks: Sequence[Network], rows, held, judged: Judged) -> list[str]:
     folder, written = Path(options.certificate), 0
     if not options.certificate or (folder.exists() and not folder.is_dir()):
         raise CertifyError(f"--certificate: found {options.certificate!r}, which is a file or empty, expected a folder")
-    for network, name, row, holds in zip(networks, _names(networks), rows, held, strict=True):
+    condition, names = _for_one_state(options.condition), _names([*networks, *judged.networks])
+    written += write_certificates(folder, judged, names[len(networks) :])
+    for network, name, row, holds in zip(networks, names, rows, held, strict=False):
         if not holds:
             continue
         more: dict[str, Any] = {}
-        if options.condition in ("interval", "box"):
+        if condition in ("interval", "box"):
             from certify.box import box
 
             found = row["box"]
             more = {"box": box(found["intervals"], row["m"]), "invariance_tree": found["invariance_tree"]}
-            if options.condition == "box":
+            if condition == "box":
                 more |= {"tree": found["tree"], "rate": Fraction(found["proved_rate"])}
-        made = certificate.make(network.weights, options.condition, path=network.path, **more)
+        made = certificate.make(network.weights, condition, path=network.path, **more)
         if made is None:
             raise AssertionError(f"{network.path}: was certified, but its certificate cannot be made")
-        certificate.write(folder / f"{name}.{options.condition}.json", made)
+        certificate.write(folder / f"{name}.{condition}.json", made)
         written += 1
     return [f"{written} certificates: {folder}; check them with --verify"]
 
 
-def _names(networks: Sequence[Network]) -> list[str]:
+def _names(networks: Sequence[Network | VectorNetwork]) -> list[str]:
     """A file name for each set: the part of its path that differs from the others."""
     paths = [os.path.abspath(network.path) for network in networks]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths])
@@ -282,7 +309,7 @@ def _names(networks: Sequence[Network]) -> list[str]:
     return names
 
 
-def _plot(options, networks: Sequence[Network]) -> list[str]:
+def _plot(options, networks: Sequence[Network], judged: Judged) -> list[str]:
     from certify.equilibria import surge_inputs
     from certify.figures import equilibria_figure, save
 
@@ -293,6 +320,7 @@ def _plot(options, networks: Sequence[Network]) -> list[str]:
         u = _input(options.input, network.inputs, network.path) if headings is None else surge_inputs(headings)
         save(equilibria_figure(network.weights, u, network.path, headings=headings), path)
         written.append(str(path))
+    written += plot(judged, file, len(written))
     return [f"pictures: {', '.join(written[:3])}{f' … {written[-1]}' if len(written) > 3 else ''}"]
 
 
@@ -304,28 +332,40 @@ def _plot_sweep(options: argparse.Namespace, table: Sequence[dict[str, Any]]) ->
     return [f"picture: {options.plot}"]
 
 
-def _verify(paths: Sequence[str], networks: Sequence[Network], as_json: bool) -> int:
-    known = {digest(network.weights): network for network in networks}
+def _verify(options: argparse.Namespace, networks: Sequence[Network], vectors: Sequence[VectorNetwork]) -> int:
     code, results = CERTIFIED, []
-    for path in paths:
+    for path in options.verify:
         try:
             content = certificate.read(path)
-            network = known.get(str(content.get("weights"))) if networks else _named(path, content)
+            about = _with_weights(content, networks, vectors) if networks or vectors else _named(path, content)
+            found = certificate.Verification(False, "it is about other weights than the given ones")
+            if isinstance(about, VectorNetwork):
+                claimed = options.activation or str(content.get("activation"))
+                found = vector_certificate.verify(content, about._replace(activation=activation(claimed)))
+            elif about is not None:
+                found = certificate.verify(content, about.weights)
         except CertifyError as error:  # the other certificates are still checked
             code = _error(error)
             continue
-        if network is None:
-            found = certificate.Verification(False, "it is about other weights than the given ones")
-        else:
-            found = certificate.verify(content, network.weights)
         results.append({"certificate": path, "valid": found.valid, "reason": found.reason})
     lines = [f"{each['certificate']}: {'valid' if each['valid'] else 'REFUSED'}: {each['reason']}" for each in results]
     if results:
-        _say(print, json.dumps(results, indent=1) if as_json else "\n".join(lines))
+        _say(print, json.dumps(results, indent=1) if options.json else "\n".join(lines))
     return max(code, CERTIFIED if all(result["valid"] for result in results) else NOT_ALL)
 
 
-def _named(path: str, content: dict[str, Any]) -> Network | None:
+def _with_weights(
+    content: dict[str, Any], networks: Sequence[Network], vectors: Sequence[VectorNetwork]
+) -> Network | VectorNetwork | None:
+    """The network that a certificate is about, by the sha256 of its weights."""
+    wanted = str(content.get("weights"))
+    if content.get("format") != vector_certificate.FORMAT:
+        return next((each for each in networks if digest(each.weights) == wanted), None)
+    alike = [*vectors, *(VectorNetwork(each.path, of_shallow(each.weights)) for each in networks)]
+    return next((each for each in alike if vector_digest(each.weights) == wanted), None)
+
+
+def _named(path: str, content: dict[str, Any]) -> Network | VectorNetwork | None:
     """The parameter set that a certificate names: below the working folder, or beside the certificate."""
     named, seen = str(content.get("path", "")), False
     file = re.sub(r"(\[[\d,]*\])?$", "", named[:LONGEST_PATH])
@@ -333,8 +373,7 @@ def _named(path: str, content: dict[str, Any]) -> Network | None:
         for candidate in (place, Path(str(place).rpartition(":")[0])):
             if candidate.suffix in SUFFIXES and _is_file(candidate):
                 seen = True
-                networks = {digest(network.weights): network for network in load(candidate)}
-                if (network := networks.get(str(content.get("weights")))) is not None:
+                if (network := _with_weights(content, *read_both(candidate))) is not None:
                     return network
     if seen:
         return None

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from certify import exact
-from certify.box_planes import Box
+from certify.box_planes import Box, value_at
 from certify.box_proof import proves
 from certify.equilibria import equilibria, surge_inputs, sweep
 from certify.errors import CertifyError
@@ -54,12 +54,15 @@ def assess(
         "m": m,
         "margins": {name: float_below(condition.margin) for name, condition in conditions.items()},
         "rate": float_above(K),
-        "time_constant": _time_constant(K),  # in steps
+        "time_constant": time_constant(K),  # in steps
         "certified": {name: condition.margin > 0 for name, condition in conditions.items()},
         "best_gauge": {name: rate < 1 for name, rate in exact.best_gauge(weights.a, weights.w1).items()},
         "input": list(map(float, u)),
-        "equilibria": [_findings(each) for each in equilibria(weights, u)],
+        "equilibria": [_findings(each) for each in equilibria(weights, u)],  # in [0, 1], as in the paper
     }
+    if not found["equilibria"] and K < 1:  # a contraction has one on ℝ: |x| ≤ |f(0)|/(1 − K)
+        reach = float_above(abs(value_at(weights, [0.0, *u])) / (1 - K))
+        found["equilibria_outside"] = [_findings(each) for each in equilibria(weights, u, -reach, reach)]
     if m == 4:
         at_rest = sweep(weights, surge_inputs(HEADINGS), *AT_REST)
         every = [each for places in at_rest for each in places]
@@ -76,7 +79,7 @@ def assess(
     return found
 
 
-def _time_constant(K: Fraction) -> float | None:
+def time_constant(K: Fraction) -> float | None:
     """−1/ln K; None where K ≥ 1."""
     if K >= 1:
         return None

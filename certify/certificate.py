@@ -15,7 +15,7 @@ import os
 import platform
 import re
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence, Set
 from decimal import Decimal
 from fractions import Fraction
 from importlib.metadata import PackageNotFoundError, version
@@ -37,7 +37,7 @@ DIGITS = 6  # of the rate that is proved, rounded up
 LONGEST = 100_000  # characters of p and Λ together, which take about 2 s
 LARGEST = 10_000_000  # bytes of a file
 FRACTION = re.compile(rf"-?[0-9]{{1,{box_proof.DIGITS}}}(/[0-9]{{1,{box_proof.DIGITS}}})?")
-KEYS = set("format claim weights neurons inputs condition rate margin contraction_rate verified".split())
+KEYS: set[str] = set("format claim weights neurons inputs condition rate margin contraction_rate verified".split())
 KEYS |= set("proof path versions sha256".split())
 
 
@@ -105,16 +105,10 @@ def make(
             if rate is None:
                 return None
         kappa = 1 if rate is None else rate
-        parts = {"box": _pairs(box), "tree": tree, "invariance_tree": invariance_tree}
+        parts = {"box": pairs(box), "tree": tree, "invariance_tree": invariance_tree}
     else:
         raise CertifyError(f"condition: found {condition!r}, expected one of {', '.join(CONDITIONS)}")
-    content = {
-        **_claims(weights, condition, Fraction(kappa), parts),
-        "proof": parts,
-        "path": path.encode("utf-8", "backslashreplace").decode(),  # a file name may contain bytes that are not text
-        "versions": _versions(),
-    }
-    content["sha256"] = _checksum(content)
+    content = described(_claims(weights, condition, Fraction(kappa), parts), parts, path)
     return content if verify(content, weights).valid else None
 
 
@@ -136,42 +130,25 @@ def verify(certificate: Mapping[str, Any], weights: ShallowWeights) -> Verificat
 
 def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
     """Why a certificate is refused; None where it is valid."""
-    if content.get("format") != FORMAT:
-        return f"it has the format {quoted(content.get('format'))}, expected {FORMAT!r}: make it again"
-    condition: Any = content.get("condition")
-    proof: Any = content.get("proof")
-    if condition not in CONDITIONS:
-        return f"it names the condition {quoted(condition)}, expected one of {', '.join(CONDITIONS)}"
-    closed = condition in CLOSED_FORMS
+    closed = content.get("condition") in CLOSED_FORMS
     expected = {"metric", "multipliers"} if closed else {"box", "tree", "invariance_tree"}
-    for word, keys in (
-        ("has unknown", (content.keys() - KEYS) | (proof.keys() - expected)),
-        ("lacks the", (KEYS - content.keys()) | (expected - proof.keys())),
-    ):
-        if keys:
-            return f"it {word} keys {quoted(sorted(map(str, keys)))}"
-    if content["sha256"] != _checksum(content):
-        return "it was changed after it was made: its checksum differs"
-    if content["weights"] != digest(weights):
-        return "it is about other weights: their sha256 differs"
-    kappa = _fraction(content["rate"])
+    if reason := frame_refusal(content, FORMAT, KEYS, CONDITIONS, expected, digest(weights)):
+        return reason
+    condition, proof = content["condition"], content["proof"]
+    kappa = fraction(content["rate"])
     if not 0 < kappa <= 1:
         return f"its rate is {shortened(kappa)}, expected one above 0 and at most 1"
-    claims = {**_claims(weights, condition, kappa, proof), "path": str(content["path"])}
-    claims["versions"] = {str(key): str(value) for key, value in content["versions"].items()}
-    if wrong := [
-        key for key, value in claims.items() if type(content[key]) is not type(value) or content[key] != value
-    ]:
-        return f"its {', '.join(wrong)}: the claim does not follow from the weights"
+    if reason := signed(content, _claims(weights, condition, kappa, proof)):
+        return reason
     if closed:
         texts = [proof["metric"], *proof["multipliers"]]
         if not isinstance(proof["multipliers"], list) or sum(map(len, texts)) > LONGEST:
             return f"its Λ is no list, or longer than {LONGEST} characters"
-        metric, *multipliers = map(_fraction, texts)
+        metric, *multipliers = map(fraction, texts)
         if not exact.proves(condition, weights.a, weights.w1, exact.Multipliers(metric, multipliers), kappa):
             return "its p and Λ do not make M positive definite"
         return None
-    box, tree, invariance_tree = _box(proof["box"]), proof["tree"], proof["invariance_tree"]
+    box, tree, invariance_tree = box_of(proof["box"]), proof["tree"], proof["invariance_tree"]
     if len(box.lo) != 1 + weights.W2.shape[-1] or (condition == "interval" and tree != "."):
         return "its box or its tree is of another kind than its condition"
     if not box_proof.proves(weights, box, tree, kappa):
@@ -179,6 +156,66 @@ def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
     if invariance_tree is not None and not box_proof.proves_range(weights, box, invariance_tree):
         return "its tree does not keep x inside the box, or is too long to replay"
     return None
+
+
+def frame_refusal(
+    content: dict[str, Any],
+    form: str,
+    keys: Set[str],
+    conditions: Sequence[str],
+    parts: set[str],
+    weights: str,
+) -> str | None:
+    """Why the frame of a certificate is refused: its format, condition, keys, checksum or weights; None where it fits.
+
+    Args:
+        content: of the certificate.
+        form: the format that is expected.
+        keys: that it must have.
+        conditions: of which it must name one.
+        parts: the keys of its proof.
+        weights: the digest of the network's weights.
+    """
+    if content.get("format") != form:
+        return f"it has the format {quoted(content.get('format'))}, expected {form!r}: make it again"
+    condition: Any = content.get("condition")
+    proof: Any = content.get("proof")
+    if condition not in conditions:
+        return f"it names the condition {quoted(condition)}, expected one of {', '.join(conditions)}"
+    for word, wrong in (
+        ("has unknown", (content.keys() - keys) | (proof.keys() - parts)),
+        ("lacks the", (keys - content.keys()) | (parts - proof.keys())),
+    ):
+        if wrong:
+            return f"it {word} keys {quoted(sorted(map(str, wrong)))}"
+    if content["sha256"] != _checksum(content):
+        return "it was changed after it was made: its checksum differs"
+    if content["weights"] != weights:
+        return "it is about other weights: their sha256 differs"
+    return None
+
+
+def signed(content: Mapping[str, Any], claims: dict[str, Any]) -> str | None:
+    """Why the claims of a certificate are refused: they must be those that follow from the weights and the proof."""
+    claims = {**claims, "path": str(content["path"])}
+    claims["versions"] = {str(key): str(value) for key, value in content["versions"].items()}
+    if wrong := [
+        key for key, value in claims.items() if type(content[key]) is not type(value) or content[key] != value
+    ]:
+        return f"its {', '.join(wrong)}: the claim does not follow from the weights"
+    return None
+
+
+def described(claims: dict[str, Any], parts: dict[str, Any], path: str) -> dict[str, Any]:
+    """A certificate's content, with its checksum, from its claims and the parts of its proof."""
+    content = {
+        **claims,
+        "proof": parts,
+        "path": path.encode("utf-8", "backslashreplace").decode(),  # a file name may contain bytes that are not text
+        "versions": _versions(),
+    }
+    content["sha256"] = _checksum(content)
+    return content
 
 
 def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Mapping[str, Any]) -> dict[str, Any]:
@@ -190,7 +227,7 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
         margin = exact.conditions(weights.a, weights.w1)[condition].margin
     else:
         invariant = proof["invariance_tree"] is not None
-        lo, hi = _box(proof["box"])
+        lo, hi = box_of(proof["box"])
         intervals = ", ".join(
             f"[{Decimal(least)}, {Decimal(most)}]" for least, most in zip(lo, hi, strict=True)
         )  # exact
@@ -212,24 +249,26 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
     }
 
 
-def _fraction(text: Any) -> Fraction:
+def fraction(text: Any) -> Fraction:
     """A fraction p/q in plain digits only: "1e999999999" would be short to write and slow to compute."""
     if not (isinstance(text, str) and FRACTION.fullmatch(text)):
         raise ValueError(f"found {quoted(text)}, expected a fraction p/q")
     return Fraction(text)
 
 
-def _pairs(box: Box) -> list[list[str]]:
+def pairs(box: Box) -> list[list[str]]:
+    """The ends of a box as fractions."""
     return [[str(Fraction(float(lo))), str(Fraction(float(hi)))] for lo, hi in zip(box.lo, box.hi, strict=True)]
 
 
-def _box(pairs: list[list[str]]) -> Box:
-    if not (isinstance(pairs, list) and all(isinstance(pair, list) for pair in pairs)):
+def box_of(given: list[list[str]], states: int = 1) -> Box:
+    """A box from its pairs of fractions; the first `states` of them are of x."""
+    if not (isinstance(given, list) and all(isinstance(pair, list) for pair in given)):
         raise TypeError("the box is no list of pairs")
-    ends = [[_fraction(x) for x in pair] for pair in pairs]
+    ends = [[fraction(x) for x in pair] for pair in given]
     if any(len(pair) != 2 or pair[0] > pair[1] or any(Fraction(float(x)) != x for x in pair) for pair in ends):
         raise ValueError("the box's ends are no floats in order")
-    if ends[0][0] == ends[0][1]:
+    if any(least == most for least, most in ends[:states]):
         raise ValueError("x has no width: a rate compares two states")
     lo, hi = np.array([[float(x) for x in pair] for pair in ends]).T
     return Box(lo.copy(), hi.copy())

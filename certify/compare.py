@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 import torch
@@ -34,7 +34,7 @@ from certify.comparison_counts import (
 from certify.errors import CertifyError
 from certify.families import initial_networks, random_networks, signed_networks, trained_networks
 from certify.gauge import loss
-from certify.paper_tests import CORNERS, KNOTS, ORDERS, at_rate, paper_tests
+from certify.paper_tests import CORNERS, KNOTS, ORDERS, Choices, at_rate, paper_tests
 from certify.printed import progress
 from certify.rounding import float_above
 from certify.run_steps import given
@@ -248,7 +248,7 @@ def study(options: argparse.Namespace) -> dict[str, Any]:
         "by_signs": signs,
         "timings": [timing(size, options.solver, largest, rng) for size in progress(options.sizes, "timing by n")],
         "box_times": [box_timing(m, n, options.seconds, rng) for m in progress(INPUTS, "timing by m")],
-        "paper": [] if options.no_lmi else paper_tests([weights for _, weights, _ in work], options),
+        "paper": [] if options.no_lmi else paper_tests([weights for _, weights, _ in work], cast(Choices, options)),
     }
 
 

@@ -110,13 +110,14 @@ def _neurons(result: Mapping[str, Any]) -> Picture | None:
         known = [(row["n"], row["tiers"][tier]) for row in rows if row["tiers"][tier]["median"] is not None]
         if not known:
             continue
-        style = {"dashes": (4, 2)} if tier in GAUGED.values() else {}
+        style = "--" if tier in GAUGED.values() else "-"
         x, middle = [n for n, _ in known], [found["median"] for _, found in known]
         both = [(n, *found["spread"]) for n, found in known if None not in found["spread"]]
         if both and tier not in ("lmi", "tight"):
-            axes.fill_between(*map(list, zip(*both, strict=True)), color=COLOURS[tier], alpha=0.12, linewidth=0)
-            heights += [high for *_, high in both]
-        axes.plot(x, middle, color=COLOURS[tier], marker="o", markersize=4, linewidth=1.8, **style)
+            sizes, low, high = map(list, zip(*both, strict=True))
+            axes.fill_between(sizes, low, high, color=COLOURS[tier], alpha=0.12, linewidth=0)
+            heights += high
+        axes.plot(x, middle, color=COLOURS[tier], marker="o", markersize=4, linewidth=1.8, linestyle=style)
         names.append((middle[-1], tier, COLOURS[tier]))
         heights += middle
     axes.set(xscale="log", yscale="log", ylim=(0.85, 1.25 * max(heights)))

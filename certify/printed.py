@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from certify import vector_printed
 from certify.exact import CORNER
 from certify.rounding import above, below
 from certify.sweep_rows import ranges, short_keys, short_values
@@ -30,11 +31,24 @@ FOLDED = 24  # least width, in columns, of a text that may be folded
 GAP = 2
 
 
-def show(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool], notes: Sequence[str], dt: float | None):
-    """One row per parameter set, and a summary."""
-    console = _console()
-    _print(console, *_table(rows, dt))
-    console.print(*summary(rows, condition, held), *notes, sep="\n", soft_wrap=True)
+def show(
+    rows: Sequence[dict[str, Any]],
+    condition: str,
+    held: Sequence[bool],
+    notes: Sequence[str],
+    dt: float | None,
+    vectors: Sequence[dict[str, Any]] = (),
+) -> None:
+    """One row per parameter set, and a summary; networks with a vector state have a table of their own."""
+    console, lines = _console(), []
+    if rows:
+        _print(console, *_table(rows, dt))
+        lines += summary(rows, condition, held)
+    if vectors:
+        paths, shared = _short([row["path"] for row in vectors])
+        _print(console, f"Below {shared}: proved rates, < 1 contracts", *vector_printed.table(vectors, paths, dt))
+        lines += vector_printed.summary(vectors)
+    console.print(*lines, *notes, sep="\n", soft_wrap=True)
 
 
 def _console() -> Console:
@@ -101,7 +115,7 @@ def _table(
         cells = [_lmi(row["lmi"])] if solved else []
         cells += [_box(row["box"])] if boxed else []
         constant = time_constant(row["time_constant"], dt)
-        found.append([path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _places(row["equilibria"])])
+        found.append([path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _every_place(row)])
     return title, headings, found, ["equilibria"]
 
 
@@ -120,16 +134,29 @@ def time_constant(steps: float | None, dt: float | None) -> str:
     return "–" if steps is None else above(steps * (dt or 1), 3)
 
 
+def _every_place(row: dict[str, Any]) -> str:
+    """The equilibria in [0, 1]; where there are none, those outside.
+
+    >>> _every_place({"equilibria": [], "equilibria_outside": [{"x": -0.5, "class": "stable"}]})
+    'none in 0…1; stable -0.5'
+    """
+    if row["equilibria"]:
+        return _places(row["equilibria"])
+    outside = _places(row.get("equilibria_outside", []))
+    return f"none in 0…1; {outside}" if outside else "none in 0…1"
+
+
 def _places(equilibria: Sequence[dict[str, Any]]) -> str:
     kinds: dict[str, list[str]] = {}
     for each in equilibria:
         ends = each.get("interval")
         place = f"{each['x']:.3g}" if ends is None else f"{ends[0]:.3g}…{ends[1]:.3g}"
         kinds.setdefault(each["class"], []).append(place)
-    return "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items()) or "none"
+    return "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items())
 
 
-def _mark(verdict: str) -> Text:
+def mark(verdict: str) -> Text:
+    """The mark of a verdict, in its colour."""
     return Text(*MARKS[verdict])
 
 
@@ -137,7 +164,7 @@ def _lmi(found: dict[str, Any]) -> Text:
     marks = Text()
     for condition in ("lmi", "tight"):
         rate = found[condition]["rate"]
-        marks.append(_mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
+        marks.append(mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
     return marks
 
 
@@ -145,7 +172,7 @@ def _box(found: dict[str, Any]) -> Text:
     low, high = found["bracket"]
     rate = above(high, 4) if found["closed"] else f"{below(low, 4)}…{above(high, 4)}"
     kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
-    return Text().append(_mark(found["verdict"])).append(f" {rate}, {kept}")
+    return Text().append(mark(found["verdict"])).append(f" {rate}, {kept}")
 
 
 def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]) -> list[str]:

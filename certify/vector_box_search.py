@@ -169,7 +169,7 @@ class Floats:
         """‖J‖ and points after searches from y along each coordinate in turn: exact where J changes at hyperplanes."""
         sides = np.flatnonzero(box.lo < box.hi)
         if not self.deep and self.phi.name != "tanh":
-            for j in 3 * [*sides]:
+            for j in 3 * sides.tolist():
                 y = self._best_on_line(y, j, box)
             return self.at(y), y
         best, rows = self.at(y), np.arange(len(y))

@@ -17,7 +17,7 @@ import itertools
 import math
 import time
 from fractions import Fraction
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -240,13 +240,12 @@ class Program:
         return float(np.linalg.eigvalsh(back @ self.matrix(x, kappa) @ back.T)[0]), x, status  # t as it is reached
 
     def _by_clarabel(self, kappa: float) -> tuple[np.ndarray | None, str]:
-        import clarabel
         from scipy.sparse import csc_matrix, hstack, vstack
 
-        count = len(self.fixed)
+        clarabel, count = _clarabel(), len(self.fixed)
         unknowns = (self._fixed + kappa**2 * self._square)[:, :-1]
         A = vstack([csc_matrix(self.trace), hstack([unknowns, csc_matrix(self._triangle(self.scaling)[:, None])])])
-        b = np.zeros(A.shape[0])
+        b = np.zeros(1 + self.size * (self.size + 1) // 2)
         b[0] = self.q
         cones = [clarabel.ZeroConeT(1), clarabel.PSDTriangleConeT(self.size)]
         none, objective, settings = csc_matrix((count, count)), -np.eye(count)[-1], clarabel.DefaultSettings()
@@ -300,3 +299,14 @@ def _rounded(value: float, bits: int) -> Fraction:
     """A fraction with so many significant bits."""
     mantissa, exponent = math.frexp(value)
     return Fraction(round(mantissa * 2**bits)) * Fraction(2) ** (exponent - bits)
+
+
+def _clarabel() -> Any:
+    """The solver; it has no types."""
+    try:
+        import clarabel
+    except ImportError as error:
+        raise CertifyError(
+            "clarabel is not installed, expected it for an LMI: run pip install 'usvlearn[lmi]'"
+        ) from error
+    return clarabel

@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from certify.vector_exact import NORMS, Matrix, everywhere, identity, inverse, rate
-from certify.vector_weights import Activation, VectorWeights
+from certify.vector_weights import RELU, Activation, VectorWeights, check
 
 STEPS = 60  # linear programs from one start
 ITERATIONS = 400  # of F
@@ -82,8 +82,17 @@ class Values:
         return T @ self.R @ x + greatest
 
 
-def best_diagonal(values: Values) -> np.ndarray:
-    """The diagonal of T for which K is smallest, `(q,)`, near 1 in the geometric mean."""
+def best_diagonal(weights: VectorWeights, phi: Activation = RELU, norm: str = "inf") -> np.ndarray:
+    """The diagonal of T for which K is smallest, `(q,)`, with the geometric mean 1.
+
+    >>> zero = np.zeros((1, 2))
+    >>> best_diagonal(VectorWeights([[0.5, 1.0], [0.01, 0.5]], zero.T, zero, [[0.0]], [0.0])).round(2).tolist()
+    [0.32, 3.16]
+    """
+    return _diagonal(Values(check(weights), phi, norm))
+
+
+def _diagonal(values: Values) -> np.ndarray:
     q = len(values.R)
     s, unit = np.ones(q), np.eye(q)
     for _ in range(ITERATIONS):
@@ -131,7 +140,7 @@ def improve(values: Values, T: np.ndarray, until: float) -> np.ndarray:
 
 def starts(weights: VectorWeights, phi: Activation, values: Values, metric: np.ndarray | None) -> Iterator[np.ndarray]:
     """The T from which the search starts."""
-    yield np.diag(best_diagonal(values))
+    yield np.diag(_diagonal(values))
     if metric is not None and np.linalg.eigvalsh(metric)[0] > 0:
         root = np.linalg.cholesky(metric).T
         generator = np.random.default_rng(0)
@@ -143,7 +152,7 @@ def starts(weights: VectorWeights, phi: Activation, values: Values, metric: np.n
     slope = weights.A @ ((middle * weights.V @ (middle * weights.W)) if weights.V is not None else middle * weights.W)
     for J in (weights.R + slope, weights.R):
         eigenvalues, vectors = np.linalg.eig(J)
-        basis = np.where(eigenvalues.imag >= 0, vectors.real, vectors.imag)  # a pair's real and imaginary parts
+        basis = np.where(np.imag(eigenvalues) >= 0, np.real(vectors), np.imag(vectors))  # of a pair
         if np.linalg.cond(basis) < 1e4:
             yield np.linalg.inv(basis)
 
@@ -179,7 +188,7 @@ def best_scaling(
     for k, norm in enumerate(NORMS, 1):
         until = start + seconds * k / len(NORMS)
         values = Values(weights, phi, norm)
-        tried = [("diagonal", np.diag(best_diagonal(values)))]
+        tried = [("diagonal", np.diag(_diagonal(values)))]
         for T in starts(weights, phi, values, P) if full else ():
             if time.perf_counter() < until:
                 tried.append(("full", improve(values, T / np.abs(T).max(), until)))

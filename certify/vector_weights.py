@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from certify.errors import CertifyError, quoted, shortened
-from certify.weights import LARGEST, ShallowWeights, as_float64, read_tensors
+from certify.weights import LARGEST, Network, ShallowWeights, as_float64, holds_shallow, read_tensors
+from certify.weights import from_tensors as shallow_networks
 
 MOST_STATES = 6  # q; the exact rate takes the 2^q signs of x
 MOST_DIGITS = 60  # of a leak
@@ -129,6 +130,25 @@ def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
     return VectorWeights(**arrays)
 
 
+def forward(network: VectorNetwork, x: Any, u: Any) -> np.ndarray:
+    """x⁺ of (1) in floats, `(*batch, q)`, from x `(*batch, q)` and u `(*batch, m)`.
+
+    >>> halved = VectorNetwork("", check(VectorWeights(None, [[0.5]], [[1.0]], [[0.0]], [0.0])))
+    >>> forward(halved, np.ones(1), np.zeros(1)).tolist()
+    [0.5]
+    """
+    R, A, W, W2, b, V, c = network.weights
+    x = np.asarray(x)
+    hidden = _phi(network.activation, x @ W.T + np.asarray(u) @ W2.T + b)
+    if V is not None:
+        hidden = _phi(network.activation, hidden @ V.T + c)
+    return np.asarray(x @ R.T + hidden @ A.T)
+
+
+def _phi(phi: Activation, z: np.ndarray) -> np.ndarray:
+    return np.asarray(np.tanh(z) if phi.name == "tanh" else np.maximum(z, float(phi.least) * z))
+
+
 def of_shallow(weights: ShallowWeights) -> VectorWeights:
     """The paper's network as one with a vector state, q = 1.
 
@@ -201,6 +221,20 @@ def _layers(tensors: Mapping[str, Any], path: str) -> list[VectorWeights]:
         c = tensors.get(f"{name}bias")
         weights = weights._replace(V=V, c=np.zeros(len(V)) if c is None else c)
     return [weights]
+
+
+def read_both(path: str | Path, phi: Activation = RELU) -> tuple[list[Network], list[VectorNetwork]]:
+    """The shallow networks and the networks (1) in a file; with another activation all are of the second kind.
+
+    Raises:
+        CertifyError: as `certify.weights.load`.
+    """
+    tensors = read_tensors(path)
+    vectors = from_tensors(tensors, str(path), phi)
+    shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path))
+    if phi == RELU:
+        return shallow, vectors
+    return [], vectors + [VectorNetwork(each.path, of_shallow(each.weights), phi) for each in shallow]
 
 
 def load(path: str | Path, phi: Activation = RELU) -> list[VectorNetwork]:

@@ -21,6 +21,7 @@ from certify.errors import CertifyError, shortened
 
 SUFFIXES = (".safetensors", ".npz", ".pt", ".pth")
 LARGEST = 1e150  # largest weight in a file; sums of products of two such weights are still finite floats
+NAMED = re.compile(r"(^|\.)w1$")
 UNPACKED = 2**28  # bytes to which an archive may unpack: 30 million weights
 
 
@@ -126,7 +127,7 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
     >>> from_tensors({"net.a": [0.5], "net.w1": [1.0], "net.W2": [[0.0]], "net.b": [0.0]})[0].path
     'tensors'
     """
-    prefixes = [name.removesuffix("w1") for name in tensors if re.search(r"(^|\.)w1$", name)]
+    prefixes = [name.removesuffix("w1") for name in tensors if NAMED.search(name)]
     for prefix in prefixes:
         if lacking := [prefix + name for name in NAMES if prefix + name not in tensors]:
             raise CertifyError(
@@ -152,6 +153,11 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
             own = "" if len(lanes) == 1 else f"[{','.join(map(str, lane))}]"
             networks.append(Network(label + own, ShallowWeights(*(x[lane] for x in arrays)), prefix + own))
     return networks
+
+
+def holds_shallow(tensors: Iterable[str]) -> bool:
+    """Whether a name among them is that of a shallow network's w1."""
+    return any(map(NAMED.search, tensors))
 
 
 def _two_layers(tensors: Mapping[str, Any], path: str) -> Iterator[ShallowWeights]:

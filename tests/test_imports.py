@@ -90,7 +90,7 @@ CERTIFY = {
     "cvxpy": {"certify.lmi"},
     "clarabel": {"certify.vector_lmi"},
     "matplotlib": {"certify.figures"},
-    "rich": {"certify.printed"},
+    "rich": {"certify.printed", "certify.vector_printed"},
 }
 THIRD_PARTY = {"numpy", "safetensors", *CERTIFY}
 NO_TORCH = ("usvlearn.errors", "usvlearn.signals", "usvlearn.checkpoint", "usvlearn.jit", "usvlearn.parts",

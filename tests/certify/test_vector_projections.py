@@ -12,7 +12,7 @@ from certify import vector_exact
 from certify.errors import CertifyError
 from certify.vector_projections import project
 from certify.vector_rates import rate
-from certify.vector_scaling import best_scaling
+from certify.vector_scaling import best_diagonal
 from certify.vector_weights import RELU, VectorWeights, check
 
 KAPPA = 0.999
@@ -201,7 +201,7 @@ def test_the_best_scaling_of_a_linear_map_reaches_its_spectral_radius():
     for q in (1, 2, 3, 4):
         R = rng.normal(size=(q, q))
         weights = VectorWeights(R, np.zeros((q, 1)), np.zeros((1, q)), np.zeros((1, 2)), np.zeros(1))
-        T = torch.from_numpy(best_scaling(weights))
+        T = torch.from_numpy(best_diagonal(weights))
         radius = np.abs(np.linalg.eigvals(np.abs(R))).max()
         assert radius - 1e-9 <= float(exact_rate(check(weights), T)) < 1.001 * radius
 
@@ -212,7 +212,7 @@ def test_the_best_scaling_of_a_network_is_no_worse_than_a_grid():
         grid = min(
             float(exact_rate(weights, torch.tensor([1.0, each]).double())) for each in np.exp(np.linspace(-6, 6, 200))
         )
-        assert float(exact_rate(weights, torch.from_numpy(best_scaling(weights)))) <= grid * 1.0001
+        assert float(exact_rate(weights, torch.from_numpy(best_diagonal(weights)))) <= grid * 1.0001
 
 
 @pytest.mark.parametrize(

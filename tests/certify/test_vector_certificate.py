@@ -1,0 +1,272 @@
+"""Certificates of networks with a vector state: made, verified, forged."""
+
+import copy
+import json
+import time
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from certify import vector_certificate as certificates
+from certify import vector_exact
+from certify.__main__ import main
+from certify.certificate import _checksum, read, write
+from certify.conditions import tight
+from certify.errors import CertifyError
+from certify.exact import conditions, multipliers
+from certify.vector_exact import Proof, identity
+from certify.vector_lmi import smallest_rate
+from certify.vector_weights import (
+    RELU,
+    Activation,
+    VectorNetwork,
+    VectorWeights,
+    activation,
+    check,
+    forward,
+    of_shallow,
+)
+from certify.weights import ShallowWeights
+
+
+def network(rng: np.random.Generator, q: int = 2, n: int = 4, two: bool = False, phi=RELU) -> VectorNetwork:
+    layer = {"V": rng.normal(size=(3, n)) / n, "c": rng.normal(size=3)} if two else {}
+    A = 0.3 * rng.normal(size=(q, 3 if two else n)) / n
+    weights = VectorWeights(0.3 * np.eye(q), A, rng.normal(size=(n, q)), rng.normal(size=(n, 2)), rng.normal(size=n))
+    return VectorNetwork("net.npz", check(weights._replace(**layer)), phi)
+
+
+def made(condition: str, net: VectorNetwork) -> dict:
+    proof = None
+    if condition in ("lmi", "tight"):
+        proof = smallest_rate(net.weights, net.activation, 2 if condition == "lmi" else 1).proof
+    found = certificates.make(net, condition, proof=proof)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("two", [False, True])
+@pytest.mark.parametrize("phi", ["relu", "leaky:0.1", "tanh"])
+@pytest.mark.parametrize("condition", ["gershgorin", "lmi", "tight", "exact"])
+def test_a_certificate_is_valid_for_its_network_alone(condition, phi, two, tmp_path):
+    rng = np.random.default_rng(3)
+    net = network(rng, two=two, phi=activation(phi))
+    if condition == "gershgorin" and not two:
+        small = 0.2 * rng.uniform(-1, 1, (4, 2))
+        net = net._replace(weights=net.weights._replace(W=small))
+    if condition != "exact" and condition != "tight" and (phi != "relu" or (two and condition == "gershgorin")):
+        assert certificates.make(net, condition) is None
+        return
+    path = write(tmp_path / "made.json", made(condition, net))
+    content = read(path)
+    assert certificates.verify(content, net).valid
+    other = net._replace(weights=net.weights._replace(A=net.weights.A * 1.01))
+    assert not certificates.verify(content, other).valid
+    assert not certificates.verify(content, net._replace(activation=activation("leaky:0.5"))).valid
+
+
+def test_what_is_certified_holds_for_pairs_of_starts():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        net = network(rng, q=3, n=6)
+        net = net._replace(weights=net.weights._replace(A=0.3 * net.weights.A))
+        found = certificates.make(net, "exact")
+        assert found is not None
+        x = rng.normal(size=(2, 50, 3))
+        u = rng.normal(size=(50, 2))
+        y = forward(net, x, u)
+        before, after = (np.abs(each[0] - each[1]).max(-1) for each in (x, y))
+        assert (after <= float(Fraction(found["contraction_rate"])) * before * (1 + 1e-12)).all()
+
+
+def test_no_certificate_where_the_rate_is_too_large():
+    net = network(np.random.default_rng(0))
+    wild = net._replace(weights=net.weights._replace(A=100 * net.weights.A))
+    assert certificates.make(wild, "exact") is None and certificates.make(wild, "gershgorin") is None
+    assert certificates.make(net, "exact", rate=Fraction(1, 100)) is None
+
+
+def test_a_singular_scaling_is_refused():
+    net = network(np.random.default_rng(0))
+    with pytest.raises(CertifyError, match="singular"):
+        certificates.make(net, "exact", scaling=[[Fraction(1)] * 2] * 2)
+    good = made("exact", net)
+    good["proof"]["scaling"] = [["1", "1"], ["1", "1"]]
+    good["sha256"] = _checksum(good)
+    assert not certificates.verify(good, net).valid
+
+
+@pytest.mark.parametrize("condition", ["gershgorin", "tight", "exact"])
+def test_a_changed_proof_with_a_right_checksum_is_refused_or_still_true(condition):
+    """A forger may compute the checksum anew: every entry of the proof is changed in turn."""
+    rng = np.random.default_rng(1)
+    net = network(rng)
+    net = net._replace(weights=net.weights._replace(W=0.1 * net.weights.W))
+    good = made(condition, net)
+    junk = ["-1", "0", "1/0", "1e9", "9" * 200, "x", None, 5, [], {}, ["1"], [["1"]], True, "¼", " 1", "1/3 "]
+    for key, value in good["proof"].items():
+        places = [(i, j) for i, row in enumerate(value) for j in range(len(row))] if isinstance(value, list) else [None]
+        for place in [None, *places]:
+            for wrong in junk:
+                forged = copy.deepcopy(good)
+                if place is None:
+                    forged["proof"][key] = wrong
+                else:
+                    forged["proof"][key][place[0]][place[1]] = wrong
+                forged["sha256"] = _checksum(forged)
+                found = certificates.verify(forged, net)
+                if found.valid:  # another multiplier, scaling or step may prove the same claim
+                    assert found.reason == forged["claim"] and isinstance(wrong, str)
+    for key in good:
+        for wrong in junk:
+            forged = {**copy.deepcopy(good), key: wrong}
+            if key != "sha256":
+                forged["sha256"] = _checksum(forged)
+            assert key in ("path", "versions") or not certificates.verify(forged, net).valid
+
+
+def test_a_smaller_rate_than_the_proved_one_is_refused():
+    net = network(np.random.default_rng(2))
+    good = made("exact", net)
+    for rate in ("1/100", "0", "-1", "2"):
+        forged = {**good, "rate": rate, "contraction_rate": rate}
+        forged["sha256"] = _checksum(forged)
+        assert not certificates.verify(forged, net).valid
+
+
+def test_the_effort_of_verification_is_bounded():
+    net = network(np.random.default_rng(2), q=6, n=30)
+    good = made("tight", net)
+    huge = ["7" * 59 + "/" + str(10**59 + k) for k in range(30)]
+    good["proof"]["multipliers"] = [huge]
+    good["proof"]["metric"] = [[("3" * 59 + "/" + "1" * 58) if i == j else "0" for j in range(6)] for i in range(6)]
+    good["sha256"] = _checksum(good)
+    began = time.perf_counter()
+    certificates.verify(good, net)
+    assert time.perf_counter() - began < 10  # milliseconds in fact; without a limit on digits it could be hours
+
+
+def test_all_smaller_steps_are_certified():
+    net = network(np.random.default_rng(4))
+    found = certificates.make(net, "exact", step=Fraction(5, 4))
+    assert found is not None and certificates.verify(found, net).valid and "0 < η ≤ 5/4" in found["claim"]
+    K = Fraction(found["contraction_rate"])
+    rng = np.random.default_rng(0)
+    x, u = rng.normal(size=(2, 200, 2)), rng.normal(size=(200, 2))
+    for eta in (0.05, 0.5, 1.0, 1.25):
+        y = x + eta * (forward(net, x, u) - x)
+        before, after = (np.abs(each[0] - each[1]).max(-1) for each in (x, y))
+        assert (after <= (1 - eta / 1.25 * (1 - float(K))) * before * (1 + 1e-12)).all()
+
+
+def test_the_command_certifies_writes_draws_and_verifies(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6), q=3, n=8)
+    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    np.savez("one.npz", a=[0.5, -0.2], w1=[1.0, 0.5], W2=[[0.0], [1.0]], b=[0.0, 0.1])
+    assert main(["net.npz", "one.npz", "--certificate", "proofs", "--plot", "map.png"]) == 0
+    printed = capsys.readouterr().out
+    assert "1 of 1 with a vector state certified contracting" in printed and "1 of 1 certified contracting" in printed
+    assert (tmp_path / "map.png").stat().st_size > 5000 and (tmp_path / "map-2.png").stat().st_size > 5000
+    proofs = sorted(map(str, tmp_path.glob("proofs/*.json")))
+    assert len(proofs) == 2 and main(["--verify", *proofs]) == 0
+    assert main(["net.npz", "one.npz", "--verify", *proofs]) == 0
+    assert main(["one.npz", "--verify", *proofs]) == 1
+    capsys.readouterr()
+    assert main(["net.npz", "one.npz", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row.get("states") for row in rows] == [None, 3] and rows[1]["rates"]["exact"] < 1
+
+
+def test_the_command_takes_other_activations(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6))
+    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    assert main(["net.npz", "--activation", "leaky:0.2", "--certificate", "proofs"]) == 0
+    proof = str(next(tmp_path.glob("proofs/*.json")))
+    assert main(["--verify", proof]) == 0
+    assert main(["net.npz", "--activation", "relu", "--verify", proof]) == 1
+    assert "leaky:1/5" in capsys.readouterr().out
+    for wrong in ("gelu", "leaky", "leaky:2", "leaky:-1", "leaky:" + "1" * 100):
+        assert main(["net.npz", "--activation", wrong]) == 2
+        assert "activation" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--condition", "simple"], "one state"),
+        (["--condition", "interval"], "one state"),
+        (["--input", "0,0"], "one state"),
+        (["--box", "0:1"], "expected 4"),
+        (["--box", "0:0,0:1,0:1,0:1"], "lo < hi"),
+        (["--lmi", "--solver", "NONE"], "not installed"),
+    ],
+)
+def test_options_that_do_not_fit_a_vector_state_are_refused(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6))
+    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    assert main(["net.npz", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error and len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"R": np.eye(3)},
+        {"A": np.ones((2, 3))},
+        {"b": np.full(4, np.nan)},
+        {"W": np.ones((4, 7)), "A": np.ones((7, 4)), "R": None},
+        {"V": np.ones((3, 4))},
+        {"c": np.ones(3)},
+        {"W2": np.ones(4)},
+        {"A": np.full((2, 4), 1e200)},
+        {"A": None},
+    ],
+)
+def test_damaged_weights_are_refused_in_one_sentence(changed, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    weights = {**network(np.random.default_rng(6)).weights._asdict(), **changed}
+    np.savez("net.npz", **{key: x for key, x in weights.items() if x is not None})
+    assert main(["net.npz"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: net.npz") and len(error.splitlines()) == 1
+
+
+def test_the_identity_scaling_is_the_default():
+    net = network(np.random.default_rng(8))
+    assert certificates.make(net, "exact") == certificates.make(net, "exact", scaling=identity(2))
+
+
+def test_one_state_is_a_special_case():
+    """The rate of a vector state with q = 1 and R = 0 is the closed form for one state, and so are the paper's."""
+    rng = np.random.default_rng(9)
+    for _ in range(50):
+        n = int(rng.integers(1, 8))
+        a, w1 = rng.normal(size=(2, n)) * rng.uniform(0.05, 1)
+        shallow = ShallowWeights(a, w1, rng.normal(size=(n, 2)), rng.normal(size=n))
+        found, weights = conditions(a, w1), of_shallow(shallow)
+        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == found["tight"].rate
+        margin, smallest = vector_exact.gershgorin(weights)
+        assert smallest == found["gershgorin"].rate and (margin > 0) == (found["gershgorin"].margin > 0)
+        kappa = found["tight"].rate * Fraction(101, 100)
+        proof = multipliers("tight", a, w1, kappa)
+        lam = [x * kappa * kappa for x in proof.multipliers]  # there a/κ, here κ² P
+        assert vector_exact.proves(weights, RELU, Proof([[Fraction(1)]], [lam]), kappa)
+
+
+def test_leaky_relu_with_a_skip_connection_has_the_closed_form_for_one_state():
+    rng = np.random.default_rng(10)
+    for _ in range(50):
+        n, leak, skip = int(rng.integers(1, 8)), float(rng.uniform(0, 0.9)), float(rng.normal())
+        a, w1 = rng.normal(size=(2, n))
+        weights = check(VectorWeights([[skip]], a[None], w1[:, None], np.zeros((n, 0)), np.zeros(n)))
+        phi = Activation("leaky", Fraction(leak))
+        exact = vector_exact.rate(weights, vector_exact.everywhere(weights, phi))
+        assert tight(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(
+            float(exact), rel=1e-12
+        )
