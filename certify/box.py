@@ -193,9 +193,9 @@ def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple
     end = time.perf_counter() + max(seconds, 0.0)
     lo, hi = float(box.lo[0]), float(box.hi[0])
     small = 1e-12 * (1 + max(abs(lo), abs(hi)))
-    for margin in (0.0, small):  # rounding may hide that a leaf is just open
+    for margin, slack in ((0.0, 0.0), (0.0, small), (small, 0.0)):  # rounding may hide that a leaf is just open
         search = Search(_constant(-margin), small, end)
-        search_range(search, weights, box, ((1.0, hi), (-1.0, -lo)))
+        search_range(search, weights, box, ((1.0, hi), (-1.0, -lo)), slack)
         if search.point is not None and not Fraction(lo) <= value_at(weights, search.point) <= Fraction(hi):
             return "no", None, search.point
         if search.open == -math.inf and proves_range(weights, box, text := search.text()):

@@ -228,8 +228,10 @@ def slopes_at(forms: Forms, z: np.ndarray) -> np.ndarray:
     return np.where((np.abs(z) > forms.error).all(1), np.abs(forms.start + (z > 0) @ forms.gain), -math.inf)
 
 
-def search_range(search: Search, weights: ShallowWeights, box: Box, sides: tuple[tuple[float, float], ...]) -> None:
-    """Search for the greatest σ f − o over the box and over the sides (σ, o)."""
+def search_range(
+    search: Search, weights: ShallowWeights, box: Box, sides: tuple[tuple[float, float], ...], slack: float = 0.0
+) -> None:
+    """Search for the greatest σ f − o over the box and the sides (σ, o); bounds by a chord are raised by `slack`."""
     a, w1, W2, c = weights
     H = np.concatenate([w1[:, None], W2], 1)
     sizes = np.abs(H)
@@ -250,7 +252,8 @@ def search_range(search: Search, weights: ShallowWeights, box: Box, sides: tuple
             slope = weight * np.where(weight > 0, chord, support)
             row = slope @ H
             value = slope @ c + shift @ np.maximum(weight, 0.0) + (row * centre).sum(1) + (np.abs(row) * radius).sum(1)
-            bounds.append(value + error - offset)
+            inner = (weight > 0) & (chord > 0) & (chord < 1)  # a proof rounds the slopes of these chords up
+            bounds.append(value + error - offset + slack * inner.any(1))
             points.append(np.where(row > 0, hi, lo))
         places = np.concatenate(points)
         f = np.maximum(places @ H.T + c, 0.0) @ a

@@ -179,9 +179,9 @@ def invariance(
     q, end = len(weights.R), time.perf_counter() + max(seconds, 0.0)
     ends = [(Fraction(float(lo)), Fraction(float(hi))) for lo, hi in zip(box.lo[:q], box.hi[:q], strict=True)]
     small = 1e-12 * (1 + float(np.abs(box.lo[:q]).max() + np.abs(box.hi[:q]).max()))
-    bounds, halve = range_bounds(weights, phi, box)
     most = min(replayed(Range(weights, phi, box)), BOXES)
-    for margin in (0.0, small):  # rounding may hide that a leaf is just open
+    for margin, slack in ((0.0, 0.0), (0.0, small), (small, 0.0)):  # rounding may hide that a leaf is just open
+        bounds, halve = range_bounds(weights, phi, box, slack)
         search = Search(_constant(-margin), small, end)
         left = search.boxes(bounds, halve, None, box, 0, most, 0.0)[0]
         if search.point is not None:

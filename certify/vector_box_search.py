@@ -265,8 +265,11 @@ class Linears:
         self.high_c = known.high * high_c + known.high_constant
 
 
-def range_bounds(weights: VectorWeights, phi: Activation, box: Box) -> tuple[Callable, Callable]:
-    """bound() and halve() of `Search.boxes` for how far f leaves the box's intervals of x."""
+def range_bounds(weights: VectorWeights, phi: Activation, box: Box, slack: float = 0.0) -> tuple[Callable, Callable]:
+    """bound() and halve() of `Search.boxes` for how far f leaves the box's intervals of x.
+
+    Bounds by chords, whose slopes a proof rounds, are raised by `slack`.
+    """
     q, net = len(weights.R), Floats(weights, phi, box, "inf", None)
     net.phi, net.H, net.c = phi, np.concatenate([weights.W, weights.W2], 1), weights.b  # not merged
     net.sizes = np.abs(net.H)
@@ -290,7 +293,11 @@ def range_bounds(weights: VectorWeights, phi: Activation, box: Box) -> tuple[Cal
         at, size = centre[:, :, None], radius[:, :, None]
         least = np.maximum(least + straight - moved, (low @ at - np.abs(low) @ size)[..., 0] + low_c)
         most = np.minimum(most + straight + moved, (high @ at + np.abs(high) @ size)[..., 0] + high_c)
-        beyond = np.concatenate([most - box.hi[:q], box.lo[:q] - least], 1)
+        rounded = (z > -reach) & (z < reach) | deep | (phi.name == "tanh")
+        above, below = (
+            ((rounded[:, None, :] & (side * weights.A > 0)).any(2) for side in (1, -1)) if not deep else (1, 1)
+        )
+        beyond = np.concatenate([most - box.hi[:q] + slack * above, box.lo[:q] - least + slack * below], 1)
         worst, k = beyond.argmax(1), np.arange(len(lo))
         row = np.concatenate([high, -low], 1)[k, worst]
         points = np.concatenate([centre, np.where(row > 0, hi, lo)])

@@ -10,6 +10,7 @@ import pytest
 
 from certify.box import box as parse_box
 from certify.box import certify as certify_scalar
+from certify.box import invariance as scalar_invariance
 from certify.box import operating_box
 from certify.box import rate as scalar_rate
 from certify.box_planes import Box
@@ -211,3 +212,15 @@ def test_checking_a_proof_imports_no_solver():
     solvers = "('scipy', 'torch', 'cvxpy', 'usvlearn')"
     code = f"import certify.vector_box, certify.steps, sys; print([x for x in {solvers} if x in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+@pytest.mark.parametrize("size", [0.5, 0.75, 1.0])
+def test_a_map_that_touches_an_end_of_its_interval_stays_inside(size):
+    """f is 0 on most of the box, and at most its size; bounds by chords just touch the upper end."""
+    shallow = ShallowWeights(np.full(2, size), np.ones(2), np.array([[1.0], [-1.0]]), -np.ones(2))
+    box = Box(np.array([0.0, -1.0]), np.ones(2))
+    assert scalar_invariance(shallow, box)[0] == "yes"
+    found = invariance(of_shallow(shallow), RELU, box)
+    assert found[0] == "yes" and proves_range(of_shallow(shallow), RELU, box, found[1])
+    beyond = shallow._replace(a=np.full(2, np.nextafter(1.0, 2)))
+    assert scalar_invariance(beyond, box)[0] == invariance(of_shallow(beyond), RELU, box)[0] == "no"
