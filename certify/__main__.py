@@ -25,6 +25,7 @@ from certify.weights import SUFFIXES, Network, digest, find
 
 CERTIFIED, NOT_ALL, BAD_INPUT, STOPPED = 0, 1, 2, 130  # exit codes
 EVERY_CONDITION = (*CONDITIONS, *(name for name in vector_certificate.CONDITIONS if name not in CONDITIONS))
+LONGEST_TIME = 1e9  # s
 LONGEST_PATH = 4096  # characters of a path that a certificate names
 EPILOG = """
 exit code: 0 all certified by --condition, 1 not all, 2 bad input, 130 Ctrl-C
@@ -77,14 +78,15 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs or sweeps, patterns")
     parser.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: tight)")
     parser.add_argument("--all", action="store_true", help="of a sweep: every parameter set, not each boat's last one")
-    parser.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (cvxpy)")
+    parser.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
     parser.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
     parser.add_argument(
         "--box",
         nargs="?",
         const="",
         metavar="LO:HI,…",
-        help="search the exact rate on a box of x, u₁ … u_m; by default x and headings in 0:1, commands in -1:1",
+        help="search the exact rate on a box of x, u₁ … u_m; by default x and headings in 0:1, commands in "
+        "-1:1; all in -1:1 for a state of several components",
     )
     parser.add_argument("--seconds", type=float, default=10.0, help="of the search on a box, each (default: 10)")
     parser.add_argument(
@@ -95,7 +97,7 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         metavar="PHI",
         help="of the networks: relu, tanh or leaky:α (default: relu; --verify: as claimed)",
     )
-    parser.add_argument("--steps", action="store_true", help="of a vector state: prove all steps up to the largest")
+    parser.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
     parser.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
     parser.add_argument("--json", action="store_true", help="a list of objects on standard output")
     parser.add_argument("--certificate", metavar="DIR", help="write a JSON certificate of each set that is certified")
@@ -121,8 +123,8 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
     if not (options.paths or options.verify):
         raise CertifyError("no PATH is given: give checkpoints, a run's folder or a pattern (see --help)")
     for name, value in (("seconds", options.seconds), ("dt", options.dt)):
-        if value is not None and not 0 < value < float("inf"):
-            raise CertifyError(f"--{name}: found {value}, expected a number above 0")
+        if value is not None and not 0 < value <= LONGEST_TIME:
+            raise CertifyError(f"--{name}: found {value}, expected a number above 0, at most {LONGEST_TIME:g}")
     return options
 
 
@@ -147,7 +149,7 @@ def _run(options: argparse.Namespace) -> int:
         code = _error(problem)
     for path in sweep_jobs.chosen(jobs, options.all) if jobs else find(options.paths):
         try:
-            shallow, others = read_both(path, phi)
+            shallow, others = read_both(path, phi, as_vectors=options.steps and not options.verify)
         except CertifyError as error:  # the other files are still judged
             code = _error(error)
             continue
@@ -163,7 +165,7 @@ def _run(options: argparse.Namespace) -> int:
         raise CertifyError(f"--plot: found {options.plot!r}, expected a file such as map.png")
     if options.verify:
         return max(code, _verify(options, networks, vectors))
-    judged = judge(options, vectors) if vectors else Judged([], [], [], [])
+    judged = judge(options, vectors) if vectors else Judged([], [], [], [], [])
     for failure in judged.failures:
         code = _error(failure)
     networks, rows, code = _assess(options, networks, code)
@@ -200,6 +202,7 @@ def _run(options: argparse.Namespace) -> int:
 
 def _refuse_options_of_single_sets(options: argparse.Namespace) -> None:
     given = {"--lmi": options.lmi, "--headings": options.headings, "--input": options.input, "--dt": options.dt}
+    given |= {"--steps": options.steps, "--activation": options.activation}
     if wrong := [name for name, value in given.items() if value not in (None, False)]:
         raise CertifyError(
             f"{wrong[0]}: is about single parameter sets, and {options.paths[0]} is the folder of a sweep: give the "
@@ -345,7 +348,7 @@ def _verify(options: argparse.Namespace, networks: Sequence[Network], vectors: S
             elif about is not None:
                 found = certificate.verify(content, about.weights)
         except CertifyError as error:  # the other certificates are still checked
-            code = _error(error)
+            code = _error(error if str(path) in str(error) else f"{path}: {error}")
             continue
         results.append({"certificate": path, "valid": found.valid, "reason": found.reason})
     lines = [f"{each['certificate']}: {'valid' if each['valid'] else 'REFUSED'}: {each['reason']}" for each in results]

@@ -133,7 +133,8 @@ class _Sums:
         return self._settled(bounds, sum(map(max, above, below)), sum(map(min, above, below)), {}, (1, -1))
 
     def halve(self, state: _Sum, j: int, here: Region, half: Region) -> _Sum:
-        column, raised, lowered = self.columns[j], half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
+        column = self.columns[j] if self.columns else []  # of a network without a slope
+        raised, lowered = half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
         bounds = []
         for g, least, most in state.free:
             k = column[g]

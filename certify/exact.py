@@ -10,6 +10,7 @@ matrix, slopes in [0, 2]; 2: the slope-restricted one, slopes in [0, 1]), for so
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
@@ -138,14 +139,18 @@ def matrix(
     return M
 
 
-def definiteness(matrix: Sequence[Sequence[Fraction]]) -> int:
+def definiteness(matrix: Sequence[Sequence[Fraction]], most: float = math.inf) -> int:
     """1: a symmetric matrix is positive definite; 0: positive semidefinite; −1: neither. By LDLᵀ, the last row first.
+
+    Args:
+        matrix: rows of fractions, symmetric.
+        most: work, in about ns, after which −1 is returned.
 
     >>> definiteness([[ONE, ZERO], [ZERO, ONE]]), definiteness([[ONE, ONE], [ONE, ONE]])
     (1, 0)
     """
     rows = [{j: x for j, x in enumerate(row) if x} for row in matrix]
-    definite = 1
+    definite, work = 1, 0.0
     for k in range(len(rows) - 1, -1, -1):
         row = rows[k]
         pivot = row.pop(k, ZERO)
@@ -157,12 +162,22 @@ def definiteness(matrix: Sequence[Sequence[Fraction]]) -> int:
             del rows[i][k]
         for i, x in row.items():
             for j, y in row.items():
-                value = rows[i].get(j, ZERO) - x * y / pivot
+                before = rows[i].get(j, ZERO)
+                work += _cost(before, x, y, pivot)
+                if work > most:
+                    return -1
+                value = before - x * y / pivot
                 if value:
                     rows[i][j] = value
                 else:
                     rows[i].pop(j, None)
     return definite
+
+
+def _cost(*values: Fraction) -> float:
+    """About how many ns it takes to multiply and add fractions: their greatest common divisors take most of it."""
+    bits = sum(x.denominator.bit_length() + x.numerator.bit_length() for x in values)
+    return 4000 + 5 * bits + bits * bits / 4000
 
 
 def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate: Fraction = ONE) -> bool:

@@ -203,7 +203,9 @@ def import_cvxpy(solver: str | None = None) -> Any:
         installed = cp.installed_solvers()
         expected = f"expected one of {', '.join(installed)}, of which CLARABEL is the default"
         if solver not in installed:
-            raise CertifyError(f"solver: found {solver}, which is not installed: {expected}")
+            raise CertifyError(
+                f"solver: found {solver}, which is not installed: {expected} (pip install 'usvlearn[lmi]')"
+            )
         try:
             cp.Problem(cp.Minimize(0), [cp.Variable((2, 2), PSD=True) >> 0]).get_problem_data(solver)
         except cp.SolverError as error:

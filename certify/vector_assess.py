@@ -11,12 +11,14 @@ from certify import vector_certificate, vector_exact
 from certify.assess import time_constant
 from certify.box_planes import Box
 from certify.certificate import provable_rate
+from certify.errors import CertifyError
 from certify.rounding import float_above
 from certify.vector_certificate import SMALLEST_RATE
 from certify.vector_exact import Matrix
 from certify.vector_scaling import best_scaling
 from certify.vector_weights import VectorNetwork
 
+STEPS = "steps"  # the certificate of all steps, beside those of the conditions
 NEARLY = Fraction(99, 100)  # of the largest step: at the largest itself the rate is 1
 SHARE = 0.1  # of the seconds of a search on a box, for the search of a scaling
 
@@ -35,7 +37,8 @@ def assess(
         box: on which the rate is searched for, if any.
         seconds: for that search; a tenth of it for the search of a scaling.
         solver: of the LMIs, if they are to be solved; a name that cvxpy knows.
-        steps: whether `exact` is to be proved for all steps up to the largest.
+        steps: whether to prove, in the norm of `exact`, that all steps up to the largest contract. This certificate
+            has the key `STEPS`.
 
     >>> import numpy as np
     >>> from certify.vector_weights import VectorWeights, check
@@ -75,15 +78,17 @@ def assess(
     }
     if statuses:
         row["solver"] = {"name": solver, **statuses}
-    if steps:
-        row["steps"], made["exact"] = _all_steps(network, norm, scaling, made["exact"])
     if box is not None:
-        row["box"], made["box"] = _searched(network, box, norm, scaling, seconds)
+        row["box"], made["box"] = _searched(network, box, norm, scaling, seconds, exact)
     found = {name: each for name, each in made.items() if each is not None}
     row["certified"] = {name: name in found for name in vector_certificate.CONDITIONS if name in made}
     smallest = [Fraction(each["contraction_rate"]) for name, each in found.items() if name != "box"]
     row["rate"] = float_above(min(smallest)) if smallest else None
     row["time_constant"] = time_constant(min(smallest)) if smallest else None  # in steps
+    if steps:  # about other steps: no verdict about the network's own
+        row["steps"], all_steps = _all_steps(network, norm, scaling)
+        if all_steps is not None:
+            found[STEPS] = all_steps
     return row, found
 
 
@@ -99,27 +104,35 @@ def _solved(network: VectorNetwork, name: str, solver: str) -> tuple[dict[str, A
 
 
 def _all_steps(
-    network: VectorNetwork, norm: str, scaling: Matrix, made: dict[str, Any] | None
+    network: VectorNetwork, norm: str, scaling: Matrix
 ) -> tuple[dict[str, str] | None, dict[str, Any] | None]:
     """The steps that contract, in steps of the network, and the certificate for all of them but the last percent."""
     from certify.steps import short, steps
 
     found = steps(network.weights, vector_exact.everywhere(network.weights, network.activation), norm, scaling)
     proved = short(NEARLY * found.largest)
-    if proved is None:
-        return None, made
+    made = None
+    if proved is not None:
+        made = vector_certificate.make(network, "exact", norm=norm, scaling=scaling, step=proved)
+    if made is None:
+        return None, None
     row = {"largest": str(found.largest), "fastest": str(found.fastest), "proved": str(proved)}
-    return row, vector_certificate.make(network, "exact", norm=norm, scaling=scaling, step=proved)
+    return row, made
 
 
 def _searched(
-    network: VectorNetwork, box: Box, norm: str, scaling: Matrix, seconds: float
+    network: VectorNetwork, box: Box, norm: str, scaling: Matrix, seconds: float, exact: Fraction
 ) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """The bracket of the rate on a box, the verdict on rate < 1, and the certificate of the smallest rate found."""
     from certify.vector_box import certify, invariance, rate
 
     weights, phi = network.weights, network.activation
-    bracket = rate(weights, phi, box, norm, scaling, seconds=seconds / 2)
+    intervals = [[float(lo), float(hi)] for lo, hi in zip(box.lo, box.hi, strict=True)]
+    try:
+        bracket = rate(weights, phi, box, norm, scaling, seconds=seconds / 2)
+    except CertifyError as error:  # weights too large for the search
+        nothing = {"verdict": "unknown", "bracket": [0.0, float_above(exact)], "forward_invariant": "unknown"}
+        return {**nothing, "intervals": intervals, "error": str(error)}, None
     lower, upper, tree, verdict = bracket.lower, bracket.upper, bracket.tree, "certified"
     if upper < 1:
         invariant, invariance_tree, _ = invariance(weights, phi, box, seconds / 2)
@@ -132,7 +145,7 @@ def _searched(
         "verdict": verdict,
         "bracket": [lower, upper],
         "forward_invariant": invariant,
-        "intervals": [[float(lo), float(hi)] for lo, hi in zip(box.lo, box.hi, strict=True)],
+        "intervals": intervals,
     }
     if verdict != "certified":
         return row, None

@@ -5,13 +5,14 @@
     exact               a norm and a scaling T, in which all activation patterns contract (`certify.vector_exact`, 2)
     box                 a norm, a scaling, and a tree of boxes                            (`certify.vector_box_proof`)
 
-`exact` and `box` may name a step η: the claim is then about f_η(x) = x + η (f(x, u) − x), which is f at η times its
-step, and it holds for all smaller steps, too (`certify.steps`).
+`exact` names a step η, by default 1. With another one the claim is about f_η(x) = x + η (f(x, u) − x), which is f at η
+times its step, and it holds for all smaller steps, too (`certify.steps`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from decimal import Decimal
 from fractions import Fraction
 from typing import Any
 
@@ -30,7 +31,7 @@ from certify.certificate import (
     signed,
 )
 from certify.errors import CertifyError, shortened
-from certify.rounding import above, float_below
+from certify.rounding import above, below, float_below
 from certify.steps import stepped
 from certify.vector_exact import NORMS, Matrix, Proof
 from certify.vector_weights import Activation, VectorNetwork, VectorWeights, check, digest
@@ -39,7 +40,8 @@ FORMAT = "usvlearn vector certificate 1"
 CONDITIONS = ("gershgorin", "lmi", "tight", "exact", "box")
 BY_MATRIX = CONDITIONS[:3]
 OWN_KEYS = KEYS | {"states", "activation"}
-LONGEST_NUMBER = 120  # characters of an entry of P, Λ or T
+LONGEST_NUMBER = 120  # characters of an entry of P or Λ, or of a step
+LONGEST_SCALING = 40  # of an entry of T: the exact rate multiplies it with every weight
 SMALLEST_RATE = Fraction(1, 1000)  # that is claimed; a solver cannot tell a smaller one from zero
 
 
@@ -110,6 +112,8 @@ def make(
             raise CertifyError("box: found no box, expected the box on which the condition is to hold")
         else:
             parts |= {"box": pairs(box), "tree": tree, "invariance_tree": invariance_tree}
+    if not _short(parts):
+        return None
     content = described(_claims(weights, network.activation, condition, kappa, parts), parts, network.path)
     return content if verify(content, network).valid else None
 
@@ -162,11 +166,11 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
             return f"its condition {condition} is about another kind of network"
         most = phi.most if condition == "tight" else Fraction(2)
         if not vector_exact.proves(weights, phi, found, kappa, most):
-            return "its P and Λ do not make M positive definite"
+            return "its P and Λ do not make M positive definite, or take too long to check"
         if condition == "gershgorin" and not _below(vector_exact.gershgorin(weights)[1], kappa):
             return "the lemma's inequalities do not hold at its rate"
         return None
-    scaling = _matrix(proof["scaling"])
+    scaling = _matrix(proof["scaling"], LONGEST_SCALING)
     q = len(weights.R)
     if proof["norm"] not in NORMS or len(scaling) != q or any(len(row) != q for row in scaling):
         return "its norm or its T is of another kind"
@@ -194,8 +198,9 @@ def _claims(
 ) -> dict[str, Any]:
     """The claims of a certificate, derived from the weights, the condition, the rate and the parts of the proof."""
     n, m = weights.W2.shape
-    doubled = condition in ("gershgorin", "lmi") and not weights.R.any()  # slopes in [0, 2] at κ: in [0, 1] at κ/2
-    bound = kappa / 2 if doubled else kappa
+    # slopes in [0, 2] at κ: where J is linear in the slopes of each layer, in [0, 1] at κ/2, with two layers at κ/4
+    twice = condition in ("gershgorin", "lmi") and not weights.R.any()
+    bound = kappa / (4 if weights.V is not None else 2) if twice else kappa
     where, how, what = "for all x₁, x₂ and u", "", "f(x₁, u) − f(x₂, u)"
     if condition in BY_MATRIX:
         norm, how = "|{}|_P", "M(P, Λ) is positive definite: LDLᵀ in rational arithmetic"
@@ -205,12 +210,10 @@ def _claims(
     right = above(bound, DIGITS + 1)
     if condition == "exact" and (step := _number(proof["step"])) != 1:
         what = "f_η(x₁, u) − f_η(x₂, u)"
-        right = f"(1 − (η/{step}) {float_below(1 - bound)!r})"
+        right = f"(1 − {below((1 - bound) / step, DIGITS)} η)"
         where = f"for all x₁, x₂, u and 0 < η ≤ {step}, f_η(x, u) = x + η (f(x, u) − x)"
     if condition == "box":
         lo, hi = box_of(proof["box"], len(weights.R))
-        from decimal import Decimal
-
         intervals = ", ".join(f"[{Decimal(a)}, {Decimal(b)}]" for a, b in zip(lo, hi, strict=True))
         kept = "which f maps into itself" if proof["invariance_tree"] is not None else "for as long as x stays in it"
         where = f"for (x, u) in {intervals}, {kept}"
@@ -234,13 +237,20 @@ def _claims(
     }
 
 
-def _matrix(rows: Any) -> Matrix:
+def _short(parts: Mapping[str, Any]) -> bool:
+    """Whether the numbers of a proof are as short as verification expects."""
+    limits = {"metric": LONGEST_NUMBER, "multipliers": LONGEST_NUMBER, "scaling": LONGEST_SCALING}
+    rows = [(row, most) for key, most in limits.items() for row in parts.get(key, [])]
+    return len(parts.get("step", "")) <= LONGEST_NUMBER and all(len(x) <= most for row, most in rows for x in row)
+
+
+def _matrix(rows: Any, longest: int = LONGEST_NUMBER) -> Matrix:
     if not isinstance(rows, list) or not all(isinstance(row, list) for row in rows):
         raise TypeError("a matrix is no list of lists")
-    return [[_number(x) for x in row] for row in rows]
+    return [[_number(x, longest) for x in row] for row in rows]
 
 
-def _number(text: Any) -> Fraction:
-    if isinstance(text, str) and len(text) > LONGEST_NUMBER:
-        raise ValueError(f"a number has more than {LONGEST_NUMBER} characters")
+def _number(text: Any, longest: int = LONGEST_NUMBER) -> Fraction:
+    if isinstance(text, str) and len(text) > longest:
+        raise ValueError(f"a number has more than {longest} characters")
     return fraction(text)

@@ -43,6 +43,7 @@ ZERO, ONE = Fraction(0), Fraction(1)
 Matrix = list[list[Fraction]]
 Slopes = Sequence[tuple[Fraction, Fraction]]  # the least and the greatest slope of each neuron of a layer
 NORMS = ("inf", "one")
+WORK = 5e9  # of LDLᵀ, in about ns: a proof from elsewhere may have numbers of any length
 
 
 class Proof(NamedTuple):
@@ -276,6 +277,8 @@ def proves(
 ) -> bool:
     """Whether P and Λ prove the rate κ: shapes that fit, Λ ≻ 0, M ≻ 0 (3), which contains P ≻ 0.
 
+    False also where LDLᵀ takes longer than about 5 s.
+
     >>> from certify.vector_weights import RELU, check
     >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
     >>> half = Proof([[ONE]], [[Fraction(1, 2)]])
@@ -288,4 +291,4 @@ def proves(
         return False
     if [len(each) for each in proof.multipliers] != sizes or not all(x > 0 for each in proof.multipliers for x in each):
         return False
-    return definiteness(inequality(weights, phi, proof, kappa, most)) == 1
+    return definiteness(inequality(weights, phi, proof, kappa, most), WORK) == 1

@@ -27,6 +27,7 @@ from certify.vector_balance import Balanced, balance
 from certify.vector_exact import Proof, proves
 from certify.vector_weights import Activation, VectorWeights, check
 
+QUIET = np.errstate(all="ignore")  # weights near the ends of a float's range; what is claimed is proved in fractions
 SMALLEST = 2.0**-12  # rate of the balanced network: one whose slopes are all zero has the rate 0, which is no κ
 FLOOR = 0.01  # of P₀ and Λ₀: beside a singular P₀ the solver fails
 EPSILON = 0.1  # of (1): 1 needs half as many programs again, 0.01 makes the solver fail now and then
@@ -54,6 +55,7 @@ class Solved(NamedTuple):
     programs: int  # how many were solved
 
 
+@QUIET
 def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver: str = "CLARABEL") -> Solved:
     """The smallest κ at which (1) has t > 0 according to the solver, and a proof at a κ slightly above it.
 
@@ -101,6 +103,7 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
     return Solved(verdict, rate, exact, proof, margin, status, solver, time.perf_counter() - start, program.solved)
 
 
+@QUIET
 def certify(
     weights: VectorWeights, phi: Activation, rate: float | Fraction = 1, most: int = 1, solver: str = "CLARABEL"
 ) -> Solved:

@@ -76,6 +76,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> list[str]:
         f"{len(rows) - held.count(None)} of {len(rows)} with a vector state certified contracting"
         + (f" (by {by})" if by else "") + ", in rational arithmetic"
     ]  # fmt: skip
-    if None in held and not any("solver" in row for row in rows):
-        lines.append("a full metric P may prove more: --lmi searches for it (cvxpy)")
+    lines += [f"{row['path']}: {row['box']['error']}" for row in rows if "error" in row.get("box", {})]
+    if any(row["judged"] is None and not row["certified"]["exact"] and "solver" not in row for row in rows):
+        lines.append("a full metric P may prove more: --lmi searches for it (extra lmi)")
     return lines

@@ -13,7 +13,7 @@ import numpy as np
 from certify import certificate, vector_certificate
 from certify.box import box
 from certify.errors import CertifyError
-from certify.vector_assess import assess, best
+from certify.vector_assess import STEPS, assess, best
 from certify.vector_weights import VectorNetwork
 
 SCALAR_ALONE = ("simple", "interval")  # conditions of shallow networks alone
@@ -25,6 +25,7 @@ class Judged(NamedTuple):
     networks: list[VectorNetwork]
     rows: list[dict[str, Any]]  # of `assess`, with the condition that was judged: `judged`, or None
     certificates: list[dict[str, Any] | None]  # of that condition
+    steps: list[dict[str, Any] | None]  # of all steps
     failures: list[CertifyError]
 
     @property
@@ -48,13 +49,14 @@ def judge(options: argparse.Namespace, networks: Sequence[VectorNetwork]) -> Jud
             f"--headings, --input: are for networks with one state, and {networks[0].path} is another kind"
         )
     solver = options.solver.upper() if options.lmi or options.condition in ("lmi", "tight") else None
-    judged = Judged([], [], [], [])
+    judged = Judged([], [], [], [], [])
     boxes = {}
     for network in networks:  # report every bad argument before computing anything
         if options.box is not None:
             boxes[network.states, network.inputs] = _box(options.box, network)
     for each in _shown(networks):
         try:
+            _refuse_condition(options.condition, each)
             where = boxes.get((each.states, each.inputs))
             row, made = assess(each, where, options.seconds, solver, options.steps)
         except CertifyError as error:  # the other networks are still judged
@@ -64,7 +66,16 @@ def judge(options: argparse.Namespace, networks: Sequence[VectorNetwork]) -> Jud
         judged.networks.append(each)
         judged.rows.append({**row, "judged": name})
         judged.certificates.append(None if name is None else made[name])
+        judged.steps.append(made.get(STEPS))
     return judged
+
+
+def _refuse_condition(condition: str | None, network: VectorNetwork) -> None:
+    """Raise where a condition is about other networks: "does not hold" would be misunderstood."""
+    if condition in ("gershgorin", "lmi") and network.activation.name != "relu":
+        raise CertifyError(f"--condition {condition}: is for relu, found {network.activation}: try exact or tight")
+    if condition == "gershgorin" and network.weights.V is not None:
+        raise CertifyError("--condition gershgorin: is for one hidden layer, found two: try exact or tight")
 
 
 def _shown(networks: Sequence[VectorNetwork]) -> Iterable[VectorNetwork]:
@@ -86,12 +97,13 @@ def _box(text: str, network: VectorNetwork) -> Any:
 
 
 def write_certificates(folder: Path, judged: Judged, names: Sequence[str]) -> int:
-    """Write the certificate of each network that holds; returns their number."""
+    """Write the certificate of each network that holds, and that of its steps; returns their number."""
     written = 0
-    for row, made, name in zip(judged.rows, judged.certificates, names, strict=True):
-        if made is not None:
-            certificate.write(folder / f"{name}.{row['judged']}.json", made)
-            written += 1
+    for row, made, all_steps, name in zip(judged.rows, judged.certificates, judged.steps, names, strict=True):
+        for kind, content in ((row["judged"], made), (STEPS, all_steps)):
+            if content is not None:
+                certificate.write(folder / f"{name}.{kind}.json", content)
+                written += 1
     return written
 
 

@@ -26,6 +26,7 @@ import numpy as np
 from certify.vector_exact import NORMS, Matrix, everywhere, identity, inverse, rate
 from certify.vector_weights import RELU, Activation, VectorWeights, check
 
+QUIET = np.errstate(all="ignore")  # weights near the ends of a float's range; what is claimed is computed in fractions
 STEPS = 60  # linear programs from one start
 ITERATIONS = 400  # of F
 FIRST, LAST = 0.3, 1e-4  # δ, and where the search ends
@@ -82,6 +83,7 @@ class Values:
         return T @ self.R @ x + greatest
 
 
+@QUIET
 def best_diagonal(weights: VectorWeights, phi: Activation = RELU, norm: str = "inf") -> np.ndarray:
     """The diagonal of T for which K is smallest, `(q,)`, with the geometric mean 1.
 
@@ -157,6 +159,7 @@ def starts(weights: VectorWeights, phi: Activation, values: Values, metric: np.n
             yield np.linalg.inv(basis)
 
 
+@QUIET
 def best_scaling(
     weights: VectorWeights,
     phi: Activation,

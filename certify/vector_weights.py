@@ -223,8 +223,12 @@ def _layers(tensors: Mapping[str, Any], path: str) -> list[VectorWeights]:
     return [weights]
 
 
-def read_both(path: str | Path, phi: Activation = RELU) -> tuple[list[Network], list[VectorNetwork]]:
-    """The shallow networks and the networks (1) in a file; with another activation all are of the second kind.
+def read_both(
+    path: str | Path, phi: Activation = RELU, as_vectors: bool = False
+) -> tuple[list[Network], list[VectorNetwork]]:
+    """The shallow networks and the networks (1) in a file.
+
+    With another activation, or `as_vectors`, all are of the second kind.
 
     Raises:
         CertifyError: as `certify.weights.load`.
@@ -232,7 +236,7 @@ def read_both(path: str | Path, phi: Activation = RELU) -> tuple[list[Network], 
     tensors = read_tensors(path)
     vectors = from_tensors(tensors, str(path), phi)
     shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path))
-    if phi == RELU:
+    if phi == RELU and not as_vectors:
         return shallow, vectors
     return [], vectors + [VectorNetwork(each.path, of_shallow(each.weights), phi) for each in shallow]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from certify.box import certify, operating_box, rate
+from certify.box_planes import Box
 from certify.box_proof import proves, proves_range
 from certify.weights import ShallowWeights
 from tests.support.networks import network, star
@@ -112,3 +113,9 @@ def test_hostile_trees_are_answered_soon():
 def test_checking_a_proof_imports_no_solver():
     code = "import certify.box, sys; print([x for x in ('scipy', 'torch', 'cvxpy', 'usvlearn') if x in sys.modules])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+
+
+def test_a_network_without_a_slope_is_proved_with_any_tree():
+    still = ShallowWeights(np.zeros(2), np.ones(2), np.zeros((2, 1)), np.zeros(2))
+    over = Box(np.zeros(2), np.ones(2))
+    assert proves(still, over, "x . .", 0.1) and proves(still, over, ".", 0.1)

@@ -12,7 +12,7 @@ import torch
 from certify import vector_certificate as certificates
 from certify import vector_exact
 from certify.__main__ import main
-from certify.certificate import _checksum, read, write
+from certify.certificate import _checksum, described, read, write
 from certify.conditions import tight
 from certify.errors import CertifyError
 from certify.exact import conditions, multipliers
@@ -136,16 +136,25 @@ def test_a_smaller_rate_than_the_proved_one_is_refused():
         assert not certificates.verify(forged, net).valid
 
 
-def test_the_effort_of_verification_is_bounded():
-    net = network(np.random.default_rng(2), q=6, n=30)
-    good = made("tight", net)
-    huge = ["7" * 59 + "/" + str(10**59 + k) for k in range(30)]
-    good["proof"]["multipliers"] = [huge]
-    good["proof"]["metric"] = [[("3" * 59 + "/" + "1" * 58) if i == j else "0" for j in range(6)] for i in range(6)]
-    good["sha256"] = _checksum(good)
+@pytest.mark.parametrize(("q", "n", "two"), [(6, 200, False), (3, 40, True)])
+def test_the_effort_of_verification_is_bounded(q, n, two):
+    """Numbers as long as they may be: LDLᵀ would take minutes, and is given up."""
+    rng = np.random.default_rng(2)
+    net = network(rng, q, n)
+    if two:
+        weights = net.weights._replace(V=rng.normal(size=(n, n)) / n, c=rng.normal(size=n))
+        net = net._replace(weights=weights)
+    draw = iter(int(x) for x in rng.integers(10**17, 10**18, 20_000))
+
+    def number() -> str:
+        return "/".join(f"{next(draw)}{next(draw)}{next(draw)}"[:58] for _ in range(2))
+
+    metric = [[number() if i == j else "0" for j in range(q)] for i in range(q)]
+    parts = {"metric": metric, "multipliers": [[number() for _ in range(n)] for _ in range(1 + two)]}
+    claims = certificates._claims(net.weights, net.activation, "tight", Fraction(1), parts)
     began = time.perf_counter()
-    certificates.verify(good, net)
-    assert time.perf_counter() - began < 10  # milliseconds in fact; without a limit on digits it could be hours
+    certificates.verify(described(claims, parts, "net.npz"), net)
+    assert time.perf_counter() - began < 30  # about 5 s on an idle machine
 
 
 def test_all_smaller_steps_are_certified():
@@ -270,3 +279,62 @@ def test_leaky_relu_with_a_skip_connection_has_the_closed_form_for_one_state():
         assert tight(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(
             float(exact), rel=1e-12
         )
+
+
+def test_steps_say_nothing_about_the_step_of_the_network(tmp_path, monkeypatch, capsys):
+    """A network that does not contract at its own step may contract at smaller ones; its verdict stays the same."""
+    monkeypatch.chdir(tmp_path)
+    np.savez("swings.npz", A=[[0.1]], W=[[1.0]], W2=[[0.0]], b=[0.0], R=[[-1.5]])
+    assert main(["swings.npz", "--steps", "--json", "--certificate", "proofs"]) == 1
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["rates"]["exact"] == 1.5 and not row["certified"]["exact"] and row["rate"] is None
+    assert Fraction(row["steps"]["largest"]) == Fraction(4, 5)
+    assert [path.name for path in tmp_path.glob("proofs/*")] == ["swings.steps.json"]
+    assert main(["--verify", "proofs/swings.steps.json"]) == 0
+
+
+def test_a_certificate_of_steps_is_written_beside_the_other(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez("one.npz", a=[0.5, -0.2], w1=[1.0, 0.5], W2=[[0.0], [1.0]], b=[0.0, 0.1])
+    assert main(["one.npz", "--json"]) == 0 and main(["one.npz", "--steps", "--json", "--certificate", "proofs"]) == 0
+    plain, stepped = (json.loads(text)[0] for text in capsys.readouterr().out.replace("]\n[", "]\0[").split("\0"))
+    assert plain["time_constant"] == pytest.approx(stepped["time_constant"], rel=1e-5)
+    assert {path.name for path in tmp_path.glob("proofs/*")} == {"one.exact.json", "one.steps.json"}
+
+
+def test_steps_too_long_to_write_are_left_out(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez("huge.npz", A=[[0.1]], W=[[1.0]], W2=[[0.0]], b=[0.0], R=[[-1e140]])
+    assert main(["huge.npz", "--steps"]) == 1
+    assert main(["huge.npz", "--dt", "1e308"]) == 2 and "--dt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--condition", "gershgorin"], ["--condition", "lmi", "--activation", "tanh"]])
+def test_a_condition_for_other_networks_is_refused(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6), two=True)
+    np.savez("deep.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    assert main(["deep.npz", *arguments]) == 2 and "is for" in capsys.readouterr().err
+
+
+def test_weights_too_large_for_the_search_on_a_box_keep_their_other_verdicts(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez("huge.npz", A=1e100 * np.eye(2), W=1e-101 * np.eye(2), W2=np.zeros((2, 1)), b=np.zeros(2))
+    assert main(["huge.npz", "--box"]) == 0
+    assert "huge.npz: weights or box: found a value" in capsys.readouterr().out
+
+
+def test_two_layers_of_the_papers_matrix_count_twice():
+    """Slopes in [0, 2] in both layers: without a skip connection a quarter of the rate is claimed, and holds."""
+    rng = np.random.default_rng(12)
+    net = network(rng, two=True)
+    net = net._replace(weights=net.weights._replace(R=np.zeros((2, 2))))
+    found = made("lmi", net)
+    assert Fraction(found["contraction_rate"]) == Fraction(found["rate"]) / 4
+    P = np.array([[float(Fraction(x)) for x in row] for row in found["proof"]["metric"]])
+    root = np.linalg.cholesky(P).T
+    for _ in range(500):
+        first, second = rng.integers(0, 2, 4), rng.integers(0, 2, 3)
+        J = net.weights.A @ (second[:, None] * net.weights.V) @ (first[:, None] * net.weights.W)
+        size = np.linalg.norm(root @ J @ np.linalg.inv(root), 2)
+        assert size <= float(Fraction(found["contraction_rate"])) * (1 + 1e-9)
