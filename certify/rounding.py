@@ -19,16 +19,16 @@ def float_above(x: Fraction) -> float:
         near = float(x)
     except OverflowError:
         near = math.inf if x > 0 else -math.inf
-    return near if near >= x else math.nextafter(near, math.inf)
+    return (near if near >= x else math.nextafter(near, math.inf)) + 0.0  # −0, where x underflows, becomes 0
 
 
 def float_below(x: Fraction) -> float:
     """The greatest float that is not above a number.
 
-    >>> float_below(Fraction(1, 10)) < Fraction(1, 10) < float_above(Fraction(1, 10))
-    True
+    >>> float_below(Fraction(1, 10)) < Fraction(1, 10) < float_above(Fraction(1, 10)), float_below(Fraction(0))
+    (True, 0.0)
     """
-    return -float_above(-x)
+    return 0.0 - float_above(-x)  # 0 is never −0
 
 
 def above(x: Fraction | float, digits: int = 6) -> str:

@@ -32,6 +32,12 @@ def test_floats_bound_and_are_the_nearest_that_do():
         assert low <= x <= high and (low == high == x or math.nextafter(low, math.inf) == high)
 
 
+@pytest.mark.parametrize("size", [0, Fraction(1, 10**400)])  # the second is below every positive float
+def test_no_bound_is_minus_zero(size):
+    for x in (float_above(Fraction(-size)), float_below(Fraction(size))):
+        assert x == 0 and math.copysign(1, x) == 1
+
+
 @pytest.mark.parametrize("x", [0.0, 1.0, -1.0, 0.5, 100.0, 2.0**-10])
 def test_what_is_short_stays_as_it_is(x):
     assert Fraction(above(x, 20)) == Fraction(below(x, 20)) == Fraction(x) == Fraction(float_above(Fraction(x)))
