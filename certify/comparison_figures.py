@@ -66,7 +66,7 @@ def save_all(drawn: Mapping[str, Picture], path: Path) -> None:
 
 
 def _signs(result: Mapping[str, Any]) -> Picture | None:
-    figure, axes = _axes("the share of neurons whose s_i has the rarer sign", "σ/K, best-gauge Gershgorin over LMI")
+    figure, axes = _axes("the share of neurons whose sᵢ has the rarer sign", "σ/K, best-gauge Gershgorin over LMI")
     share = np.linspace(0, 0.5, 101)
     names = [(2.0, "bound 2", PALE)]
     axes.axhline(2, color=PALE, linewidth=1)
@@ -97,7 +97,7 @@ def _signs(result: Mapping[str, Any]) -> Picture | None:
     return Picture(
         figure,
         f"What Gershgorin loses by itself. Lines: medians of {_range(counts)} networks for each share and n; bands: 5 "
-        "to 95 % of them; dots: the networks of the families; dashed: 1/(1 − share), where all |s_i| are equal.",
+        "to 95 % of them; dots: the networks of the families; dashed: 1/(1 − share), where all |sᵢ| are equal.",
     )
 
 

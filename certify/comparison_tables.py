@@ -87,7 +87,7 @@ def settings(result: Mapping[str, Any]) -> list[str]:
         "Brackets are 95 % intervals: Wilson's of a share, order statistics of a median. Random seed "
         f"{result['seed']}; {result['seconds']:g} s for each search on a box; LMI by "
         f"{result['solver'] or 'no solver'}.",
-        "∞: the condition holds at no rate, because some |w_{1i}| is 1 or more.",
+        "∞: the condition holds at no rate, because some |w₁ᵢ| is 1 or more.",
     ]
     return lines + list(result["notes"])
 
@@ -109,19 +109,19 @@ def _theorem(result: Mapping[str, Any]) -> Part:
     theorem, steps = result["theorem"], "fails" if result["theorem"]["false"] else "holds"
     said = [
         STATEMENT,
-        "Why: in its best gauge, |w_{1i}| = ½, Gershgorin's smallest rate is 2σ, σ = Σ|s_i| = P + N. The LMI's is 2K, "
-        "K = max(P, N). P and −N are the sums of the positive and of the negative s_i = a_i w_{1i}.",
+        "Why: in its best gauge, |w₁ᵢ| = ½, Gershgorin's smallest rate is 2σ, σ = Σ|sᵢ| = P + N. The LMI's is 2K, "
+        "K = max(P, N). P and −N are the sums of the positive and of the negative sᵢ = aᵢ w₁ᵢ.",
     ]
     said.append(
         f"Each step of the proof {steps} on all {theorem['networks']:,} networks with a slope, evaluated in fractions; "
-        f"{theorem['one_sign']:,} of them have s_i of one sign."
+        f"{theorem['one_sign']:,} of them have sᵢ of one sign."
         if not theorem["false"]
         else f"A step of the proof fails: {'; '.join(theorem['false'])}."
     )
     if theorem["without_slope"]:
         said.append(f"{theorem['without_slope']} networks have K = 0, where both rates are 0.")
     said.append(
-        "The ratio grows with the share of neurons whose s_i has the rarer sign: it is 1 at 0, and comes near 2 at ½ "
+        "The ratio grows with the share of neurons whose sᵢ has the rarer sign: it is 1 at 0, and comes near 2 at ½ "
         "as n grows."
     )
     rows = [
@@ -166,15 +166,19 @@ def _neurons(result: Mapping[str, Any]) -> Part:
         ]
         title = f"{name} networks, {rows[0]['networks']} of each n: median smallest rate over K"
         tables.append(Table(title, ("n", *SEEN), cells))
-        ends = [rows[0], *rows[1:][-1:]]
-        told = [f"{tier} {' to '.join(_three(row['tiers'][tier]['median']) for row in ends)}" for tier in SEEN[:4]]
+        few, many = rows[0], rows[-1]
+        medians = {tier: [_three(row["tiers"][tier]["median"]) for row in (few, many)] for tier in SEEN[:4]}
         said.append(
-            f"{name.capitalize()} networks of n = {' to '.join(str(row['n']) for row in ends)} have a median smallest "
-            f"rate over K of: {'; '.join(told)}; lmi 2."
+            f"At n = {few['n']} the median smallest rate over K of {name} networks is "
+            f"{'; '.join(f'{ends[0]} for {tier}' for tier, ends in medians.items())}."
+            if few is many
+            else f"From n = {few['n']} to n = {many['n']} the median smallest rate over K of {name} networks goes "
+            f"{'; '.join(f'from {ends[0]} to {ends[1]} for {tier}' for tier, ends in medians.items())}."
         )
     said.append(
-        "In its best gauge Gershgorin is at most 4, 2 times the LMI's 2. In its best gauge simple lies between "
-        "4(n + 1)/n and 4(n + 1), so that no bound holds for all n."
+        "The LMI's smallest rate over K is 2 for every network. In its best gauge Gershgorin's is at most 4, which is "
+        "2 times the LMI's 2. In its best gauge simple's lies between 4(n + 1)/n and 4(n + 1), so that no bound holds "
+        "for all n."
     )
     return Part("neurons", "How does the loss grow with the number of neurons?", said, tables, ["neurons"])
 

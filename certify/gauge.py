@@ -20,24 +20,24 @@ from certify.exact import ONE, ZERO, best_gauge, conditions, fractions, multipli
 
 STATEMENT = (
     "The smallest rate that Gershgorin's lemma proves in its best gauge is σ/K times that of the LMI. This lies "
-    "between 1 and 2 for every network and every n, and is 1 exactly where all s_i ≠ 0 have one sign."
+    "between 1 and 2 for every network and every n, and is 1 exactly where all sᵢ ≠ 0 have one sign."
 )
 PROOF = (
-    "Let s_i = a_i w_{1i}, P the sum of the positive s_i, −N that of the negative ones, K = max(P, N) > 0 and σ = Σ "
-    "|s_i| = P + N. A condition holds at the rate κ if it holds with a/κ in place of a.",
-    "Gershgorin: the lemma holds at κ if |w_{1i}| < 1 for all i and Σ |a_i|/(1 − |w_{1i}|) < 2κ. A gauge replaces "
-    "(a_i, w_{1i}) by (a_i/c_i, c_i w_{1i}), c_i > 0, which changes neither the network nor s_i. Where w_{1i} ≠ 0, "
-    "the term is |s_i|/(|w_{1i}|(1 − |w_{1i}|)) ≥ 4 |s_i|, with equality at |w_{1i}| = ½. Where w_{1i} = 0 it is "
-    "|a_i|/c_i, which can be made as small as one likes. So the smallest rate over all gauges is 4σ/2 = 2σ.",
-    "LMI: take v = (1, y, z), y = ±1, and z_i = 2 w_{1i} y for the s_i in the larger of both sums, else 0. All "
+    "Let sᵢ = aᵢ w₁ᵢ, P the sum of the positive sᵢ, −N that of the negative ones, K = max(P, N) > 0 and σ = Σ "
+    "|sᵢ| = P + N. A condition holds at the rate κ if it holds with a/κ in place of a.",
+    "Gershgorin: the lemma holds at κ if |w₁ᵢ| < 1 for all i and Σ |aᵢ|/(1 − |w₁ᵢ|) < 2κ. A gauge replaces "
+    "(aᵢ, w₁ᵢ) by (aᵢ/cᵢ, cᵢ w₁ᵢ), cᵢ > 0, which changes neither the network nor sᵢ. Where w₁ᵢ ≠ 0, "
+    "the term is |sᵢ|/(|w₁ᵢ|(1 − |w₁ᵢ|)) ≥ 4 |sᵢ|, with equality at |w₁ᵢ| = ½. Where w₁ᵢ = 0 it is "
+    "|aᵢ|/cᵢ, which can be made as small as one likes. So the smallest rate over all gauges is 4σ/2 = 2σ.",
+    "LMI: take v = (1, y, z), y = ±1, and zᵢ = 2 w₁ᵢ y for the sᵢ in the larger of both sums, else 0. All "
     "terms of p and Λ in vᵀMv cancel, and vᵀMv = 2 − 4K/κ for one of the two signs. So κ > 2K is necessary. It is "
-    "sufficient: with p = 1, λ_i = |a_i|/(κ |w_{1i}|) and S = Σ s_i, eliminating Λ leaves the matrix [1 − σ/κ, "
-    "−S/κ; −S/κ, 1 − σ/κ], which is positive definite if σ + |S| = 2K < κ. A neuron with s_i = 0 takes a λ_i so "
+    "sufficient: with p = 1, λᵢ = |aᵢ|/(κ |w₁ᵢ|) and S = Σ sᵢ, eliminating Λ leaves the matrix [1 − σ/κ, "
+    "−S/κ; −S/κ, 1 − σ/κ], which is positive definite if σ + |S| = 2K < κ. A neuron with sᵢ = 0 takes a λᵢ so "
     "large, or so small, that its share vanishes. So the smallest rate is 2K.",
     "The quotient is 2σ/2K = (P + N)/max(P, N) = 1 + min(P, N)/max(P, N). It lies in [1, 2], and is 1 if and only "
     "if P or N is 0. ∎",
-    "simple: by the same inequality its smallest rate over all gauges is 4(n + 1) max |s_i|, which is 2(n + 1) max "
-    "|s_i|/K times that of the LMI. K is at least max |s_i| and at most n max |s_i|, so the quotient lies between "
+    "simple: by the same inequality its smallest rate over all gauges is 4(n + 1) max |sᵢ|, which is 2(n + 1) max "
+    "|sᵢ|/K times that of the LMI. K is at least max |sᵢ| and at most n max |sᵢ|, so the quotient lies between "
     "2(n + 1)/n and 2(n + 1), and no bound holds for all n. ∎",
 )
 JUST_ABOVE = 1 + Fraction(1, 2**20)  # of the smallest rate, where multipliers are proved

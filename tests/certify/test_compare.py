@@ -233,6 +233,7 @@ def test_the_page(made):
     markdown = (folder / "page" / "report.md").read_text()
     assert not re.search(r"<\w", markdown.partition("```")[0])
     assert headline(result) in markdown and "∎" in markdown
+    assert not re.search(r"_\{|\b[acsz]_i", text + markdown) and "|w₁ᵢ| = ½" in text and "|w₁ᵢ| = ½" in markdown
     for target in re.findall(r"\]\(([^)]+\.svg)\)", markdown):
         assert (folder / "page" / target).stat().st_size > 3000
     lines = ["", *markdown.splitlines()]
