@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from certify.vector_weights import VectorNetwork, forward
 
 PAIRS = 24  # of starts
 STEPS = 60
-PATTERNS = 300  # activation patterns whose Jacobian is drawn
+PATTERNS = 300  # activation patterns whose Jacobian is drawn, at most
 FAINTEST = 1e-12  # relative distance, where rounding begins
 
 
@@ -75,16 +75,16 @@ def _draw_balls(axes, network: VectorNetwork, scaling: np.ndarray, order: float)
     plane = np.zeros((len(turn), network.states))
     plane[:, 0], plane[:, 1] = np.cos(turn), np.sin(turn)
     ball = plane / np.linalg.norm(plane @ scaling.T, order, axis=-1)[:, None]
-    weights, phi, rng = network.weights, network.activation, np.random.default_rng(0)
-    for k in range(PATTERNS):
-        share = 1.0 if k == 0 else rng.uniform()  # of the neurons that are on
-        slopes = np.where(rng.uniform(size=weights.b.shape) < share, 1.0, float(phi.least))
-        J = slopes[:, None] * weights.W
+    weights = network.weights
+    for D in patterns(network):
+        J = D[: len(weights.b), None] * weights.W
         if weights.V is not None:
-            J = np.where(rng.uniform(size=weights.c.shape) < share, 1.0, float(phi.least))[:, None] * (weights.V @ J)
+            J = D[len(weights.b) :, None] * (weights.V @ J)
         image = ball @ (weights.R + weights.A @ J).T
         axes.plot(image[:, 0], image[:, 1], color=PALE, linewidth=0.6, alpha=0.35)
-    axes.plot([], [], color=PALE, label=f"its images by {PATTERNS} activation patterns")
+    count = 2**network.neurons
+    drawn = f"all {count}" if count <= PATTERNS else f"{PATTERNS} random"
+    axes.plot([], [], color=PALE, label=f"its images by {drawn} activation patterns")
     if weights.V is None:
         image = ball @ _worst(network, scaling, order).T
         axes.plot(
@@ -92,6 +92,28 @@ def _draw_balls(axes, network: VectorNetwork, scaling: np.ndarray, order: float)
         )
     axes.plot(ball[:, 0], ball[:, 1], color=TIER_COLOURS["tight"], linewidth=2, label="unit ball of the norm")
     axes.set(xlabel="$x_1$", ylabel="$x_2$", title="Where the ball goes in one step", aspect="equal")
+
+
+def patterns(network: VectorNetwork) -> Iterator[np.ndarray]:
+    """The slopes of all hidden neurons, `(n + l,)`, each the least or 1: all patterns, or PATTERNS random ones.
+
+    >>> from certify.vector_weights import VectorWeights, check
+    >>> net = check(VectorWeights(None, [[0.5, 0.25]], [[1.0], [1.0]], np.zeros((2, 0)), np.zeros(2)))
+    >>> [D.tolist() for D in patterns(VectorNetwork("", net))]
+    [[1.0, 1.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]
+    """
+    n, least = network.neurons, float(network.activation.least)
+    if 2**n <= PATTERNS:
+        yield from map(np.array, itertools.product((1.0, least), repeat=n))
+        return
+    rng = np.random.default_rng(0)
+    sizes = [len(each) for each in (network.weights.b, network.weights.c) if each is not None]
+    for k in range(PATTERNS):
+        layers = []
+        for size in sizes:
+            share = 1.0 if k == 0 else rng.uniform()  # of the layer's neurons that are on
+            layers.append(np.where(rng.uniform(size=size) < share, 1.0, least))
+        yield np.concatenate(layers)
 
 
 def _worst(network: VectorNetwork, scaling: np.ndarray, order: float) -> np.ndarray:

@@ -189,6 +189,23 @@ def test_the_command_certifies_writes_draws_and_verifies(tmp_path, monkeypatch, 
     assert [row.get("states") for row in rows] == [None, 3] and rows[1]["rates"]["exact"] < 1
 
 
+@pytest.mark.parametrize(
+    "n, two, said, count",
+    [(2, False, "all 4", 4), (3, True, "all 64", 64), (8, False, "all 256", 256), (9, False, "300 random", 300)],
+)
+def test_the_figure_draws_all_patterns_of_few_neurons_and_says_how_many(n, two, said, count):
+    pytest.importorskip("matplotlib")
+    from certify.vector_figures import contraction_figure, patterns
+
+    net = network(np.random.default_rng(8), n=n, two=two, phi=activation("leaky:1/4"))
+    drawn = [tuple(D) for D in patterns(net)]
+    assert {len(D) for D in drawn} == {net.neurons} and {slope for D in drawn for slope in D} == {0.25, 1.0}
+    assert len(drawn) == count and (count == 300 or len(set(drawn)) == 2**net.neurons)
+    axes = contraction_figure(net, {"norm": "inf", "rates": {"exact": 0.9}}, np.eye(2)).axes[1]
+    assert f"its images by {said} activation patterns" in [line.get_label() for line in axes.lines]
+    assert sum(line.get_alpha() is not None for line in axes.lines) == count  # the faint ones
+
+
 def test_the_command_takes_other_activations(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     net = network(np.random.default_rng(6))
