@@ -12,10 +12,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from matplotlib.figure import Figure
+from scipy.spatial import ConvexHull
 
-from certify import conditions, vector_exact, vector_rates
+from certify import conditions, learning, vector_exact, vector_rates, vector_slopes
 from certify.box_planes import Box, slope_at
 from certify.figures import INK, PALE, TIER_COLOURS
+from certify.rounding import above, below
+from certify.vector_slopes import TANH
 from certify.vector_weights import RELU, VectorNetwork, VectorWeights, check, forward
 from certify.weights import ShallowWeights
 
@@ -33,7 +36,7 @@ def panes(count: int, height: float = 3.4, **options):
     return figure, axes
 
 
-def below(figure, columns: int = 4) -> None:
+def legend(figure, columns: int = 4) -> None:
     """One legend for all panes, below them."""
     known = {
         label: handle for each in figure.axes for handle, label in zip(*each.get_legend_handles_labels(), strict=True)
@@ -46,18 +49,18 @@ def sectors():
     figure, axes = panes(3, sharey=True)
     z = np.linspace(-1, 1, 201)
     cases = (
-        ("2Λ: slopes in [0, 1]", 0.0, 1.0, np.maximum(z, 0), "relu"),
-        ("Λ: slopes in [0, 2]", 0.0, 2.0, np.maximum(z, 0), "relu"),
-        ("leaky, α = 0.3: slopes in [0.3, 1]", 0.3, 1.0, np.maximum(z, 0.3 * z), "leaky relu"),
+        ("2Λ: slopes in [0, 1]", 0.0, 1.0, np.maximum(z, 0), "relu", RELU_COLOUR),
+        ("Λ: slopes in [0, 2]", 0.0, 2.0, np.maximum(z, 0), "relu", RELU_COLOUR),
+        ("leaky, α = 0.3: slopes in [0.3, 1]", 0.3, 1.0, np.maximum(z, 0.3 * z), "leaky relu", WARM),
     )
-    for each, (title, least, most, y, name) in zip(axes, cases, strict=True):
+    for each, (title, least, most, y, name, colour) in zip(axes, cases, strict=True):
         low, high = np.minimum(least * z, most * z), np.maximum(least * z, most * z)
-        each.fill_between(z, low, high, color=RELU_COLOUR, alpha=0.18, label="increments that the matrix allows")
-        each.plot(z, y, color=RELU_COLOUR, linewidth=2, label=f"increments of {name} from 0")
+        each.fill_between(z, low, high, color=PALE, alpha=0.25, linewidth=0, label="increments that the matrix allows")
+        each.plot(z, y, color=colour, linewidth=2, label=f"increments of {name} from 0")
         each.set(title=title, xlabel="Δz", ylim=(-1.1, 2.05), xticks=[-1, 0, 1])
         each.title.set_fontsize(10)
     axes[0].set_ylabel("Δy")
-    below(figure)
+    legend(figure)
     return figure
 
 
@@ -84,7 +87,7 @@ def tiers():
     right.set(xlabel="a", ylabel="$w_1$", aspect="equal", title="One neuron, weights as given")
     for axes in (left, right):
         axes.title.set_fontsize(10)
-    below(figure)
+    legend(figure)
     return figure
 
 
@@ -111,6 +114,7 @@ def cells():
     place = np.argwhere(np.abs(slope) == np.abs(slope[k])).mean(0).round().astype(int)
     point = [float(x[tuple(place)]), float(u[tuple(place)])]
     exact = slope_at(net, point)
+    assert exact is not None  # no plane passes through the point
     axes.plot(*point, "*", color=WARM, markersize=15, markeredgecolor=INK)
     axes.annotate(
         f"witness: slope {float(exact):.4g}", point, (8, 8), textcoords="offset points", fontsize=9, color="white"
@@ -134,12 +138,57 @@ def dual_leaf():
         each.set(xlabel="z", title=f"μ = {mu:.3g}", xticks=[least, 0, most], xticklabels=["L", "0", "U"])
         each.title.set_fontsize(10)
     axes[0].set_ylabel("contribution to the slope")
-    below(figure)
+    legend(figure)
     return figure
 
 
+def slopes():
+    """What an interval of z leaves of the slopes of tanh, and what intervals lose behind a second hidden layer."""
+    figure, (left, right) = panes(2, 4.6)
+    one = check(VectorWeights(None, [[1.0]], [[1.0]], np.zeros((1, 0)), [0.0]))  # z = x
+    lo, hi = -0.3, 1.2
+    (((least, most),),) = vector_slopes.intervals(one, TANH, Box(np.array([lo]), np.array([hi])))
+    z = np.linspace(-2.5, 2.5, 501)
+    inside = np.linspace(lo, hi, 301)
+    label = f"z in [{lo}, {hi}]: slopes in [{below(least, 4)}, {above(most, 4)}]".replace("-", "−")
+    left.fill_between([lo, hi], float(least), float(most), color=RELU_COLOUR, alpha=0.15, linewidth=0, label=label)
+    left.plot(z, 1 - np.tanh(z) ** 2, color=PALE, linewidth=1.5, label="1 − tanh² z")
+    left.plot(inside, 1 - np.tanh(inside) ** 2, color=RELU_COLOUR, linewidth=2.5)
+    left.set(xlabel="z", ylabel="slope of tanh", ylim=(-0.04, 1.12), title="One neuron on an interval")
+    A, V, W = (
+        [[0.5, 0.5]], [[0.75, -0.5, 0.375, 0.25], [-0.5, 0.75, 0.25, 0.375]], [[1.0], [1.0], [1.0], [1.0]]
+    )  # fmt: skip
+    net = check(VectorWeights(None, A, W, np.zeros((4, 0)), np.zeros(4), V, np.zeros(2)))
+    terms = net.V * net.W[:, 0]  # what each neuron of the first layer adds to the arguments of the second
+    points = np.array([terms @ np.array(d) for d in itertools.product((0.0, 1.0), repeat=4)])
+    ends = np.minimum(terms, 0).sum(1), np.maximum(terms, 0).sum(1)  # of the propagated intervals
+    corners = np.array(list(itertools.product(*zip(*ends, strict=True))))[[0, 1, 3, 2]]
+    right.fill(*corners.T, facecolor="#FBEFD3", edgecolor=WARM, label="box of the propagated intervals")
+    around = points[ConvexHull(points).vertices]
+    right.fill(*around.T, facecolor="#D3E5F1", edgecolor=RELU_COLOUR, label="convex hull of the patterns")
+    right.plot(*points.T, "o", color=RELU_COLOUR, markersize=4, label=f"V D₀ W of the {len(points)} patterns D₀")
+    outputs = np.array([steepest(net, point) for point in points])
+    proved = vector_exact.rate(net, vector_exact.everywhere(net, RELU))
+    right.plot(*points[outputs.argmax()], "*", color=RELU_COLOUR, markersize=15, markeredgecolor=INK, linewidth=0,
+               label=f"steepest pattern: K = {outputs.max():.4g}")  # fmt: skip
+    worst = max(corners, key=lambda corner: steepest(net, corner))
+    right.plot(*worst, "*", color=WARM, markersize=15, markeredgecolor=INK, linewidth=0, clip_on=False,
+               label=f"what the intervals assume: K ≤ {above(proved, 4)}")  # fmt: skip
+    right.set(xlabel="slope of the first neuron's argument", ylabel="slope of the second's", aspect="equal",
+              title="Second hidden layer")  # fmt: skip
+    for each in (left, right):
+        each.title.set_fontsize(10)
+        each.legend(fontsize=8, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.16))
+    return figure
+
+
+def steepest(net: VectorWeights, change: np.ndarray) -> float:
+    """The largest |A D₁ change| over all patterns D₁ of the second layer; `change` is `(l,)`."""
+    return max(abs(float(net.A[0] @ (np.array(d) * change))) for d in itertools.product((0.0, 1.0), repeat=len(change)))
+
+
 def turning() -> VectorWeights:
-    """Two states, three neurons: its rate in ‖x‖_∞ is above 1, in a scaled norm below."""
+    """Two states, three neurons: its rate in ‖x‖_∞ is 1, in a scaled norm below."""
     A = [[0.25, -0.5, 0.0], [0.0, 0.125, 0.25]]
     W = [[0.5, 1.0], [1.0, -0.5], [0.25, 0.5]]
     return check(VectorWeights([[0.5, 0.125], [0.0, 0.5]], A, W, np.zeros((3, 1)), np.zeros(3)))
@@ -151,27 +200,29 @@ def balls():
     slopes = vector_exact.everywhere(net, RELU)
     T = [[Fraction(1), Fraction(0)], [Fraction(0), Fraction(2)]]
     P = metric(net)
+    P *= np.linalg.inv(P)[0, 0] / 1.6**2  # the same norm up to a factor, so that its ball is 1.6 wide
     root = np.linalg.cholesky(P).T
     plain, scaled = (float(vector_exact.rate(net, slopes, "inf", each)) for each in (None, T))
     cases = (
-        (f"‖x‖_∞: K = {plain:.4g}", np.eye(2), np.inf),
-        (f"‖T x‖_∞, T = diag(1, 2): K = {scaled:.4g}", np.diag([1.0, 2.0]), np.inf),
-        (f"√(xᵀ P x): K = {largest(net, root):.4g}", root, 2),
+        (rf"$\|x\|_\infty$: K = {plain:.4g}", np.eye(2), np.inf),
+        (rf"$\|T\,x\|_\infty$, T = diag(1, 2): K = {scaled:.4g}", np.diag([1.0, 2.0]), np.inf),
+        (rf"$\sqrt{{x^T P\,x}}$: K = {largest(net, root):.4g}", root, 2),
     )
-    figure, axes = panes(3, 3.9)
+    figure, axes = panes(3, 3.6)
     turn = np.linspace(0, 2 * np.pi, 2881)
     plane = np.stack([np.cos(turn), np.sin(turn)], -1)
     for each, (title, scaling, order) in zip(axes, cases, strict=True):
         ball = plane / np.linalg.norm(plane @ scaling.T, order, axis=-1)[:, None]
-        for J in jacobians(net):
+        images = list(jacobians(net))
+        for J in images:
             each.fill(*(ball @ J.T).T, facecolor=PALE, alpha=0.12)
             each.plot(*(ball @ J.T).T, color=PALE, linewidth=0.8)
-        each.plot([], [], color=PALE, label="its images by the 8 activation patterns")
+        each.plot([], [], color=PALE, label=f"its images by the {len(images)} activation patterns")
         each.plot(ball[:, 0], ball[:, 1], color=RELU_COLOUR, linewidth=2, label="unit ball")
         each.set(title=title, xlabel="$x_1$", aspect="equal", xlim=(-1.65, 1.65), ylim=(-1.15, 1.15))
         each.title.set_fontsize(10)
     axes[0].set_ylabel("$x_2$")
-    below(figure)
+    legend(figure)
     return figure
 
 
@@ -181,7 +232,7 @@ def jacobians(net: VectorWeights):
 
 
 def largest(net: VectorWeights, root: np.ndarray) -> float:
-    return max(np.linalg.norm(root @ J @ np.linalg.inv(root), 2) for J in jacobians(net))
+    return max(float(np.linalg.norm(root @ J @ np.linalg.inv(root), 2)) for J in jacobians(net))
 
 
 def metric(net: VectorWeights) -> np.ndarray:
@@ -211,7 +262,7 @@ def steps():
     axes.axhline(1, color=PALE, linewidth=0.8)
     axes.plot(end, at, "o", color=WARM)
     axes.set(xlabel="η, step / step at which the network was learned", ylabel="rate")
-    below(figure)
+    legend(figure)
     return figure
 
 
@@ -230,15 +281,61 @@ def pairs():
     K = float(vector_exact.rate(net, vector_exact.everywhere(net, RELU), "inf", vector_exact.matrix(T)))
     axes.plot(np.array(found) / found[0], color=PALE, linewidth=0.8, alpha=0.7)
     axes.plot([], [], color=PALE, label="40 pairs of starts, equal inputs")
-    axes.plot(K ** np.arange(25), color=RELU_COLOUR, linewidth=2, label=f"κᵏ, κ = {K:.4g}")
-    axes.set(yscale="log", xlabel="step k", ylabel="‖T (x − x′)‖_∞, relative")
-    below(figure)
+    axes.plot(K ** np.arange(25), color=RELU_COLOUR, linewidth=2, label=rf"$\kappa^k$, κ = {K:.4g}")
+    axes.set(yscale="log", xlabel="step k", ylabel=r"$\|T\,(x - x')\|_\infty$, relative to the start")
+    legend(figure)
+    return figure
+
+
+def learn(net: VectorWeights, x: float, u: float, target: float, step: float) -> VectorWeights:
+    """One step of gradient descent on ½ (f(x, u) − target)²."""
+    z = net.W[:, 0] * x + net.W2[:, 0] * u + net.b
+    error = float(net.A[0] @ np.maximum(z, 0)) - target
+    back = error * net.A[0] * (z > 0)
+    return check(net._replace(
+        A=net.A - step * error * np.maximum(z, 0)[None], W=net.W - step * back[:, None] * x,
+        W2=net.W2 - step * back[:, None] * u, b=net.b - step * back,
+    ))  # fmt: skip
+
+
+def learning_runs():
+    """Two networks that learn the same boat, each from its own estimate of the speed, which starts elsewhere."""
+    rng = np.random.default_rng(3)
+    W, W2 = [[0.75], [0.5], [0.5], [-0.5]], [[0.5], [-0.5], [0.25], [1.0]]
+    first = check(VectorWeights(None, [[0.5, -0.25, 0.25, 0.25]], W, W2, np.array([0.1, 0.2, -0.2, 0.1])))
+    nets, x, boat = [first, first], [1.0, 0.0], 1.0
+    weights, states = [], [x]
+    for u in rng.uniform(-1, 1, 80):
+        boat = 0.8 * boat + 0.3 * max(u, 0.0)
+        weights.append(nets)
+        nets, x = (
+            [learn(net, each, u, boat, 0.05) for net, each in zip(nets, x, strict=True)],
+            [float(forward(VectorNetwork("", net), [each], [u])[0]) for net, each in zip(nets, x, strict=True)],
+        )
+        states.append(x)
+    return list(zip(*weights, strict=True)), np.array(states)
+
+
+def learners():
+    """How far two runs that learn different weights come apart, and what is proved."""
+    (first, second), x = learning_runs()
+    box = Box(np.full(2, -1.0), np.ones(2))
+    assert np.abs(x).max() <= 1  # the bound speaks of states in the box
+    distance = np.abs(x[:, 0] - x[:, 1])
+    found = learning.bound(first, second, box, distance[0])
+    figure, (axes,) = panes(1, 3.8)
+    figure.set_figwidth(6)
+    axes.plot(distance, color=PALE, linewidth=1.5, label="|Δ|, two learning runs")
+    axes.plot(found.steps, color=RELU_COLOUR, linewidth=2, label="bound, step by step")
+    axes.axhline(found.limit, color=WARM, linewidth=2, label=f"limit of (12), {above(found.limit, 3)}")
+    axes.set(yscale="log", xlabel="step k", ylabel=r"$|x_k - x'_k|$")
+    legend(figure)
     return figure
 
 
 FIGURES = {
     "sectors": sectors, "tiers": tiers, "cells": cells, "dual_leaf": dual_leaf, "balls": balls, "steps": steps,
-    "pairs": pairs,
+    "pairs": pairs, "slopes": slopes, "learning": learners,
 }  # fmt: skip
 
 if __name__ == "__main__":
