@@ -236,6 +236,12 @@ def test_a_heading_is_an_input_where_asked_for():
     [
         ({"maxima": ()}, "maxima: found 0 numbers"),
         ({"maxima": (1.0, -1.0)}, "maxima: found -1.0"),
+        ({"maxima": 3.0}, r"maxima: found 3.0, expected numbers, one for each .*: write \(3.0,\)"),
+        ({"maxima": "3"}, "maxima: found '3', expected numbers, .*: give a tuple"),
+        ({"maxima": None}, "maxima: found None"),
+        ({"scaling": 2.0}, r"scaling: found 2.0, expected numbers, 3, as maxima has: write \(2.0,\)"),
+        ({"importance": 2}, "importance: found 2, expected numbers"),
+        ({"rate_ratio": 1.0}, "rate_ratio: found 1.0, expected numbers, five of 0 or more"),
         ({"neurons": 4}, "neurons: found 4, expected a whole number, 5 … 1000"),
         ({"window": 11, "kept": 10}, "window: found 11, expected a whole number, 1 … 10"),
         ({"windows": True}, "windows: found True"),
@@ -253,7 +259,75 @@ def test_errors_name_what_was_expected(arguments, message):
         VectorRNN(**arguments)
 
 
-def test_samples_of_other_components_are_refused(boat):
-    rnn = VectorRNN((3.0,))
-    with pytest.raises(ShapeError, match="found 3 components, expected 1"):
-        rnn.rollout(rnn.init((2,)), boat)
+def narrow(samples: VectorSample, name: str) -> VectorSample:
+    return samples._replace(**{name: getattr(samples, name)[..., :2]})
+
+
+@pytest.mark.parametrize("learn", [True, False])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda x: narrow(x, "velocity"), "velocity: found 2 components, expected 3, as maxima has: give"),
+        (lambda x: narrow(x, "measured"), "measured: found 2 components, expected 3"),
+        (lambda x: tree_map(lambda leaf: leaf.numpy(), x), "command_left is ndarray, expected a torch tensor: convert"),
+        (lambda x: tree_map(lambda leaf: leaf[:0], x), "found no sample, expected .* at least one step"),
+        (lambda x: tree_map(lambda leaf: leaf[0, 0], x), "found no axis of time"),
+        (lambda x: tree_map(lambda leaf: leaf[:, 0], x), r"batch \(\), the state \(2,\): make the state with rnn.init"),
+        (lambda x: tree_map(lambda leaf: leaf[:, :1], x), r"batch \(1,\), .* make the state with rnn.init\(\(1,\)\)"),
+        (lambda x: x._replace(measured=x.measured.double()), r"measured is torch.float64, .* with .bool\(\)"),
+        (lambda x: x._replace(fresh=x.fresh[1:]), r"fresh has the axes \(600, 2\) .*, velocity \(601, 2\)"),
+        (lambda x: x._replace(velocity=torch.tensor(1.0)), "velocity: found one number without an axis"),
+        (lambda x: ("run", x), "found tuple, expected a VectorSample: .* field samples"),
+    ],
+)
+def test_samples_that_do_not_fit_are_refused_in_one_sentence(boat, change, message, learn):
+    rnn = VectorRNN(MAXIMA, kept=20)
+    with pytest.raises(ShapeError, match=message) as error:
+        rnn.rollout(rnn.init((2,)), change(boat), learn=learn)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 250
+
+
+def test_a_state_of_no_batch_is_refused_for_samples_with_one(boat):
+    rnn = VectorRNN(MAXIMA, kept=20)
+    one = tree_map(lambda x: x[:, :1], boat)
+    with pytest.raises(ShapeError, match=r"the batch \(1,\), the state \(\): make the state with rnn.init\(\(1,\)\)"):
+        rnn.rollout(rnn.init(), one)
+    with pytest.raises(ShapeError, match=r"rnn.init\(\(\)\)"):
+        rnn.rollout(rnn.init((1,)), tree_map(lambda x: x[:, 0], one))
+
+
+def test_a_state_of_another_network_is_refused(boat):
+    rnn, surge = VectorRNN(MAXIMA, kept=20), VectorRNN((3.0,), kept=20)
+    with pytest.raises(ShapeError, match="the state's velocity: found 1 components, expected 3"):
+        rnn.rollout(surge.init((2,)), boat)
+
+
+def test_a_single_step_refuses_a_velocity_of_other_components(boat):
+    rnn = VectorRNN(MAXIMA, kept=20)
+    state, one = rnn.init((2,)), at(boat, 1)
+    with pytest.raises(ShapeError, match="velocity: found 2 components, expected 3"):
+        rnn.start(state, one.velocity[..., :2])
+    with pytest.raises(ShapeError, match="velocity: found ndarray, expected a torch tensor"):
+        rnn.start(state, one.velocity.numpy())
+    with pytest.raises(ShapeError, match="velocity: found 1 components, expected 3"):
+        rnn.update(state, one.inputs, one.velocity[..., :1])
+    with pytest.raises(ShapeError, match="measured: found 2 components, expected 3"):
+        rnn.update(state, one.inputs, one.velocity, one.measured[..., :2])
+
+
+def test_a_file_is_written_completely_or_not_at_all(boat, tmp_path, monkeypatch):
+    rnn = VectorRNN(MAXIMA, kept=20)
+    state = rnn.init()
+    path = rnn.save(state, tmp_path / "new" / "folder" / "boat")
+    assert path == tmp_path / "new" / "folder" / "boat.npz" and len(load(path)) == 1
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch, pytest.raises(ConfigError, match=r"boat\.npz: cannot be written \(No space"):
+        patch.setattr("os.replace", full)
+        rnn.save(rnn.init((2,)), path)
+    assert path.read_bytes() == before and [each.name for each in path.parent.iterdir()] == ["boat.npz"]
+    with pytest.raises(ConfigError, match=r"cannot be written \(.*\): give a file in a folder that can be written"):
+        rnn.save(state, path / "below.npz")

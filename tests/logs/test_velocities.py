@@ -72,6 +72,18 @@ def test_what_is_asked_for_wrongly_is_refused(inputs, components, message, tmp_p
         read_velocities(write(tmp_path / "run.csv"), Table("t"), inputs, components)
 
 
+@pytest.mark.parametrize(
+    ("components", "limits", "message"),
+    [
+        (("surge", "sway"), None, r"components: found \('surge', 'sway'\), expected where each is logged"),
+        (COMPONENTS, {"yawrate": 3.0}, "limits: found 'yawrate', expected components: surge, sway, yaw_rate"),
+    ],
+)
+def test_components_and_limits_are_named(components, limits, message, tmp_path):
+    with pytest.raises(ConfigError, match=message):
+        read_velocities(write(tmp_path / "run.csv"), Table("t"), INPUTS, components, limits=limits)
+
+
 def test_real_bags_have_all_three(real_logs):
     inputs = {
         "command_left": {"name": "*left_thruster", "span": 36.5},

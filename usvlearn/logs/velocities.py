@@ -48,7 +48,7 @@ def read_velocities(
         **options: of `usvlearn.Aligner`, but for `surge_max`.
 
     Raises:
-        ConfigError: no component, or a surge among the channels.
+        ConfigError: no component, a surge among the channels, or a limit of something else.
         LogFormatError: a log cannot be read, or two components have other stamps.
 
     >>> from pathlib import Path
@@ -66,6 +66,10 @@ def read_velocities(
     if not components or SURGE in channels:
         what = "surge among the channels" if components else "no component"
         raise ConfigError(f"components: found {what}, expected surge, sway or yaw_rate there, each with its name")
+    if not isinstance(components, Mapping):
+        raise ConfigError(f"components: found {components!r:.80}, expected where each is logged: {{name: {{name: …}}}}")
+    if unknown := [name for name in limits or {} if name not in components]:
+        raise ConfigError(f"limits: found {unknown[0]!r}, expected components: {', '.join(components)}")
     aligned: dict[str, list[Aligned]] = {}
     for name, source in components.items():
         recordings = read_recordings(path, reader, {**channels, SURGE: source}, boat)

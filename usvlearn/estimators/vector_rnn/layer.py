@@ -6,17 +6,18 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
 from certify.vector_projections import CONDITIONS, project
 from certify.vector_rates import rate
 from certify.vector_weights import VectorWeights
-from usvlearn.errors import ConfigError, ShapeError, check_choice, check_positive
+from usvlearn.errors import ConfigError, check_choice, check_positive
 from usvlearn.estimators.rnn.kept import whole
 from usvlearn.estimators.rnn.layer import clipped
 from usvlearn.estimators.rnn.state import STRIDE, TURN
+from usvlearn.estimators.vector_rnn.checks import check_samples, check_width, listed, write_npz
+from usvlearn.estimators.vector_rnn.samples import added, masks
 from usvlearn.estimators.vector_rnn.state import (
     BETA2,
     COAST_LIMIT,
@@ -29,7 +30,7 @@ from usvlearn.estimators.vector_rnn.state import (
     VectorRNNState,
 )
 from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
-from usvlearn.signals import PLAUSIBLE, PLAUSIBLE_INPUTS, Inputs, VectorSample, tree_map, where
+from usvlearn.signals import Inputs, VectorSample, tree_map, where
 
 
 def network(weights: NetworkWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -146,7 +147,8 @@ class VectorRNN(nn.Module):
         seed: int = 0,
     ):
         super().__init__()
-        top = [check_positive("maxima", each, "of m/s or rad/s") for each in maxima]
+        given = listed("maxima", maxima, "one for each of 1 to 6 components")
+        top = [check_positive("maxima", each, "of m/s or rad/s") for each in given]
         q, m = len(top), 4 if heading else 2
         if not 1 <= q <= 6:
             raise ConfigError(f"maxima: found {q} numbers, expected one for each of 1 to 6 components")
@@ -164,8 +166,8 @@ class VectorRNN(nn.Module):
         check_choice("stability", stability, ("none", "project"))
         self.condition = check_choice("condition", condition, CONDITIONS)
         t, g = (
-            [1.0] * q if given is None else [check_positive(name, each) for each in given]
-            for name, given in (("scaling", scaling), ("importance", importance))
+            [check_positive(name, each) for each in listed(name, [1.0] * q if x is None else x, f"{q}, as maxima has")]
+            for name, x in (("scaling", scaling), ("importance", importance))
         )
         if len(t) != q or (condition == "gershgorin" and scaling is not None):
             expected = "none for gershgorin" if condition == "gershgorin" else f"{q} numbers, as maxima has"
@@ -179,7 +181,7 @@ class VectorRNN(nn.Module):
         self.register_buffer("maxima", as_tensor(top))
         self.register_buffer("scaling", as_tensor(t))
         self.register_buffer("importance", as_tensor(g))
-        ratio = as_tensor(list(rate_ratio), "rate_ratio")
+        ratio = as_tensor(listed("rate_ratio", rate_ratio, "five of 0 or more"), "rate_ratio")
         if ratio.shape != (5,) or not bool(((ratio >= 0) & ratio.isfinite()).all()):
             raise ConfigError(f"rate_ratio: found {list(rate_ratio)}, expected five numbers of 0 or more")
         weights = initial_weights(q, m, neurons, ratio, torch.Generator().manual_seed(seed))
@@ -224,12 +226,23 @@ class VectorRNN(nn.Module):
             inputs: leaves `(*batch,)`.
             velocity: m/s, m/s, rad/s; finite.
             measured: `(*batch, q)` bool; all by default.
+
+        Raises:
+            ShapeError: another number of components.
         """
+        check_width("velocity", velocity, len(self.maxima))
+        if measured is not None:
+            check_width("measured", measured, len(self.maxima))
+        return self._learn(state, inputs, velocity, measured)
+
+    def _learn(
+        self, state: VectorRNNState, inputs: Inputs, velocity: Tensor, measured: Tensor | None
+    ) -> VectorRNNState:
         x, u = state.velocity / self.maxima, self.network_inputs(inputs).to(self.maxima)
         weight = torch.ones_like(x) if measured is None else measured.to(x).expand_as(x)
         predicted, _ = network(state.weights, x, u)
         target = velocity / self.maxima * weight
-        kept = _added(state.kept, (x, u, target, weight * self.importance, state.unbroken.to(x)))
+        kept = added(state.kept, (x, u, target, weight * self.importance, state.unbroken.to(x)))
         windows, kept = self._windows(kept)
         found = gradient(state.weights, windows)
         learned = self._descend(state, found if self.clip is None else clipped(found, self.clip))
@@ -237,7 +250,15 @@ class VectorRNN(nn.Module):
         return learned._replace(velocity=after, unbroken=torch.ones_like(state.unbroken), kept=kept)
 
     def start(self, state: VectorRNNState, velocity: Tensor) -> VectorRNNState:
-        """The state with this velocity as the one from which the next step departs; nothing is learned."""
+        """The state with this velocity, `(*batch, q)`, as the one from which the next step departs; nothing is learned.
+
+        Raises:
+            ShapeError: another number of components.
+        """
+        check_width("velocity", velocity, len(self.maxima))
+        return self._start(state, velocity)
+
+    def _start(self, state: VectorRNNState, velocity: Tensor) -> VectorRNNState:
         return state._replace(velocity=velocity, unbroken=torch.zeros_like(state.unbroken))
 
     def forward(self, state: VectorRNNState, sample: VectorSample) -> tuple[VectorRNNState, Tensor]:
@@ -245,13 +266,13 @@ class VectorRNN(nn.Module):
 
         Returns the next state and the predicted velocity, `(*batch, q)`: NaN where no step was made.
         """
-        steps, known, starts = _masks(sample)
+        steps, known, starts = masks(sample)
         measured = known & sample.measured & steps[..., None]
         inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
         velocity = torch.where(known, sample.velocity, 0.0).to(self.maxima)
         coasted, predicted = self.predict(state, inputs)
-        learned = self.update(state, inputs, torch.where(measured, velocity, 0.0), measured)
-        started = self.start(state, torch.where(known, velocity, state.velocity))
+        learned = self._learn(state, inputs, torch.where(measured, velocity, 0.0), measured)
+        started = self._start(state, torch.where(known, velocity, state.velocity))
         for mask, tree in ((steps, coasted), (measured.any(-1), learned), (starts, started)):
             state = tree_map(lambda new, old, mask=mask: where(mask, new, old), tree, state)
         return state, torch.where(steps[..., None], predicted, math.nan)
@@ -270,7 +291,7 @@ class VectorRNN(nn.Module):
             The last state, and the predictions, `(time, *batch, q)`, NaN where no step was made.
 
         Raises:
-            ShapeError: samples of another number of components.
+            ShapeError: no sample, NumPy arrays, or another number of components or batch than the state's.
 
         >>> t = torch.ones(200, dtype=torch.float64)
         >>> every = torch.ones(200, 1, dtype=torch.bool)
@@ -280,8 +301,7 @@ class VectorRNN(nn.Module):
         >>> bool((predicted[-1] - 1.5).abs() < 0.05)
         True
         """
-        if (found := samples.velocity.shape[-1]) != len(self.maxima):
-            raise ShapeError(f"velocity: found {found} components, expected {len(self.maxima)}, as maxima has")
+        check_samples(state, samples, len(self.maxima))
         if not learn:
             samples = samples._replace(measured=torch.zeros_like(samples.measured))
         predictions = []
@@ -293,7 +313,7 @@ class VectorRNN(nn.Module):
 
     def _free(self, state: VectorRNNState, sample: VectorSample) -> tuple[VectorRNNState, Tensor]:
         """`forward` where nothing is measured but at the start of a segment, without the cost of an update."""
-        steps, known, starts = _masks(sample)
+        steps, known, starts = masks(sample)
         inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
         coasted, predicted = self.predict(state, inputs)
         velocity = torch.where(steps[..., None], coasted.velocity, state.velocity)
@@ -306,10 +326,16 @@ class VectorRNN(nn.Module):
         """The exact rate of the weights in the norm (4), `(*batch,)`."""
         return {"contraction_rate": rate(VectorWeights(*state.weights), self.scaling.diag())}
 
-    def save(self, state: VectorRNNState, path: str | Path) -> None:
-        """Write the weights as .npz, which `certify.vector_weights.load` reads; with `maxima` and `scaling`."""
-        weights = {name: w.detach().cpu().numpy() for name, w in state.weights._asdict().items()}
-        np.savez(path, maxima=self.maxima.cpu().numpy(), scaling=self.scaling.cpu().numpy(), **weights)
+    def save(self, state: VectorRNNState, path: str | Path) -> Path:
+        """Write the weights as .npz, the only format, for `certify.vector_weights.load`; with `maxima` and `scaling`.
+
+        The suffix .npz is added where it is missing, and folders are made. Returns the path of the file.
+
+        Raises:
+            ConfigError: the file cannot be written; an older one of this name is then unchanged.
+        """
+        arrays = state.weights._asdict() | {"maxima": self.maxima, "scaling": self.scaling}
+        return write_npz(path, {name: x.detach().cpu().numpy() for name, x in arrays.items()})
 
     def _limited(self, x: Tensor) -> Tensor:
         """The velocity from which a step departs that no measurement has corrected."""
@@ -368,26 +394,3 @@ def initial_weights(q: int, m: int, n: int, ratio: Tensor, generator: torch.Gene
     unit = torch.eye(m, dtype=torch.float64)
     W[: 2 * m], W2[: 2 * m], b[: 2 * m] = 0.0, torch.cat([unit, -unit]), 0.0
     return NetworkWeights(torch.eye(q, dtype=torch.float64), torch.zeros(q, n, dtype=torch.float64), W, W2, b)
-
-
-def _masks(sample: VectorSample) -> tuple[Tensor, Tensor, Tensor]:
-    """`steps`, `known`, `starts`: a step is made; a component is a plausible number; a segment starts."""
-    known, dt = sample.velocity.abs() < PLAUSIBLE, sample.inputs.dt
-    steps = sample.fresh & (dt > 0)
-    for name in ("command_left", "command_right", "heading", "dt"):
-        steps = steps & (getattr(sample.inputs, name).abs() < getattr(PLAUSIBLE_INPUTS, name))
-    return steps, known, (dt == 0) & known.any(-1)
-
-
-def _added(kept: Kept, sample: tuple[Tensor, ...]) -> Kept:
-    """The samples with one more, the first five leaves of `Kept` without the axis M, in the place of the oldest."""
-    size = kept.successive.shape[-1]
-    count = whole(kept.learned, 2 * size)
-    here = torch.arange(size, device=count.device) == (count % size)[..., None]  # (*batch, M)
-    *others, successive = sample
-    before, u, target, weight = (
-        torch.where(here[..., None], new[..., None, :], old) for new, old in zip(others, kept[:4], strict=True)
-    )
-    successive = torch.where(here, successive[..., None], kept.successive)
-    count = torch.where(count + 1 < 2 * size, count + 1, size)
-    return Kept(before, u, target, weight, successive, count.to(successive), kept.turn)
