@@ -272,8 +272,8 @@ def narrow(samples: VectorSample, name: str) -> VectorSample:
         (lambda x: tree_map(lambda leaf: leaf.numpy(), x), "command_left is ndarray, expected a torch tensor: convert"),
         (lambda x: tree_map(lambda leaf: leaf[:0], x), "found no sample, expected .* at least one step"),
         (lambda x: tree_map(lambda leaf: leaf[0, 0], x), "found no axis of time"),
-        (lambda x: tree_map(lambda leaf: leaf[:, 0], x), r"batch \(\), the state \(2,\): make the state with rnn.init"),
-        (lambda x: tree_map(lambda leaf: leaf[:, :1], x), r"batch \(1,\), .* make the state with rnn.init\(\(1,\)\)"),
+        (lambda x: tree_map(lambda leaf: leaf[:, 0], x), r"batch \(\), the state \(2,\): make the state by rnn.init"),
+        (lambda x: tree_map(lambda leaf: leaf[:, :1], x), r"batch \(1,\), .* make the state by rnn.init\(\(1,\)\)"),
         (lambda x: x._replace(measured=x.measured.double()), r"measured is torch.float64, .* with .bool\(\)"),
         (lambda x: x._replace(fresh=x.fresh[1:]), r"fresh has the axes \(600, 2\) .*, velocity \(601, 2\)"),
         (lambda x: x._replace(velocity=torch.tensor(1.0)), "velocity: found one number without an axis"),
@@ -290,7 +290,7 @@ def test_samples_that_do_not_fit_are_refused_in_one_sentence(boat, change, messa
 def test_a_state_of_no_batch_is_refused_for_samples_with_one(boat):
     rnn = VectorRNN(MAXIMA, kept=20)
     one = tree_map(lambda x: x[:, :1], boat)
-    with pytest.raises(ShapeError, match=r"the batch \(1,\), the state \(\): make the state with rnn.init\(\(1,\)\)"):
+    with pytest.raises(ShapeError, match=r"the batch \(1,\), the state \(\): make the state by rnn.init\(\(1,\)\)"):
         rnn.rollout(rnn.init(), one)
     with pytest.raises(ShapeError, match=r"rnn.init\(\(\)\)"):
         rnn.rollout(rnn.init((1,)), tree_map(lambda x: x[:, 0], one))

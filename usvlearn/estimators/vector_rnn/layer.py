@@ -16,7 +16,6 @@ from usvlearn.errors import ConfigError, check_choice, check_positive
 from usvlearn.estimators.rnn.kept import whole
 from usvlearn.estimators.rnn.layer import clipped
 from usvlearn.estimators.rnn.state import STRIDE, TURN
-from usvlearn.estimators.vector_rnn.checks import check_samples, check_width, listed, write_npz
 from usvlearn.estimators.vector_rnn.samples import added, masks
 from usvlearn.estimators.vector_rnn.state import (
     BETA2,
@@ -29,6 +28,7 @@ from usvlearn.estimators.vector_rnn.state import (
     NetworkWeights,
     VectorRNNState,
 )
+from usvlearn.estimators.vector_rnn.vector_checks import check_samples, check_width, listed, write_npz
 from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
 from usvlearn.signals import Inputs, VectorSample, tree_map, where
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.vector_rnn.state import VectorRNNState
 from usvlearn.signals import VectorSample, named_leaves
@@ -86,8 +87,8 @@ def check_samples(state: VectorRNNState, samples: VectorSample, components: int)
             )
     batch = tuple(shape[1:])
     if state.updates.shape != batch or state.velocity.shape[:-1] != batch:
-        found = tuple((state.updates if state.updates.shape != batch else state.velocity[..., 0]).shape)
-        raise ShapeError(f"samples have the batch {batch}, the state {found}: make the state with rnn.init({batch})")
+        has = (state.updates if state.updates.shape != batch else state.velocity[..., 0]).shape
+        raise ShapeError(f"samples have the batch {batch}, the state {tuple(has)}: make the state by rnn.init({batch})")
 
 
 def _width(value: Tensor) -> str:
@@ -102,12 +103,15 @@ def write_npz(path: str | Path, arrays: Mapping[str, np.ndarray]) -> Path:
     """
     path = Path(path)
     path = path if path.suffix == ".npz" else path.with_name(f"{path.name}.npz")
-    content = io.BytesIO()
+    content, unfinished = io.BytesIO(), path.with_name(f".{path.name}.unfinished")
     np.savez(content, **arrays)  # type: ignore[arg-type]
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(path, content.getvalue())
+        unfinished.write_bytes(content.getvalue())
+        os.replace(unfinished, path)
     except OSError as error:
+        with suppress(OSError):
+            unfinished.unlink()
         raise ConfigError(
             f"{path}: cannot be written ({error.strerror}): give a file in a folder that can be written"
         ) from error
