@@ -44,6 +44,7 @@ def main() -> None:
     text = markdown(result, drawn, COMMANDS, f"{NAME}_{{}}.svg")
     solvers = ", ".join(f"{name} {version(name)}" for name in ("cvxpy", "clarabel"))
     busy = " Other work ran on the machine, which makes the times uncertain." if (load() or 0) > BUSY else ""
+    text = text.replace("```sh\n", "<!-- not run: the comparison takes minutes -->\n```sh\n")
     publish(__file__, f"{text}\nTimes: {computer}; {solvers}. A ratio is the median of rounds in turn.{busy}\n")
 
 
