@@ -40,10 +40,12 @@ def read_velocities(
     """Read all logs of one boat.
 
     Args:
-        path, reader, boat: as of `usvlearn.logs.read.read_recordings`.
+        path: as of `usvlearn.logs.read.read_recordings`.
+        reader: likewise.
         channels: the commands, the heading, and perhaps the yaw rate as an input, as there.
         components: name -> where it is logged, in SI units: m/s, m/s, rad/s. In their order they are the components of
             `VectorSample.velocity`. Another unit is converted by `span`.
+        boat: as `path`.
         limits: name -> the size beyond which a message is rejected, in SI units; 10 by default.
         **options: of `usvlearn.Aligner`, but for `surge_max`.
 
