@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from fractions import Fraction
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ import numpy as np
 
 from certify.box_planes import Box, planes, slope_at, value_at
 from certify.box_proof import proves, proves_range
-from certify.box_search import BOXES, REPLAYED, Search, forms_of, search_range
+from certify.box_search import BOXES, REPLAYED, Search, constant, forms_of, search_range
 from certify.box_slopes import search_slopes
 from certify.errors import CertifyError
 from certify.rounding import float_below
@@ -163,7 +162,7 @@ def certify(weights: ShallowWeights, box: Box, rate: float = 1.0, seconds: float
     if not (rate > 0 and math.isfinite(rate)):
         raise CertifyError(f"rate: found {rate}, expected a number above 0")
     forms = forms_of(planes(weights, box), box)
-    search = Search(_constant(np.nextafter(float(rate), 0.0)), float(rate), started + 0.7 * seconds)
+    search = Search(constant(np.nextafter(float(rate), 0.0)), float(rate), started + 0.7 * seconds)
     search_slopes(search, forms, box, int(REPLAYED * seconds))
     seen = _witness(weights, search.point)
     lower, upper = abs(seen.slope) if seen else 0.0, search.upper()
@@ -194,18 +193,13 @@ def invariance(weights: ShallowWeights, box: Box, seconds: float = 3.0) -> tuple
     lo, hi = float(box.lo[0]), float(box.hi[0])
     small = 1e-12 * (1 + max(abs(lo), abs(hi)))
     for margin, slack in ((0.0, 0.0), (0.0, small), (small, 0.0)):  # rounding may hide that a leaf is just open
-        search = Search(_constant(-margin), small, end)
+        search = Search(constant(-margin), small, end)
         search_range(search, weights, box, ((1.0, hi), (-1.0, -lo)), slack)
         if search.point is not None and not Fraction(lo) <= value_at(weights, search.point) <= Fraction(hi):
             return "no", None, search.point
         if search.open == -math.inf and proves_range(weights, box, text := search.text()):
             return "yes", text, None
     return "unknown", None, None
-
-
-def _constant(threshold: float) -> Callable[[float], float]:
-    """A search's threshold that does not depend on the best value so far."""
-    return lambda best: threshold
 
 
 def _witness(weights: ShallowWeights, point: np.ndarray | None) -> Witness | None:

@@ -68,6 +68,11 @@ def forms_of(found: Planes, box: Box) -> Forms:
     return Forms(H * side[:, None], c * side, side, np.abs(gain), start / slope_unit, error, slack, found)
 
 
+def constant(threshold: float) -> Callable[[float], float]:
+    """A search's threshold that does not depend on the best value so far."""
+    return lambda best: threshold
+
+
 class Search:
     """Branch and bound: the tree so far, the best value so far, and the open leaves."""
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from certify.box_planes import Box
-from certify.box_search import BATCH, BOXES, CLIMBERS, REPLAYED, Search
+from certify.box_search import BATCH, BOXES, CLIMBERS, REPLAYED, Search, constant
 from certify.errors import CertifyError
 from certify.rounding import float_above, float_below
 from certify.vector_box_proof import bound, coordinates, proves_range, usual
@@ -109,7 +109,7 @@ def certify(
     end = started + 0.6 * seconds
     verdict, tree, best, upper = "unknown", None, None, math.inf
     for lean in (1.0, -1.0):  # the replay tells whether hyperplanes that touch a leaf up to rounding cross it
-        found = _search(weights, phi, box, norm, scaling, _constant(rate * (1 - 1e-13)), rate, end, lean)
+        found = _search(weights, phi, box, norm, scaling, constant(rate * (1 - 1e-13)), rate, end, lean)
         seen, search, text = found
         best = seen if best is None or (seen and seen[0] > best[0]) else best
         if best is not None and best[0] >= Fraction(rate):
@@ -182,7 +182,7 @@ def invariance(
     most = min(replayed(Range(weights, phi, box)), BOXES)
     for margin, slack in ((0.0, 0.0), (0.0, small), (small, 0.0)):  # rounding may hide that a leaf is just open
         bounds, halve = range_bounds(weights, phi, box, slack)
-        search = Search(_constant(-margin), small, end)
+        search = Search(constant(-margin), small, end)
         left = search.boxes(bounds, halve, None, box, 0, most, 0.0)[0]
         if search.point is not None:
             values = value_at(weights, phi, search.point)
@@ -246,11 +246,6 @@ def _plain(weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling
     """The bound on the whole box."""
     found = bound(weights, phi, box, ".", norm, scaling)
     return math.inf if found is None else float_above(found)
-
-
-def _constant(threshold: float) -> Callable[[float], float]:
-    """A search's threshold that does not depend on the best value so far."""
-    return lambda best: threshold
 
 
 def _checked(weights: VectorWeights, box: Box, norm: str) -> VectorWeights:

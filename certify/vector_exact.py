@@ -155,11 +155,11 @@ def row_sums(
     layers, own = [W, *middle, A], list(slopes)
     if norm == "one":
         R, layers, own = transposed(R), [transposed(X) for X in reversed(layers)], own[::-1]
-    direct, unit = _integers(R)
-    found = [_integers(X) for X in layers]
+    direct, unit = over_one_denominator(R)
+    found = [over_one_denominator(X) for X in layers]
     ends = []
     for each in own:
-        flat, below = _integers([[x for pair in each for x in pair]])
+        flat, below = over_one_denominator([[x for pair in each for x in pair]])
         ends.append((list(zip(flat[0][::2], flat[0][1::2], strict=True)), below))
     whole = math.prod([below for _, below in found]) * math.prod([below for _, below in ends])
     sums = []
@@ -181,8 +181,8 @@ def _signed(row: Sequence[int], signs: Sequence[int]) -> list[int]:
     return [x if sign > 0 else -x for x, sign in zip(row, signs, strict=True)]
 
 
-def _integers(X: Matrix) -> tuple[list[list[int]], int]:
-    """Integers and one denominator."""
+def over_one_denominator(X: Matrix) -> tuple[list[list[int]], int]:
+    """A matrix as integers and one denominator."""
     below = math.lcm(*(x.denominator for row in X for x in row)) if X else 1
     return [[x.numerator * (below // x.denominator) for x in row] for row in X], below
 

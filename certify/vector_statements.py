@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from certify.box_planes import Box, Region, region
-from certify.vector_exact import Matrix, changed, transposed
+from certify.vector_exact import Matrix, changed, over_one_denominator, transposed
 from certify.vector_slopes import (
     BITS,
     Ends,
@@ -302,6 +302,6 @@ def _combined(parts: tuple[Integers, Integers], least: Integers, most: Integers)
 
 
 def _integers(X: Matrix) -> tuple[Integers, int]:
-    """Integers and one denominator."""
-    below = math.lcm(*(x.denominator for row in X for x in row))
-    return whole([[x.numerator * (below // x.denominator) for x in row] for row in X]), below
+    """Integers in an array, and one denominator."""
+    rows, below = over_one_denominator(X)
+    return whole(rows), below
