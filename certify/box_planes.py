@@ -173,6 +173,24 @@ def region(box: Box, depth: int = 0) -> Region:
     return Region(lo, hi, bits + depth, float_lo, float_hi, lo[0], hi[0])
 
 
+def halved(
+    bounds: list[tuple[int, int, int]], column: Sequence[int], j: int, here: Region, half: Region
+) -> list[tuple[int, int, int]]:
+    """The bounds of forms on a half of a region along coordinate j: (form, least, greatest) each, from those on it.
+
+    column: the coefficient of coordinate j in each form.
+    """
+    raised, lowered = half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
+    found = []
+    for g, least, most in bounds:
+        k = column[g]
+        if k > 0:
+            found.append((g, least + k * raised, most + k * lowered))
+        else:
+            found.append((g, least + k * lowered, most + k * raised))
+    return found
+
+
 def excluded(found: Planes, region: Region, multipliers: dict[int, int]) -> bool:
     """Whether Σ μ_g z_g ≤ 0 on a whole box, so that no point in it has all z_g of the sign of μ_g; plane: μ."""
     if not multipliers or not all(multipliers.values()):

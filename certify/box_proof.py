@@ -33,7 +33,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from certify.box_planes import Box, Planes, Region, combined, excluded, forms, integers, planes, region
+from certify.box_planes import Box, Planes, Region, combined, excluded, forms, halved, integers, planes, region
 from certify.weights import ShallowWeights
 
 HALVINGS = 1000  # on a path; each adds a bit to the box's integers
@@ -134,15 +134,7 @@ class _Sums:
 
     def halve(self, state: _Sum, j: int, here: Region, half: Region) -> _Sum:
         column = self.columns[j] if self.columns else []  # of a network without a slope
-        raised, lowered = half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
-        bounds = []
-        for g, least, most in state.free:
-            k = column[g]
-            if k > 0:
-                bounds.append((g, least + k * raised, most + k * lowered))
-            else:
-                bounds.append((g, least + k * lowered, most + k * raised))
-        return self._settled(bounds, *state[1:])
+        return self._settled(halved(state.free, column, j, here, half), *state[1:])
 
     def part(self, state: _Sum, name: str) -> tuple[_Sum, _Sum]:
         if name == "s":

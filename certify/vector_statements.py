@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from certify.box_planes import Box, Region, region
+from certify.box_planes import Box, Region, halved, region
 from certify.vector_exact import Matrix, changed, over_one_denominator, transposed
 from certify.vector_slopes import (
     BITS,
@@ -141,15 +141,7 @@ class _Patterns:
 
     def halve(self, state: _Crossed, j: int, here: Region, half: Region) -> _Crossed:
         column = self.columns[j] if self.columns else []
-        raised, lowered = half.lo[j] - here.lo[j], half.hi[j] - here.hi[j]
-        ends = []
-        for g, least, most in state.free:
-            k = column[g]
-            if k > 0:
-                ends.append((g, least + k * raised, most + k * lowered))
-            else:
-                ends.append((g, least + k * lowered, most + k * raised))
-        return self._settled(ends, state.high)
+        return self._settled(halved(state.free, column, j, here, half), state.high)
 
     def leaf(self, here: Region, state: _Crossed) -> int:
         return max(state.high)
