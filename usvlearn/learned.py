@@ -100,7 +100,7 @@ class Predictions:
     time: np.ndarray  # (time,) s since its first step
     measured: np.ndarray  # (time,) m/s, NaN where it was not measured
     predicted: dict[str, np.ndarray]  # member or rule -> (time,) m/s, NaN where no step was made
-    halfwidth: dict[str, np.ndarray]  # of the interval about a prediction, likewise; empty in a simulation
+    halfwidth: dict[str, np.ndarray]  # of its interval, infinite before ten measurements; empty in a simulation
 
     def interval(self, name: str = "ensemble") -> tuple[np.ndarray, np.ndarray]:
         """The lower and the upper end of the 90 % interval of a member or rule, m/s, `(time,)`."""

@@ -24,7 +24,7 @@ JUNK = (
 WORDS = ("kind", "size", "numbers", "inner", "count", "terms", "signs", "iterations", "vector", "loss", "a.b", "")
 
 # Leaves that may be infinite or NaN: where a member sleeps, no forecast was due, or no interval is known.
-OPEN = ("predictions", "forecasts.predictions", "forecasts.halfwidths", "forecasts.widths")
+OPEN = ("predictions", "halfwidths", "forecasts.predictions", "forecasts.halfwidths", "forecasts.widths")
 
 
 @pytest.fixture(scope="module")

@@ -67,7 +67,8 @@ def test_step_takes_numbers_and_bools_alone(rng, cases, kind):
         else:
             boat.step(sample_of(values))
             before = {name: np.asarray(leaf).copy() for name, leaf in named_leaves(boat.state)}
-            assert all(np.isfinite(leaf).all() for leaf in before.values())
+            assert (before.get("halfwidths", np.zeros(1)) >= 0).all()  # infinite before ten errors
+            assert all(name == "halfwidths" or np.isfinite(leaf).all() for name, leaf in before.items())
     assert 0.2 * cases < refused < 0.9 * cases
 
 

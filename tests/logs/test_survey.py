@@ -30,6 +30,7 @@ def test_an_alog_gives_its_numeric_variables_and_their_apps(tmp_path):
     path.write_text(
         "%% LOGSTART 1.5e9\n0.5 NAV_SPEED iGPS:aux 1.2\n0.6 NAV_SPEED iGPS \x1b[32m1.3\x1b[0m\n0.6 MODE pHelm DRIVE\n"
         "0.7 NAV_X iGPS 5\n0.8 NAV_X iSim 6\n0.9 NAV_SPEED iGPS off\nsoon NAV_SPEED iGPS 7\n1.0 A@B iGPS 7\n"
+        "1.1 NOTE iSonar 3\n1.2 NOTE iSonar none\n1.3 NOTE iSonar none\n"  # numbers in fewer than half of its posts
     )
     series = Alog().survey(path)
     assert [(each.name, each.kind, each.order.tolist()) for each in series] == [

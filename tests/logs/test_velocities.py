@@ -55,6 +55,20 @@ def test_a_limit_rejects_messages_of_its_component(tmp_path):
     assert np.nanmax(run.samples.velocity[:, 1]) == 7.0 and np.nanmax(run.samples.velocity[:, 2]) < 5
 
 
+@pytest.mark.parametrize(
+    ("component", "message"),
+    [
+        ({"name": "nothing"}, r"components\.sway\.name: .*'nothing'"),
+        ({"name": "sway", "unit": "feet"}, r"^components\.sway\.unit: found 'feet'"),
+    ],
+)
+def test_an_error_names_the_component_that_was_written(component, message, tmp_path):
+    with pytest.raises((ConfigError, LogFormatError), match=message):
+        read_velocities(write(tmp_path / "run.csv"), Table("t"), INPUTS, {**COMPONENTS, "sway": component}, dt=0.4)
+    with pytest.raises(ConfigError, match=r"^path: found"):
+        read_velocities(tmp_path / "none", Table("t"), INPUTS, COMPONENTS, dt=0.4)
+
+
 def test_components_with_other_stamps_are_refused(tmp_path):
     def change(k, row):  # the yaw rate comes later
         return [*row[:6], row[6] if k > 5 else ""]

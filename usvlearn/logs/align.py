@@ -47,7 +47,8 @@ class Aligner:
         dt: step, s; with `steps="speed"` the least one.
         inputs: "mean", "last" or "next", as above.
         channels: the logged channels, each with its `held`, `window`, `delay` and `period` (a `Channel` or a `Source`).
-            Without "yaw_rate", the slope of the heading is used.
+            Without "yaw_rate", the slope of the heading is used. A window that is "auto" follows the rate of the
+            messages: `usvlearn.logs.window_kernel`.
         surge_max: greatest speed, m/s; a faster one is rejected, as with the other limits.
         command_max: greatest command, share of full scale.
         yaw_rate_max: greatest yaw rate, rad/s.
@@ -89,7 +90,7 @@ class Aligner:
         self._settings = checked(channels, dt, inputs, limits, patience, outage, steps)
         self._places = {name: CHANNELS.index(name) for name in channels}
         kernel = _compiled()
-        self._memory = kernel.new_memory()
+        self._memory = kernel.new_memory(self._settings)
         self._times, self._values = np.empty((2, len(CHANNELS), ROOM))  # recent messages
         self._room = ROOM  # messages until some are to be forgotten
         none = np.empty(0)
@@ -97,6 +98,7 @@ class Aligner:
             self.feed(none.astype(np.int64), none, none)
             self._make_room(0)
             self.ahead(1)
+            _ = self.windows
 
     def __copy__(self) -> Aligner:  # a shallow copy would share its messages
         return copy.deepcopy(self)
@@ -109,6 +111,17 @@ class Aligner:
             for name, row in zip(CHANNELS, self._memory["rejected"][0], strict=True)
         }
         return {name: causes for name, causes in found.items() if causes}
+
+    @property
+    def windows(self) -> dict[str, tuple[float, float]]:
+        """The usual interval between messages and the window in force, s, of each channel; NaN until it is known."""
+        from usvlearn.logs.window_kernel import usual
+
+        memory = self._memory[0]
+        return {
+            name: (usual(memory["seen"], memory["intervals"], place), float(memory["window"][place]))
+            for name, place in self._places.items()
+        }
 
     def push(self, channel: str, time: float, value: float) -> list[tuple[float, Sample]]:
         """Take one message in SI units; returns the samples that it completes, each with its grid time, s."""
@@ -212,7 +225,8 @@ def checked(
         outage=outage,
         limit=[most[name] for name in CHANNELS],
         logged=[name in channels for name in CHANNELS],
-        **{key: [getattr(channel, key) for channel in logged] for key in ("held", "window", "delay")},
+        window=[0.0 if channel.window == AUTO else channel.window for channel in logged],
+        **{key: [getattr(channel, key) for channel in logged] for key in ("held", "delay")},
     )
 
 

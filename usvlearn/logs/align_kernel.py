@@ -10,7 +10,9 @@ import math
 import numpy as np
 
 from usvlearn.jit import jit
-from usvlearn.logs.channel import CHANNELS, EPSILON
+from usvlearn.logs.channel import CHANNELS, EPSILON, LEAST_WINDOW
+from usvlearn.logs.held_kernel import at, before, mean
+from usvlearn.logs.window_kernel import RECENT, follow, window_of
 
 SLACK = 1.0  # s, by which a channel may lag behind the newest message of any other
 LATEST = 1e12  # s; at later stamps, adding a step would not change the time
@@ -38,7 +40,7 @@ SETTINGS = np.dtype(
         ("limit", "f8", len(CHANNELS)),  # largest magnitude of a value
         ("logged", "i8", len(CHANNELS)),  # whether there is such a channel
         ("held", "i8", len(CHANNELS)),
-        ("window", "f8", len(CHANNELS)),  # s
+        ("window", "f8", len(CHANNELS)),  # s; 0: auto
         ("delay", "f8", len(CHANNELS)),  # s
         ("period", "f8"),  # s, between two measurements of the speed; 0: every message is one
     ]
@@ -53,6 +55,10 @@ MEMORY = np.dtype(
         ("behind", "i8"),  # how many messages in a row lie far behind the newest
         ("behind_channels", "i8"),  # a bit for each channel of these messages
         ("count", "i8", len(CHANNELS)),  # recent messages of each channel
+        ("window", "f8", len(CHANNELS)),  # s, in force
+        ("counted", "f8", len(CHANNELS)),  # these three: see `usvlearn.logs.window_kernel.follow`
+        ("seen", "i8", len(CHANNELS)),
+        ("intervals", "f8", (len(CHANNELS), RECENT)),
         ("rejected", "i8", (len(CHANNELS), len(CAUSES))),  # counts
     ]
 )
@@ -70,16 +76,17 @@ def new_settings(**values) -> np.ndarray:
     return settings
 
 
-def new_memory() -> np.ndarray:
+def new_memory(settings: np.ndarray) -> np.ndarray:
     """A record of `MEMORY` before the first message, `(1,)`.
 
-    >>> new_memory()["newest"].tolist()
+    >>> new_memory(new_settings(window=0.5))["newest"].tolist()
     [-inf]
     """
     memory = np.zeros(1, dtype=MEMORY)
-    for name in ("newest", "ahead", "surge_time"):
+    for name in ("newest", "ahead", "surge_time", "counted"):
         memory[name] = -math.inf
     memory["tick"] = math.nan
+    memory["window"] = np.where(settings["window"] > 0, settings["window"], LEAST_WINDOW)
     return memory
 
 
@@ -138,6 +145,7 @@ def ahead(settings, memory, times, values, steps):
     settings, memory = settings[0], memory[0]
     found = np.full((4, steps), np.nan)
     begin, dt = memory.tick, settings.dt
+    _open_windows(settings, memory)
     if math.isnan(begin):
         return found
     for c in (LEFT, RIGHT):
@@ -151,7 +159,7 @@ def ahead(settings, memory, times, values, steps):
         return found
     rate = math.nan
     if not settings.logged[YAW_RATE]:
-        held = settings.held[HEADING] and memory.newest - times[HEADING, last] > _longest(settings)
+        held = settings.held[HEADING] and memory.newest - times[HEADING, last] > _longest(settings, memory)
         rate = 0.0 if held else _slope(settings, memory, times, values, last)
     elif _in_force(settings, memory, times, YAW_RATE):
         rate = values[YAW_RATE, memory.count[YAW_RATE] - 1]
@@ -168,48 +176,7 @@ def _in_force(settings, memory, times, channel):
     if n == 0:
         return False
     age = memory.newest - (times[channel, n - 1] - settings.delay[channel])
-    return bool(settings.held[channel]) or age <= settings.window[channel] + EPSILON
-
-
-@jit(memory=True)
-def at(times, time):
-    """Index of the last message stamped at or before `time`; -1 where there is none."""
-    return _below(times, time + EPSILON, True)
-
-
-@jit(memory=True)
-def before(times, time):
-    """Index of the last message stamped before `time`; -1 where there is none."""
-    return _below(times, time - EPSILON, False)
-
-
-@jit(memory=True)
-def _below(times, time, equal):
-    low, high = 0, len(times)
-    while low < high:
-        middle = (low + high) // 2
-        if times[middle] < time or (equal and times[middle] == time):
-            low = middle + 1
-        else:
-            high = middle
-    return low - 1
-
-
-@jit(memory=True)
-def mean(times, values, start, end):
-    """Time-weighted mean of the held signal over [start, end); NaN where it had no value yet."""
-    j, last = at(times, start), before(times, end)
-    if last < 0:
-        return math.nan
-    if j < 0:
-        j, start = 0, times[0]
-    if j == last:
-        return values[j]
-    total, since = 0.0, start
-    for i in range(j, last):
-        total += values[i] * (times[i + 1] - since)
-        since = times[i + 1]
-    return (total + values[last] * (end - since)) / (end - start)
+    return bool(settings.held[channel]) or age <= memory.window[channel] + EPSILON
 
 
 @jit(memory=True)
@@ -263,6 +230,7 @@ def _keep(settings, memory, times, values, channel, time, value):
         return True
     times[channel, n], values[channel, n] = effect, value
     memory.count[channel] = n + 1
+    follow(memory.counted, memory.seen, memory.intervals, channel, effect)
     return True
 
 
@@ -295,7 +263,16 @@ def _write(row, time, dt, surge):
 
 
 @jit(memory=True)
+def _open_windows(settings, memory):
+    """Bring the automatic windows up to date."""
+    for c in range(len(memory.count)):
+        if settings.window[c] == 0:
+            memory.window[c] = window_of(memory.seen, memory.intervals, c)
+
+
+@jit(memory=True)
 def _advance(settings, memory, times, values, until, rows, count):
+    _open_windows(settings, memory)
     end = _end(settings, memory, times, until)
     while end <= until + EPSILON:
         rows = _room(rows, count)
@@ -314,7 +291,7 @@ def _end(settings, memory, times, until):
     end = memory.tick + settings.dt
     if settings.steps == GRID:
         return end
-    speeds, latest = times[SURGE, : memory.count[SURGE]], end + _surge_window(settings)
+    speeds, latest = times[SURGE, : memory.count[SURGE]], end + _surge_window(settings, memory)
     i = before(speeds, end) + 1
     if i < len(speeds) and speeds[i] <= latest + EPSILON:
         return speeds[i]
@@ -322,9 +299,12 @@ def _end(settings, memory, times, until):
 
 
 @jit(memory=True)
-def _surge_window(settings):
-    """Staleness of a speed, s. Where its copies are dropped, it counts from when the next measurement was due."""
-    return settings.window[SURGE] + settings.period
+def _surge_window(settings, memory):
+    """Staleness of a speed, s. Where its copies are dropped, it counts from when the next measurement was due.
+
+    An automatic window knows the interval of the measurements already.
+    """
+    return memory.window[SURGE] + (settings.period if settings.window[SURGE] > 0 else 0.0)
 
 
 @jit(memory=True)
@@ -332,7 +312,7 @@ def _step(settings, memory, times, values, start, end, row):
     """The row of the step from `start` to `end`."""
     speeds, dt = times[SURGE, : memory.count[SURGE]], settings.dt if settings.steps == GRID else end - start
     i = at(speeds, end)
-    measured = i >= 0 and speeds[i] > start + EPSILON and end - speeds[i] <= _surge_window(settings) + EPSILON
+    measured = i >= 0 and speeds[i] > start + EPSILON and end - speeds[i] <= _surge_window(settings, memory) + EPSILON
     surge = values[SURGE, i] if measured else math.nan
     if not measured:
         memory.rejected[SURGE, STALE] += 1
@@ -365,7 +345,7 @@ def _input(settings, memory, times, values, channel, start, cut, end):
     else:
         when = start if settings.inputs == LAST else end
         i = at(times, when)
-    if i < 0 or not (settings.held[channel] or when - times[i] <= settings.window[channel] + EPSILON):
+    if i < 0 or not (settings.held[channel] or when - times[i] <= memory.window[channel] + EPSILON):
         memory.rejected[channel, STALE] += 1
         return math.nan
     return mean(times, values, start, cut) if settings.inputs == MEAN else values[i]
@@ -381,7 +361,7 @@ def _heading_slope(settings, memory, times, values, start, cut, end):
         j = at(times[HEADING, :n], start if settings.inputs == LAST else end)
     if j < 0:
         return math.nan  # counted as a stale heading
-    if settings.held[HEADING] and cut - times[HEADING, j] > _longest(settings):
+    if settings.held[HEADING] and cut - times[HEADING, j] > _longest(settings, memory):
         return 0.0  # it is held: the boat keeps its heading
     slope = _slope(settings, memory, times, values, j)
     if math.isnan(slope):
@@ -394,9 +374,9 @@ def _heading_slope(settings, memory, times, values, start, cut, end):
 
 
 @jit(memory=True)
-def _longest(settings):
+def _longest(settings, memory):
     """Time over which a slope of the heading is one, s."""
-    return 2 * settings.dt + settings.window[HEADING]
+    return 2 * settings.dt + memory.window[HEADING]
 
 
 @jit(memory=True)
@@ -405,6 +385,6 @@ def _slope(settings, memory, times, values, j):
     n = memory.count[HEADING]
     times, values = times[HEADING, :n], values[HEADING, :n]
     i = at(times, times[j] - settings.dt / 2)
-    if i < 0 or times[j] - times[i] > _longest(settings):
+    if i < 0 or times[j] - times[i] > _longest(settings, memory):
         return math.nan
     return (values[j] - values[i]) / (times[j] - times[i])

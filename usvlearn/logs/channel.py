@@ -18,12 +18,14 @@ COMMANDS, SURGE = ("command_left", "command_right"), "surge"
 CHANNELS = (*COMMANDS, "heading", "yaw_rate", SURGE)
 EPSILON = 1e-6  # s, below which two stamps are one
 SLOWEST = 10.0  # s, the longest period
-AUTO = "auto"  # a period that is found from the logs
+LEAST_WINDOW, MOST_WINDOW = 0.2, 5.0  # s, of an automatic one: see `usvlearn.logs.window_kernel`
+AUTO = "auto"  # a period that is found from the logs, a window that follows the messages
 REQUIRED = ("command_left", "command_right", "heading", "surge")  # yaw_rate can be computed from the heading
 VELOCITIES, COURSES = ("velocity_north", "velocity_east"), ("ground_speed", "course")
 DEGREES, METRES = ("latitude", "longitude"), ("north", "east")
 AUXILIARY = (*VELOCITIES, *COURSES, *DEGREES, *METRES)  # the surge can be computed from a pair, and a track drawn
 
+FORCES = ("N", "kN", "N·m", "kN·m")
 # unit -> (factor, offset): SI value = factor * value + offset
 UNITS = {
     "1": (1.0, 0.0),
@@ -42,12 +44,13 @@ UNITS = {
     "enu_deg": (-math.pi / 180, math.pi / 2),
     "enu_rad/s": (-1.0, 0.0),
     "enu_deg/s": (-math.pi / 180, 0.0),
+    **dict.fromkeys(FORCES, (1.0, 0.0)),  # a share of the span, which is in the same unit
 }
 
 
 SPEEDS, ANGLES = ("m/s", "km/h", "knots", "cm/s", "mm/s"), ("rad", "deg", "enu_rad", "enu_deg")
 OWN_UNITS = {  # channel -> the units that it may have, beside "1" for SI
-    **dict.fromkeys(("command_left", "command_right"), ("percent",)),
+    **dict.fromkeys(COMMANDS, ("percent", *FORCES)),
     **dict.fromkeys(("heading", "course"), ANGLES),
     "yaw_rate": ("rad/s", "deg/s", "enu_rad/s", "enu_deg/s"),
     **dict.fromkeys(("surge", "ground_speed", *VELOCITIES), SPEEDS),
@@ -65,11 +68,11 @@ class Source:
     Args:
         name: column (CSV), variable (MOOS), topic (ROS) or message; `*` matches anything, as in `*left_thruster`.
         field: field of a message, dotted; several, comma-separated, give their Euclidean norm.
-        unit: one of `UNITS`.
+        unit: one of `UNITS`. A command in N or N·m is a share of `span`, the greatest force or moment in that unit.
         zero: raw value that means zero.
         span: raw distance from zero to full scale (commands) or 1; a negative one reverses a side.
         held: the value stays in force until the next message, however old (commands that are posted only on change).
-        window: staleness window, s.
+        window: staleness window, s. "auto": it follows the rate of the messages, see `usvlearn.logs.window_kernel`.
         delay: time from the stamp of a value to its effect on the measured speed, s (thruster and filter lag).
         period: time between two measurements of the speed's sensor, s, where messages come faster than it measures: the
             same number again within two periods is a copy of one measurement. 0: every message is a measurement.
@@ -85,7 +88,7 @@ class Source:
     zero: float = 0.0
     span: float = 1.0
     held: bool = False
-    window: float = 0.2
+    window: float | str = 0.2
     delay: float = 0.0
     period: float | str = 0.0
 
@@ -95,8 +98,8 @@ class Source:
             raise ConfigError(f"span: found {self.span!r}, expected a number other than 0")
         if not math.isfinite(self.zero):
             raise ConfigError(f"zero: found {self.zero!r}, expected a finite number")
-        if not self.window > 0:
-            raise ConfigError(f"window: found {self.window!r}, expected a positive time in s")
+        if self.window != AUTO and not (isinstance(self.window, int | float) and self.window > 0):
+            raise ConfigError(f"window: found {self.window!r}, expected a positive time in s, or {AUTO}")
         if not 0 <= self.delay < math.inf:
             raise ConfigError(f"delay: found {self.delay!r}, expected a time of 0 s or more")
         if self.period != AUTO and not (isinstance(self.period, int | float) and 0 <= self.period <= SLOWEST):
@@ -116,7 +119,7 @@ class Channel(NamedTuple):
     value: np.ndarray  # (n,) float64, SI units; NaN where the log had no number
     order: np.ndarray  # (n,) int64, place in the log (line, row, message): how channels interleave
     held: bool = False  # stays in force until the next message
-    window: float = 0.2  # staleness window, s
+    window: float | str = 0.2  # staleness window, s; see `Source`
     delay: float = 0.0  # from a stamp to its effect on the measured speed, s
     period: float | str = 0.0  # between two measurements of the sensor, s; see `Source`
 

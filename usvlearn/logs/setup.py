@@ -14,7 +14,7 @@ from typing import Any
 
 from usvlearn.errors import ConfigError, check_positive, under
 from usvlearn.logs.align import Aligner, checked
-from usvlearn.logs.channel import AUTO, CHANNELS, SURGE, Channel, Recording, Source
+from usvlearn.logs.channel import AUTO, CHANNELS, COMMANDS, SURGE, Channel, Recording, Source
 from usvlearn.logs.derived_surge import LIVE_PAIRS, pair_of
 from usvlearn.logs.mixing import Mix, parts_of
 from usvlearn.logs.read import sources_of
@@ -29,7 +29,7 @@ class Setup:
 
     Attributes:
         channels: the logged channels, as `usvlearn.logs.read.read_recordings` takes them.
-        align: options of `Aligner`.
+        align: options of `Aligner`; its step `dt` is always among them.
         mass: kg, added mass included; None if it is not known.
         surge_max: top speed, m/s, by which the data check judges speeds; None if it is not known.
         reader: the class that reads logs of this boat, which says what the names of the channels are.
@@ -45,6 +45,9 @@ class Setup:
     mass: float | None = None
     surge_max: float | None = None
     reader: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "align", {"dt": _defaults()["dt"], **self.align})
 
     @classmethod
     def of(cls, given: Any) -> Setup:
@@ -114,6 +117,12 @@ class Setup:
         return {"channels": channels, "align": dict(self.align), "vehicle": vehicle, "reader": self.reader}
 
     @property
+    def one_command(self) -> bool:
+        """Whether both sides have the same command, so that nothing tells them apart."""
+        left, right = (self.channels.get(name) for name in COMMANDS)
+        return left is not None and left == right
+
+    @property
     def parts(self) -> dict[str, Source]:
         """What is received: channels, and each source of a command that has several, such as "command_left[0]"."""
         return parts_of(self.channels)
@@ -153,7 +162,7 @@ class Setup:
 
     def check_alignment(self) -> None:
         """Raise a ConfigError if an option of the alignment is not legal, or its step is too short or too long."""
-        defaults = {name: each.default for name, each in inspect.signature(Aligner).parameters.items()}
+        defaults = _defaults()
         for name in self.align:
             if name not in defaults:
                 raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join([*defaults][1:])}")
@@ -164,6 +173,11 @@ class Setup:
             checked(self.aligned, options["dt"], options["inputs"], limits, *how)
             if not LEAST_STEP <= options["dt"] <= MOST_STEP:
                 raise ConfigError(f"dt: found {options['dt']!r}, expected {LEAST_STEP:g} to {MOST_STEP:g} s")
+
+
+def _defaults() -> dict[str, Any]:
+    """The options of an `Aligner`, and their defaults."""
+    return {name: each.default for name, each in inspect.signature(Aligner).parameters.items()}
 
 
 def setups_of(settings: Mapping[str, Any], recordings: Iterable[Recording]) -> dict[str, Setup]:

@@ -8,12 +8,14 @@ come with the same stamps, as the fields of one message do.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.errors import ConfigError, LogFormatError, UsvlearnError
 from usvlearn.logs.align import Aligned, align
 from usvlearn.logs.channel import CHANNELS, SURGE, Source
 from usvlearn.logs.read import Reader, read_recordings
@@ -74,7 +76,8 @@ def read_velocities(
         raise ConfigError(f"limits: found {unknown[0]!r}, expected components: {', '.join(components)}")
     aligned: dict[str, list[Aligned]] = {}
     for name, source in components.items():
-        recordings = read_recordings(path, reader, {**channels, SURGE: source}, boat)
+        with _named_as_here(name):
+            recordings = read_recordings(path, reader, {**channels, SURGE: source}, boat)
         most = (limits or {}).get(name, 10.0)
         aligned[name] = [align(_inputs_and(each.channels), surge_max=most, **options) for each in recordings]
         runs = [recording.run for recording in recordings]
@@ -93,6 +96,17 @@ def read_velocities(
         measured = np.stack([each.samples.measured for each in parts.values()], -1)
         found.append(VectorRun(run, time, VectorSample(samples.inputs, velocity, fresh, measured)))
     return found
+
+
+@contextmanager
+def _named_as_here(component: str) -> Iterator[None]:
+    """A context in which an error names the arguments of `read_velocities`, in place of the keys of a configuration."""
+    try:
+        yield
+    except UsvlearnError as error:
+        text = str(error).replace(f"data.channels.{SURGE}", f"components.{component}")
+        error.args = (re.sub(r"\bdata\.(path|reader|channels)", r"\1", text),)
+        raise
 
 
 def _inputs_and(channels: Mapping[str, Any]) -> dict[str, Any]:

@@ -19,14 +19,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usvlearn.logs.channel import CHANNELS, COMMANDS, EPSILON, SURGE
+from usvlearn.logs.channel import AUTO, CHANNELS, COMMANDS, EPSILON, LEAST_WINDOW, MOST_WINDOW, SURGE
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
 from usvlearn.logs.copies import find_period
 
+NONE = "empty"  # a cell of a table at whose time the channel had no message
 MANY, MOST = 0.05, 0.5  # of the messages of a channel
 STALE, UNUSED = 0.1, 0.5  # of the steps; of the speeds
-HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone")
+HARMLESS = ("duplicate", "repeated", "copied", "stale", "lost", "outage", "alone", NONE)
 LIMITS = {SURGE: "surge_max", "yaw_rate": "yaw_rate_max", **dict.fromkeys(COMMANDS, "command_max")}
 
 
@@ -44,7 +45,7 @@ def _rejected(e: Evidence) -> dict[str, Counter]:
 def rejected(e: Evidence) -> Iterator[Finding]:
     """Shares of messages that were rejected, by cause, with the key that changes it."""
     for name, causes in _rejected(e).items():
-        dropped = sum(sum(one.dropped.get(name, {}).values()) for one in e.recordings)
+        dropped = sum(n for one in e.recordings for why, n in one.dropped.get(name, {}).items() if why != NONE)
         total = dropped + sum(len(each.time) for each in e.logs(name) or e.logs("heading"))  # of which a rate is made
         for cause, count in causes.items():
             if cause in HARMLESS or count <= MANY * total:
@@ -86,16 +87,23 @@ def stale(e: Evidence) -> Iterator[Finding]:
             continue
         interval = _interval(e, name)
         held = name in COMMANDS and (_window(e, name) < interval or share > MOST)
-        window = math.ceil(15 * interval) / 10
-        if window <= (present := _window(e, name)) < math.inf:
-            window = round(2 * present, 3)
+        longer, present = math.ceil(15 * interval) / 10, _window(e, name)
+        if longer <= present < math.inf:
+            longer = round(2 * present, 3)
+        window = AUTO if present < _automatic(e, name) else longer
         fix = override(name, {"held": True} if held else {"window": window})
         yield Finding(e.boat, name, "stale", f"{min(share, 1):.0%} of the steps without a recent value",
                       f"at most {UNUSED if name == SURGE else STALE:.0%}", fix)  # fmt: skip
 
 
 def _window(e: Evidence, name: str) -> float:
-    return max((each.window for each in e.logs(name)), default=math.inf)
+    windows = [each.window for each in e.logs(name)]
+    return max((_automatic(e, name) if each == AUTO else float(each) for each in windows), default=math.inf)
+
+
+def _automatic(e: Evidence, name: str) -> float:
+    """About the window that "auto" would be, s."""
+    return min(max(2 * _interval(e, name, 0.75), LEAST_WINDOW), MOST_WINDOW)
 
 
 def _dt(e: Evidence) -> float:
