@@ -129,7 +129,7 @@ class Online:
     def published(self) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
         """What each member and rule of an ensemble predicted in the last step, and the half-width of its 90 % interval.
 
-        NaN where a member made no prediction.
+        NaN where a member made no prediction; a half-width is infinite before ten measurements.
 
         Raises:
             ConfigError: the estimator is no ensemble.

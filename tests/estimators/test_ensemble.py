@@ -17,6 +17,8 @@ from usvlearn import (
     Estimator,
     ExponentialWeights,
     FixedWeights,
+    Inputs,
+    Online,
     Persistence,
     RecursiveWeights,
     Robust,
@@ -28,6 +30,7 @@ from usvlearn import (
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.baselines.persistence.layer import PersistenceState
 from usvlearn.estimators.ensemble.conformal.layer import conformal_start, conformal_step
+from usvlearn.estimators.ensemble.conformal.layer import published as published_widths
 from usvlearn.signals import tree_map
 
 
@@ -172,9 +175,32 @@ def test_intervals_belong_to_the_predictions_beside_them():
     torch.testing.assert_close(found["predictions"][..., -1], surge)
     conformal = conformal_start((2,), 4, samples.surge)
     for k in range(40):
-        assert torch.equal(found["halfwidths"][k], conformal.halfwidth)
+        assert torch.equal(found["halfwidths"][k], published_widths(conformal))
         if not 10 <= k < 13:
             conformal = conformal_step(conformal, samples.surge[k, :, None] - found["predictions"][k], 0.8)
+
+
+@pytest.mark.parametrize("backend", ["torch", "kernel"])
+def test_an_interval_is_infinite_before_ten_errors_and_then_what_it_was(backend):
+    """A boat that has not sailed must not publish 1.70 (1.65 … 1.75)."""
+    samples = random_samples(40)
+    ensemble = Ensemble(members())
+    first = Online(ensemble, backend=backend)
+    tracked = conformal_start((), 4, samples.surge)
+    inputs = Inputs(0.5, 0.5, 0.0, 0.0, 0.4)
+    assert all(math.isfinite(v) and width == math.inf for v, width in first.foresee(inputs).values())
+    for k in range(40):
+        foreseen = [width for _, width in first.foresee(inputs).values()]
+        first.step(tree_map(lambda x, k=k: x[k].item(), samples))
+        surges, widths = (
+            torch.tensor(each, dtype=torch.float64) for each in zip(*first.published().values(), strict=True)
+        )
+        assert widths.tolist() == foreseen
+        if k < 10:
+            assert widths.isinf().all()
+        else:
+            torch.testing.assert_close(widths, tracked.halfwidth, rtol=1e-9, atol=0)
+        tracked = conformal_step(tracked, samples.surge[k] - surges, 0.9)
 
 
 class Wild(Estimator):
@@ -236,7 +262,7 @@ def test_coverage_is_what_was_asked_for():
         record = lambda s: {"predictions": s.predictions, "halfwidths": s.halfwidths}  # noqa: E731
         with torch.no_grad():
             _, _, found = rollout(ensemble, ensemble.init(), samples, record=record)
-        hits = (found["predictions"] - samples.surge[:, None]).abs() <= found["halfwidths"]
+        hits = ((found["predictions"] - samples.surge[:, None]).abs() <= found["halfwidths"])[10:]  # infinite before
         torch.testing.assert_close(hits.double().mean(0), torch.full((3,), coverage).double(), rtol=0, atol=0.015)
 
 

@@ -25,7 +25,8 @@ from usvlearn import (
     rollout,
 )
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FEW, FIRST, MOST
+from usvlearn.estimators.ensemble.conformal.state import FEW
+from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FIRST, MOST
 from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
 from usvlearn.rollouts import simulate
 from usvlearn.signals import Fleet, Run, named_leaves, tree_map

@@ -345,6 +345,13 @@ def test_a_rate_just_below_one_is_not_told_as_one():
     ensemble = Ensemble({"rnn": RNN(contraction_rate=0.999999)})
     (line,) = stability(ensemble, ensemble.init((1,)), ["heron"])
     assert "certified contracting by tight, K = 0.999999 a step" in line
+    free = {"heron": {"rnn": 0.41, "average": 0.2, "persistence": 0.9}}  # a proof is not praise
+    (beside,) = stability(ensemble, ensemble.init((1,)), ["heron"], free)
+    assert beside == f"{line}; free runs are far off: they err by 0.410 m/s (average 0.200, persistence 0.900)"
+    for errors, far in (((0.39, 0.2, 0.9), False), ((0.9, 0.5, 0.9), True), ((0.41, None, None), False)):
+        free = {"heron": dict(zip(("rnn", "average", "persistence"), errors, strict=True))}
+        (beside,) = stability(ensemble, ensemble.init((1,)), ["heron"], free)
+        assert ("far off" in beside) is far and f"err by {errors[0]:.3f} m/s" in beside
     ensemble = Ensemble({"rnn": RNN(stability="none", contraction_rate=0.5)})
     state = ensemble.init((1,))
     learned = state.members["rnn"]

@@ -107,6 +107,7 @@ def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
     ensemble = Ensemble({"aid": AID(28.0), "persistence": Persistence()}, {"own": Average(["aid"])})
     state, lone = ensemble.init((2,)), aid.init((2,))
     total, count = np.zeros(2), np.zeros(2)
+    made: list[list[np.ndarray]] = [[], []]
     with torch.no_grad():
         for run in fleet.runs[:half]:
             samples = tensors(run.samples, torch.float64)
@@ -116,9 +117,16 @@ def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
             learns = masks(run.samples).learns
             total += np.where(learns, np.abs(free - run.samples.surge), 0.0).sum(0)
             count += learns.sum(0)
+            for lane, pairs in enumerate(made):
+                pairs.append(np.stack([free[:, lane], run.samples.surge[:, lane]])[:, learns[:, lane]])
     np.testing.assert_allclose(found, total / count, rtol=1e-9)
-    whole = free_errors(ensemble, state, fleet, half).mae(fleet.boats, ensemble.names)
+    free = free_errors(ensemble, state, fleet, half)
+    whole, fits = free.mae(fleet.boats, ensemble.names), free.fit(fleet.boats, ensemble.names)
     assert [row["aid"] for row in whole.values()] == pytest.approx((total / count).tolist())
+    for row, pairs in zip(fits.values(), made, strict=True):
+        simulated, y = np.concatenate(pairs, 1)
+        expected = 100 * (1 - np.linalg.norm(y - simulated) / np.linalg.norm(y - y.mean()))
+        assert row["aid"] == pytest.approx(expected, rel=1e-7)
 
 
 def test_tuning_minimises_an_error_of_its_member():

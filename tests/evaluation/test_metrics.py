@@ -24,10 +24,28 @@ def shown(table) -> str:
 
 def test_scores_by_hand():
     table = scores(PREDICTIONS, SURGE, ["aid", "persistence"])
+    fit = 100 * (1 - np.sqrt(1.25 / (3 * np.nanvar(SURGE))))
     assert table["aid"] == pytest.approx(
-        {"mae": 0.5, "median": 0.5, "rmse": np.sqrt(1.25 / 3), "skill": 1 - 0.5 / (4 / 3), "steps": 3, "diverged": 0}
-    )
+        {"mae": 0.5, "median": 0.5, "rmse": np.sqrt(1.25 / 3), "fit": fit, "skill": 1 - 0.5 / (4 / 3), "steps": 3,
+         "diverged": 0}
+    )  # fmt: skip
     assert table["persistence"]["skill"] == 0 and table["persistence"]["mae"] == pytest.approx(4 / 3)
+
+
+def test_fit_is_that_of_compare():
+    """100 (1 − ‖y − ŷ‖ / ‖y − mean(y)‖), over the steps that count; worse than the mean speed is below 0."""
+    rng = np.random.default_rng(3)
+    y = rng.normal(1.0, 0.5, 200)
+    made = np.stack([y + rng.normal(0, 0.1, 200), np.full(200, y[:150].mean()), -y], -1)
+    known = np.where(np.arange(200) < 150, y, np.nan)
+    table = scores(made, known, ["good", "mean", "bad"])
+    norm = np.linalg.norm
+    for k, name in enumerate(table):
+        expected = 100 * (1 - norm(y[:150] - made[:150, k]) / norm(y[:150] - y[:150].mean()))
+        assert table[name]["fit"] == pytest.approx(expected, abs=1e-9)
+    assert 70 < table["good"]["fit"] < 90 and table["bad"]["fit"] < 0
+    assert scores(np.ones((3, 1)), np.ones(3), ["still"])["still"]["fit"] is None
+    assert scores(np.full((1, 1), np.nan), np.ones(1), ["diverged"])["diverged"]["fit"] is None
 
 
 def test_a_fleets_scores_count_the_steps_that_an_ensemble_learns_from():
@@ -66,6 +84,14 @@ def test_steps_at_which_nobody_has_a_prediction_are_not_passed_over():
 def test_an_error_as_large_as_the_interval_is_inside():
     table = scores(np.array([[1.5], [2.0]]), np.array([1.0, 2.5]), ["aid"], np.array([[0.5], [0.25]]))
     assert (table["aid"]["coverage"], table["aid"]["halfwidth"]) == (0.5, 0.375)
+
+
+def test_an_interval_that_is_infinite_yet_is_not_counted():
+    widths = np.array([[np.inf], [0.5], [0.25]])
+    table = scores(np.array([[9.0], [1.5], [2.0]]), np.array([1.0, 1.0, 2.5]), ["aid"], widths)
+    assert (table["aid"]["coverage"], table["aid"]["halfwidth"], table["aid"]["steps"]) == (0.5, 0.375, 3)
+    table = scores(np.ones((1, 1)), np.ones(1), ["aid"], np.array([[np.inf]]))
+    assert table["aid"]["coverage"] is None and table["aid"]["halfwidth"] is None
 
 
 def test_diverged_predictions_are_counted_and_missing_persistence_is_told():

@@ -1,4 +1,4 @@
-"""Errors of predictions: MAE, median, RMSE, skill against persistence, and the coverage of the intervals."""
+"""Errors of predictions: MAE, median, RMSE, fit, skill against persistence, and the coverage of the intervals."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def scores(
         halfwidths: of the predictions' intervals, m/s, `(time, estimators)`.
 
     Returns:
-        Per estimator `mae`, `median`, `rmse` (m/s), `skill` = 1 − MAE/MAE(persistence) (None where persistence was
-        not run or is perfect), `steps`, and `diverged`, the number of predictions that are not finite. An estimator
-        that diverged even once, or had no step, has no errors (None). So it cannot win by its remaining steps.
-        With half-widths also `coverage`, the share of the measurements inside the intervals, and `halfwidth`, their
-        mean, m/s.
+        Per estimator `mae`, `median`, `rmse` (m/s), `fit` (percent, see `fit`), `skill` = 1 − MAE/MAE(persistence)
+        (None where persistence was not run or is perfect), `steps`, and `diverged`, the number of predictions that are
+        not finite. An estimator that diverged even once, or had no step, has no errors (None). So it cannot win by its
+        remaining steps. With half-widths also `coverage`, the share of the measurements inside the intervals, and
+        `halfwidth`, their mean, m/s, over the intervals that are finite.
 
     >>> table = scores(np.array([[1.0, 2.0], [2.0, 2.0]]), np.array([1.5, 2.0]), ["aid", "persistence"])
     >>> table["aid"]["mae"], table["aid"]["skill"]
@@ -38,22 +38,43 @@ def scores(
     counted = ~np.isnan(surge)
     error = np.abs(predictions[counted] - surge[counted, None])
     finite = np.isfinite(error)
+    spread = float(((surge[counted] - surge[counted].mean()) ** 2).sum()) if counted.any() else 0.0
     table = {}
     for k, name in enumerate(names):
         e = error[finite[:, k], k]
-        row: dict[str, float | int | None] = dict.fromkeys(("mae", "median", "rmse", "skill"))
+        row: dict[str, float | int | None] = dict.fromkeys(("mae", "median", "rmse", "fit", "skill"))
         if len(e) and finite[:, k].all():
             row |= {"mae": float(e.mean()), "median": float(np.median(e)), "rmse": float(np.sqrt((e * e).mean()))}
+            row["fit"] = fit(float((e * e).sum()), spread)
         if halfwidths is not None:
             width = halfwidths[counted][finite[:, k], k]
+            known = np.isfinite(width)  # an infinite interval covers all, and tells nothing
             row |= {"coverage": None, "halfwidth": None}
-            if len(e):
-                row |= {"coverage": float((e <= width).mean()), "halfwidth": float(width.mean())}
+            if known.any():
+                row |= {"coverage": float((e <= width)[known].mean()), "halfwidth": float(width[known].mean())}
         table[name] = row | {"steps": len(e), "diverged": int((~finite[:, k]).sum())}
     if base := table.get(PERSISTENCE, {}).get("mae"):
         for row in table.values():
             row["skill"] = None if row["mae"] is None else 1 - row["mae"] / base
     return table
+
+
+def fit(errors: float, spread: float) -> float | None:
+    """100 (1 − NRMSE), percent, as MATLAB's `compare` has it: 100 is perfect, 0 is as good as the mean measured speed.
+
+        100 (1 − √(Σ (v̂ − v)² / Σ (v − mean v)²))                                                     (1)
+
+    Args:
+        errors: Σ (v̂ − v)², m²/s².
+        spread: Σ (v − mean v)², m²/s².
+
+    Returns:
+        None if the speed never changed.
+
+    >>> fit(1.0, 16.0), fit(1.0, 0.0)
+    (75.0, None)
+    """
+    return 100 * (1 - float(np.sqrt(errors / spread))) if spread > 0 else None
 
 
 def fleet_scores(

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from usvlearn.errors import ConfigError, check_positive, under
 from usvlearn.estimator import Estimator, numbers_of, spec_of
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
-from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step
+from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step, published
 from usvlearn.estimators.ensemble.forecasts.layer import Forecasts
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
@@ -100,8 +100,7 @@ class Ensemble(Estimator):
                 combiner.bind(chosen)
         self.forecasts = forecasts
         if forecasts is not None:
-            shown = [self.columns[k] for k in self._places[self.output]]
-            chosen = shown if forecasts.members is None else forecasts.members
+            chosen = self.weighed if forecasts.members is None else forecasts.members
             forecasts.bind(chosen, members, coverage, self.surge_max)
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
@@ -118,6 +117,11 @@ class Ensemble(Estimator):
         if len(set(columns)) < len(columns):
             raise ConfigError(f"combiners.{combiner}.members: found {', '.join(chosen)}, expected each member once")
         return columns
+
+    @property
+    def weighed(self) -> list[str]:
+        """The names of the members' predictions that the output is made of."""
+        return [self.columns[k] for k in self._places[self.output]]
 
     def columns_of(self, member: str) -> list[str]:
         """The names of a member's predictions."""
@@ -136,18 +140,18 @@ class Ensemble(Estimator):
                 combiners[name] = combiner.init(batch, like)
         conformal = conformal_start(batch, len(self.names), like)
         watched = monitors.init(batch, len(self.names), like) if self.watched else {}
-        width = conformal.halfwidth
+        width = published(conformal)
         made = {} if self.forecasts is None else self.forecasts.init(batch, self.members, members)
         return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, made)
 
     def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
         coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
-        published, _, output = self._publish(state, {name: surge for name, (_, surge) in coasted.items()}, inputs.dt)
+        predictions, _, output = self._publish(state, {name: surge for name, (_, surge) in coasted.items()}, inputs.dt)
         members, made = {name: new for name, (new, _) in coasted.items()}, state.forecasts
         if self.forecasts is not None:
             made = self.forecasts.step(made, self.members, members, inputs, None)
-        width = state.conformal.halfwidth
-        return state._replace(members=members, predictions=published, halfwidths=width, forecasts=made), output
+        width = published(state.conformal)
+        return state._replace(members=members, predictions=predictions, halfwidths=width, forecasts=made), output
 
     def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
         return self.learn(state, inputs, surge)[0]
@@ -155,17 +159,17 @@ class Ensemble(Estimator):
     def learn(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> tuple[EnsembleState, Tensor]:
         learned = {name: member.learn(state.members[name], inputs, surge) for name, member in self.members.items()}
         surges = {name: predicted for name, (_, predicted) in learned.items()}
-        published, seen, output = self._publish(state, surges, inputs.dt)
+        predictions, seen, output = self._publish(state, surges, inputs.dt)
         combiners = self.reweigh(state.combiners, seen, surge, inputs.dt)
-        innovations = surge[..., None] - published
+        innovations = surge[..., None] - predictions
         conformal = conformal_step(state.conformal, innovations, self.coverage)
         watched = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
         members = {name: new for name, (new, _) in learned.items()}
         made = state.forecasts
         if self.forecasts is not None:
             made = self.forecasts.step(made, self.members, members, inputs, surge)
-        width = state.conformal.halfwidth
-        return EnsembleState(members, combiners, conformal, published, width, watched, made), output
+        width = published(state.conformal)
+        return EnsembleState(members, combiners, conformal, predictions, width, watched, made), output
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.estimators.ensemble.conformal.state import ConformalState
-from usvlearn.family import ANY, POSITIVE, Family, Numbers, leaf
+from usvlearn.family import ANY, POSITIVE, POSITIVE_OR_INFINITE, Family, Numbers, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -18,7 +18,7 @@ class EnsembleState(NamedTuple):
     combiners: dict[str, Any]
     conformal: ConformalState  # of the next predictions, in the order of `Ensemble.names`
     predictions: Tensor  # (*batch, columns + combiners) m/s, in the order of `Ensemble.names`
-    halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s
+    halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s; infinite before ten measurements
     monitors: Any  # of the innovations of `Ensemble.names` and of the thrusters, or {}
     forecasts: Any  # a `ForecastState`, or {}
 
@@ -37,7 +37,7 @@ FAMILY = Family(
         combiners=NONE,
         conformal=NONE,
         predictions=leaf(names, legal=ANY),  # NaN where a member sleeps
-        halfwidths=leaf(names, legal=POSITIVE),
+        halfwidths=leaf(names, legal=POSITIVE_OR_INFINITE),
         monitors=NONE,
         forecasts=NONE,
     ),

@@ -2,9 +2,16 @@
 
 import numpy as np
 
-from usvlearn.estimators.ensemble.conformal.state import AT, Number
+from usvlearn.estimators.ensemble.conformal.state import AT, FEW, Number
 from usvlearn.family import Node
 from usvlearn.jit import jit
+
+
+@jit
+def published(node, s, found):
+    """`layer.published`, into `found`."""
+    for i in range(node[Node.SIZE]):
+        found[i] = np.inf if s[node[AT.count] + i] < FEW else s[node[AT.halfwidth] + i]
 
 
 @jit

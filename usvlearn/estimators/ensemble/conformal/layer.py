@@ -7,12 +7,21 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from usvlearn.estimators.ensemble.conformal.state import BOOST, LEAST, RATE, START, ConformalState
+from usvlearn.estimators.ensemble.conformal.state import BOOST, FEW, LEAST, RATE, START, ConformalState
 
 
 def conformal_start(batch: Sequence[int], k: int, like: Tensor) -> ConformalState:
     """The intervals before the first innovation, of k predictions."""
     return ConformalState(like.new_full((*batch, k), START), like.new_zeros((*batch, k)))
+
+
+def published(state: ConformalState) -> Tensor:
+    """The half-widths that are published, m/s, `(*batch, k)`: infinite before FEW innovations.
+
+    >>> published(conformal_start((), 2, torch.zeros(())))
+    tensor([inf, inf])
+    """
+    return torch.where(state.count < FEW, torch.inf, state.halfwidth)
 
 
 def conformal_numbers(coverage: float) -> dict[str, float]:

@@ -7,7 +7,8 @@ as adaptive conformal inference does (Gibbs & Candès 2021; Angelopoulos, Candè
     log q ← log q + (η + η₀/k) (miss − α)                                                  (1)
 
 Nothing is assumed about the errors: the sum of (1) over K steps gives |misses/K − α| ≤ |log(q_K/q_0)|/(η K) where
-η₀ = 0 and q has not met its least value. The second term finds the scale during the first samples.
+η₀ = 0 and q has not met its least value. The second term finds the scale during the first samples. Before ten
+innovations q is no quantile of anything yet, and the published half-width is infinite.
 
 The derivation is in `docs/theory.md`, section 14.
 """
@@ -23,13 +24,14 @@ if TYPE_CHECKING:
 
 RATE, BOOST = 0.2, 1.0  # η, η₀
 START = 0.05  # m/s, q before the first innovation
+FEW = 10.0  # innovations, before which the published half-width is infinite
 LEAST = 5e-3  # m/s; a boat at rest is predicted exactly for hours, and q must recover from it within some ten misses
 
 
 class ConformalState(NamedTuple):
     """The intervals of the next predictions."""
 
-    halfwidth: Tensor  # (*batch, k) q, m/s
+    halfwidth: Tensor  # (*batch, k) q, m/s, which `published` makes infinite at first
     count: Tensor  # type: ignore[assignment]  # (*batch, k) innovations seen; checkpoints name it so, not tuple.count
 
 

@@ -3,11 +3,11 @@
 import numpy as np
 
 from usvlearn.estimators.ensemble.combiners.kernel import bernstein
+from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import (
     AT,
     BEYOND,
     DELAY,
-    FEW,
     LEAST,
     MOST,
     NARROWEST,

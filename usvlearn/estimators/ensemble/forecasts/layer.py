@@ -13,6 +13,7 @@ from usvlearn.errors import ConfigError, check_not_negative, check_positive
 from usvlearn.estimator import Estimator, spec_of
 from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_sleeping
 from usvlearn.estimators.ensemble.combiners.state import TINY
+from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.ensemble.forecasts.state import ForecastState
 from usvlearn.signals import Inputs, named_leaves, rebuild, tree_map, where
@@ -317,7 +318,7 @@ class Forecasts(nn.Module):
 
     def _weights(self, state: ForecastState) -> Tensor:
         """The weights of each horizon, `(*batch, H, M)`: those of a shorter one where too few errors are known."""
-        own, known = state.rule.weights, state.errors >= at.FEW
+        own, known = state.rule.weights, state.errors >= FEW
         found = [own[..., 0, :]]
         for k in range(1, own.shape[-2]):
             found.append(torch.where(known[..., k, None], own[..., k, :], found[-1]))
@@ -326,7 +327,7 @@ class Forecasts(nn.Module):
     def _halfwidths(self, state: ForecastState) -> Tensor:
         """q s, `(*batch, H)`; infinite where too few errors are known."""
         width = (state.quantile * state.error).clamp(min=at.NARROWEST)
-        return torch.where(state.errors >= at.FEW, width, math.inf)
+        return torch.where(state.errors >= FEW, width, math.inf)
 
     def _place(self, time: Tensor) -> Tensor:
         """The share of each horizon in a time, s, `(*batch, H)`."""

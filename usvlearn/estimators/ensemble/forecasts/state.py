@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 HORIZONS = (0.4, 1.2, 2.0, 5.2, 10.0, 30.0)  # s
 STEP = 0.4  # s, over which the losses have their unit
 DELAY, LEAST, MOST, FIRST = 9.0, 0.3, 12.0, 2.06  # of (3): 1.645 deviations of a normal error are 2.06 mean errors
-SHARE, FEW = 1 / 200, 10.0  # of (2); errors below which an interval is infinite, and the weights are another horizon's
+SHARE = 1 / 200  # of (2). With fewer than FEW errors an interval is infinite, and the weights are another horizon's
 NARROWEST = 5e-3  # m/s, least half-width: after hours at rest all errors are 0
 BEYOND = 1 + 1e-4  # times the longest horizon, with room for rounding: there is no interval
 MOST_SLOTS, MOST_HORIZONS = 512, 32
