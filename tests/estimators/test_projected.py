@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import nnls
 
 from tests.support import random_samples
-from usvlearn import AID, RLS, Projected, QuasiStatic, SIFtRLS, SurgeDynamics, WithMemory, rollout
+from usvlearn import AID, RLS, Inputs, Projected, QuasiStatic, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.least_squares.projected import project_signs
 from usvlearn.estimators.regressors.layer import surge_regressor
@@ -150,3 +150,22 @@ def test_may_stand_inside_memory():
 def test_illegal_arguments_are_refused(arguments, message):
     with pytest.raises(ConfigError, match=message):
         Projected(**{"estimator": SIFtRLS(), **arguments})
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_kernel_and_torch_differ_by_no_more_than_the_condition_of_P_explains(seed):
+    """Commands of 99.9: regressors differ by a factor of 1e4, and (2) is a poorly conditioned system."""
+    rng, estimator = np.random.default_rng(seed), Projected(SIFtRLS(memory=5.0), signs=[1] * 9, iterations=8)
+    commands = rng.choice([0.0, 1.0, -1.0, 0.5, 99.9, -99.9], (2, 40), p=[0.1, 0.2, 0.1, 0.2, 0.25, 0.15])
+    heading, yaw_rate, surge = (torch.tensor(rng.uniform(-1, 1, 40)) for _ in range(3))
+    inputs = Inputs(*map(torch.tensor, commands), heading, yaw_rate, torch.full((40,), 0.4, dtype=torch.float64))
+    samples = Sample(inputs, 2 * surge, torch.ones(40, dtype=torch.bool), torch.ones(40, dtype=torch.bool))
+    with torch.no_grad():
+        kernel, by_torch = (
+            rollout(estimator, estimator.init(), samples, ["theta", "factor"], backend=backend)[2]
+            for backend in ("kernel", "torch")
+        )
+    condition = float(torch.linalg.cond(by_torch["factor"]).max() ** 2)
+    error = (kernel["theta"] - by_torch["theta"]).abs().amax() / by_torch["theta"].abs().amax()
+    assert 1e12 < condition < 1e15 and error <= condition * torch.finfo(torch.float64).eps
+    assert ((kernel["theta"] == 0) == (by_torch["theta"] == 0)).all()  # the same parameters are held

@@ -14,6 +14,11 @@ and is exact once A repeats, as a rule after two or three rounds; where paramete
 not, and θ is clipped. Clipping alone is no projection: the errors of strongly correlated parameters cancel, and if one
 parameter is clipped alone, the error of the other remains (on recorded logs this is far worse than no prediction).
 
+Q holds the products of the rows of the factor √P, so the condition number of (2) is the square of that of √P. θ is
+known to about cond(P) ε, relative to its largest entry, ε = 2.2e-16. On usual samples cond(P) is below 1e6. Commands
+of 99.9, whose terms differ by a factor of 1e4, bring it to 1e13: torch and the kernel then differ by up to 1e-4,
+neither being nearer to (1). A test holds both to this bound.
+
 The derivation is in `docs/theory.md`, section 8.
 """
 
