@@ -278,6 +278,7 @@ def test_what_a_log_lacks_is_said_and_no_interval_is_false(sentence):
     left, right, boat, settings = LACKING[sentence]
     found = learned(log(3000, left(3000), right(3000), **boat), **settings)
     assert any(said.startswith(sentence) for said in found.lacks), found.lacks
+    assert not found.unphysical  # what is not known is not negative
     truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
     for name in ("thrust_full_left", "thrust_full_right", "drag_half_speed", "steady_speed_full", "time_constant"):
         assert found[name].low <= truth[name] <= found[name].high, (name, found[name])
@@ -301,6 +302,7 @@ def test_a_reversed_sign_is_named_and_no_interval_is_false(low):
     found = learned(sample._replace(surge=-sample.surge))
     (said,) = found.lacks
     assert "data.channels.surge.span" in said and "surge_max" not in said
+    assert said == found.unphysical and "it has a steady speed at full command of -" in said
     truth = quantities(np.concatenate([THETA_ODD[:9], np.zeros(3)]), MASS, np.zeros(12))
     for name in ("thrust_full_left", "thrust_full_right", "drag_half_speed", "steady_speed_full", "time_constant"):
         assert found[name].low <= truth[name] <= found[name].high, (name, found[name])

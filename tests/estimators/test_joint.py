@@ -1,5 +1,6 @@
 """The joint filter against a dense textbook filter, finite differences, a simulated boat, and what happens aboard."""
 
+import itertools
 import math
 
 import numpy as np
@@ -343,3 +344,14 @@ def test_a_broken_factor_is_refused(tmp_path):
         CheckpointError, match=r"state\.factor: found -0.16\d*, expected .* 1e-30 or more on the diagonal"
     ):
         Online.open(path)
+
+
+def test_the_covariance_of_a_batch_is_that_of_each_lane():
+    joint = JointEKF(2.0, 28.0)
+    state = joint.init((2, 3))
+    factor = torch.rand(state.factor.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    found = state._replace(factor=factor).covariance
+    assert found.shape == factor.shape
+    for i, j in itertools.product(range(2), range(3)):
+        L = factor[i, j].tril(-1) + torch.eye(factor.shape[-1], dtype=torch.float64)  # Uᵀ
+        torch.testing.assert_close(found[i, j], L.mT @ torch.diag(factor[i, j].diagonal()) @ L)

@@ -40,6 +40,15 @@ class IdentifiedBoat(NamedTuple):
         name = re.sub(r"[^-.\w]", "_", self.name).lstrip(".")
         return name.encode("utf-8", "replace")[:LONGEST].decode("utf-8", "ignore") or "boat"
 
+    def check_physical(self, remedy: str = "") -> None:
+        """Raise a ConfigError if no boat can have what was identified.
+
+        Args:
+            remedy: what can be done beside learning anew, for the error.
+        """
+        if self.found.unphysical:
+            raise ConfigError(f"{printable(self.name)}: {self.found.unphysical}{remedy}")
+
     @property
     def members(self) -> Mapping[str, Any]:
         """Descriptions of the estimators by name."""

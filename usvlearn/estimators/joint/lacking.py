@@ -30,6 +30,14 @@ WRONG_SIGN = (
 )
 
 
+POSITIVE_OF_BOATS = {  # what no boat has below zero, in words
+    "steady_speed_full": "a steady speed at full command",
+    "thrust_full_left": "a full thrust of the left side",
+    "thrust_full_right": "a full thrust of the right side",
+    "time_constant": "a time constant",
+}
+
+
 class Quantity(NamedTuple):
     """A quantity with its 90 % interval; NaN where nothing is known."""
 
@@ -146,16 +154,34 @@ def misstated(speed: float, low: float, high: float, variance: np.ndarray) -> li
     stated = stated_top(variance)
     if not (low > FAR * stated or high < stated / FAR):
         return []
-    if speed < 0:
-        return [
-            f"The boat's steady speed at full command is {speed:.2f} m/s: the sign of the speed or of the commands is "
-            "reversed; change the sign of data.channels.surge.span, or of data.channels.command_left.span and "
-            "data.channels.command_right.span, and learn anew."
-        ]
+    if speed < 0:  # see `unphysical`
+        return []
     return [
         f"vehicle.surge_max: found {stated:.3g} m/s, and the boat's steady speed at full command is "
         f"{speed:.2f} m/s: correct it, and learn anew."
     ]
+
+
+def unphysical(found: Mapping[str, Quantity]) -> str:
+    """A sentence about quantities that are surely negative, and cannot be so; "" if there is none.
+
+    >>> unphysical({"steady_speed_full": Quantity(-0.4, -1.9, 1.1, "m/s")})  # not known
+    ''
+    >>> unphysical({"steady_speed_full": Quantity(-1.6, -1.9, -1.3, "m/s")})[:80]
+    'The identified boat is not physical: it has a steady speed at full command of -1'
+    """
+    wrong = [
+        f"{words} of {found[name].value:.3g} {found[name].unit}"
+        for name, words in POSITIVE_OF_BOATS.items()
+        if name in found and found[name].value < 0 and found[name].high < 0
+    ]
+    if not wrong:
+        return ""
+    return (
+        f"The identified boat is not physical: it has {' and '.join(wrong)}. Signs or sides are wrong: check "
+        "data.channels.command_left and data.channels.command_right (name, zero, span) and the sign of "
+        "data.channels.surge.span, and learn anew."
+    )
 
 
 def undetermined(quantities: Mapping[str, Quantity]) -> list[str]:

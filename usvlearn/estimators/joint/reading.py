@@ -36,6 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.estimators.joint.lacking import (
+    POSITIVE_OF_BOATS,
     SILENT,
     WRONG_SIGN,
     Quantity,
@@ -44,8 +45,9 @@ from usvlearn.estimators.joint.lacking import (
     misstated,
     stated_top,
     undetermined,
+    unphysical,
 )
-from usvlearn.estimators.joint.quantities import QUANTITIES, gradients, steps_of
+from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES, gradients, steps_of
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
 from usvlearn.estimators.joint.state import DROPPED, THETA
 
@@ -54,6 +56,8 @@ FEW_P, FEW_C = 8.0, 2.0  # of (1)
 FIRST, FADES = 600.0, 300.0  # s, of (2)
 POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
 WIDEST = math.log(1000)  # exponent of an interval on the log scale
+SAYS_NOTHING, RATIO = 2.0, 100.0  # half-width over what such a boat has at full command; high over low of `POSITIVE`
+SIDE_THRUSTS, TWICE = ("thrust_full_left", "thrust_full_right"), 2.0  # half-widths from zero, at which one is negative
 OWN_ERROR = {"drag_cross": 1.5}  # standard deviation relative to the value: noise in the yaw rate makes it too small
 
 
@@ -104,12 +108,14 @@ class Identified(Mapping[str, Quantity]):
         quantities: with their intervals.
         basis: of the values and intervals, one sentence.
         scale: what fixes the scale of the forces, one sentence.
-        lacks: what the log lacks, one sentence each.
+        lacks: what the log lacks, one sentence each; `unphysical` is the first of them.
         mass: kg, as configured.
         inverse_mass: g of 1/m = gᵀθ where a known force fixes the mass, `(m,)`; else zeros.
         theta: θ̄, per unit mass, `(m,)`.
         covariance: λ²P + ν²C of (1), with what the log lacks, `(m, m)`.
         beside: what the intervals take in beside it; None if nothing is identified.
+        unknown: the quantities whose intervals say nothing, because they are wider than what such a boat can have.
+        unphysical: a sentence if no boat can have these quantities, as its signs or sides are wrong; else "".
     """
 
     quantities: dict[str, Quantity]
@@ -121,6 +127,13 @@ class Identified(Mapping[str, Quantity]):
     theta: np.ndarray
     covariance: np.ndarray
     beside: Beside | None = None
+    unknown: frozenset[str] = frozenset()
+    unphysical: str = ""
+
+    def told(self, name: str) -> Quantity:
+        """A quantity as people are told it: NaN while its interval says nothing."""
+        found = self.quantities[name]
+        return Quantity(math.nan, math.nan, math.nan, found.unit) if name in self.unknown else found
 
     def __getitem__(self, name: str) -> Quantity:
         return self.quantities[name]
@@ -139,7 +152,7 @@ class Identified(Mapping[str, Quantity]):
         wide = max(map(len, self.quantities))
         lines = [
             f"{name:{wide}}  {shown(each.value):>9}  {shown(each.low):>9} … {shown(each.high):<9}  {each.unit}"
-            for name, each in self.items()
+            for name, each in ((name, self.told(name)) for name in self)
         ]
         return "\n".join(
             [f"{'quantity':{wide}}  {'value':>9}  90 % interval", *lines, self.basis, self.scale, *self.lacks]
@@ -158,6 +171,15 @@ def shown(value: float) -> str:
         return f"{value:.2g}"
     digits = max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
     return f"{value:z.{min(digits, 4)}f}"  # z: no minus before zero
+
+
+def tells_sides(name: str) -> bool:
+    """Whether a quantity tells left from right, which nothing does where both have one command.
+
+    >>> tells_sides("thrust_full_left"), tells_sides("time_constant")
+    (True, False)
+    """
+    return name.endswith(("left", "right")) or name == "thrust_ratio"
 
 
 def reader_of(members: Mapping[str, Mapping[str, Any] | None]) -> str | None:
@@ -225,6 +247,14 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         return beside.interval(name, each, slopes[name], first_slopes[name], total)
 
     said = misstated(top, *interval("steady_speed_full"), variance)
+    signed = {name: Quantity(values[name], *interval(name), QUANTITIES[name]) for name in POSITIVE_OF_BOATS}
+    for name in SIDE_THRUSTS:  # a side trades against the other one, and against the drag of turns
+        value, low, high, unit = signed[name]
+        signed[name] = Quantity(value, low, value + TWICE * (high - value), unit)
+    if top < 0:  # its sign is known sooner than its size: the filter's own interval tells it
+        own = DEVIATIONS * _deviation(slopes["steady_speed_full"], P[THETA:, THETA:])
+        signed["steady_speed_full"] = Quantity(top, top - own, top + own, QUANTITIES["steady_speed_full"])
+    impossible = unphysical(signed)
     if top < 0:  # a sign is reversed
         beside = beside._replace(vague=True)
     wrong = [WRONG_SIGN] if theta @ inverse < 0 else []
@@ -233,7 +263,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         if name in values:
             low, high = interval(name)
             quantities[name] = Quantity(values[name] if low == low else math.nan, low, high, unit)
-    lacks = [*found.lacks, *said, *wrong]
+    lacks = [*filter(None, [impossible]), *found.lacks, *said, *wrong]
     return Identified(
         quantities,
         basis,
@@ -244,7 +274,23 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         theta,
         total,
         beside,
+        frozenset(name for name, each in quantities.items() if _says_nothing(name, each, first, mass)),
+        impossible,
     )
+
+
+def _says_nothing(name: str, found: Quantity, prior: Mapping[str, float], mass: float) -> bool:
+    """Whether an interval is wider than what a boat like that of the prior can have.
+
+    The scale of a unit follows from the prior's speed and thrust at full command.
+    """
+    value, low, high, unit = found
+    if name in POSITIVE:
+        return low > 0 and high > RATIO * low
+    speed, force = abs(prior["steady_speed_full"]), sum(abs(prior[f"thrust_full_{side}"]) for side in SIDES)
+    scales = {"m/s": speed, "N": force, "kg": mass, "kg/m": force / speed**2, "kg/rad": force / speed}
+    half = (high - low) / 2
+    return half > SAYS_NOTHING * scales.get(unit, force / speed) and half > abs(value)
 
 
 def _covariance(factor: np.ndarray) -> np.ndarray:
