@@ -32,7 +32,7 @@ def test_machine_code_is_kept_and_announced_once(tmp_path):
     first = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
     (folder,) = (tmp_path / "usvlearn").glob("kernels-*")
     assert first.stdout == "3.0\n" and f"kept in {folder}" in first.stderr
-    assert first.stderr.startswith("usvlearn: compiling the trial, once on this machine …")
+    assert first.stderr.startswith("usvlearn: compiling the trial, only once …")
     kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
     assert kept
     again = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))

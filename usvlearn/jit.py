@@ -16,6 +16,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -25,8 +26,9 @@ from typing import Any, ParamSpec, Protocol, TypeVar, overload
 
 import numba
 from llvmlite.binding import get_host_cpu_name
-from numba.core import config
+from numba.core import config, types
 from numba.core.caching import IndexDataCacheFile
+from numba.core.typing import arraydecl
 
 try:
     from usvlearn.parts import Part
@@ -39,6 +41,17 @@ R = TypeVar("R", covariant=True)
 NUMBA: Any = config  # numba's options, which it makes as it is imported, so that no checker sees their names
 HERE = Path(__file__).parent
 DIGEST = hashlib.sha256().digest_size
+
+if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a number, but not as an index
+    _index_type = arraydecl.get_array_index_type
+
+    def _as_integer(index: Any) -> Any:
+        if isinstance(index, types.BaseTuple):
+            parts: Any = index  # its type has no iterator for a checker
+            return types.BaseTuple.from_types([_as_integer(each) for each in parts])
+        return index.dtype if isinstance(index, types.IntEnumMember) else index
+
+    arraydecl.get_array_index_type = lambda array, index: _index_type(array, _as_integer(index))
 
 
 @cache
@@ -247,19 +260,36 @@ def _say_unkept(folder: Path, cause: str) -> None:
 
 @contextmanager
 def announced(source: str, what: str) -> Iterator[None]:
-    """Report on stderr the first compilation of a source file's functions on this machine, and its duration."""
+    """Report on stderr the first compilation of a source file's functions on this machine, and its duration.
+
+    On a terminal the seconds are counted while it lasts.
+    """
     mark = folder(Path(source)) / what.replace(" ", "-")
     if NUMBA.DISABLE_JIT or mark.exists():
         yield
         return
-    print(f"usvlearn: compiling the {what}, once on this machine …", end="", file=sys.stderr, flush=True)
-    began = time.perf_counter()
+    text, began, ended = f"usvlearn: compiling the {what}, only once …", time.perf_counter(), threading.Event()
+    print(text, end="", file=sys.stderr, flush=True)
+    terminal = sys.stderr.isatty()
+
+    def count() -> None:
+        while not ended.wait(1.0):
+            print(f"\r{text} {time.perf_counter() - began:.0f} s", end="", file=sys.stderr, flush=True)
+
+    counter = threading.Thread(target=count, daemon=True)
+    if terminal:
+        counter.start()
     try:
         yield
     except BaseException:
+        ended.set()
         print(file=sys.stderr)  # end the line before the error is printed
         raise
-    print(f" {time.perf_counter() - began:.0f} s; kept in {mark.parent}", file=sys.stderr)
+    ended.set()
+    if terminal:
+        counter.join()
+    taken, kept = f" {time.perf_counter() - began:.0f} s", f"kept in {mark.parent}"
+    print(f"\r{text}{taken}\n  {kept}" if terminal else f"{taken}; {kept}", file=sys.stderr)
     try:
         mark.touch()
     except OSError:

@@ -196,7 +196,7 @@ def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
     path = tmp_path / "a.csv"
     for text in ("v,w\n1,2\n0,3\n", "0,1,2\n1,2,3\n", "", "some text\nand more\n"):
         path.write_text(text)
-        with pytest.raises(LogFormatError, match="column of stamps"):
+        with pytest.raises(LogFormatError, match=r"column of stamps|none above the first numbers '0,1,2'"):
             table_of(path)
 
 
@@ -220,12 +220,22 @@ def test_a_column_that_rises_evenly_may_be_that_of_the_stamps(tmp_path):
     assert unsure[0] == "time: found no column that is called so; 'millis' is the first one that rises evenly"
 
 
-def test_repeated_whole_seconds_are_unsure(tmp_path):
+def test_repeated_whole_seconds_are_spread(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,speed\n" + "".join(f"2025-07-24T17:18:{k // 10:02d},{k % 7}\n" for k in range(300)))
     table, unsure = table_of(path)
-    assert table.time == "time"
-    assert unsure[0].startswith("time: found 'time', whose stamps repeat")
+    assert (table.time, unsure) == ("time", [])
+    with pytest.warns(UserWarning, match="whole seconds, with 10 rows each: the rows of a second are spread evenly"):
+        channels, dropped = table.read(path, {"surge": Source("speed")})
+    assert channels["surge"].time == pytest.approx(np.arange(300) / 10) and dropped == {"surge": {}}
+
+
+def test_whole_seconds_that_hardly_repeat_are_left_as_they_are(tmp_path):
+    path = tmp_path / "a.csv"
+    for stamps in ([0, 1, 2, 2, 3, 4, 5], [0, 0.5, 0.5, 1, 1, 2, 2], [3, 3, 3]):
+        path.write_text("time,speed\n" + "".join(f"{stamp},1\n" for stamp in stamps))
+        channels, _ = Table("time").read(path, {"surge": Source("speed")})
+        assert channels["surge"].time.tolist() == [stamp - stamps[0] for stamp in stamps]
 
 
 @pytest.mark.parametrize(("rows", "found"), [("", "a header and no rows"), ("1,2\n", "a header and a single row")])

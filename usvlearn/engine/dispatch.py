@@ -14,8 +14,7 @@ from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, l
 from usvlearn.engine.chains import start as start_estimator
 from usvlearn.engine.forecasting import PLACE, coasted, forecast_step, forget_forecasts
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_sleeping, learn_rule
-from usvlearn.estimators.ensemble.conformal.kernel import conformal
-from usvlearn.estimators.ensemble.conformal.state import AT as INTERVAL
+from usvlearn.estimators.ensemble.conformal.kernel import conformal, published
 from usvlearn.estimators.ensemble.forecasts.state import AT as FORECAST
 from usvlearn.estimators.ensemble.monitors.kernel import observe_innovations, observe_thrusters
 from usvlearn.estimators.ensemble.state import AT, Number
@@ -130,8 +129,7 @@ def aggregate(program, s, q, predictions, row, learns, work):
         made = program[whole[Whole.FORECASTS]]
         predictions[whole[Whole.OUTPUT]] = coasted(made, s, q, predictions, row[DT], surge_max(program, q), work)
     intervals = program[whole[Whole.CONFORMAL]]
-    published, current = whole[AT.halfwidths], intervals[INTERVAL.halfwidth]
-    copy(s[published : published + names], s[current : current + names])
+    published(intervals, s, s[whole[AT.halfwidths] :])
     if learns:
         innovation, rest = work[:names], work[names:]
         for i in range(names):
