@@ -29,7 +29,8 @@ A step is a second of run time of the boat: the time in the present run, and the
 after the last one. A run that is resumed into another folder has its curves from there on only.
 
 The page of a sweep, DIR/leaderboard, has a run for each job, with its row on HPARAMS and its learning curve, and
-`failed jobs` as text. The pages IMAGES and TEXT open with all runs unticked if there are more than 40: TOGGLE ALL RUNS.
+`failed jobs` as text. With several seeds, +mean RANK SETTING is the same of each setting. The
+pages IMAGES and TEXT open with all runs unticked if there are more than 40: TOGGLE ALL RUNS.
 
 TensorBoard gives its seven colours to runs by the times of their first events, which are therefore written in a fixed
 order (`usvlearn.runs.board_tags`). A resumed run goes on in further files of the same runs. These begin with a mark by

@@ -15,7 +15,7 @@ from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.from_runs import read
-from usvlearn.runs.run_folder import begun
+from usvlearn.runs.index import begun
 from usvlearn.runs.saved import results, run_folders
 from usvlearn.sweeps.jobs import jobs
 from usvlearn.sweeps.leaderboard import leaderboard

@@ -17,6 +17,12 @@ SETTINGS = {
     }
 }  # fmt: skip
 
+TWO_MEMBERS = [  # settings of the command: two members, some minutes
+    "~estimators.rnn", "~estimators.joint", "~estimators.joint_quick", "~estimators.arx", "~estimators.reader",
+    "~combiners.ensemble", "~combiners.weighted", "output=average", "combiners.average.members=[aid,sift_map]",
+    "forecasts=null", "data.hours=0.05", "data.mission_minutes=1.5", "data.n=1",
+]  # fmt: skip
+
 
 def model() -> Ensemble:
     return Ensemble({"aid": AID(28.0), "rls": RLS(SurgeDynamics(28.0)), "persistence": Persistence()})

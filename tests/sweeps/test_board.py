@@ -12,6 +12,7 @@ from usvlearn.evaluation.ranking import scored
 from usvlearn.runs.board_tags import MAE
 from usvlearn.sweeps.board import MOST_KEYS, MOST_POINTS, REST, job_names, write_board
 from usvlearn.sweeps.jobs import Job
+from usvlearn.sweeps.standings import standings
 from usvlearn.tensorboard import TensorBoardWriter
 
 
@@ -45,7 +46,9 @@ def sweep(tmp_path):
     rows = [("4", "0", "0.4"), ("4", "1", "0.4"), ("20", "0", "0.4"), ("20", "1", "0.4")]
     maes = [0.04, 0.05, 0.03, None]
     more = [
-        {"free": {"heron": {"rnn": 0.1 + mae}}, "network": {"heron": {"rnn": {"rate": 0.9 + mae}}}} if mae else {}
+        {"free": {"heron": {"rnn": 0.1 + mae}}, "network": {"heron": {"rnn": {"contracting": True, "rate": 0.9 + mae}}}}
+        if mae
+        else {}
         for mae in maes
     ]
     return [
@@ -132,9 +135,29 @@ def test_damaged_event_files_leave_the_rest(sweep, tmp_path):
     folder = tmp_path / "0" / "tensorboard" / "heron" / "rnn"
     folder.mkdir(parents=True)
     (folder / "events.out.tfevents.0000000001").write_bytes(b"nonsense" * 9)
-    write_board(tmp_path / "board", tmp_path, sweep, figure=b"\x89PNG" + bytes(30))
+    write_board(tmp_path / "board", tmp_path, sweep, figures={"leaderboard": b"\x89PNG" + bytes(30)})
     assert len(hparams(tmp_path / "board")) == 4
     assert boards(tmp_path / "board")["."].Tags()["images"] == ["leaderboard"]
     with pytest.raises(ConfigError, match="link"):
         (tmp_path / "link").symlink_to(tmp_path)
         write_board(tmp_path / "link", tmp_path, sweep)
+
+
+def test_settings_have_rows_before_those_of_their_jobs(sweep, tmp_path):
+    """The best first, with means over the seeds that finished, and a mean learning curve."""
+    for each, level in zip(sweep, (0.4, 0.6, 0.3, 0.9), strict=True):
+        with TensorBoardWriter(each.folder / "tensorboard" / "heron" / "rnn") as writer:
+            for step in (10, 20):
+                writer.scalars({f"1 overview/{MAE}": level}, step)
+    write_board(tmp_path / "board", tmp_path, sweep, standings(sweep, Measure("rnn"), {}))
+    rows = hparams(tmp_path / "board")
+    names = sorted(rows)
+    assert names[:2] == ["+mean 1 rnn.neurons=4", "+mean 2 rnn.neurons=20"] and len(names) == 6
+    settings, numbers = rows[names[0]]
+    assert settings == {"row": "mean", "estimators.rnn.neurons": 4.0}
+    assert numbers["8 results/1 objective"] == pytest.approx(0.045)
+    assert rows[names[1]][1]["8 results/1 objective"] == pytest.approx(0.03)  # of the one that finished
+    assert rows[names[2]][0]["row"] == "job"
+    read = boards(tmp_path / "board")
+    assert steps(read[names[0]], f"1 overview/{MAE}") == [10, 20]
+    assert values(read[names[0]], f"1 overview/{MAE}") == pytest.approx([0.5, 0.5])

@@ -332,6 +332,24 @@ def test_a_leaderboard_that_cannot_be_written_is_told(tmp_path):
     assert bad_input(caught.value) is not None
 
 
+@pytest.mark.parametrize("name", ["leaderboard.csv", "leaderboard.md", "leaderboard.png", "settings.png"])
+@pytest.mark.parametrize("link", [False, True], ids=["file", "link"])
+def test_a_leaderboard_replaces_and_removes_no_files_of_others(tmp_path, name, link):
+    mine, one = tmp_path / "mine", [Job(tmp_path / "sweep" / "0", {}, {})]
+    (tmp_path / "sweep").mkdir()
+    mine.write_text("mine")
+    path = tmp_path / "sweep" / name
+    path.symlink_to(mine) if link else path.write_text("mine")
+    with pytest.raises(ConfigError, match=f"{name}: found a {'link' if link else 'file of no leaderboard'}"):
+        write_leaderboard(tmp_path / "sweep", one)
+    assert [each.name for each in (tmp_path / "sweep").iterdir()] == [name] and path.read_text() == "mine"
+    path.unlink()
+    write_leaderboard(tmp_path / "sweep", one)
+    (tmp_path / "sweep" / "settings.png").write_text("an earlier one")
+    write_leaderboard(tmp_path / "sweep", one)  # its table says that the folder is a leaderboard's
+    assert not (tmp_path / "sweep" / "settings.png").exists()
+
+
 def test_another_sweep_does_not_take_the_folder(swept):
     before = {path: path.read_bytes() for path in (swept / "sweep").rglob("*") if path.is_file()}
     done = run("-m", "estimators.sift_map.memory=20,30", "data.hours=0.05", "hydra.sweep.dir=sweep", folder=swept)

@@ -1,12 +1,15 @@
 """Settings of a sweep: seeds are pooled, the default is found, ties are said to be ties, and the table fits."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy import stats
 
 from usvlearn.evaluation.by_run import RunError
+from usvlearn.evaluation.comparison import over_seeds
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, scored
 from usvlearn.sweeps.jobs import Job
@@ -94,6 +97,52 @@ def test_seeds_are_pooled():
     assert len(only) == 1 and len(only[0].jobs) == 3
 
 
+@pytest.mark.parametrize("seeds", [2, 5])
+def test_the_interval_over_seeds_holds_the_truth(seeds):
+    """The logs of a seed are as hard for both settings; what its weights add is drawn for each. Truth: a difference."""
+    rng, truth, repeated = np.random.default_rng(11), 0.002, 4000
+    hard = rng.normal(0.1, 0.02, (repeated, 1, seeds))
+    made = hard + rng.normal(0, 0.001, (repeated, 2, seeds)) + np.array([truth, 0.0])[:, None]
+    found = [over_seeds(*({str(k): x for k, x in enumerate(row)} for row in each)) for each in made]
+    held = np.mean([each.low <= truth <= each.high for each in found])
+    assert abs(held - 0.95) < 3 * np.sqrt(0.95 * 0.05 / repeated)
+    own = stats.ttest_rel(*made[0]).confidence_interval()
+    assert (found[0].low, found[0].high) == pytest.approx((own.low, own.high), rel=1e-9)
+    unpaired = stats.ttest_ind(*made[0]).confidence_interval()
+    assert seeds == 2 or own.high - own.low < 0.3 * (unpaired.high - unpaired.low)
+
+
+def of_seeds(mae: float, first: int, scatter: float, count: int = 5, **settings: str) -> list[Job]:
+    """Jobs that differ in the seed, over one run, the same for all seeds."""
+    found = []
+    for seed, add in enumerate(scatter * np.random.default_rng(first).normal(size=count)):
+        errors = (RunError("heron", "r", "step", 100, {"rnn": mae + add, "persistence": 0.2}),)
+        each = job(first + seed, mae + add, seed=f"{seed}", **settings)
+        rows = {"heron": {"rnn": {"mae": mae + add}}}
+        found.append(each._replace(results=scored(each.results | {"boats": rows}, RNN), errors=errors))
+    return found
+
+
+def test_seeds_on_one_log_have_an_interval_and_one_seed_has_none():
+    jobs = [*of_seeds(0.10, 0, 1e-4, neurons="4"), *of_seeds(0.11, 5, 1e-4, neurons="9")]
+    first, last = standings(jobs, RNN, {})
+    assert last.difference.tie is None and last.difference.over_seeds.tie is False  # one run; five seeds
+    assert last.difference.over_seeds.mean == pytest.approx(last.value - first.value, rel=1e-12)
+    text = " ".join(" ".join(lines(jobs)).split())
+    assert "One run: no interval over runs." in text and "may be chance" not in text
+    assert "mean over 5 seeds, each paired with itself" in text and re.search(r" \+\d+\.\d ± 0\.\d % ", text)
+    (one,) = standings([jobs[0], jobs[5]], RNN, {})[1:]
+    assert one.difference.over_seeds.low is None
+    text = " ".join(" ".join(lines([jobs[0], jobs[5]])).split())
+    assert "One seed: no interval over seeds." in text and "by seeds" not in text
+
+
+def test_seeds_that_draw_nothing_are_no_evidence():
+    jobs = [*of_seeds(0.10, 0, 0.0, neurons="4"), *of_seeds(0.11, 5, 0.0, neurons="9")]
+    assert standings(jobs, RNN, {})[1].difference.over_seeds.low is None
+    assert "5 seeds gave the same differences: no interval over seeds." in " ".join(" ".join(lines(jobs)).split())
+
+
 def test_a_setting_with_fewer_seeds_is_named_and_ranked_last():
     """Its season may be an easier one."""
     jobs = [job(0, 0.1, neurons="4", seed="0"), job(1, None, neurons="4", seed="1"), job(2, 0.2, neurons="9", seed="0"),
@@ -164,4 +213,5 @@ def test_the_files_say_what_the_terminal_says(tmp_path):
     assert [row["tie"] for row in table] == ["False", "", "True", "False"] and table[1]["reference"] == "True"
     assert float(table[0]["low"]) < float(table[0]["difference"]) < float(table[0]["high"]) < 0
     assert (tmp_path / "leaderboard.md").read_text().startswith("| rank | job | estimators.rnn.neurons |")
-    assert (tmp_path / "leaderboard.png").read_bytes().startswith(b"\x89PNG")
+    for name in ("leaderboard.png", "settings.png"):
+        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")

@@ -236,7 +236,7 @@ class _Drawing:
 
     def _shown(self) -> tuple[list[str], list[int]]:
         """The estimators in figures, and their columns: the ensemble last."""
-        shown = main_estimators(self.ensemble.names, self.ensemble.output)
+        shown = main_estimators(self.ensemble.weighed, self.ensemble.output)
         return shown, [self.ensemble.names.index(name) for name in shown]
 
     def _of(

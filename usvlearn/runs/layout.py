@@ -10,6 +10,9 @@ tensorboard/                                 see `usvlearn.tensorboard`
 results.json                                 the scores, written at the end; {"partial": scores} if the run was stopped
 tuning.json                                  the result of a tuning, which writes none of the above
 optuna.log                                   the trials of a search, written as they finish
+workers/                                     locks of the processes that search together
+job.json                                     the settings of a job of a sweep
+.hydra/                                      the configuration and the command, which Hydra writes
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from usvlearn.checkpoint import write_atomically
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
 TENSORBOARD, ERRORS, TUNING, JOURNAL = "tensorboard", "errors.csv", "tuning.json", "optuna.log"
+WORKERS, JOB, HYDRA = "workers", "job.json", ".hydra"
 ESTIMATOR = "Ensemble"  # the kind of state in a checkpoint
 
 

@@ -48,6 +48,7 @@ def judged(
         found["forecast"] = horizon_scores(ahead, fleet.boats)
     if (free := _free(ensemble, fleet, halfway)) is not None:
         found["free"] = free.mae(fleet.boats, ensemble.names)
+        found["free_fit"] = free.fit(fleet.boats, ensemble.names)
     if networks := verdicts(ensemble, state, fleet.boats):
         found["network"] = {
             boat: {name: each.json() for name, each in members.items()} for boat, members in networks.items()

@@ -4,7 +4,7 @@ A file contains the steps of one run since the previous file. It can be used alo
 steps, b boats and m estimators:
 
     predictions      (n, b, m)  m/s; NaN where no step was made
-    halfwidths       (n, b, m)  m/s, of the intervals about them
+    halfwidths       (n, b, m)  m/s, of the intervals about them; infinite before ten errors are known
     thrusters        (n, b, 5)  effectiveness left and right, evidence of a loss left and right, 1 in an alarm
     forecasts        (n, b, h·c) m/s: for each of h horizons what c columns forecast then for this step; NaN where no
                                 forecast was due. The columns are the members weighed, persistence, and the ensemble
@@ -87,10 +87,14 @@ class Published:
     def places(self) -> list[tuple[int, int, int]]:
         """Index of the run, first step and end of each stretch, from the names of the files."""
         found, before = [], BEGIN
-        for place in sorted(filter(None, map(position, self._folder.glob("*.npz")))):
+        for place in filter(None, map(position, self.paths())):
             found.append((place.run, before.step if place.run == before.run else 0, place.step))
             before = place
         return found
+
+    def paths(self) -> list[Path]:
+        """The files, in order."""
+        return named(self._folder.parent, self._lengths)
 
     def read(self, run: int, step: int, end: int, names: Sequence[str] = PUBLISHED) -> Stretch:
         """Read the arrays `names` of one of the `places`, as far as its file has them.
@@ -208,9 +212,16 @@ def archive_of(path: Path, most: int) -> Iterator[Any]:
 
 
 def position(path: Path) -> Position | None:
-    """The place in a file's name; None if the name has another form."""
+    """The place in a file's name; None if the name has another form than `stem` gives it."""
     run, _, step = path.stem.partition("_")
-    return Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
+    found = Position(int(run), int(step)) if run.isdecimal() and step.isdecimal() else None
+    return found if found is not None and stem(found) == path.stem else None
+
+
+def named(folder: Path, lengths: Sequence[int]) -> list[Path]:
+    """The predictions in a folder that belong to runs of so many steps, in order."""
+    found = [(at, path) for path in (folder / PREDICTIONS).glob("*.npz") if (at := position(path)) is not None]
+    return [path for at, path in sorted(found) if at.run < len(lengths) and 0 < at.step <= lengths[at.run]]
 
 
 def stem(place: Position) -> str:

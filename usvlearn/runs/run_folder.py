@@ -24,6 +24,7 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.evaluation.identification import Truth
 from usvlearn.rollouts import stack
+from usvlearn.runs.index import begun, check_own, no_run, number, own_predictions, same_run
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
 from usvlearn.runs.outcome import judged
@@ -94,16 +95,18 @@ class RunFolder:
         starts from its newest parameter sets, in another folder.
 
         Raises:
-            ConfigError: the folder already holds parameter sets that this run would mix with its own.
+            ConfigError: the folder already holds parameter sets that this run would mix with its own, files of no run
+                under the names of its own, or links.
             CheckpointError: nothing readable is found to resume from, or it does not fit.
         """
+        check_own(self.path)
         start, continued = Start(state, BEGIN, "learning from the start"), False
         if resume is not None:
             source = self._latest() if resume == "latest" else Path(str(resume))
             if source.is_file():
                 start = self._from_file(source, start)
             elif source.is_dir():
-                continued = self._is_this_run(source)
+                continued = same_run(source, self._runs)
                 if not continued and source.resolve() == self.path.resolve():
                     raise ConfigError(
                         f"{source}: holds a run over other samples or with another ensemble: to start from its "
@@ -117,6 +120,9 @@ class RunFolder:
                 f"{self.path}: already holds the parameter sets of a run: continue from them with resume=latest, "
                 "or choose another hydra.run.dir"
             )
+        own = own_predictions(self.path)
+        if foreign := [path for path in self._published(self.path).paths() if path not in own]:
+            raise no_run(foreign[0])
         if continued:
             start = self._continued(source, start)
         elif resume is not None:  # saved in case the run stops before its first set
@@ -125,10 +131,10 @@ class RunFolder:
                 save_checkpoint(first.path, first.state, **first.facts)
         self._saved = self._reached = start.position
         self.state = start.state
-        self._forget(start.position)
+        self._forget(own, start.position)
         others = [*self.path.parent.glob("*"), *([] if resume is None else [source])]
-        number = 1 + max(map(_number, others), default=0)
-        noted = self._runs | {"began": {"number": number, "time": time.strftime("%FT%TZ", time.gmtime(time.time()))}}
+        began = 1 + max(map(number, others), default=0)
+        noted = self._runs | {"began": {"number": began, "time": time.strftime("%FT%TZ", time.gmtime(time.time()))}}
         write_atomically(self.path / RUNS, json.dumps(noted, indent=2).encode())
         return start
 
@@ -254,15 +260,6 @@ class RunFolder:
             )
         return max(found, key=begun)
 
-    def _is_this_run(self, source: Path) -> bool:
-        """Whether a folder was made from these samples, or from the first of these runs, by this ensemble."""
-        try:
-            old, new = json.loads((source / RUNS).read_text()), self._runs
-            same = old["ensemble"] == new["ensemble"] and list(old["boats"]) == list(new["boats"])
-            return same and all(new["boats"][boat][: len(runs)] == runs for boat, runs in old["boats"].items())
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
-            return False
-
     def _from_file(self, source: Path, start: Start) -> Start:
         """Every boat starts from one parameter set."""
         state, facts = from_sets(start.state, [source] * len(self.fleet.boats))
@@ -339,13 +336,13 @@ class RunFolder:
                 new.parent.mkdir(parents=True, exist_ok=True)
                 write_atomically(new, old.read_bytes())
 
-    def _forget(self, place: Position) -> None:
-        """Remove the results, and the predictions after `place`, the last first: they are made anew."""
+    def _forget(self, own: Sequence[Path], place: Position) -> None:
+        """Remove this run's results, and those of its own predictions after `place`, the last first."""
         self.path.mkdir(parents=True, exist_ok=True)
         for name in (RESULTS, ERRORS):
             (self.path / name).unlink(missing_ok=True)
-        for old in sorted((self.path / PREDICTIONS).glob("*.npz"), reverse=True):
-            if (found := position(old)) is None or found > place:
+        for old in reversed(own):
+            if (found := position(old)) is not None and found > place:
                 old.unlink()
 
 
@@ -368,32 +365,12 @@ def from_sets(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleStat
     return stack([sets[path][0] for path in paths])._replace(monitors=state.monitors), [sets[path][1] for path in paths]
 
 
-def begun(folder: Path) -> tuple[int, int, Position, str]:
-    """A key that sorts the runs in one folder by when they began or last resumed.
-
-    Clocks can be set back, so runs are numbered as they begin. Of two runs with the same number, the one that came
-    further is the later. Runs of older versions have no number: they come first, sorted by the time of their files.
-    """
-    sets, number = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), _number(folder)
-    stamp = 0 if number else max(path.stat().st_mtime_ns for path in [*sets, folder / RUNS])
-    return number, stamp, max(filter(None, map(position, sets)), default=BEGIN), folder.name
-
-
 def _own_settings(source: Path) -> str:
     """How to continue a run with the settings that it was made with, if Hydra has saved them."""
     settings = source / ".hydra"
     if not (settings / "config.yaml").is_file():
         return ""
     return f"; its own settings are those of --config-dir {shlex.quote(str(settings))} --config-name config"
-
-
-def _number(folder: Path) -> int:
-    """The number of a folder's run among the runs beside it; 0 if it has none."""
-    try:
-        number = json.loads((folder / RUNS).read_text())["began"]["number"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return 0
-    return number if type(number) is int and 0 < number < 2**53 else 0
 
 
 def _set(folder: Path, boat: str, place: Position) -> Path:

@@ -15,10 +15,11 @@ from usvlearn.errors import CheckpointError, ConfigError, check_positive
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
 from usvlearn.rollouts import stack
+from usvlearn.runs.index import begun, runs_file
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
 from usvlearn.runs.legacy import current
 from usvlearn.runs.published import DAMAGE, position, read_published, widths_of
-from usvlearn.runs.run_folder import begun, digest
+from usvlearn.runs.run_folder import digest
 from usvlearn.runs.trust import check_settings
 from usvlearn.signals import Fleet, tree_map
 
@@ -50,7 +51,7 @@ def is_sweep(folder: Path) -> bool:
     if (folder / "multirun.yaml").exists():
         return True
     folders = [path.parent for path in sorted(folder.glob(f"**/{RUNS}"))]
-    if len({_runs_file(each)["ensemble"] for each in folders}) < 2:
+    if len({runs_file(each)["ensemble"] for each in folders}) < 2:
         return False
     if not any(folder.glob("**/.hydra")):
         names = ", ".join(map(str, folders))
@@ -170,7 +171,7 @@ class _Folder(NamedTuple):
 
 def _read(folder: Path, lengths: Mapping[str, int], widths: Mapping[str, int]) -> _Folder:
     """Read a folder; predictions only of the runs whose lengths are given by key."""
-    learned, dt = _runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
+    learned, dt = runs_file(folder)["boats"], _configuration(folder)[1]["align"]["dt"]
     published: dict[int, list[dict[str, np.ndarray]]] = {}
     for path in sorted((folder / PREDICTIONS).glob("*.npz")):
         if (at := position(path)) is None:
@@ -221,21 +222,6 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
             f"{', '.join(str(each.path) for each in folders)}: no parameter set of {boat} can be read"
         )
     return Season(boat, tuple(runs), stack(sets), tuple(paths), np.array(own), np.array(hours))
-
-
-def _runs_file(folder: Path) -> dict[str, Any]:
-    path = folder / RUNS
-    try:
-        found = json.loads(path.read_text())
-        boats = {
-            boat: [(str(name), int(length), str(key)) for name, length, key in runs]
-            for boat, runs in found["boats"].items()
-        }
-        if any(length < 0 for runs in boats.values() for _, length, _ in runs):
-            raise ValueError("a run has fewer than 0 steps")
-        return {"boats": boats, "ensemble": str(found["ensemble"])}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise CheckpointError(f"{path}: is damaged ({error}): make the run anew") from error
 
 
 def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list[SeasonRun]:

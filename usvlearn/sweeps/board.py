@@ -1,4 +1,4 @@
-"""The page of a sweep in TensorBoard: a row per job on HPARAMS, and each job's learning curve."""
+"""The page of a sweep in TensorBoard: rows of jobs and of settings on HPARAMS, and their learning curves."""
 
 from __future__ import annotations
 
@@ -7,24 +7,48 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from usvlearn.errors import ConfigError
+from usvlearn.evaluation.metrics import mean
 from usvlearn.evaluation.ranking import differing
 from usvlearn.report.tables import short_settings
 from usvlearn.runs.board_tags import MAE, number, results_of
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.jobs import Job
+from usvlearn.sweeps.seeds import SEED
+from usvlearn.sweeps.standings import Standing
 from usvlearn.tensorboard import EVENTS, Setting, TensorBoardWriter, folder_name, folder_names
 
 MOST_KEYS = 5  # columns of settings that the page shows at first
 MOST_POINTS = 100  # of a learning curve
-OBJECTIVE, REST = "objective", "other settings"
+MEAN = "mean"  # the kind of the rows of settings
+OBJECTIVE, REST, ROWS = "objective", "other settings", "row"
 
 
-def write_board(board: Path, folder: Path, jobs: Sequence[Job], figure: bytes | None = None) -> None:
+class Row(NamedTuple):
+    """A row of HPARAMS, and a run of TIME SERIES: a job, or the mean over the jobs of a setting."""
+
+    name: str
+    settings: dict[str, str]
+    results: dict[str, float]  # by title
+    curve: Sequence[tuple[int, float]]
+    failed: bool
+
+
+def write_board(
+    board: Path,
+    folder: Path,
+    jobs: Sequence[Job],
+    ranks: Sequence[Standing] = (),
+    figures: Mapping[str, bytes] | None = None,
+) -> None:
     """Write the page; an earlier one is replaced.
+
+    Where a setting has several seeds, the settings come first, in their order, as means over the seeds that finished;
+    the column ROWS tells them from jobs.
 
     The columns are the settings that differ, then the results that are known, of the ranking member where it has them,
     else of the output. The page shows five settings at first, so of more than five the rest share the last column.
@@ -33,7 +57,8 @@ def write_board(board: Path, folder: Path, jobs: Sequence[Job], figure: bytes | 
         board: folder of the page.
         folder: of the sweep.
         jobs: see `usvlearn.sweeps.jobs.jobs`; with results from `usvlearn.evaluation.ranking.scored`.
-        figure: a PNG for the IMAGES page.
+        ranks: the settings in their order, of `usvlearn.sweeps.standings.standings`.
+        figures: PNG by name, for the IMAGES page.
 
     Raises:
         ConfigError: the folder is a link.
@@ -41,27 +66,72 @@ def write_board(board: Path, folder: Path, jobs: Sequence[Job], figure: bytes | 
     """
     _clear(board)
     keys = differing([job.settings for job in jobs])
-    rows = [_row(job.settings, keys) for job in jobs]
-    columns = {
-        key: _alike({k: row[key] for k, row in enumerate(rows) if key in row}) for key in dict.fromkeys(chain(*rows))
-    }
-    results = [_results(job) for job in jobs]
-    titles = _titles(results, {_ranked_by(job) for job in jobs if job.finished})
     names = job_names(folder, jobs, keys)
-    with TensorBoardWriter(board, names) as writer:
+    of_jobs = [
+        Row(name, _row(job.settings, keys), _results(job), learning_curve(job), not job.finished)
+        for name, job in zip(names, jobs, strict=True)
+    ]
+    rows = of_jobs
+    if of_settings := _of_settings(ranks, jobs, of_jobs, keys):
+        kinds = [*[MEAN] * len(of_settings), *["job"] * len(of_jobs)]
+        both = zip(kinds, [*of_settings, *of_jobs], strict=True)
+        rows = [row._replace(settings={ROWS: kind, **row.settings}) for kind, row in both]
+    columns = {
+        key: _alike({k: row.settings[key] for k, row in enumerate(rows) if key in row.settings})
+        for key in dict.fromkeys(chain(*(row.settings for row in rows)))
+    }
+    titles = _titles([row.results for row in of_jobs], {_ranked_by(job) for job in jobs if job.finished})
+    with TensorBoardWriter(board, [row.name for row in rows]) as writer:
         writer.columns({key: list(values.values()) for key, values in columns.items()}, dict(titles.values()))
-        for k, (name, job, found) in enumerate(zip(names, jobs, results, strict=True)):
+        for k, row in enumerate(rows):
             settings = {key: values[k] for key, values in columns.items() if k in values}
-            writer.session(settings, name, found.get("seconds"), failed=not job.finished)
-            writer.scalars({titles[title][0]: x for title, x in found.items() if title in titles}, 0, name)
-            for step, mae in learning_curve(job):
-                writer.scalars({f"1 overview/{MAE}": mae}, step, name)
+            writer.session(settings, row.name, row.results.get("seconds"), row.failed)
+            writer.scalars({titles[title][0]: x for title, x in row.results.items() if title in titles}, 0, row.name)
+            for step, mae in row.curve:
+                writer.scalars({f"1 overview/{MAE}": mae}, step, row.name)
         failed = [job for job in jobs if not job.finished]
         if failed:
             told = (f"- {short_settings(job.settings, keys)}: {job.failure}" for job in failed)
             writer.text("failed jobs", "\n".join(told))
-        if figure is not None:
-            writer.image("leaderboard", figure)
+        for name, png in (figures or {}).items():
+            writer.image(name, png)
+
+
+def _of_settings(
+    ranks: Sequence[Standing], jobs: Sequence[Job], of_jobs: Sequence[Row], keys: Sequence[str]
+) -> list[Row]:
+    """A row per setting, the best first, with means over its jobs that finished; none if no setting has several."""
+    if all(each.done < 2 for each in ranks):
+        return []
+    names = folder_names(  # + is sorted before the numbers of the jobs
+        f"+{MEAN} {rank:0{len(str(len(ranks)))}d} {short_settings(each.settings, list(each.settings))}"
+        for rank, each in enumerate(ranks, 1)
+    )
+    by_folder, rows = {job.folder: row for job, row in zip(jobs, of_jobs, strict=True)}, []
+    for name, each in zip(names, ranks, strict=True):
+        own = [by_folder[job.folder] for job in each.jobs if job.finished]
+        titles = dict.fromkeys(chain(*(row.results for row in own)))
+        means = {title: mean(row.results.get(title) for row in own) for title in titles}
+        known = {title: x for title, x in means.items() if x is not None}
+        rows.append(Row(name, _row(each.settings, [key for key in keys if key != SEED]), known,
+                        _mean_curve([row.curve for row in own]), not own))  # fmt: skip
+    return rows
+
+
+def _mean_curve(curves: Sequence[Sequence[tuple[int, float]]]) -> list[tuple[int, float]]:
+    """The mean of curves where all are known, at the steps of the first.
+
+    >>> _mean_curve([[(0, 1.0), (10, 2.0), (20, 3.0)], [(5, 2.0), (15, 4.0)]])
+    [(10, 2.5)]
+    >>> _mean_curve([[(0, 1.0)], []])
+    []
+    """
+    if not curves or not all(curves):
+        return []
+    first, last = max(curve[0][0] for curve in curves), min(curve[-1][0] for curve in curves)
+    steps = [step for step, _ in curves[0] if first <= step <= last]
+    values = np.mean([np.interp(steps, [at for at, _ in curve], [x for _, x in curve]) for curve in curves], 0)
+    return list(zip(steps, values.tolist(), strict=True))
 
 
 def job_names(folder: Path, jobs: Sequence[Job], keys: Sequence[str]) -> list[str]:
@@ -100,7 +170,7 @@ def _clear(board: Path) -> None:
     """Remove an earlier page."""
     if board.is_symlink():  # a sweep may come from anybody
         raise ConfigError(f"{board} is a link to another folder: remove it")
-    for pattern in (f"{EVENTS}.*", f"*/{EVENTS}.*"):
+    for pattern in (f"{EVENTS}.{'[0-9]' * 10}", f"*/{EVENTS}.{'[0-9]' * 10}"):  # as usvlearn.tensorboard names them
         for old in board.glob(pattern):
             if not old.parent.is_symlink():
                 old.unlink()

@@ -33,9 +33,10 @@ from usvlearn.evaluation.measure import Measure, measure_of
 from usvlearn.evaluation.ranking import differing, own_measure, ranked_by, scored
 from usvlearn.lock import Lock
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.layout import ERRORS, RESULTS, RUNS, save_results
+from usvlearn.runs.index import check_no_link, check_own
+from usvlearn.runs.layout import ERRORS, JOB, RESULTS, RUNS, save_results
 
-JOB, TRACEBACK, SWEEP, LANES = "job.json", "traceback.txt", "sweep.json", "lanes.json"
+TRACEBACK, SWEEP, LANES = "traceback.txt", "sweep.json", "lanes.json"
 
 
 class Job(NamedTuple):
@@ -81,9 +82,15 @@ def check_sweep(folder: Path, load: Callable[[Path], Any], hydra: Mapping[str, A
         hydra: the configuration of Hydra itself, which `multirun.yaml` contains for the earlier sweep.
 
     Raises:
-        ConfigError: the command, or the settings of its sweep, differ from those that began there.
+        ConfigError: the command, or the settings of its sweep, differ from those that began there, or it holds links or
+            files of nobody's job under the names of a job's.
     """
     held = folder / "multirun.yaml"
+    check_no_link(held, "hydra.sweep.dir")
+    for path in sorted(folder.glob("*")):
+        if path.name.isdecimal():
+            check_no_link(path, "hydra.sweep.dir")
+            check_own(path, "hydra.sweep.dir")
     if not (held.exists() and (any(folder.glob(f"*/{JOB}")) or (folder / LANES).exists())):
         return
     try:
@@ -138,6 +145,7 @@ def run_job(
         print("error: resume=latest: a sweep continues where it stopped without it: leave it out", file=sys.stderr)
         return float("nan")
     try:
+        check_own(folder, "hydra.sweep.dir")
         lock = Lock(folder, "hydra.sweep.dir")
     except (UsvlearnError, OSError) as error:
         print(f"error: {bad_input(error) or error}", file=sys.stderr)

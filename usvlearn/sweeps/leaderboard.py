@@ -1,8 +1,9 @@
-"""The leaderboard of a sweep: printed, and written as CSV, Markdown, a figure and a page of TensorBoard.
+"""The leaderboard of a sweep: printed, and written as CSV, Markdown, figures and a page of TensorBoard.
 
 leaderboard.csv   one row per setting, all digits      leaderboard.md    the same with four digits
 leaderboard.png   the objective against the swept keys (extra plot)
-leaderboard/      one row per job on TensorBoard's HPARAMS page
+settings.png      a row per setting, sorted: its jobs, its mean, its interval (extra plot)
+leaderboard/      one row per setting and one per job on TensorBoard's HPARAMS page
 """
 
 from __future__ import annotations
@@ -16,15 +17,18 @@ from usvlearn.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, own_objective, ranked_by, scored
+from usvlearn.report.tables import board_lines, from_here
 from usvlearn.report.terminal import console
+from usvlearn.runs.index import check_no_link
 from usvlearn.sweeps.board import write_board
-from usvlearn.sweeps.jobs import Job, jobs, noted_sweep
-from usvlearn.sweeps.panels import sweep_figure
+from usvlearn.sweeps.jobs import SWEEP, Job, jobs, noted_sweep
+from usvlearn.sweeps.panels import settings_figure, sweep_figure
 from usvlearn.sweeps.seeds import SEED
 from usvlearn.sweeps.standings import Standing, standings
 from usvlearn.sweeps.table import printed, result_table
 
-FOLDER, TABLE, TEXT, FIGURE = "leaderboard", "leaderboard.csv", "leaderboard.md", "leaderboard.png"
+FOLDER, TABLE, TEXT = "leaderboard", "leaderboard.csv", "leaderboard.md"
+FIGURES = {"settings": settings_figure, "leaderboard": sweep_figure}
 
 
 def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None) -> bool:
@@ -51,14 +55,17 @@ def leaderboard(folder: Path, load: Callable[[Path], Any], objective: Any = None
     ranks = standings(found, by, note.defaults)
     keys = [key for key in keys if key != SEED]
     console().print(printed(folder, ranks, keys, by))
-    write_leaderboard(folder, found, ranks, by)
+    if files := write_leaderboard(folder, found, ranks, by):
+        console().print("", *last_lines(folder, files), sep="\n", soft_wrap=True)
     return all(job.finished for job in found)
 
 
 def write_leaderboard(
     folder: Path, jobs: Sequence[Job], ranks: Sequence[Standing] | None = None, measure: Measure | None = None
-) -> None:
+) -> list[str]:
     """Write all files into a folder; earlier ones are replaced. Nothing is written if the folder is itself a run.
+
+    Returns the names of the files, without the page of TensorBoard.
 
     Args:
         folder: of the sweep.
@@ -67,37 +74,73 @@ def write_leaderboard(
         measure: what ranks them; None if each job's own output does.
 
     Raises:
-        ConfigError: the folder cannot be written to.
+        ConfigError: the folder cannot be written to, or a file there with the name of one of these is another's.
 
     >>> import tempfile
     >>> with tempfile.TemporaryDirectory() as name:
     ...     job = Job(Path(name, "0"), {"align.dt": "0.4"}, {"error": "bad"})
-    ...     write_leaderboard(Path(name), [job])
+    ...     files = write_leaderboard(Path(name), [job])
     ...     print(Path(name, "leaderboard.csv").read_text().splitlines()[1])
-    1,0,,m/s,,,0,False,,,,,,,,bad
+    1,0,,m/s,,,0,False,,,,,,,,,,,,bad
     """
     if any(job.folder == folder for job in jobs):
-        return
+        return []
+    check_own_board(folder, "folder")
     keys = [key for key in differing([job.settings for job in jobs]) if key != SEED]
     ranks = standings(jobs, measure, {}) if ranks is None else ranks
     made = result_table(folder, ranks, keys)
     try:
         write_atomically(folder / TABLE, made.csv().encode())
         write_atomically(folder / TEXT, made.markdown().encode())
-        figure = _figure(ranks, keys, measure)
-        if figure is None:
-            (folder / FIGURE).unlink(missing_ok=True)
-        else:
-            write_atomically(folder / FIGURE, figure)
-        write_board(folder / FOLDER, folder, jobs, figure)
+        figures = _figures(ranks, keys, measure)
+        for name in FIGURES.keys() - figures.keys():
+            (folder / f"{name}.png").unlink(missing_ok=True)
+        for name, png in figures.items():
+            write_atomically(folder / f"{name}.png", png)
+        write_board(folder / FOLDER, folder, jobs, ranks, figures)
     except OSError as cause:
         raise ConfigError(f"{folder}: cannot hold the leaderboard ({cause}): make it writable") from cause
+    return [TABLE, TEXT, *(f"{name}.png" for name in figures)]
 
 
-def _figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> bytes | None:
-    """The figure as PNG; None, with a warning, without matplotlib."""
+def check_own_board(folder: Path, option: str) -> None:
+    """Check before anything is written that a leaderboard's files may be written into a folder.
+
+    Args:
+        folder: of the sweep; it need not exist.
+        option: by which the user can choose another one.
+
+    Raises:
+        ConfigError: one of these files is a link, or the folder holds one, but no leaderboard and no sweep.
+    """
+    files = [folder / name for name in (TABLE, TEXT, *(f"{name}.png" for name in FIGURES))]
+    for path in files:
+        check_no_link(path, option)
+    if (folder / SWEEP).is_file() or (files[0].is_file() and files[0].read_bytes().startswith(b"rank,job,")):
+        return
+    for path in files:
+        if path.is_file():
+            raise ConfigError(
+                f"{path}: found a file of no leaderboard, where one is written: move it, or choose another {option}"
+            )
+
+
+def last_lines(folder: Path, files: Sequence[str]) -> list[str]:
+    """The last lines of a sweep: its files, and the command that shows more.
+
+    >>> print(*last_lines(Path("multirun/gain"), ["leaderboard.csv"]), sep="\\n")
+    files        multirun/gain: leaderboard.csv
+    TensorBoard  tensorboard --logdir multirun/gain/leaderboard
+                 then http://localhost:6006/#hparams
+    """
+    return [f"files        {from_here(folder)}: {', '.join(files)}", *board_lines(folder / FOLDER, "#hparams")]
+
+
+def _figures(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> dict[str, bytes]:
+    """The figures as PNG, those that show something; {}, with a warning, without matplotlib."""
     try:
-        return sweep_figure(ranks, keys, measure)
+        drawn = {name: draw(ranks, keys, measure) for name, draw in FIGURES.items()}
     except MissingExtraError as cause:
         warnings.warn(f"no figure of the sweep: {cause}", stacklevel=2)
-        return None
+        return {}
+    return {name: png for name, png in drawn.items() if png is not None}

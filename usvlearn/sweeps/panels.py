@@ -1,4 +1,4 @@
-"""The figure of a sweep: the objective against each swept key, or a heat map over two."""
+"""The figures of a sweep: its settings in their order, and the objective against each swept key, or over two."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from certify.sweep_rows import short_keys
 from usvlearn.evaluation.measure import Measure
 from usvlearn.figures import INK, LINE, colours, themed
 from usvlearn.sweeps.standings import Standing
 
+MOST_ROWS = 25  # settings
 MOST_PANELS, MOST_TICKS = 6, 20  # of keys; named values of an axis of a heat map
 LOGARITHMIC = 20.0  # a ratio of the greatest to the least value, from which on an axis is logarithmic
 WORST = 90  # percentile; values far beyond it are off the axis
@@ -30,9 +32,7 @@ def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measur
     keys = list(keys)[:MOST_PANELS]
     if not shown or not keys:
         return None
-    what = "MAE of each job's output, m/s"
-    if measure is not None:
-        what = f"{measure.title()}, {measure.unit}".removesuffix(", ")
+    what = _words(measure)
     with themed() as Figure:
         panels = len(keys) + (len(keys) == 2)
         figure = Figure(figsize=(min(4.4 * panels, 15) + 0.6, 4.2), dpi=90, layout="constrained")
@@ -53,9 +53,70 @@ def sweep_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measur
         figure.legend(lines.values(), lines, ncols=len(lines), fontsize="small", loc="outside upper left")
         if len(keys) == 2:
             _heat(figure, axes[2], shown, keys, what)
-        png = io.BytesIO()
-        figure.savefig(png, format="png", facecolor="white")
-        return png.getvalue()
+        return _png(figure)
+
+
+def settings_figure(ranks: Sequence[Standing], keys: Sequence[str], measure: Measure | None) -> bytes | None:
+    """A PNG with a row per setting, the best above; None for less than two settings with a value.
+
+    Small points are jobs, the large one is their mean. A bar is where the mean is by the paired difference to the
+    reference, with its 95 % interval: over seeds, or over runs if there is none over seeds.
+
+    Raises:
+        MissingExtraError: matplotlib is not installed.
+    """
+    known = [each for each in ranks if each.value is not None]
+    shown = known[:MOST_ROWS]
+    if len(shown) < 2 or not keys:
+        return None
+    own = measure.estimator if measure else "ensemble"
+    reference = next((each.value for each in known if each.reference), None)
+    intervals, paired = [_interval(each) for each in shown], any(_interval(each, "seeds") for each in shown)
+    with themed() as Figure:
+        figure = Figure(figsize=(7.4, 1.5 + 0.27 * len(shown)), dpi=90, layout="constrained")
+        panel, colour = figure.subplots(), colours([own])[own]
+        for k, (each, interval) in enumerate(zip(shown, intervals, strict=True)):
+            values = list(each.by_seed.values())
+            panel.plot(values, [k] * len(values), ".", color=INK, markersize=4, alpha=0.45)
+            if interval and reference is not None:
+                ends = [reference + x for x in interval]
+                panel.plot(ends, [k, k], color=colour, linewidth=5, alpha=0.4, solid_capstyle="butt")
+            panel.plot(each.value, k, "o", color=colour, markersize=7)
+        if reference is not None:
+            panel.axvline(reference, color=INK, linewidth=0.9, linestyle=":")
+        names = [" ".join(f"{short}={each.settings[key]}" for short, key in zip(short_keys(keys), keys, strict=True)
+                          if key in each.settings) for each in shown]  # fmt: skip
+        panel.set_yticks(range(len(shown)), [shortened(name, 44) for name in names])
+        panel.set_ylim(len(shown) - 0.5, -0.5)
+        panel.grid(axis="x", color=LINE, alpha=0.6)
+        panel.set_xlabel(_words(measure))
+        over = "seeds" if paired else "runs"
+        bars = f"; bar: 95 % of the paired difference, over {over}" if any(intervals) else ""
+        more = f"; {len(known) - len(shown)} more settings" if len(known) > len(shown) else ""
+        panel.set_title(f"point: job; disc: mean; dotted: reference{bars}{more}", loc="left", fontsize=8.5)
+        return _png(figure)
+
+
+def _interval(each: Standing, over: str = "") -> tuple[float, float] | None:
+    """The interval of the difference to the reference: over seeds, else over runs unless seeds are asked for."""
+    found = each.difference
+    for one in (found and found.over_seeds, None if over else found):
+        if one is not None and one.low is not None and one.high is not None:
+            return one.low, one.high
+    return None
+
+
+def _words(measure: Measure | None) -> str:
+    """What the axis of the objective shows."""
+    if measure is None:
+        return "MAE of each job's output, m/s"
+    return f"{measure.title()}, {measure.unit}".removesuffix(", ")
+
+
+def _png(figure: Any) -> bytes:
+    content = io.BytesIO()
+    figure.savefig(content, format="png", facecolor="white")
+    return content.getvalue()
 
 
 def _draw(panel: Any, shown: Sequence[Standing], key: str, measure: Measure | None) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 
 from usvlearn.errors import printable
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.layout import RESULTS
-from usvlearn.sweeps.jobs import JOB, SweepNote, by_key, ranked_alone
+from usvlearn.runs.layout import JOB, RESULTS
+from usvlearn.sweeps.jobs import SweepNote, by_key, ranked_alone
 
 PERIOD = 0.5  # s between two looks
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from usvlearn.evaluation.by_run import RunError
-from usvlearn.evaluation.comparison import Difference, cells, compare
+from usvlearn.evaluation.comparison import Difference, cells, compare, over_seeds
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, own_measure
 from usvlearn.sweeps.jobs import Job, errors_of
@@ -34,6 +34,12 @@ class Standing(NamedTuple):
     def done(self) -> int:
         """How many jobs finished."""
         return len(self.jobs) - len(self.failed)
+
+    @property
+    def by_seed(self) -> dict[str, float]:
+        """The objective of the jobs that have one, by their seed."""
+        found = ((job.settings.get(SEED, ""), job.results.get("objective")) for job in self.jobs if job.finished)
+        return {seed: float(value) for seed, value in found if value is not None and value == value}
 
     @property
     def failed(self) -> list[Job]:
@@ -78,7 +84,7 @@ def standings(jobs: Sequence[Job], measure: Measure | None, defaults: Mapping[st
         each._replace(
             default=is_default[k],
             reference=k == first,
-            difference=None if k == first else _compared(each, errors[k], errors[first], measure),
+            difference=None if k == first else _compared(each, errors[k], found[first], errors[first], measure),
         )
         for k, each in enumerate(found)
     ]
@@ -141,5 +147,9 @@ def _cells(standing: Standing, measure: Measure | None) -> dict:
     return cells(errors, measure or _own(standing))
 
 
-def _compared(standing: Standing, one: dict, other: dict, measure: Measure | None) -> Difference | None:
-    return compare(one, other, measure or _own(standing)) if standing.value is not None else None
+def _compared(
+    standing: Standing, one: dict, reference: Standing, other: dict, measure: Measure | None
+) -> Difference | None:
+    if standing.value is None or (found := compare(one, other, measure or _own(standing))) is None:
+        return None
+    return found._replace(over_seeds=over_seeds(standing.by_seed, reference.by_seed))

@@ -12,6 +12,7 @@ from rich.text import Text
 from certify.rounding import above
 from certify.sweep_rows import short_keys
 from usvlearn.errors import printable
+from usvlearn.evaluation.comparison import Difference, SeedDifference
 from usvlearn.evaluation.measure import SKILL, Measure, measure_of
 from usvlearn.evaluation.metrics import mean, mean_mae
 from usvlearn.report.result_table import ResultTable
@@ -33,19 +34,23 @@ def result_table(folder: Path, found: Sequence[Standing], keys: Sequence[str]) -
         keys: the swept keys, without the seed.
     """
     names = list(dict.fromkeys(name for each in found for job in each.jobs for name in _maes(job)))
-    numbers = ("objective", "deviation", "seeds", "reference", "difference", "low", "high", "tie", "seconds")
+    numbers = ("objective", "deviation", "seeds", "reference", "difference", "low", "high", "tie")
+    by_seeds = ("seeds_difference", "seeds_low", "seeds_high", "seeds_tie")
     maes = (f"mae/{name}" for name in names)
-    columns = ("rank", "job", *keys, "measure", "unit", *numbers, "contracting", "rate", *maes, "error")
+    columns = ("rank", "job", *keys, "measure", "unit", *numbers, *by_seeds, "seconds", "contracting", "rate",
+               *maes, "error")  # fmt: skip
     rows = []
     for rank, each in enumerate(found, 1):
         done = [job for job in each.jobs if job.finished]
         measure = next((str(job.results.get("measure", "")) for job in done), "")
         diff = each.difference
+        seeds = diff and diff.over_seeds
         rows.append((
             rank, " ".join(label(folder, job) for job in each.jobs), *(each.settings.get(key) for key in keys), measure,
             measure_of(measure or None, "output").unit, each.value, each.deviation, len(done), each.reference,
-            *((None,) * 3 if diff is None else (diff.mean, diff.low, diff.high)), diff and diff.tie, each.seconds,
-            each.contracting, each.rate, *(mean(_maes(job).get(name) for job in done) for name in names),
+            *((None,) * 3 if diff is None else (diff.mean, diff.low, diff.high)), diff and diff.tie,
+            *((None,) * 4 if seeds is None else (*seeds[:3], seeds.tie)), each.seconds, each.contracting,
+            each.rate, *(mean(_maes(job).get(name) for job in done) for name in names),
             "; ".join(dict.fromkeys(job.failure for job in each.failed)),
         ))  # fmt: skip
     return ResultTable("leaderboard", columns, rows)
@@ -63,18 +68,21 @@ def printed(folder: Path, found: Sequence[Standing], keys: Sequence[str], measur
     heads, values = short_keys(keys), [_value(each, most) for each in shown]
     differ = any(each.difference is not None for each in shown)
     compared = [_difference(each, measure) for each in shown]
+    paired = [_over_seeds(each, measure) for each in shown]
+    by_seeds = any(paired)
     networks = _networks_differ(shown, measure)
     what = measure.title() if measure else "MAE of each job's output"
     unit = f", {measure.unit}" if measure and measure.unit else "" if measure else ", m/s"
-    columns = [measure.kind if measure and not measure.unit else "MAE", *(["difference"] if differ else []), "s"]
+    columns = [
+        measure.kind if measure and not measure.unit else "MAE",
+        *(["by runs" if by_seeds else "difference"] if differ else []),
+    ]
+    columns += [*(["by seeds"] if by_seeds else []), "s"]
     columns += ["K"] if networks else []
     table = Blocks(f"{what}{unit}, mean over boats{_deviation(shown)}", ["job", *heads], columns, folded=heads)
-    for each, value, difference in zip(shown, values, compared, strict=True):
-        cells = [
-            value,
-            *([difference] if differ else []),
-            "–" if each.seconds is None else f"{each.seconds:.1f}",
-        ]
+    for each, value, difference, pair in zip(shown, values, compared, paired, strict=True):
+        cells = [value, *([difference] if differ else []), *([pair] if by_seeds else [])]
+        cells.append(DASH if each.seconds is None else f"{each.seconds:.1f}")
         cells += [_network(each)] if networks else []
         own = [each.settings.get(key, DASH) for key in keys]
         table.add(_numbers(folder, each.jobs), *own, *cells, style="bold" if each is shown[0] else "")
@@ -115,14 +123,12 @@ def _value(each: Standing, most: int) -> str:
 
 
 def _difference(each: Standing, measure: Measure | None) -> str:
-    """The interval of the difference to the reference, in percent of it; of skill in hundredths."""
+    """The interval over runs of the difference to the reference, in percent of it; of skill in hundredths."""
     if each.reference:
         return "reference"
     if (found := each.difference) is None:
         return ""
-    skill = measure is not None and measure.kind == SKILL
-    scale = 100.0 if skill else 100 * found.share / found.mean if found.mean else 0.0
-    sign = "" if skill else " %"
+    scale, sign = _scale(found, measure)
     if found.low is None or found.high is None:
         return f"{scale * found.mean:+.1f}{sign}"
     low, high = scale * found.low, scale * found.high
@@ -131,6 +137,23 @@ def _difference(each: Standing, measure: Measure | None) -> str:
     if min(abs(low), abs(high)) > LARGE:
         return f"{'>' if low > 0 else '<'} {LARGE if low > 0 else -LARGE:+.0f}{sign}"
     return " … ".join(f"{x:+.1f}" if abs(x) < 100 else f"{x:+.0f}" for x in (low, high)) + sign
+
+
+def _over_seeds(each: Standing, measure: Measure | None) -> str:
+    """The mean difference over seeds ± half its interval, in the same unit; "" where there is no interval."""
+    if each.difference is None or (found := each.difference.over_seeds) is None or found.high is None:
+        return ""
+    scale, sign = _scale(each.difference, measure)
+    mean, half = scale * found.mean, scale * (found.high - found.mean)
+    digits = 1 if max(abs(mean), half) < 100 else 0
+    return f"{mean:+.{digits}f} ± {half:.{digits}f}{sign}"
+
+
+def _scale(found: Difference, measure: Measure | None) -> tuple[float, str]:
+    """What a difference is multiplied by to be shown, and the sign behind it."""
+    if measure is not None and measure.kind == SKILL:
+        return 100.0, ""
+    return (100 * found.share / found.mean if found.mean else 0.0), " %"
 
 
 def _deviation(shown: Sequence[Standing]) -> str:
@@ -152,17 +175,35 @@ def _sentences(shown: Sequence[Standing], measure: Measure | None, keys: Sequenc
     compared = [each for each in shown if each.difference is not None]
     if not compared:
         return ["No differences: no other setting has errors over the same samples."]
-    first = "the default" if reference.default else "the best"
-    name = f"Reference: {first}, {short_settings(reference.settings, keys)}."
-    if any(each.difference.tie is None for each in compared if each.difference):
-        return [f"{name} One run: no interval, so that a difference may be chance."]
+    kind = "the default" if reference.default else "the best"
+    name = f"Reference: {kind}, {short_settings(reference.settings, keys)}."
     what = "in hundredths of skill" if measure and measure.kind == SKILL else "of its error"
     others = len(shown) - 1 - len(compared)
     alone = f" {others} not compared: other samples, or no value." if others else ""
-    ties = sum(bool(each.difference and each.difference.tie) for each in compared)
-    words = f"{ties} of {len(compared)} settings {'ties' if ties == 1 else 'tie'} with it (0 is in the interval)"
-    runs = max(each.difference.runs for each in compared if each.difference)
-    return [f"{name} Differences: {what}, 95 % interval of a bootstrap over {runs} paired runs; {words}.{alone}"]
+    differences = [each.difference for each in compared if each.difference]
+    paired = [each.over_seeds for each in differences if each.over_seeds is not None]
+    by_seeds = any(each.low is not None for each in paired)
+    if any(each.tie is None for each in differences):
+        first = "One run: no interval over runs" + ("." if by_seeds else ", so that a difference may be chance.")
+    else:
+        runs = max(each.runs for each in differences)
+        kind = f"95 % interval of a bootstrap over {runs} paired runs"
+        first = f"{'By runs' if by_seeds else 'Differences'}: {what}, {kind}; {_ties(differences)}."
+    said = [f"{name} {first}{alone}"]
+    seeds = max((each.seeds for each in paired), default=0)
+    if by_seeds:
+        kind = f"mean over {seeds} seeds, each paired with itself on the same runs, ± 95 % interval (Student's t)"
+        said.append(f"By seeds: {what}, {kind}; {_ties([each for each in paired if each.low is not None])}.")
+    elif seeds == 1:
+        said.append("One seed: no interval over seeds. seeds=5 gives one.")
+    elif seeds:
+        said.append(f"{seeds} seeds gave the same differences: no interval over seeds.")
+    return said
+
+
+def _ties(found: Sequence[Difference] | Sequence[SeedDifference]) -> str:
+    ties = sum(bool(each.tie) for each in found)
+    return f"{ties} of {len(found)} settings {'ties' if ties == 1 else 'tie'} with it (0 is in the interval)"
 
 
 def _networks_differ(shown: Sequence[Standing], measure: Measure | None) -> bool:

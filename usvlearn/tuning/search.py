@@ -19,11 +19,10 @@ from typing import Any
 
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.lock import Lock
-from usvlearn.runs.layout import JOURNAL
+from usvlearn.runs.layout import JOURNAL, WORKERS
 from usvlearn.runs.trust import check_setting
 from usvlearn.tuning.lanes import Evaluation, Hyperparameter, Objective
 
-WORKERS = "workers"
 STALE = 60.0  # s without a heartbeat after which a process counts as dead; a chunk of steps takes a few s
 STUDY = "tuning"
 

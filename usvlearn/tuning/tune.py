@@ -19,6 +19,7 @@ from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.evaluation.free_simulation import check_halves
 from usvlearn.evaluation.measure import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
 from usvlearn.report.activity_bar import Activity
+from usvlearn.report.terminal import show
 from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest
 from usvlearn.signals import Fleet
@@ -238,7 +239,7 @@ def tune(
     made = record(facts, fleet.boats, found, persistence)
     write(folder, made, curve)
     console.print(report(made))
-    console.print(f"The best setting, for configs/experiment: {folder / EXPERIMENT}", soft_wrap=True)
+    show(f"The best setting, for configs/experiment: {folder / EXPERIMENT}", to=console)
     return math.inf if made["best"]["mae"] is None else made["best"]["mae"]
 
 
