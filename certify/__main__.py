@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import math
 import os
 import re
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -15,20 +17,19 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify import certificate, sweep_jobs, sweep_rows, vector_certificate
+from certify import certificate, sweep_jobs, sweep_rows, vector_certificate, verification
 from certify.certificate import CONDITIONS
-from certify.errors import CertifyError, quoted
+from certify.comparison_start import start
+from certify.errors import CertifyError, about, complain
 from certify.vector_run import Judged, judge, plot, write_certificates
-from certify.vector_weights import VectorNetwork, activation, of_shallow, read_both
-from certify.vector_weights import digest as vector_digest
-from certify.weights import SUFFIXES, Network, digest, find
+from certify.vector_weights import VectorNetwork, activation, read_both
+from certify.weights import Network, find
 
-CERTIFIED, NOT_ALL, BAD_INPUT, STOPPED = 0, 1, 2, 130  # exit codes
+CERTIFIED, NOT_ALL, BAD_INPUT, FAULT, STOPPED = 0, 1, 2, 3, 130  # exit codes
 EVERY_CONDITION = (*CONDITIONS, *(name for name in vector_certificate.CONDITIONS if name not in CONDITIONS))
 LONGEST_TIME = 1e9  # s
-LONGEST_PATH = 4096  # characters of a path that a certificate names
 EPILOG = """
-exit code: 0 all certified by --condition, 1 not all, 2 bad input, 130 Ctrl-C
+exit code: 0 all certified by --condition, 1 not all, 2 bad input, 3 a fault of certify, 130 Ctrl-C
 
 python -m certify outputs/RUN                             the parameter sets of a run
 python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on the operating box
@@ -49,9 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")
     try:
         if arguments[:1] == ["compare"]:
-            from certify.compare import main as compare
-
-            return compare(arguments[1:], _say)
+            return start(arguments[1:], _say)
         return _run(_parse(arguments))
     except (CertifyError, OSError) as error:
         return _error(error)
@@ -61,26 +60,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         package = (error.name or "").partition(".")[0]
         if package in ("", "certify"):
-            raise
+            traceback.print_exc()
+            return FAULT
         return _error(f"the package {package} is not installed: run `pip install {package}`")
+    except Exception:  # the exit code 1 of Python would mean "not all"
+        traceback.print_exc()
+        return FAULT
 
 
 def _error(error: Exception | str) -> int:
     """Print one line on standard error; returns the exit code of bad input."""
-    print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+    complain(f"error: {' '.join(str(error).split())}")
     return BAD_INPUT
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The arguments of the command."""
+    found = argparse.ArgumentParser(
         "python -m certify", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs or sweeps, patterns")
-    parser.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: tight)")
-    parser.add_argument("--all", action="store_true", help="of a sweep: every parameter set, not each boat's last one")
-    parser.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
-    parser.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
-    parser.add_argument(
+    found.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs or sweeps, patterns")
+    found.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: tight)")
+    found.add_argument("--all", action="store_true", help="of a sweep: every parameter set, not each boat's last one")
+    found.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
+    found.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
+    found.add_argument(
         "--box",
         nargs="?",
         const="",
@@ -88,34 +92,39 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace:
         help="search the exact rate on a box of x, u₁ … u_m; by default x and headings in 0:1, commands in "
         "-1:1; all in -1:1 for a state of several components",
     )
-    parser.add_argument("--seconds", type=float, default=10.0, help="of the search on a box, each (default: 10)")
-    parser.add_argument(
+    found.add_argument("--seconds", type=float, default=10.0, help="of the search on a box, each (default: 10)")
+    found.add_argument(
         "--input", metavar="U,…", help="u at which equilibria are listed (default: zeros, as in the paper)"
     )
-    parser.add_argument(
+    found.add_argument(
         "--activation",
         metavar="PHI",
         help="of the networks: relu, tanh or leaky:α (default: relu; --verify: as claimed)",
     )
-    parser.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
-    parser.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
-    parser.add_argument("--json", action="store_true", help="a list of objects on standard output")
-    parser.add_argument("--certificate", metavar="DIR", help="write a JSON certificate of each set that is certified")
-    parser.add_argument(
+    found.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
+    found.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
+    found.add_argument("--json", action="store_true", help="a list of objects on standard output")
+    found.add_argument("--certificate", metavar="DIR", help="write a JSON certificate of each set that is certified")
+    found.add_argument(
         "--plot",
         metavar="FILE",
         help="draw the map and its equilibria; FILE, FILE-2, … for several sets; of a sweep: rates against errors",
     )
-    parser.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
-    parser.add_argument(
+    found.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
+    found.add_argument(
         "--verify", nargs="+", metavar="CERTIFICATE", help="check certificates, of PATH or what they name"
     )
 
     def refuse(message: str) -> NoReturn:
         raise CertifyError(f"{message}: see --help")
 
-    parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
-    options = parser.parse_args(_joined(arguments))
+    found.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
+    return found
+
+
+def _parse(arguments: Sequence[str]) -> argparse.Namespace:
+    options = parser().parse_args(_joined(arguments))
+    options.paths = [each.removeprefix("runs=") for each in options.paths]  # as evaluate takes it
     if options.box and ":" not in options.box:  # --box PATH
         options.paths, options.box = [options.box, *options.paths], ""
     if options.condition in ("interval", "box") and options.box is None:
@@ -149,7 +158,8 @@ def _run(options: argparse.Namespace) -> int:
         code = _error(problem)
     for path in sweep_jobs.chosen(jobs, options.all) if jobs else find(options.paths):
         try:
-            shallow, others = read_both(path, phi, as_vectors=options.steps and not options.verify)
+            most = verification.MOST_SETS if options.verify else math.inf
+            shallow, others = read_both(path, phi, as_vectors=options.steps and not options.verify, most=most)
         except CertifyError as error:  # the other files are still judged
             code = _error(error)
             continue
@@ -164,7 +174,12 @@ def _run(options: argparse.Namespace) -> int:
     if options.plot is not None and (not options.plot or options.plot.endswith(os.sep) or Path(options.plot).is_dir()):
         raise CertifyError(f"--plot: found {options.plot!r}, expected a file such as map.png")
     if options.verify:
-        return max(code, _verify(options, networks, vectors))
+        results = verification.verify(options.verify, networks, vectors, options.activation)
+        for refused in results.problems:
+            code = _error(refused)
+        if results.rows:
+            _say(print, json.dumps(results.rows, indent=1) if options.json else "\n".join(results.lines))
+        return max(code, CERTIFIED if all(row["valid"] for row in results.rows) else NOT_ALL)
     judged = judge(options, vectors) if vectors else Judged([], [], [], [], [])
     for failure in judged.failures:
         code = _error(failure)
@@ -175,7 +190,8 @@ def _run(options: argparse.Namespace) -> int:
     held = [_holds(row, condition) for row in rows]
     notes = []
     if options.certificate is not None:
-        notes += _write_certificates(options, networks, rows, held, judged)
+        code, written = _write_certificates(options, networks, rows, held, judged, code)
+        notes += written
     if options.plot and not jobs:
         notes += _plot(options, networks, judged)
     if jobs:
@@ -245,10 +261,11 @@ def _assess(options: argparse.Namespace, networks: Sequence[Network], code: int)
     judged, rows = [], []
     for each in shown:
         try:
-            rows.append(assess(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
+            with about(each.path):
+                rows.append(assess(each, inputs[each.inputs], boxes.get(each.inputs), options.seconds, solve))
             judged.append(each)
         except CertifyError as error:  # the other networks are still judged
-            code = _error(CertifyError(f"{each.path}: {error}"))
+            code = _error(error)
     return judged, rows, code
 
 
@@ -275,7 +292,10 @@ def _holds(row: dict[str, Any], condition: str) -> bool:
     return row["box"]["verdict" if condition == "box" else "interval"] == "certified"
 
 
-def _write_certificates(options, networks: Sequence[Network], rows, held, judged: Judged) -> list[str]:
+def _write_certificates(
+    options, networks: Sequence[Network], rows, held, judged: Judged, code: int
+) -> tuple[int, list[str]]:
+    """The exit code so far, and what was written."""
     folder, written = Path(options.certificate), 0
     if not options.certificate or (folder.exists() and not folder.is_dir()):
         raise CertifyError(f"--certificate: found {options.certificate!r}, which is a file or empty, expected a folder")
@@ -294,10 +314,11 @@ def _write_certificates(options, networks: Sequence[Network], rows, held, judged
                 more |= {"tree": found["tree"], "rate": Fraction(found["proved_rate"])}
         made = certificate.make(network.weights, condition, path=network.path, **more)
         if made is None:
-            raise AssertionError(f"{network.path}: was certified, but its certificate cannot be made")
+            code = _error(f"{network.path}: is certified, but its proof is longer than --verify reads: it has no file")
+            continue
         certificate.write(folder / f"{name}.{condition}.json", made)
         written += 1
-    return [f"{written} certificates: {folder}; check them with --verify"]
+    return code, [f"{written} certificates: {folder}; check them with --verify"]
 
 
 def _names(networks: Sequence[Network | VectorNetwork]) -> list[str]:
@@ -333,61 +354,6 @@ def _plot_sweep(options: argparse.Namespace, table: Sequence[dict[str, Any]]) ->
 
     save(sweep_figure(table), options.plot)
     return [f"picture: {options.plot}"]
-
-
-def _verify(options: argparse.Namespace, networks: Sequence[Network], vectors: Sequence[VectorNetwork]) -> int:
-    code, results = CERTIFIED, []
-    for path in options.verify:
-        try:
-            content = certificate.read(path)
-            about = _with_weights(content, networks, vectors) if networks or vectors else _named(path, content)
-            found = certificate.Verification(False, "it is about other weights than the given ones")
-            if isinstance(about, VectorNetwork):
-                claimed = options.activation or str(content.get("activation"))
-                found = vector_certificate.verify(content, about._replace(activation=activation(claimed)))
-            elif about is not None:
-                found = certificate.verify(content, about.weights)
-        except CertifyError as error:  # the other certificates are still checked
-            code = _error(error if str(path) in str(error) else f"{path}: {error}")
-            continue
-        results.append({"certificate": path, "valid": found.valid, "reason": found.reason})
-    lines = [f"{each['certificate']}: {'valid' if each['valid'] else 'REFUSED'}: {each['reason']}" for each in results]
-    if results:
-        _say(print, json.dumps(results, indent=1) if options.json else "\n".join(lines))
-    return max(code, CERTIFIED if all(result["valid"] for result in results) else NOT_ALL)
-
-
-def _with_weights(
-    content: dict[str, Any], networks: Sequence[Network], vectors: Sequence[VectorNetwork]
-) -> Network | VectorNetwork | None:
-    """The network that a certificate is about, by the sha256 of its weights."""
-    wanted = str(content.get("weights"))
-    if content.get("format") != vector_certificate.FORMAT:
-        return next((each for each in networks if digest(each.weights) == wanted), None)
-    alike = [*vectors, *(VectorNetwork(each.path, of_shallow(each.weights)) for each in networks)]
-    return next((each for each in alike if vector_digest(each.weights) == wanted), None)
-
-
-def _named(path: str, content: dict[str, Any]) -> Network | VectorNetwork | None:
-    """The parameter set that a certificate names: below the working folder, or beside the certificate."""
-    named, seen = str(content.get("path", "")), False
-    file = re.sub(r"(\[[\d,]*\])?$", "", named[:LONGEST_PATH])
-    for place in (Path(file), Path(path).parent / file, Path(path).parent / Path(file).name):
-        for candidate in (place, Path(str(place).rpartition(":")[0])):
-            if candidate.suffix in SUFFIXES and _is_file(candidate):
-                seen = True
-                if (network := _with_weights(content, *read_both(candidate))) is not None:
-                    return network
-    if seen:
-        return None
-    raise CertifyError(f"{path}: its weights, {quoted(named)}, were not found: give their path before --verify")
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        return False
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -61,7 +62,7 @@ def assess(
         "equilibria": [_findings(each) for each in equilibria(weights, u)],  # in [0, 1], as in the paper
     }
     if not found["equilibria"] and K < 1:  # a contraction has one on ℝ: |x| ≤ |f(0)|/(1 − K)
-        reach = float_above(abs(value_at(weights, [0.0, *u])) / (1 - K))
+        reach = min(float_above(abs(value_at(weights, [0.0, *u])) / (1 - K)), sys.float_info.max)
         found["equilibria_outside"] = [_findings(each) for each in equilibria(weights, u, -reach, reach)]
     if m == 4:
         at_rest = sweep(weights, surge_inputs(HEADINGS), *AT_REST)
@@ -80,12 +81,17 @@ def assess(
 
 
 def time_constant(K: Fraction) -> float | None:
-    """−1/ln K; None where K ≥ 1."""
-    if K >= 1:
+    """−1/ln K; None where K ≥ 1, or so near to 1 that no float holds it.
+
+    >>> time_constant(Fraction(1, 2)) == 1 / math.log(2), time_constant(1 - Fraction(1, 2**1113))
+    (True, None)
+    """
+    room = float(1 - K) if K < 1 else 0.0
+    if not room:
         return None
     if float(K) == 0:
         return 0.0
-    return -1 / (math.log(float(K)) if K < 0.5 else math.log1p(-float(1 - K)))
+    return _number(-1 / (math.log(float(K)) if K < 0.5 else math.log1p(-room)))
 
 
 def _findings(equilibrium) -> dict[str, Any]:

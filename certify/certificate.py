@@ -35,6 +35,7 @@ CLOSED_FORMS = tuple(exact.CORNER)
 CONDITIONS = (*CLOSED_FORMS, "interval", "box")  # from the narrowest to the widest
 DIGITS = 6  # of the rate that is proved, rounded up
 LONGEST = 100_000  # characters of p and Λ together, which take about 2 s
+MOST_ROWS = 5_000  # of M, whose entries are all looked at once
 LARGEST = 10_000_000  # bytes of a file
 FRACTION = re.compile(rf"-?[0-9]{{1,{box_proof.DIGITS}}}(/[0-9]{{1,{box_proof.DIGITS}}})?")
 KEYS: set[str] = set("format claim weights neurons inputs condition rate margin contraction_rate verified".split())
@@ -90,7 +91,7 @@ def make(
     if rate is not None and not 0 < rate <= 1:
         raise CertifyError(f"rate: found {rate}, expected a number above 0 and at most 1")
     if condition in CLOSED_FORMS:
-        found = exact.conditions(weights.a, weights.w1)[condition].rate
+        found = exact.condition(condition, weights.a, weights.w1).rate
         kappa = provable_rate(found) if rate is None and found is not None else rate
         proof = None if found is None or kappa is None else exact.multipliers(condition, weights.a, weights.w1, kappa)
         if proof is None or kappa is None:
@@ -138,6 +139,10 @@ def _refusal(content: dict[str, Any], weights: ShallowWeights) -> str | None:
     kappa = fraction(content["rate"])
     if not 0 < kappa <= 1:
         return f"its rate is {shortened(kappa)}, expected one above 0 and at most 1"
+    if closed and len(weights.a) + 2 > MOST_ROWS:
+        return f"its M has more than {MOST_ROWS} rows: the check would take longer than about 5 s"
+    if condition == "gershgorin" and exact.lemma_is_long(weights.w1):
+        return "its weights have too many digits for the lemma's sum: the check would take longer than about 5 s"
     if reason := signed(content, _claims(weights, condition, kappa, proof)):
         return reason
     if closed:
@@ -224,7 +229,7 @@ def _claims(weights: ShallowWeights, condition: str, kappa: Fraction, proof: Map
     where, how = "for all x₁, x₂ and u", "M(p, Λ) is positive definite: LDLᵀ in rational arithmetic"
     margin = 1 - kappa
     if condition in CLOSED_FORMS:
-        margin = exact.conditions(weights.a, weights.w1)[condition].margin
+        margin = exact.condition(condition, weights.a, weights.w1).margin
     else:
         invariant = proof["invariance_tree"] is not None
         lo, hi = box_of(proof["box"])

@@ -35,7 +35,7 @@ from certify.errors import CertifyError
 from certify.families import initial_networks, random_networks, signed_networks, trained_networks
 from certify.gauge import loss
 from certify.paper_tests import CORNERS, KNOTS, ORDERS, Choices, at_rate, paper_tests
-from certify.printed import progress
+from certify.printed import busy, progress
 from certify.rounding import float_above
 from certify.run_steps import given
 from certify.weights import ShallowWeights
@@ -208,11 +208,12 @@ def study(options: argparse.Namespace) -> dict[str, Any]:
     torch.set_num_threads(1)
     rng, count, n = np.random.default_rng(options.seed), options.networks, options.neurons
     runs, dt = given(options.paths, options.dt, options.sets), options.dt or DT
-    families = {
-        "random": Family(random_networks(count, n, rng), [None] * count, True),
-        "initialised": Family(initial_networks(count, n, rng), [None] * count, True),
-        "trained": Family(trained_networks(count, n, rng, dt, options.training), [dt] * count, True),
-    }
+    with busy("training networks"):
+        families = {
+            "random": Family(random_networks(count, n, rng), [None] * count, True),
+            "initialised": Family(initial_networks(count, n, rng), [None] * count, True),
+            "trained": Family(trained_networks(count, n, rng, dt, options.training), [dt] * count, True),
+        }
     for run in runs:
         families[f"run {run.name}"] = Family([each.weights for each in run.networks], run.steps, False)
     solve = None if options.no_lmi else solver(options.solver)
@@ -234,7 +235,10 @@ def study(options: argparse.Namespace) -> dict[str, Any]:
         }
         for name, rows in examined.items()
     }
-    neurons, signs = by_neurons(options.sizes, count, rng), by_signs((n, 10 * n), count, rng)
+    with busy("comparing by neurons and by signs"):
+        neurons, signs = by_neurons(options.sizes, count, rng), by_signs((n, 10 * n), count, rng)
+    with busy("solving the tests of the paper"):
+        paper = [] if options.no_lmi else paper_tests([weights for _, weights, _ in work], cast(Choices, options))
     return {
         "neurons": n,
         "dt": dt,
@@ -248,7 +252,7 @@ def study(options: argparse.Namespace) -> dict[str, Any]:
         "by_signs": signs,
         "timings": [timing(size, options.solver, largest, rng) for size in progress(options.sizes, "timing by n")],
         "box_times": [box_timing(m, n, options.seconds, rng) for m in progress(INPUTS, "timing by m")],
-        "paper": [] if options.no_lmi else paper_tests([weights for _, weights, _ in work], cast(Choices, options)),
+        "paper": paper,
     }
 
 
@@ -286,7 +290,8 @@ def main(arguments: Sequence[str], say: Callable) -> int:
     if options.plot is not None or options.page is not None:
         from certify.comparison_figures import pictures, save_all
 
-        drawn = pictures(result)
+        with busy("drawing"):
+            drawn = pictures(result)
         if options.plot is not None:
             save_all(drawn, Path(options.plot))
         if options.page is not None:

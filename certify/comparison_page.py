@@ -64,7 +64,7 @@ def check_folder(folder: str | Path) -> None:
     """Check before the work that the page can be written.
 
     Raises:
-        CertifyError: it is a file, it holds something else than a page, or it cannot be made.
+        CertifyError: it is a file, it holds a link or something else than a page, or it cannot be made.
     """
     place = Path(folder)
     if not str(folder) or (place.exists() and not place.is_dir()):
@@ -72,6 +72,9 @@ def check_folder(folder: str | Path) -> None:
     found = {path.name for path in place.iterdir()} if place.is_dir() else set()
     if found - {INDEX, MARKDOWN, FIGURES, RESULT} or (found - {FIGURES} and RESULT not in found):
         raise CertifyError(f"--page: {folder} holds something that is no page of a comparison: name another folder")
+    for path in [place / name for name in (INDEX, MARKDOWN, FIGURES, RESULT)] + sorted((place / FIGURES).glob("*")):
+        if path.is_symlink():
+            raise CertifyError(f"--page: {path} is a link, through which nothing is written: name another folder")
     try:
         (place / FIGURES).mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 CORNER = {"simple": 1, "gershgorin": 1, "lmi": 1, "tight": 2}  # c of each condition's matrix
 ZERO, ONE = Fraction(0), Fraction(1)
+LONGEST_SUM = 1_000_000  # bits of a sum of fractions that a check of somebody's certificate works out
 
 
 class Multipliers(NamedTuple):
@@ -61,18 +62,39 @@ def conditions(a: ArrayLike, w1: ArrayLike) -> dict[str, Condition]:
     >>> [(name, float(found.margin)) for name, found in conditions([0.5], [0.5]).items()]
     [('simple', -0.5), ('gershgorin', 0.5), ('lmi', 0.5), ('tight', 0.75)]
     """
-    K = max(extreme_slopes(a, w1))
+    return {name: condition(name, a, w1) for name in CORNER}
+
+
+def condition(name: str, a: ArrayLike, w1: ArrayLike) -> Condition:
+    """The result of one of the `conditions`.
+
+    >>> condition("tight", [0.5], [0.5]).rate
+    Fraction(1, 4)
+    """
+    if name in ("lmi", "tight"):
+        K = max(extreme_slopes(a, w1)) * (2 if name == "lmi" else 1)
+        return Condition(1 - K, K)
     sizes = [(abs(ai), abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
     n, least = len(sizes), 1 - max(wi for _, wi in sizes)
     shares = [ai / (1 - wi) for ai, wi in sizes if wi < 1]
-    half = _sum(shares) / 2
-    inside = least > 0
-    return {
-        "simple": Condition(1 - max((n + 1) * ai + wi for ai, wi in sizes), (n + 1) * max(shares) if inside else None),
-        "gershgorin": Condition(min(1 - half, least), half if inside else None),
-        "lmi": Condition(1 - 2 * K, 2 * K),
-        "tight": Condition(1 - K, K),
-    }
+    if name == "simple":
+        margin = 1 - max((n + 1) * ai + wi for ai, wi in sizes)
+        return Condition(margin, (n + 1) * max(shares) if least > 0 else None)
+    half = pairwise_sum(shares) / 2
+    return Condition(min(1 - half, least), half if least > 0 else None)
+
+
+def lemma_is_long(W: ArrayLike) -> bool:
+    """Whether the sum of `gershgorin` over 1/(1 − ‖W_i‖₁) may take longer than about 2 s; W is `(n,)` or `(n, q)`.
+
+    Its denominator can be as long as all these together.
+
+    >>> lemma_is_long([0.5, 0.1]), lemma_is_long(np.linspace(1e-300, 2e-300, 1000))
+    (False, True)
+    """
+    rows = np.asarray(W)
+    room = [1 - sum(map(abs, fractions(row)), ZERO) for row in rows.reshape(len(rows), -1)]
+    return sum(x.numerator.bit_length() for x in room) * (rows.size // len(rows)) > LONGEST_SUM
 
 
 def best_gauge(a: ArrayLike, w1: ArrayLike) -> dict[str, Fraction]:
@@ -85,24 +107,24 @@ def best_gauge(a: ArrayLike, w1: ArrayLike) -> dict[str, Fraction]:
     return {"simple": 4 * (len(s) + 1) * max(s), "gershgorin": 2 * sum(s, ZERO)}
 
 
-def multipliers(condition: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float = ONE) -> Multipliers | None:
+def multipliers(name: str, a: ArrayLike, w1: ArrayLike, rate: Fraction | float = ONE) -> Multipliers | None:
     """p and Λ that prove a condition at a rate, in closed form; None where it does not hold.
 
     >>> multipliers("tight", [0.9], [1.0])
     Multipliers(metric=Fraction(1, 1), multipliers=[Fraction(8106479329266893, 9007199254740992)])
     """
-    found, rate = conditions(a, w1)[condition].rate, Fraction(rate)
+    found, rate = condition(name, a, w1).rate, Fraction(rate)
     if found is None or not found < rate:
         return None
-    n, c = len(np.asarray(a)), CORNER[condition]
+    n, c = len(np.asarray(a)), CORNER[name]
     sizes = [(abs(ai) / rate, abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
-    if condition == "simple":
+    if name == "simple":
         return Multipliers(ONE, [Fraction(1, n + 1)] * n)
-    if condition == "gershgorin":  # the slack of the lemma's sum is shared by the λ_i and both sides of p
+    if name == "gershgorin":  # the slack of the lemma's sum is shared by the λ_i and both sides of p
         shares = [ai / (1 - wi) for ai, wi in sizes]
-        quarter = power_below((2 - _sum(shares)) / 4)
+        quarter = power_below((2 - pairwise_sum(shares)) / 4)
         lam = [share + quarter / n for share in shares]
-        least = _sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
+        least = pairwise_sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
         return Multipliers((least // quarter + 1) * quarter, lam)
     # λ_i = |a_i|/(κ |w_i|); where one of the two is zero, a value that keeps its share of the slack below 1/(4n)
     slack = power_below(1 - found / rate)
@@ -192,8 +214,8 @@ def proves(condition: str, a: ArrayLike, w1: ArrayLike, found: Multipliers, rate
     if condition in ("simple", "gershgorin"):
         sizes = [(abs(ai) / rate, abs(wi)) for ai, wi in zip(fractions(a), fractions(w1), strict=True)]
         dominated = all(x > ai + x * wi for x, (ai, wi) in zip(lam, sizes, strict=True))
-        first = 2 - p > _sum([ai for ai, _ in sizes])
-        second = p > _sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
+        first = 2 - p > pairwise_sum([ai for ai, _ in sizes])
+        second = p > pairwise_sum([x * wi for x, (_, wi) in zip(lam, sizes, strict=True)])
         equal = condition == "gershgorin" or (p == 1 and all(x == Fraction(1, len(lam) + 1) for x in lam))
         if not (dominated and first and second and equal):
             return False
@@ -206,7 +228,7 @@ def power_below(x: Fraction) -> Fraction:
     return Fraction(2) ** bits
 
 
-def _sum(values: Sequence[Fraction]) -> Fraction:
+def pairwise_sum(values: Sequence[Fraction]) -> Fraction:
     """The sum, pairwise, which keeps the denominators small."""
     values = list(values)
     while len(values) > 1:

@@ -61,7 +61,9 @@ class LearningBound(NamedTuple):
     steps: np.ndarray  # (k + 1,) of Δ_0 … Δ_k, by (1)
 
     def after(self, k: int) -> float:
-        """(2), from ‖Δ_0‖."""
+        """(2), from ‖Δ_0‖; infinite where κ ≥ 1 and the weights differ."""
+        if math.inf in (self.rate, self.limit):
+            return math.inf
         return float_above(Fraction(self.rate) ** k * Fraction(float(self.steps[0])) + Fraction(self.limit))
 
 
@@ -90,7 +92,7 @@ def bound(
             computed, exactly, over all slopes of φ.
 
     Raises:
-        CertifyError: weights of different shapes, two hidden layers, a box or a start that does not fit.
+        CertifyError: weights of different shapes, two hidden layers, a box, a start or a κ that does not fit.
 
     >>> one = VectorWeights(None, [[0.5]], [[1.0]], [[0.0]], [0.0])
     >>> found = bound([one, one], [one, one._replace(A=[[0.25]])], Box(np.zeros(2), np.ones(2)), 1.0)
@@ -98,9 +100,11 @@ def bound(
     (0.5, 0.25, [1.0, 0.5])
     """
     pairs, boxes = _checked(first, second, box, start)
+    if kappa is not None and not 0 <= kappa < math.inf:
+        raise CertifyError(f"kappa: found {kappa}, expected a finite rate of 0 or more")
     T = identity(len(pairs[0][0].R)) if scaling is None else scaling
     most = gradient = distance = ZERO
-    bounds, known = [Fraction(start)], dict[int, Fraction]()
+    steps, known = [float_above(Fraction(start))], dict[int, Fraction]()
     for (own, other), here in zip(pairs, boxes, strict=True):
         key = id(own)  # frozen weights are one object
         if key not in known:
@@ -109,11 +113,11 @@ def bound(
         steepest = gradient_bound(own, other, here, phi, norm, T) if apart else ZERO
         change = min(steepest * apart, change_bound(own, other, here, phi, norm, T)) if apart else ZERO
         most, gradient, distance = max(most, known[key]), max(gradient, steepest), max(distance, apart)
-        bounds.append(Fraction(float_above(known[key] * bounds[-1] + change)))
+        before = steps[-1]
+        steps.append(float_above(known[key] * Fraction(before) + change) if before < math.inf else math.inf)
     limit = math.inf if most >= 1 else float_above(gradient * distance / (1 - most))
-    steps = np.array([float_above(x) for x in bounds])
     sizes = float_above(most), float_above(gradient), float_above(distance)
-    return LearningBound(*sizes, limit if distance else 0.0, steps)
+    return LearningBound(*sizes, limit if distance else 0.0, np.array(steps))
 
 
 def weight_distance(first: VectorWeights, second: VectorWeights) -> Fraction:

@@ -6,6 +6,7 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -15,6 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from certify import vector_printed
+from certify.errors import folded
 from certify.exact import CORNER
 from certify.rounding import above, below
 from certify.sweep_rows import ranges, short_keys, short_values
@@ -48,13 +50,19 @@ def show(
         paths, shared = _short([row["path"] for row in vectors])
         _print(console, f"Below {shared}: proved rates, < 1 contracts", *vector_printed.table(vectors, paths, dt))
         lines += vector_printed.summary(vectors)
-    console.print(*lines, *notes, sep="\n", soft_wrap=True)
+    _say(console, *lines, *notes)
 
 
 def _console() -> Console:
     """A console as wide as the terminal; without a limit for a file or a pipe, unless COLUMNS sets one."""
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else UNLIMITED
     return Console(markup=False, highlight=False, width=width)
+
+
+def _say(console: Console, *lines: str, style: str | None = None) -> None:
+    """Print lines, broken between words."""
+    for line in lines:
+        console.print(folded(line, console.width), style=style, soft_wrap=True)
 
 
 def _print(
@@ -83,7 +91,7 @@ def _print(
         if blocks[-1] and sum(widths[j] + GAP for j in (0, *blocks[-1], k)) > console.width:
             blocks.append([])
         blocks[-1].append(k)
-    console.print(Text(title, "italic"), soft_wrap=True)
+    _say(console, title, style="italic")
     for block in blocks:
         table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
         for k in (0, *block):
@@ -260,7 +268,7 @@ def show_sweep(
         shown = ", ".join(f"{key}={value}" for key, value in values if value is not None)
         console.print(f"job {row['jobs'][0]}{f' ({shown})' if shown else ''}: {row['error']}")
     for note in notes:
-        console.print(note, soft_wrap=True)
+        _say(console, note)
 
 
 def _error(mean: float | None, deviation: float | None) -> str:
@@ -272,6 +280,12 @@ def _error(mean: float | None, deviation: float | None) -> str:
     if mean is None:
         return "–"
     return f"{mean:.4f}" if deviation is None else f"{mean:.4f}±{deviation:.4f}"
+
+
+def busy(what: str):
+    """A context that says at a terminal what is done, on the standard error stream; nothing is left of it."""
+    console = Console(stderr=True)
+    return console.status(what) if console.is_terminal else nullcontext()
 
 
 def progress(items: Sequence, lines: str):
@@ -286,13 +300,14 @@ def show_comparison(result: dict[str, Any]) -> None:
     from certify.comparison_tables import headline, highlights, parts, settings
 
     console = _console()
-    console.print(headline(result), *highlights(result), sep="\n", soft_wrap=True)
+    _say(console, headline(result), *highlights(result))
     for part in parts(result):
-        console.print(f"\n{part.title}", style="bold", soft_wrap=True)
+        console.print()
+        _say(console, part.title, style="bold")
         for sentence in part.said:
-            console.print(f"  {sentence}", soft_wrap=True)
+            _say(console, f"  {sentence}")
         console.print()
         for table in part.tables:
             _print(console, *table)
     for sentence in settings(result):
-        console.print(sentence, soft_wrap=True)
+        _say(console, sentence)

@@ -31,6 +31,7 @@ from certify.certificate import (
     signed,
 )
 from certify.errors import CertifyError, shortened
+from certify.exact import lemma_is_long
 from certify.rounding import above, below, float_below
 from certify.steps import stepped
 from certify.vector_exact import NORMS, Matrix, Proof
@@ -42,6 +43,7 @@ BY_MATRIX = CONDITIONS[:3]
 OWN_KEYS = KEYS | {"states", "activation"}
 LONGEST_NUMBER = 120  # characters of an entry of P or Λ, or of a step
 LONGEST_SCALING = 40  # of an entry of T: the exact rate multiplies it with every weight
+LONGEST_CHECK = "about 5 s"  # `vector_exact.WORK`, in words
 SMALLEST_RATE = Fraction(1, 1000)  # that is claimed; a solver cannot tell a smaller one from zero
 
 
@@ -164,6 +166,9 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
         found = Proof(_matrix(proof["metric"]), _matrix(proof["multipliers"]))
         if condition != "tight" and (phi.name != "relu" or (condition == "gershgorin" and weights.V is not None)):
             return f"its condition {condition} is about another kind of network"
+        long = condition == "gershgorin" and lemma_is_long(weights.W)
+        if long or vector_exact.effort(weights) > vector_exact.WORK:
+            return f"the network is too large: the check would take longer than {LONGEST_CHECK}"
         most = phi.most if condition == "tight" else Fraction(2)
         if not vector_exact.proves(weights, phi, found, kappa, most):
             return "its P and Λ do not make M positive definite, or take too long to check"
@@ -174,6 +179,9 @@ def _refusal(content: dict[str, Any], network: VectorNetwork) -> str | None:
     q = len(weights.R)
     if proof["norm"] not in NORMS or len(scaling) != q or any(len(row) != q for row in scaling):
         return "its norm or its T is of another kind"
+    leaves = str(proof.get("tree", "")).count(".")
+    if vector_exact.effort(weights, scaling, leaves) > vector_exact.WORK:
+        return f"its T is too long, or the network too large: the check would take longer than {LONGEST_CHECK}"
     if condition == "exact":
         step = _number(proof["step"])
         if not step > 0 or not _below(_exact_rate(weights, phi, proof["norm"], scaling, step), kappa):

@@ -36,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from certify.errors import CertifyError
-from certify.exact import definiteness, power_below
+from certify.exact import definiteness, pairwise_sum, power_below
 from certify.vector_weights import Activation, VectorWeights
 
 ZERO, ONE = Fraction(0), Fraction(1)
@@ -205,7 +205,7 @@ def gershgorin(weights: VectorWeights) -> tuple[Fraction, Fraction | None]:
     for r, (row, own) in enumerate(zip(A, R, strict=True)):
         total = sum(own, ZERO) + sum((other[r] for other in R), ZERO) + sum(row, ZERO)
         shares = [w[r] * column / left for w, column, left in zip(W, columns, room, strict=True) if left > 0]
-        sums.append(total + sum(shares, ZERO))
+        sums.append(total + pairwise_sum(shares))
     half = max(sums) / 2
     return min(1 - half, least), half if least > 0 else None
 
@@ -255,9 +255,10 @@ def inequality(
     def put(i: int, j: int, block: Matrix) -> None:
         for r, row in enumerate(block):
             for c, x in enumerate(row):
-                M[starts[i] + r][starts[j] + c] += x
-                if i != j:
-                    M[starts[j] + c][starts[i] + r] += x
+                if x:
+                    M[starts[i] + r][starts[j] + c] += x
+                    if i != j:
+                        M[starts[j] + c][starts[i] + r] += x
 
     put(0, 0, P)
     put(0, 1, product(P, R))
@@ -265,11 +266,41 @@ def inequality(
     put(1, 1, [[kappa * kappa * x for x in row] for row in P])
     for k, X in enumerate([W] if weights.V is None else [W, matrix(weights.V)]):
         weighted = [[x * y for x in row] for row, y in zip(X, lam[k], strict=True)]  # Λ X
-        put(2 + k, 2 + k, [[2 * y * (i == j) for j in range(len(X))] for i, y in enumerate(lam[k])])
+        for i, y in enumerate(lam[k], starts[2 + k]):
+            M[i][i] += 2 * y
         put(1 + k, 2 + k, [[-(alpha + beta) * x for x in row] for row in transposed(weighted)])
         if alpha * beta:
             put(1 + k, 1 + k, [[2 * alpha * beta * x for x in row] for row in product(transposed(X), weighted)])
     return M
+
+
+def effort(weights: VectorWeights, scaling: Matrix | None = None, leaves: int = 0) -> float:
+    """About how many ns it takes to check a proof, told from the sizes and before any work: compare with `WORK`.
+
+    Args:
+        weights: of one network.
+        scaling: T of a rate (2), `(q, q)`; without it, of M (3), before its LDLᵀ.
+        leaves: of a tree of boxes.
+
+    Raises:
+        CertifyError: T is singular.
+
+    >>> from certify.vector_weights import check
+    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    >>> effort(net), effort(net, [[Fraction(1)]]) < effort(net, [[Fraction(1, 3**40)]]) < WORK
+    (1350.0, True)
+    """
+    q, n, last = len(weights.R), len(weights.b), 0 if weights.c is None else len(weights.c)
+    if scaling is None:
+        return 150.0 * (2 * q + n + last) ** 2
+    back = inverse(scaling)
+    if back is None:
+        raise CertifyError("scaling: found a singular T, expected a regular one")
+    numbers = [*itertools.chain(*scaling), *itertools.chain(*back)]
+    bits = 106 + sum(over_one_denominator(X)[1].bit_length() for X in (scaling, back))
+    bits += max(x.numerator.bit_length() - x.denominator.bit_length() for x in numbers)
+    fractions, whole = (5 if leaves else 2) * n * q * q, float(2 ** (q + 1) * (n * q + (n + q) * last))
+    return fractions * (4000 + 5 * bits + bits**2 / 4000) + whole * (100 + bits**2 / 4000 * (1 + leaves / 4))
 
 
 def proves(

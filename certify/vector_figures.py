@@ -15,8 +15,12 @@ PAIRS = 24  # of starts
 STEPS = 60
 PATTERNS = 300  # activation patterns whose Jacobian is drawn, at most
 FAINTEST = 1e-12  # relative distance, where rounding begins
+FARTHEST = 1e30  # that is drawn
+
+QUIET = np.errstate(all="ignore")  # weights near the ends of a float's range
 
 
+@QUIET
 def contraction_figure(network: VectorNetwork, row: Mapping[str, Any], scaling: np.ndarray):
     """How fast pairs of starts come together, beside what is proved; and the unit ball of the norm with its images.
 
@@ -37,15 +41,17 @@ def contraction_figure(network: VectorNetwork, row: Mapping[str, Any], scaling: 
     )
     figure.suptitle(network.path, fontsize=10, color=INK)
     axes, *others = np.ravel(figure.subplots(1, 2 if q > 1 else 1))
-    distances = _distances(network, scaling, order)
+    distances = _distances(network, scaling, order)  # an overflow is no finite distance, and is not drawn
+    finite = distances[distances < FARTHEST]
     steps = np.arange(len(distances))
-    axes.plot(steps, distances, color=PALE, linewidth=0.8, alpha=0.7)
+    axes.plot(steps, np.where(distances < FARTHEST, distances, np.nan), color=PALE, linewidth=0.8, alpha=0.7)
     axes.plot([], [], color=PALE, label=f"{PAIRS} pairs of starts, equal random inputs")
     rate = row["rates"]["exact"]
-    axes.plot(steps, np.maximum(rate**steps, FAINTEST), color=TIER_COLOURS["tight"], linewidth=2,
+    axes.plot(steps, np.clip(rate**steps, FAINTEST, FARTHEST), color=TIER_COLOURS["tight"], linewidth=2,
               label=f"exact rate over all patterns, {rate:.4g}")  # fmt: skip
     axes.set(yscale="log", xlabel="step k", ylabel="distance in the norm / that of the starts", title="Pairs of starts")
-    axes.set_ylim(max(FAINTEST, distances.min() / 2), 2 * max(1.0, min(rate, 1.2) ** STEPS, distances.max()))
+    highest = 2 * max(1.0, min(rate, 1.2) ** STEPS, finite.max())
+    axes.set_ylim(max(FAINTEST, finite.min() / 2), min(highest, FARTHEST))
     for pane in others:
         _draw_balls(pane, network, scaling, order)
     for pane in (axes, *others):

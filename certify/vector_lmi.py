@@ -25,7 +25,7 @@ from certify.errors import CertifyError
 from certify.lmi import TOLERANCE, import_cvxpy, quietly
 from certify.vector_balance import Balanced, balance
 from certify.vector_exact import Proof, proves
-from certify.vector_weights import Activation, VectorWeights, check
+from certify.vector_weights import Activation, VectorWeights, check, refuse_large
 
 QUIET = np.errstate(all="ignore")  # weights near the ends of a float's range; what is claimed is proved in fractions
 SMALLEST = 2.0**-12  # rate of the balanced network: one whose slopes are all zero has the rate 0, which is no κ
@@ -66,7 +66,7 @@ def smallest_rate(weights: VectorWeights, phi: Activation, most: int = 1, solver
         solver: CLARABEL, or any installed solver of cvxpy that takes semidefinite programs.
 
     Raises:
-        CertifyError: weights that are no network, a `most` other than 1 and 2, a solver that is not installed.
+        CertifyError: weights that are no network or too large, a `most` other than 1 and 2, no such solver.
 
     >>> from certify.vector_weights import RELU
     >>> net = VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0])
@@ -138,6 +138,7 @@ def _one(weights: VectorWeights, most: int) -> VectorWeights:
     weights = check(weights)
     if weights.b.ndim != 1:
         raise CertifyError(f"weights: found a batch of shape {weights.b.shape[:-1]}, expected one network")
+    refuse_large(weights)
     if most not in (1, 2):
         raise CertifyError(f"most: found {most}, expected 1 (slopes up to 1) or 2 (the paper's Λ, slopes up to 2)")
     return weights

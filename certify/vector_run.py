@@ -12,7 +12,7 @@ import numpy as np
 
 from certify import certificate, vector_certificate
 from certify.box import box
-from certify.errors import CertifyError
+from certify.errors import CertifyError, about
 from certify.vector_assess import STEPS, assess, best
 from certify.vector_weights import VectorNetwork
 
@@ -56,11 +56,12 @@ def judge(options: argparse.Namespace, networks: Sequence[VectorNetwork]) -> Jud
             boxes[network.states, network.inputs] = _box(options.box, network)
     for each in _shown(networks):
         try:
-            _refuse_condition(options.condition, each)
-            where = boxes.get((each.states, each.inputs))
-            row, made = assess(each, where, options.seconds, solver, options.steps)
+            with about(each.path):
+                _refuse_condition(options.condition, each)
+                where = boxes.get((each.states, each.inputs))
+                row, made = assess(each, where, options.seconds, solver, options.steps)
         except CertifyError as error:  # the other networks are still judged
-            judged.failures.append(CertifyError(f"{each.path}: {error}"))
+            judged.failures.append(error)
             continue
         name = best(made, options.condition)
         judged.networks.append(each)

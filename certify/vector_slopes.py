@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from certify.box_planes import Box, Region, integers, region
+from certify.errors import CertifyError
 from certify.vector_exact import Slopes
 from certify.vector_weights import Activation, VectorWeights
 
@@ -199,7 +200,8 @@ def _tanh_lines(least: int, most: int, bits: int) -> tuple[int, int, int, int]:
     down, up = value_bounds(phi, middle, bits)
     reach = max(most - middle, middle - least)
     if least >= 0 and most > least:  # concave
-        chord = (value_bounds(phi, most, bits)[0] - low) // (most - least)
+        # the bounds of two near points may fall, though tanh rises, and `through` needs a slope of 0 or more
+        chord = max((value_bounds(phi, most, bits)[0] - low) // (most - least), 0)
         below = min(value_bounds(phi, z, bits)[0] - chord * z for z in (least, most))
         tangent, upper = tanh_slope(middle, middle, bits)
         return chord, below, tangent, up - tangent * middle + (upper - tangent) * reach
@@ -224,10 +226,10 @@ def layer(matrix: Any, constants: Any) -> Layer:
     """V φ + c, or A φ, of floats.
 
     Raises:
-        TypeError: fractions, which no power of two makes integers.
+        CertifyError: fractions, which no power of two makes integers.
     """
     if np.asarray(matrix).dtype != np.float64:
-        raise TypeError(f"found a matrix of {np.asarray(matrix).dtype}, expected float64")
+        raise CertifyError(f"weights: found a matrix of {np.asarray(matrix).dtype}, expected float64")
     rows, width = np.asarray(matrix), np.shape(matrix)[1] + 1
     flat, bits = integers(np.concatenate([rows, np.asarray(constants)[:, None]], 1))
     split = [flat[i * width : (i + 1) * width] for i in range(len(rows))]

@@ -94,15 +94,17 @@ def gains(weights: VectorWeights, phi: Activation, box: Box, norm: str, scaling:
     if norm == "one":
         base, steps = transposed(base), [transposed(step) for step in steps]
     unit = math.lcm(*(x.denominator for X in (base, *steps) for row in X for x in row))
-    start, *gain = [[x.numerator * (unit // x.denominator) for x in _signed_sums(X)] for X in (base, *steps)]
+    start, *gain = [
+        _signed_sums([[x.numerator * (unit // x.denominator) for x in row] for row in X]) for X in (base, *steps)
+    ]
     kept = list(planes.values())
     return Gains(Layer([row for row, _ in kept], [c for _, c in kept], first.bits), start, gain, unit)
 
 
-def _signed_sums(X: Matrix) -> list[Fraction]:
+def _signed_sums(X: list[list[int]]) -> list[int]:
     """[X ε]_r for all (r, ε)."""
     signs = list(itertools.product((-1, 1), repeat=len(X)))
-    return [sum((x * sign for x, sign in zip(row, each, strict=True)), Fraction(0)) for row in X for each in signs]
+    return [sum(x * sign for x, sign in zip(row, each, strict=True)) for row in X for each in signs]
 
 
 def slopes_on(

@@ -10,6 +10,7 @@ IV-B) is q = 1, R = 0 and relu, `certify.weights.ShallowWeights`.
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Mapping
 from fractions import Fraction
@@ -19,10 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from certify.errors import CertifyError, quoted, shortened
-from certify.weights import LARGEST, Network, ShallowWeights, as_float64, holds_shallow, read_tensors
+from certify.weights import LARGEST, Network, ShallowWeights, as_float64, holds_shallow, read_tensors, refuse_many
 from certify.weights import from_tensors as shallow_networks
 
 MOST_STATES = 6  # q; the exact rate takes the 2^q signs of x
+LARGEST_OF_TWO = 1e100  # largest weight with two hidden layers, where a slope is a product of three weights
 MOST_DIGITS = 60  # of a leak
 
 
@@ -130,6 +132,17 @@ def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
     return VectorWeights(**arrays)
 
 
+def refuse_large(weights: VectorWeights, name: str = "weights") -> None:
+    """Refuse weights whose products along the layers, and their sums, may exceed a float.
+
+    Raises:
+        CertifyError: a weight above 1e150; with two hidden layers, above 1e100.
+    """
+    largest = LARGEST if weights.V is None else LARGEST_OF_TWO
+    if (size := max(np.abs(x).max(initial=0.0) for x in weights if x is not None)) > largest:
+        raise CertifyError(f"{name}: found a weight of {size:.3g}, expected none above {largest:g}")
+
+
 def forward(network: VectorNetwork, x: Any, u: Any) -> np.ndarray:
     """x⁺ of (1) in floats, `(*batch, q)`, from x `(*batch, q)` and u `(*batch, m)`.
 
@@ -168,12 +181,14 @@ def digest(weights: VectorWeights) -> str:
     return total.hexdigest()
 
 
-def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", phi: Activation = RELU) -> list[VectorNetwork]:
+def from_tensors(
+    tensors: Mapping[str, Any], path: str = "tensors", phi: Activation = RELU, most: float = math.inf
+) -> list[VectorNetwork]:
     """Every network (1) among named tensors, lane by lane; empty where there is none.
 
     Names end in `A`, `W`, `W2`, `b` after a common prefix, with `R` where there is a skip connection, and `V`, `c`
     where there is a second hidden layer. The linear layers of a torch module are accepted, too: two or three, the first
-    with (n, q + m) weights, those of the state first, the last with (q, n) and no bias.
+    with (n, q + m) weights, those of the state first, the last with (q, n) and no bias. There may be `most` networks.
 
     >>> net = {"net.A": [[0.5]], "net.W": [[1.0]], "net.W2": [[0.0]], "net.b": [0.0]}
     >>> from_tensors(net)[0].states
@@ -186,13 +201,12 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", phi: Activat
         named = {name: tensors.get(prefix + name) for name in VectorWeights._fields}
         found.append((prefix.rstrip("."), VectorWeights(**named)))
     found = found or [("", each) for each in _layers(tensors, path)]
-    networks = []
+    networks: list[VectorNetwork] = []
     for prefix, weights in found:
         label = path if len(found) == 1 else f"{path}:{prefix}"
         arrays = check(weights, label)
-        present = [x for x in arrays if x is not None]
-        if (size := max(np.abs(x).max(initial=0.0) for x in present)) > LARGEST:
-            raise CertifyError(f"{label}: found a weight of {size:.3g}, expected none above {LARGEST:g}")
+        refuse_large(arrays, label)
+        refuse_many(len(networks) + math.prod(arrays.b.shape[:-1]), most, label)
         for lane in np.ndindex(arrays.b.shape[:-1]):
             own = VectorWeights(*(None if x is None else x[lane] for x in arrays))
             name = f"[{','.join(map(str, lane))}]" if lane else ""
@@ -224,18 +238,18 @@ def _layers(tensors: Mapping[str, Any], path: str) -> list[VectorWeights]:
 
 
 def read_both(
-    path: str | Path, phi: Activation = RELU, as_vectors: bool = False
+    path: str | Path, phi: Activation = RELU, as_vectors: bool = False, most: float = math.inf
 ) -> tuple[list[Network], list[VectorNetwork]]:
     """The shallow networks and the networks (1) in a file.
 
     With another activation, or `as_vectors`, all are of the second kind.
 
     Raises:
-        CertifyError: as `certify.weights.load`.
+        CertifyError: as `certify.weights.load`; or there are more than `most` of a kind.
     """
     tensors = read_tensors(path)
-    vectors = from_tensors(tensors, str(path), phi)
-    shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path))
+    vectors = from_tensors(tensors, str(path), phi, most)
+    shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path), most)
     if phi == RELU and not as_vectors:
         return shallow, vectors
     return [], vectors + [VectorNetwork(each.path, of_shallow(each.weights), phi) for each in shallow]

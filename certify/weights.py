@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import glob
 import hashlib
+import math
 import re
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
@@ -118,11 +119,12 @@ def digest(weights: ShallowWeights) -> str:
     return total.hexdigest()
 
 
-def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Network]:
+def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", most: float = math.inf) -> list[Network]:
     """Every shallow network among named tensors, lane by lane.
 
     Names end in `a`, `w1`, `W2`, `b` after a common prefix (`members.rnn.weights.a`). Two linear layers are accepted,
-    too: the first with (n, 1 + m) weights, those of the state in column 0, the second with (1, n) and no bias.
+    too: the first with (n, 1 + m) weights, those of the state in column 0, the second with (1, n) and no bias. There
+    may be `most` networks.
 
     >>> from_tensors({"net.a": [0.5], "net.w1": [1.0], "net.W2": [[0.0]], "net.b": [0.0]})[0].path
     'tensors'
@@ -140,12 +142,13 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
             f"{path}: holds no shallow network (it holds: {shortened(', '.join(tensors)) or 'nothing'}): expected "
             "tensors named a, w1, W2 and b, or two linear layers"
         )
-    networks = []
+    networks: list[Network] = []
     for prefix, weights in found:
         label = path if len(found) == 1 else f"{path}:{prefix}"
         arrays = check(weights, label)
         if (size := max(np.abs(x).max(initial=0.0) for x in arrays)) > LARGEST:
             raise CertifyError(f"{label}: found a weight of {size:.3g}, expected none above {LARGEST:g}")
+        refuse_many(len(networks) + math.prod(arrays.a.shape[:-1]), most, label)
         lanes = list(np.ndindex(arrays.a.shape[:-1]))
         if not lanes:
             raise CertifyError(f"{label}: holds no network, found a of the shape {arrays.a.shape}")
@@ -153,6 +156,19 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors") -> list[Netw
             own = "" if len(lanes) == 1 else f"[{','.join(map(str, lane))}]"
             networks.append(Network(label + own, ShallowWeights(*(x[lane] for x in arrays)), prefix + own))
     return networks
+
+
+def refuse_many(count: int, most: float, path: str) -> None:
+    """Refuse so many parameter sets, before any of them is compared with a certificate.
+
+    Raises:
+        CertifyError: there are more than `most`.
+    """
+    if count > most:
+        raise CertifyError(
+            f"{path}: found {count} parameter sets, expected at most {most} for --verify: save the ones that the "
+            "certificates are about"
+        )
 
 
 def holds_shallow(tensors: Iterable[str]) -> bool:

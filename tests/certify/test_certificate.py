@@ -313,3 +313,21 @@ def test_every_certificate_says_contracting():
     for rate in (0, 2, float("nan")):
         with pytest.raises(CertifyError, match="rate"):
             certificate.make(weights, rate=rate)
+
+
+@pytest.mark.parametrize("condition", certificate.CLOSED_FORMS)
+@pytest.mark.parametrize("n", [4000, 20_000])
+def test_weights_with_many_digits_do_not_make_a_check_long(condition, n):
+    """The claims, which come from the weights, took 7 s with 2000 neurons, growing with their square."""
+    rng = np.random.default_rng(0)
+    small = rng.normal(size=n) * 1e-150
+    weights = ShallowWeights(rng.normal(size=n) * 1e-6, small, np.zeros((n, 1)), np.zeros(n))
+    content = certificate.make(
+        ShallowWeights([0.1, -0.1], [0.3, 0.2], [[0.0], [0.0]], [0.0, 0.0]), condition, rate=Fraction(1, 2)
+    ) or certificate.make(ShallowWeights([0.1, -0.1], [0.3, 0.2], [[0.0], [0.0]], [0.0, 0.0]), "tight")
+    content |= {"condition": condition, "neurons": n, "inputs": 1, "weights": certificate.digest(weights)}
+    content["sha256"] = certificate._checksum(content)
+    began = time.perf_counter()
+    found = certificate.verify(content, weights)
+    assert not found.valid and time.perf_counter() - began < 5
+    assert ("about 5 s" in found.reason) == (n > certificate.MOST_ROWS or condition == "gershgorin")

@@ -1,10 +1,12 @@
 """python -m certify, as it is typed: JSON, exit codes, certificates, pictures, and one sentence for bad input."""
 
+import itertools
 import json
 import os
 import re
 import subprocess
 import sys
+import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -14,7 +16,8 @@ import pytest
 from certify.__main__ import main
 from certify.printed import show
 from certify.rounding import above, below
-from certify.weights import ShallowWeights
+from certify.vector_weights import VectorNetwork
+from certify.weights import Network, ShallowWeights
 from tests.support import ROOT
 from usvlearn import AID, RNN, Ensemble
 from usvlearn.checkpoint import save
@@ -93,6 +96,105 @@ def test_rates_of_any_size_have_a_time_constant(files, capsys):
     assert rows[1]["rate"] == 1 and rows[1]["time_constant"] == pytest.approx(2**53, rel=0.01)
 
 
+def near_one(bits: int) -> ShallowWeights:
+    """K = 1 − 2^−bits: the sum of 1 − 2⁻⁵³, 2⁻⁵³ (1 − 2⁻⁵³) …"""
+    ends = [*range(0, bits, 53), bits]
+    parts = [
+        (max(-lo, -1000), (1 - 2.0 ** (lo - hi)) * 2.0 ** min(1000 - lo, 0)) for lo, hi in itertools.pairwise(ends)
+    ]
+    a, w1 = np.array([2.0**e for e, _ in parts]), np.array([w for _, w in parts])
+    return ShallowWeights(a, w1, np.zeros((len(a), 4)), np.full(len(a), 0.1))
+
+
+@pytest.mark.parametrize(
+    "options", [[], ["--box", "--seconds", "0.2"], ["--plot", "map.png"], ["--certificate", "proofs"]]
+)
+def test_a_rate_nearer_to_one_than_any_float_is_certified(files, capsys, monkeypatch, options):
+    monkeypatch.chdir(files)
+    weights = near_one(1113)
+    pairs = zip(weights.a.tolist(), weights.w1.tolist(), strict=True)
+    assert sum(Fraction(x) * Fraction(y) for x, y in pairs) == 1 - Fraction(1, 2**1113)
+    np.savez("near.npz", **weights._asdict())
+    wide = {"A": np.stack([weights.a, 0 * weights.a]), "W": np.stack([weights.w1, 0 * weights.w1], -1)}
+    np.savez("wide.npz", **wide, W2=weights.W2, b=weights.b)
+    assert main(["near.npz", "wide.npz", "good.npz", *options]) == 0
+    assert "2 of 2 certified contracting by tight" in capsys.readouterr().out
+    code, rows = told(capsys, "near.npz", "wide.npz", "good.npz", *options)
+    assert code == 0 and [row["time_constant"] is None for row in rows] == [True, False, True]
+    assert not options[:1] == ["--certificate"] or main(["--verify", *map(str, Path("proofs").glob("*"))]) == 0
+
+
+@pytest.mark.parametrize("size", [1e150, 1e100, 5e-324])
+@pytest.mark.parametrize(
+    "options", [["--json"], ["--lmi"], ["--steps", "--box", "--seconds", "0.2"], ["--plot", "m.png"]]
+)
+def test_weights_of_any_size_end_in_a_verdict_or_in_one_sentence(files, capsys, monkeypatch, size, options):
+    monkeypatch.chdir(files)
+    ones = {"A": np.ones((2, 2)), "W": np.ones((2, 2)), "W2": np.ones((2, 1)), "b": np.ones(2)}
+    one = {**ones, "R": np.ones((2, 2))}
+    two = {**ones, "V": np.ones((2, 2)), "c": np.ones(2)}
+    shallow = near_one(60)._asdict()
+    for name, network in {"one": one, "two": two, "shallow": shallow}.items():
+        np.savez(f"{name}.npz", **{key: size * x for key, x in network.items()})
+        code = main([f"{name}.npz", "good.npz", *options])
+        output = capsys.readouterr()
+        assert code in (0, 1, 2) and "good" in output.out
+        assert len(output.err.split("\n")) <= 2 and bool(output.err.strip()) == (code == 2)
+        assert code != 2 or output.err.strip().startswith(f"error: {name}.npz: ")
+
+
+def test_a_certified_set_whose_proof_is_too_long_stops_no_other(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    rng = np.random.default_rng(0)
+    w1 = rng.uniform(1, 2, 400) * 2.0 ** -rng.integers(900, 1000, 400)
+    np.savez("long.npz", a=np.zeros(400), w1=w1, W2=np.zeros((400, 1)), b=np.zeros(400))
+    assert main(["long.npz", "good.npz", "--certificate", "proofs"]) == 2
+    output = capsys.readouterr()
+    assert "long.npz: is certified, but its proof is longer" in output.err and "1 certificates" in output.out
+    assert [path.name for path in Path("proofs").iterdir()] == ["good.tight.json"]
+
+
+def test_errors_that_nobody_foresaw_stop_no_other_set(files, capsys, monkeypatch):
+    from certify import assess, vector_run
+
+    def fails(network, *rest):
+        if "good" in network.path:
+            raise OverflowError("too large")
+        return known[type(network)](network, *rest)
+
+    known = {type(n): f for n, f in ((Network("", None), assess.assess), (VectorNetwork("", None), vector_run.assess))}
+    monkeypatch.setattr(assess, "assess", fails)
+    monkeypatch.setattr(vector_run, "assess", fails)
+    for more in ([], ["--activation", "tanh"]):
+        assert main([str(files / "good.npz"), str(files / "off.npz"), *more]) == 2
+        output = capsys.readouterr()
+        assert "good.npz: cannot be judged (OverflowError: too large)" in output.err and "off" in output.out
+    monkeypatch.setattr("certify.__main__.find", lambda paths: 1 // 0)
+    assert main([str(files / "good.npz")]) == 3
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_verification_compares_no_more_than_some_thousand_sets(files, capsys, monkeypatch):
+    """Told from the shapes: 250,000 sets of one neuron are 8 MB."""
+    monkeypatch.chdir(files)
+    assert main(["good.npz", "--certificate", "proofs"]) == 0
+    (proof,) = map(str, Path("proofs").iterdir())
+    lanes = {"a": np.full((250_000, 1), 0.6), "w1": np.ones((250_000, 1)), "b": np.zeros((250_000, 1))}
+    np.savez("many.npz", **lanes, W2=np.zeros((250_000, 1, 0)))
+    wide = {"A": lanes["a"][:, None], "W": lanes["w1"][..., None], "b": lanes["b"], "W2": np.zeros((250_000, 1, 0))}
+    np.savez("wide.npz", **wide)
+    capsys.readouterr()
+    for name in ("many", "wide"):
+        began = time.perf_counter()
+        assert main([f"{name}.npz", "--verify", proof]) == 2 and time.perf_counter() - began < 5
+        assert "found 250000 parameter sets, expected at most 10000" in capsys.readouterr().err
+    text = Path(proof).read_text().replace("good.npz", "many.npz")
+    Path("named.json").write_text(text)
+    assert main(["--verify", "named.json", proof]) == 2
+    output = capsys.readouterr()
+    assert "named.json: many.npz: found 250000" in output.err and f"{proof}: valid" in output.out
+
+
 def test_a_runs_folder_and_a_pattern(files, capsys):
     code, rows = told(capsys, files / "run")
     assert code == 0 and [Path(row["path"]).parent.name for row in rows] == ["anna", "bert"]
@@ -119,7 +221,7 @@ def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
             text = capsys.readouterr().out
             head, blocks = text[: text.index(f"\n\n{len(rows)} of")].split("\n\n", 1)
             words = blocks.split()
-            assert head.startswith("Below ") and max(map(len, blocks.splitlines())) <= (columns or 10_000)
+            assert head.startswith("Below") and max(map(len, blocks.splitlines())) <= (columns or 10_000)
             assert columns or len(re.findall("─+", blocks)) == 1
             for row in rows:
                 assert {below(x, 3) for x in row["margins"].values()} | {above(row["rate"])} <= set(words)

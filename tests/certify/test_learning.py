@@ -125,6 +125,20 @@ def test_the_gradient_bound_is_reached_at_a_corner_and_the_distance_is_euclidean
         assert x <= root_above(x) ** 2 <= x * (1 + Fraction(1, 2**60))
 
 
+def test_bounds_that_no_float_holds_are_infinite():
+    one = VectorWeights(None, [[2.0]], [[1.0]], [[0.0]], [0.0])
+    box = Box(np.zeros(2), np.ones(2))
+    same, other = ([one] * 1100, [one._replace(A=[[1.5]])] * 1100)
+    for second in (same, other):
+        found = bound(same, second, box, 1.0)
+        assert found.rate == 2 and found.steps[-1] == np.inf and (np.diff(found.steps[:1000]) > 0).all()
+    assert found.limit == found.after(0) == found.after(1) == np.inf  # κ ≥ 1, and the weights differ
+    found = bound(same, same, box, 1.0)
+    assert (found.after(3), found.after(2000)) == (8.0, np.inf)
+    with pytest.raises(CertifyError, match="kappa"):
+        bound(same, other, box, 1.0, kappa=float("nan"))
+
+
 def test_what_does_not_fit_is_said():
     one = VectorWeights(None, [[0.5]], [[1.0]], [[0.0]], [0.0])
     deep, box = one._replace(V=[[1.0]], c=[0.0]), Box(np.zeros(2), np.ones(2))

@@ -15,10 +15,10 @@ from certify.box import operating_box
 from certify.box import rate as scalar_rate
 from certify.box_planes import Box
 from certify.errors import CertifyError
-from certify.vector_box import certify, invariance, rate
+from certify.vector_box import _witness, certify, invariance, rate
 from certify.vector_box_proof import bound, coordinates, proves, proves_range
 from certify.vector_points import norm_at, value_at
-from certify.vector_weights import RELU, VectorWeights, activation, check, of_shallow
+from certify.vector_weights import RELU, VectorNetwork, VectorWeights, activation, check, forward, of_shallow
 from certify.weights import ShallowWeights
 from tests.support.networks import SCALING, network, star, value, vector_network
 
@@ -224,3 +224,23 @@ def test_a_map_that_touches_an_end_of_its_interval_stays_inside(size):
     assert found[0] == "yes" and proves_range(of_shallow(shallow), RELU, box, found[1])
     beyond = shallow._replace(a=np.full(2, np.nextafter(1.0, 2)))
     assert scalar_invariance(beyond, box)[0] == invariance(of_shallow(beyond), RELU, box)[0] == "no"
+
+
+@pytest.mark.parametrize("norm", ["inf", "one"])
+def test_the_norm_at_a_point_is_that_of_the_jacobian_with_any_signs(norm):
+    """R and A D W of both signs, by differences of f."""
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        layers = rng.normal(size=(2, 2)), rng.normal(size=(2, 5)), rng.normal(size=(5, 2))
+        weights = check(VectorWeights(*layers, rng.normal(size=(5, 1)), rng.normal(size=5)))
+        point, step = rng.normal(size=3), 1e-7
+        ahead, behind = (
+            forward(VectorNetwork("", weights), point[:2] + s * np.eye(2), point[2:]) for s in (step, -step)
+        )
+        J = (ahead - behind).T / (2 * step)
+        expected = np.linalg.norm(J, np.inf if norm == "inf" else 1)
+        assert float(norm_at(weights, RELU, point, norm)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_without_a_point_nothing_is_known_from_below():
+    assert _witness(None, 2) == (0.0, None)

@@ -1,6 +1,7 @@
 """Certificates of networks with a vector state: made, verified, forged."""
 
 import copy
+import itertools
 import json
 import time
 from fractions import Fraction
@@ -26,6 +27,7 @@ from certify.vector_weights import (
     activation,
     check,
     forward,
+    from_tensors,
     of_shallow,
 )
 from certify.weights import ShallowWeights
@@ -155,6 +157,30 @@ def test_the_effort_of_verification_is_bounded(q, n, two):
     began = time.perf_counter()
     certificates.verify(described(claims, parts, "net.npz"), net)
     assert time.perf_counter() - began < 30  # about 5 s on an idle machine
+
+
+@pytest.mark.parametrize("condition", ["exact", "box", "tight"])
+def test_a_check_that_would_take_long_is_refused_before(condition):
+    """T with numbers as long as they may be, and thousands of neurons."""
+    rng, q, n = np.random.default_rng(2), 6, 6000
+    net = network(rng, q, n)
+    draw = iter(int(x) for x in rng.integers(10**17, 10**18, 100))
+    T = [[f"{next(draw)}1/{next(draw)}7" for _ in range(q)] for _ in range(q)]
+    parts = {"norm": "inf", "scaling": T, "step": "1"}
+    if condition == "box":
+        box = [["0", "1"]] * (q + 2)
+        parts = {"norm": "inf", "scaling": T, "box": box, "tree": ".", "invariance_tree": None}
+    if condition == "tight":
+        parts = {"metric": [[str(int(i == j)) for j in range(q)] for i in range(q)], "multipliers": [["1"] * n]}
+    claims = certificates._claims(net.weights, net.activation, condition, Fraction(1), parts)
+    began = time.perf_counter()
+    found = certificates.verify(described(claims, parts, "net.npz"), net)
+    assert not found.valid and "would take longer than about 5 s" in found.reason
+    assert time.perf_counter() - began < 5
+    small = network(np.random.default_rng(2), q, 40)  # with a T as long, but a smaller network
+    if condition != "tight":
+        claims = certificates._claims(small.weights, small.activation, condition, Fraction(1), parts)
+        assert "longer" not in certificates.verify(described(claims, parts, "net.npz"), small).reason
 
 
 def test_all_smaller_steps_are_certified():
@@ -355,3 +381,54 @@ def test_two_layers_of_the_papers_matrix_count_twice():
         J = net.weights.A @ (second[:, None] * net.weights.V) @ (first[:, None] * net.weights.W)
         size = np.linalg.norm(root @ J @ np.linalg.inv(root), 2)
         assert size <= float(Fraction(found["contraction_rate"])) * (1 + 1e-9)
+
+
+@pytest.mark.parametrize(("condition", "w"), [("gershgorin", 0.5), ("lmi", 1.0)])
+def test_one_layer_of_the_papers_matrix_claims_half_its_rate_and_no_less(condition, w):
+    """One state, where the slope between two points is known: any smaller claim is wrong."""
+    weights = check(VectorWeights(None, [[0.45]], [[w]], np.zeros((1, 0)), [0.0]))
+    net = VectorNetwork("net.npz", weights)
+    kappa = Fraction(9, 10) * Fraction(w) + Fraction(1, 1000)  # 2K and a little more
+    proof = smallest_rate(weights, RELU, 2).proof if condition == "lmi" else None
+    found = certificates.make(net, condition, rate=kappa, proof=proof)
+    claimed = Fraction(found["contraction_rate"])
+    x = np.array([[0.0], [1.0]])
+    slope = Fraction(float(np.diff(forward(net, x, np.zeros((2, 0))), axis=0)[0, 0]))
+    assert slope <= claimed == kappa / 2 < slope * Fraction(101, 100)
+    assert f"≤ {float(claimed):.6g} |x₁ − x₂|_P" in found["claim"]
+    skip = net._replace(weights=weights._replace(R=np.array([[0.2]]), A=np.array([[0.2]])))
+    rate, proof = Fraction(9, 10), smallest_rate(skip.weights, RELU, 2).proof if condition == "lmi" else None
+    with_skip = certificates.make(skip, condition, rate=rate, proof=proof)
+    assert Fraction(with_skip["contraction_rate"]) == rate  # R has no slope: nothing is halved
+
+
+@pytest.mark.parametrize("condition", ["gershgorin", "lmi"])
+def test_patterns_of_one_layer_stay_below_half_the_rate(condition):
+    rng = np.random.default_rng(13)
+    for _ in range(5):
+        net = network(rng)
+        A, W = rng.normal(size=(2, 4)), 0.3 * rng.uniform(-1, 1, (4, 2))
+        A *= 0.9 / float(vector_exact.gershgorin(check(net.weights._replace(R=np.zeros((2, 2)), A=A, W=W)))[1])
+        net = net._replace(weights=net.weights._replace(R=np.zeros((2, 2)), A=A, W=W))
+        found = made(condition, net)
+        bound = float(Fraction(found["contraction_rate"]))
+        root = np.linalg.cholesky([[float(Fraction(x)) for x in row] for row in found["proof"]["metric"]]).T
+        sizes = [
+            np.linalg.norm(root @ (A * slopes) @ W @ np.linalg.inv(root), 2)
+            for slopes in itertools.product((0.0, 1.0), repeat=4)
+        ]
+        assert max(sizes) <= bound * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("two", [False, True])
+def test_linear_layers_of_torch_are_the_same_network(two):
+    """The first layer's columns are x, then u; a bias of the last one would be an offset."""
+    net = network(np.random.default_rng(14), two=two)
+    weights = net.weights._replace(R=np.zeros((2, 2)))
+    tensors = {"0.weight": np.concatenate([weights.W, weights.W2], 1), "0.bias": weights.b}
+    tensors |= {"2.weight": weights.V, "2.bias": weights.c} if two else {}
+    (found,) = from_tensors({**tensors, "4.weight": weights.A, "4.bias": np.zeros(2)})
+    for given, expected in zip(found.weights, weights, strict=True):
+        np.testing.assert_array_equal(given, expected)
+    with pytest.raises(CertifyError, match="offset"):
+        from_tensors({**tensors, "4.weight": weights.A, "4.bias": np.ones(2)})

@@ -39,8 +39,8 @@ def test_floats_of_the_search_are_the_exact_rates():
 @pytest.mark.parametrize("norm", exact.NORMS)
 def test_best_diagonal_is_the_spectral_radius_of_a_positive_matrix(norm):
     rng = np.random.default_rng(1)
-    for q in (1, 2, 3, 6):
-        R = rng.uniform(0.1, 1, (q, q)) * 10 ** rng.uniform(-1, 1, (q, 1))
+    for q, size in ((1, 1.0), (2, 1.0), (3, 1e-9), (3, 1e9), (6, 1.0)):
+        R = size * rng.uniform(0.1, 1, (q, q)) * 10 ** rng.uniform(-1, 1, (q, 1))
         values = Values(linear(R), RELU, norm)
         radius = np.abs(np.linalg.eigvals(R)).max()
         assert values.largest(np.diag(best_diagonal(linear(R), RELU, norm))) == pytest.approx(radius, rel=1e-6)

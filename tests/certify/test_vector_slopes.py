@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from certify import vector_slopes
 from certify.box_planes import Box, region
 from certify.vector_exact import everywhere, rate
 from certify.vector_slopes import (
@@ -87,6 +88,24 @@ def test_lines_lie_on_both_sides_of_the_activation(name):
                     assert low <= value <= high
                     down, up = value_bounds(phi, z, bits)
                     assert Fraction(down, ONE << bits) <= value <= Fraction(up, ONE << bits)
+
+
+def test_no_line_of_tanh_falls_even_where_the_bounds_of_its_values_do(monkeypatch):
+    """Bounds may be too wide by some units. A slope below 0 would make the second layer's bounds wrong."""
+    known = vector_slopes.tanh_bounds
+    monkeypatch.setattr(
+        vector_slopes, "tanh_bounds", lambda z, bits: (known(z, bits)[0] - 3 * (z % 2), known(z, bits)[1])
+    )
+    source = random.Random(2)
+    for _ in range(200):
+        bits = source.choice([100, 130, 200])
+        least = 2 * source.randint(0, 20 << bits)
+        for ends in ((least, least + 1), (-least - 1, -least)):
+            s, t, S, T = lines(activation("tanh"), *ends, bits)
+            assert s >= 0 and S >= 0
+            for z in ends:
+                low, high = vector_slopes.value_bounds(activation("tanh"), z, bits)
+                assert s * z + t <= high and S * z + T >= low
 
 
 def drawn_network(rng: np.random.Generator, deep: bool) -> tuple[VectorWeights, Box]:
