@@ -7,7 +7,7 @@ from tests.support.known_boats import known_boat
 from usvlearn.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
 from usvlearn.controller.closed_loop import ahead_step, draws, simulate, steps_of
 from usvlearn.controller.design import Wanted, controller, facts
-from usvlearn.controller.design_text import lines
+from usvlearn.controller.design_text import parts
 from usvlearn.errors import ConfigError
 
 ROVER = Rover(1.5, 45, 0.3, 0.2, 0.1, 10.0, 10.0)
@@ -105,8 +105,8 @@ def test_a_wrong_option_is_named(wanted, said):
 def test_a_range_that_slow_boats_do_not_reach_is_told():
     boat = known_boat()
     top = float(boat.model.ahead.steady_speed(1.0))
-    told = [list(lines(controller(boat, Wanted(boats=20, range=(0.8, high))))) for high in (0.6 * top, 0.99 * top)]
-    assert ["slowest boats" in "".join(each) for each in told] == [False, True]
+    told = [list(parts(controller(boat, Wanted(boats=20, range=(0.8, high))))) for high in (0.6 * top, 0.99 * top)]
+    assert ["slowest boats" in "".join(map(str, each)) for each in told] == [False, True]
 
 
 def test_a_set_that_does_not_tell_its_step_asks_for_the_delay():

@@ -81,7 +81,7 @@ def test_missing_channels_are_told_with_a_configuration_of_their_format(run, tmp
     write_alog(path, {"NAV_HEADING": (np.arange(500) / 10, np.arange(500.0) % 360)})
     code, printed = run(path)
     assert code == 2
-    assert "copy configs/data/alog.yaml and name" in printed.err
+    assert f"copy {ROOT / 'configs' / 'data' / 'alog.yaml'} to my_boat.yaml" in " ".join(printed.err.split())
 
 
 def test_it_does_not_replace_a_file_unless_asked(run, log):
@@ -91,6 +91,10 @@ def test_it_does_not_replace_a_file_unless_asked(run, log):
     assert printed.err == "error: --output: my_boat.yaml exists: give another name, or --force to replace it\n"
     assert run(log, "--force")[0] == 0
     assert Path("my_boat.yaml").read_text() != "mine"
+    Path("other.png").write_text("mine")
+    code, printed = run(log, "--output", "other.yaml", "--plot")
+    assert (code, Path("other.png").read_text(), Path("other.yaml").exists()) == (2, "mine", False)
+    assert "other.png exists" in printed.err
 
 
 def test_any_name_is_quoted(run, tmp_path):
@@ -203,6 +207,23 @@ def test_notes_and_hidden_files_are_no_logs(run, tmp_path, log):
     code, printed = run(tmp_path)
     assert (code, printed.err) == (0, "")
     assert printed.out.startswith("1 log of tables")
+
+
+def test_a_note_is_told_once(run):
+    lines = SHAPES["pwm"].write(Path(), voyage()).read_text().splitlines()
+    rows = [each.partition(",") for each in lines[1:]]
+    text = [lines[0], *(f"{int(float(stamp))},{cells}" for stamp, _, cells in rows)]
+    Path("whole.csv").write_text("\n".join(text))
+    code, printed = run("whole.csv")
+    assert code == 0 and printed.out.count("whole seconds") == 1
+
+
+def test_columns_of_one_name_are_told(run, log):
+    lines = log.read_text().splitlines()
+    Path("twice.csv").write_text("\n".join([f"{lines[0]},speed,speed", *(f"{each},1,2" for each in lines[1:])]))
+    _, printed = run("twice.csv")
+    told = " ".join(printed.out.split())
+    assert told.count("several columns are called 'speed', and none of them is taken") == 1
 
 
 def test_a_folder_of_tables_with_the_suffix_of_text(run, tmp_path, log):

@@ -169,7 +169,7 @@ def test_a_boat_whose_thrust_points_astern_is_not_sent_to_sea(saved, tmp_path, m
         turned[name] = leaf
     path = checkpoint.save(tmp_path / "a.safetensors", turned, **facts)
     assert run(monkeypatch, path, "--minutes", 1, "--out", tmp_path / "out") == 2
-    assert "check by usvlearn inspect whether a side is reversed" in capsys.readouterr().err
+    assert "error: heron: The identified boat is not physical: it has a steady speed" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -179,3 +179,23 @@ def test_the_table_states_the_speed_at_each_time(plan):
     for row in rows:
         assert row[6] == pytest.approx(expected[round(row[0] / plan.course.dt)], abs=0.006)
     assert rows[0][6:] == [0.0, 0.0, 0.0]
+
+
+def test_a_boat_with_one_command_gets_one_and_learns_no_side(saved, tmp_path, monkeypatch, capsys):
+    """Left and right of a plan were posted to the same variable, one after the other."""
+    leaves, facts = checkpoint.load(saved)
+    channels = {name: Source("DESIRED_THRUST", unit="percent") for name in ("command_left", "command_right")}
+    channels |= {"heading": Source("H"), "surge": Source("V")}
+    facts["setup"] = Setup(channels, reader="usvlearn.logs.alog.Alog").json()
+    checkpoint.save(tmp_path / "one.safetensors", leaves, **facts)
+    monkeypatch.setattr(sys, "argv", ["usvlearn", "plan", "one.safetensors", "--minutes=1"])
+    monkeypatch.chdir(tmp_path)
+    assert main() == 0
+    text = next((tmp_path / "plan").glob("*.moos")).read_text()
+    events = [found.groups() for line in text.splitlines() if (found := EVENT.fullmatch(line))]
+    times = [time for *_, time in events]
+    assert len(events) > 3 and len(set(times)) == len(times) and {name for name, *_ in events} == {"DESIRED_THRUST"}
+    rows = list(csv.DictReader(next((tmp_path / "plan").glob("*.csv")).read_text().splitlines()))
+    assert {row["steering"] for row in rows} == {"0.000"}
+    shown = capsys.readouterr().out
+    assert "steady_speed_full" in shown and "thrust_ratio" not in shown.partition("Half-width")[2].partition("Not")[0]

@@ -50,7 +50,7 @@ class Rover(NamedTuple):
         """Value and comment by name, as they are written."""
         return {
             "CRUISE_SPEED": (round(self.cruise_speed, 3), "m/s"),
-            "CRUISE_THROTTLE": (self.cruise_throttle, "%: base throttle = CRUISE_THROTTLE/CRUISE_SPEED x wanted speed"),
+            "CRUISE_THROTTLE": (self.cruise_throttle, "%: base = CRUISE_THROTTLE/CRUISE_SPEED x wanted speed"),
             "ATC_SPEED_FF": (0.0, "would be added to the base throttle, which does its work"),
             "ATC_SPEED_P": (round(self.proportional, 4), "throttle (-1 ... 1) per m/s of error"),
             "ATC_SPEED_I": (round(self.integral, 4), "throttle per m/s of error and s"),
@@ -60,11 +60,11 @@ class Rover(NamedTuple):
             "ATC_SPEED_FLTE": (10.0, "Hz; the default"),
             "ATC_ACCEL_MAX": (
                 round(self.acceleration, 3),
-                "m/s2; at most what full throttle can hold at the cruise speed",
+                "m/s2; what full throttle can hold at the cruise speed",
             ),
             "ATC_DECEL_MAX": (
                 round(self.deceleration, 3),
-                "m/s2; at most what drag alone can hold at the cruise speed",
+                "m/s2; what drag alone can hold at the cruise speed",
             ),
             "ATC_BRAKE": (0.0, "no thrust astern to brake: the controller was designed ahead only"),
         }
@@ -128,16 +128,17 @@ class Moos(NamedTuple):
     def text(self, head: list[str]) -> str:
         """The lines of a configuration block."""
         entries = [
-            (f"AppTick = {self.tick}", "Hz; the gains below are per iteration, and hold for this AppTick only"),
+            (f"AppTick = {self.tick}", "Hz; the gains hold for this AppTick only"),
             (f"CommsTick = {self.tick}", ""),
-            ("speed_factor = 0", "0: PID. Above 0 there is no PID, and thrust in % = speed_factor x DESIRED_SPEED;"),
-            ("", f"without PID, {self.speed_factor:.3g} % per m/s would hold the cruise speed"),
-            (
-                f"speed_pid_kp = {self.kp:.4g}",
-                "% of thrust per m/s of error, added at each iteration: the integral part",
-            ),
-            (f"speed_pid_kd = {self.kd:.4g}", "% of thrust per m/s2, added at each iteration: the proportional part"),
-            ("speed_pid_ki = 0", "the thrust is a sum already: this would integrate twice"),
+            ("speed_factor = 0", "0: PID. Above 0 there is none, and thrust in"),
+            ("", f"% = speed_factor x DESIRED_SPEED; {self.speed_factor:.3g} holds"),
+            ("", "the cruise speed"),
+            (f"speed_pid_kp = {self.kp:.4g}", "% of thrust per m/s of error, added at each"),
+            ("", "iteration: the integral part"),
+            (f"speed_pid_kd = {self.kd:.4g}", "% of thrust per m/s2, added at each"),
+            ("", "iteration: the proportional part"),
+            ("speed_pid_ki = 0", "the thrust is a sum already: this would"),
+            ("", "integrate twice"),
             ("speed_pid_integral_limit = 0", "% of thrust, of speed_pid_ki"),
             ("maxthrust = 100", "%: full command on both sides"),
         ]

@@ -159,10 +159,8 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
 
 
 def _dt(name: str, setup: Setup | None) -> float:
-    if setup is None or "dt" not in setup.align:
-        raise ConfigError(
-            f"{name}: the set was saved by a version that does not tell the step of its samples: give --delay"
-        )
+    if setup is None:
+        raise ConfigError(f"{name}: the set does not tell the step of its samples: give --delay")
     return float(setup.align["dt"])
 
 

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from usvlearn.inspection.vocabulary import unit_word
+from usvlearn.logs.csv_table import ROTATION
 from usvlearn.logs.series import Series
 
 EVIDENCE_HZ = 10.0  # values a second that relations look at
@@ -40,6 +41,8 @@ class Candidate:
     @property
     def label(self) -> str:
         """What a person calls it."""
+        if self.kind == ROTATION:
+            return f"{self.name} {ROTATION}"
         return self.name if self.field in (None, "data") else f"{self.name} {self.field}"
 
     @cached_property

@@ -54,6 +54,10 @@ class Heading(NamedTuple):
         factor, offset = UNITS[self.unit]
         return self.candidate.scaled(factor / self.span, offset)
 
+    def declared(self, convention: str) -> bool:
+        """Whether the log itself says in which direction the heading counts."""
+        return convention in NORTH_FORMATS or self.candidate.unit.startswith("enu_")
+
 
 def agreement(heading: Pair, course: Pair) -> float:
     """The mean cosine of the difference between a heading and a course; NaN with too few courses.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -95,11 +96,11 @@ def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "m
 
 
 def _read(settings: dict[str, Any]) -> tuple[list[Recording], list[str]]:
-    """The recordings, and the warnings of reading them."""
+    """The recordings, and the warnings of reading them, with paths as from here."""
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         recordings = read_settings(settings)
-    return recordings, [str(each.message) for each in told]
+    return recordings, [str(each.message).replace(f"{Path.cwd()}/", "") for each in told]
 
 
 def _aligned(recordings: Sequence[Recording]) -> Fleet | None:

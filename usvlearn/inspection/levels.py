@@ -10,7 +10,7 @@ import numpy as np
 
 from usvlearn.inspection.candidate import Candidate
 from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE
-from usvlearn.inspection.vocabulary import side, words
+from usvlearn.inspection.vocabulary import names_moment, side, words
 
 PWM = "PWM in us"
 LEAST_PWM, MOST_PWM = 800.0, 2300.0  # us
@@ -71,6 +71,8 @@ def _by_size(candidate: Candidate, convention: str) -> Level:
         )
         sure = PROBABLE if size > 50 or unit == "percent" else UNSURE
         return Level(zero[0], 100.0, "percent", *zero[1:], sure, why, (f"{_round(size):g}",))
+    if names_moment(candidate.label):
+        return Level(zero[0], _round(size), "N·m", *zero[1:], PROBABLE, "the greatest moment seen", ())
     if unit == "N" or {"n", "newton", "newtons", "force"} & set(words(candidate.label)):
         return Level(zero[0], _round(size), "N", *zero[1:], PROBABLE, "the greatest force seen", ())
     if size <= 1.0 + 1e-9:
@@ -158,7 +160,8 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate]) -> Level:
     elif low > NEUTRAL[0] and rest <= 1150 and rest - low < 50:
         zero = rest, UNSURE, f"it never leaves {low:.0f} … {high:.0f}, and rests at {rest:g}"
     elif low > 1450 or high < 1550 or rest < NEUTRAL[0]:
-        zero = 1500.0, UNSURE, f"by convention; it rests at {rest:g}, and stays within {low:.0f} … {high:.0f}"
+        rests = "never rests" if math.isnan(rest) else f"rests at {rest:g}"
+        zero = 1500.0, UNSURE, f"by convention; it {rests}, and stays within {low:.0f} … {high:.0f}"
     else:
         zero = 1500.0, PROBABLE, "by convention; it never rests"
     reach = max(high - zero[0], zero[0] - low)
@@ -169,6 +172,20 @@ def _pwm(candidate: Candidate, pool: Sequence[Candidate]) -> Level:
         return Level(zero[0], 400.0, PWM, *zero[1:], PROBABLE, told, ("500",))
     told = f"values stay within {low:.0f} … {high:.0f}; full scale is 400 or 500 by convention"
     return Level(zero[0], 400.0, PWM, *zero[1:], UNSURE, told, ("500",))
+
+
+def sharing(force: Candidate, moment: Candidate, levels: tuple[Level, Level]) -> tuple[Level, Level]:
+    """Spans of the force ahead and of the moment, with which the sum of both, as shares, reaches 1 and not more."""
+    (time, push), (stamps, turn) = force.evidence, moment.evidence
+    order = np.argsort(stamps, kind="stable")
+    place = np.clip(np.searchsorted(stamps[order], time, side="right") - 1, 0, None)
+    both = np.abs(push) / max(force.size, 1e-9) + np.abs(turn[order][place]) / max(moment.size, 1e-9)
+    most, told = float(np.quantile(both, 0.999)), "the greatest sum of both is full scale"
+    one, other = (
+        level._replace(span=_round(most * each.size), span_reason=told, span_certainty=PROBABLE, kind=kind)
+        for level, each, kind in zip(levels, (force, moment), ("N", "N·m"), strict=True)
+    )
+    return one, other
 
 
 def _rest(candidate: Candidate) -> float:

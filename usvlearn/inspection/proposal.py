@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,7 +9,8 @@ from usvlearn.inspection.candidate import Candidate
 from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision, least
 from usvlearn.inspection.directions import Heading, YawRate, find_headings, find_yaw_rate, orient
 from usvlearn.inspection.places import Pair, Places, course_of, find_places, guess_places, interchanged, rate_of
-from usvlearn.inspection.sides import HINT, SURE, Commands, Side, find_commands, swapped
+from usvlearn.inspection.senses import LIKELY
+from usvlearn.inspection.sides import Commands, Side, doubted, find_commands
 from usvlearn.inspection.speeds import (
     Speed,
     Velocities,
@@ -21,13 +21,14 @@ from usvlearn.inspection.speeds import (
     norms,
     period_of,
 )
-from usvlearn.inspection.vocabulary import WORDS, fit, names_side_alone, side
+from usvlearn.inspection.vocabulary import WORDS, fit, names_azimuth, names_force, names_moment, names_side_alone, side
 from usvlearn.inspection.written import scalar
+from usvlearn.logs.channel import AUTO
 from usvlearn.logs.relations import heading_rate
 
 SIDES = ("command_left", "command_right")
-WINDOW = 0.2  # s, the default
 UNEVEN, ON_CHANGE = 1.5, 3.0  # ratio of long to usual intervals, from which a command may be, and is posted on change
+DEGREES = ("latitude", "longitude")  # which rise as evenly as a clock on a straight line
 NO_REPEATS = 0.02  # share of values that repeat the one before, below which none does
 
 
@@ -41,6 +42,7 @@ class Proposal(NamedTuple):
     heading: Heading | None
     yaw_rate: YawRate | None
     missing: list[str]  # required channels that were not found
+    unfit: str = ""  # why the commands of this boat are none of two fixed sides
 
 
 def propose(found: Sequence[Candidate], convention: str) -> Proposal:
@@ -50,7 +52,9 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         found: all series.
         convention: name of the format.
     """
-    pool = [each for each in found if each.varies and not each.is_clock]
+    pool = [
+        each for each in found if each.varies and not (each.is_clock and max(fit(x, each.label) for x in DEGREES) < 1)
+    ]
     places = find_places(pool)
     if not places and (guessed := guess_places(*_unnamed(pool))):
         places = [guessed]
@@ -88,11 +92,16 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
         speeds = [velocities.size, *speeds]
     speed = speeds[0].metres if speeds else rate_of(places[0]) if places else None
     rest = [each for each in left if not (speeds and each is speeds[0].candidate) and not names_state(each)]
-    commands = find_commands(rest, found, speed, turn, convention)
-    if commands and heading and heading.certainty == CERTAIN and commands[0].turn <= -SURE:
-        commands = [swapped(commands[0]), *commands[1:]]
-    turned = commands[0].turn if commands else 0.0
-    if heading and heading.certainty != CERTAIN and turned < (-HINT if heading.by_format else HINT):
+    everything, unfit = found, ""
+    if azimuths := [each.label for each in pool if names_azimuth(each.label)]:
+        rest, everything = ([each for each in group if _names_whole(each)] for group in (rest, found))
+        unfit = "" if rest else _told_azimuths(azimuths)
+    proved = heading is not None and heading.certainty == CERTAIN
+    commands = find_commands(rest, everything, speed, turn, convention, proved)
+    if heading and course and not (proved or heading.declared(convention)):
+        commands = [doubted(each) for each in commands]
+    turned = commands[0].turning if commands else 0.0
+    if heading and not proved and turned < (-LIKELY if heading.by_format else LIKELY):
         decisions = [_doubted(each, turned) for each in decisions]
     decisions = _tell_commands(commands, channels, series) + decisions
     if velocities:
@@ -109,7 +118,20 @@ def propose(found: Sequence[Candidate], convention: str) -> Proposal:
     missing += [] if speeds or places else ["surge"]
     order = [*SIDES, "heading", "yaw_rate", "surge"]
     ordered = {name: channels[name] for name in (*order, *channels) if name in channels}
-    return Proposal(ordered, series, decisions, speed, heading, yaw, missing)
+    return Proposal(ordered, series, decisions, speed, heading, yaw, missing, unfit)
+
+
+def _names_whole(candidate: Candidate) -> bool:
+    """Whether a name tells the force or the moment of all thrusters together."""
+    return names_force(candidate.label) or names_moment(candidate.label)
+
+
+def _told_azimuths(labels: Sequence[str]) -> str:
+    return (
+        f"the thrusters turn ({', '.join(labels[:3])}), so that no two fixed sides drive this boat: log the force "
+        "ahead, N, and the moment about the vertical axis, N·m, as tau_x and tau_n, or compute them from thrusts and "
+        "angles, and give them to usvlearn.read as arrays"
+    )
 
 
 def _doubted(told: Decision, turned: float) -> Decision:
@@ -117,7 +139,7 @@ def _doubted(told: Decision, turned: float) -> Decision:
     if told[:2] not in (("heading", "unit"), ("yaw_rate", "unit")):
         return told
     reason = "nothing confirms its sense"
-    if turned <= -HINT:
+    if turned <= -LIKELY:
         reason = "the boat would turn against its thrusters: its sense, or the sides, are wrong"
     other = told.value.removeprefix("enu_") if told.value.startswith("enu_") else f"enu_{told.value}"
     reason = f"{told.reason}; {reason}"
@@ -156,16 +178,6 @@ def _source(candidate: Candidate, **keys: Any) -> dict[str, Any]:
     return {**place, **keys}
 
 
-def _window(candidate: Candidate, channel: str) -> float:
-    """A staleness window that the usual intervals do not exceed, s."""
-    slow = candidate.slow
-    if not math.isfinite(slow) or slow * 1.3 <= WINDOW:
-        return WINDOW
-    if channel == "surge":
-        return 0.4 if slow > 0.3 else WINDOW
-    return float(f"{min(slow * 1.4, 10.0):.2g}")
-
-
 def on_change(candidate: Candidate) -> tuple[bool, str]:
     """Whether values are posted only when they differ from the one before, and how certain that is."""
     ratio = candidate.slow / candidate.interval if candidate.interval > 0 else 1.0
@@ -177,7 +189,7 @@ def on_change(candidate: Candidate) -> tuple[bool, str]:
 def _tell_heading(best: Heading, headings: Sequence[Heading], channels: dict, series: dict) -> list[Decision]:
     candidate = best.candidate
     scale = {} if best.span == 1 else {"span": best.span}
-    channels["heading"] = _source(candidate, unit=best.unit, window=_window(candidate, "heading"), **scale)
+    channels["heading"] = _source(candidate, unit=best.unit, window=AUTO, **scale)
     series["heading"] = candidate
     close = [each.candidate.label for each in headings[1:] if each.score > best.score - 1]
     named = fit("heading", candidate.label)
@@ -203,7 +215,7 @@ def _tell_yaw_rate(
         sure = UNSURE if rivals else PROBABLE
         why = "no series follows the heading's derivative"
         return [Decision("yaw_rate", "series", "from the heading", sure, why, tuple(rivals[:3]))]
-    channels["yaw_rate"] = _source(yaw.candidate, unit=yaw.unit, window=_window(yaw.candidate, "yaw_rate"))
+    channels["yaw_rate"] = _source(yaw.candidate, unit=yaw.unit, window=AUTO)
     series["yaw_rate"] = yaw.candidate
     return [
         Decision("yaw_rate", "series", yaw.candidate.label, yaw.certainty, yaw.reason),
@@ -214,7 +226,7 @@ def _tell_yaw_rate(
 def _tell_speed(speeds: Sequence[Speed], channels: dict, series: dict) -> list[Decision]:
     best = speeds[0]
     candidate = best.candidate
-    channels["surge"] = _source(candidate, unit=best.unit, window=_window(candidate, "surge"), period="auto")
+    channels["surge"] = _source(candidate, unit=best.unit, window=AUTO, period="auto")
     series["surge"] = candidate
     close = [each for each in speeds[1:] if each.score > best.score - 1.5 and not each.contradicted]
     sure = (
@@ -272,42 +284,24 @@ def _tell_commands(commands: Sequence[Commands], channels: dict, series: dict) -
         if len(one.parts) == 1:
             series[channel] = one.parts[0]
         others = tuple(_listed(getattr(each, channel.removeprefix("command_"))) for each in commands[1:4])
+        other = _listed(best.right if one is best.left else best.left)
+        if best.certainty == UNSURE and other != _listed(one):
+            others = (other, *others)
         if best.middle:
             others = (scalar([each.name for each in (*one.parts, best.middle)]), *others)
         label, level = _listed(one), one.levels[0]
-        told.append(Decision(channel, "series", label, best.certainty, best.reason, others))
-        told.append(Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason, level.zeros))
-        told.append(
-            Decision(
-                channel,
-                "span",
-                f"{one.sign * level.span:g}",
-                level.span_certainty,
-                f"{level.kind}: {level.span_reason}",
-                level.alternatives,
-            )
-        )
-        told.append(
-            Decision(
-                channel,
-                "sign",
-                "reversed" if one.sign < 0 else "positive ahead",
-                best.sign_certainty,
-                best.sign_reason,
-                best.alternatives,
-            )
-        )
+        ahead = "reversed" if min((one.sign, *one.weights[:1])) < 0 else "positive ahead"
         held = channels[channel].get("held", False)
-        how = "on change: held until the next one" if held else f"periodic: window {channels[channel]['window']:g} s"
-        told.append(
-            Decision(
-                channel,
-                "posting",
-                how,
-                on_change(one.parts[0])[1],
-                f"{one.parts[0].repeats:.0%} repeat the one before; every {one.parts[0].interval:.2g} s",
-            )
-        )
+        how = "on change: held until the next one" if held else "periodic: window auto"
+        rate = f"{one.parts[0].repeats:.0%} repeat the one before; every {one.parts[0].interval:.2g} s"
+        span, span_reason = f"{one.sign * level.span:g}", f"{level.kind}: {level.span_reason}"
+        told += [
+            Decision(channel, "series", label, best.certainty, best.reason, others),
+            Decision(channel, "zero", f"{level.zero:g}", level.zero_certainty, level.zero_reason, level.zeros),
+            Decision(channel, "span", span, level.span_certainty, span_reason, level.alternatives),
+            Decision(channel, "sign", ahead, best.sign_certainty, best.sign_reason, best.alternatives),
+            Decision(channel, "posting", how, on_change(one.parts[0])[1], rate),
+        ]
     return told
 
 
@@ -317,16 +311,16 @@ def _listed(one: Side) -> str:
 
 def _command_source(one: Side) -> dict[str, Any]:
     held = any(on_change(each)[0] for each in one.parts)
-    window = max(_window(each, "command") for each in one.parts)
-    keys = {"held": held, "window": WINDOW if held else window, "delay": 0.0}
+    keys = {"held": held, "window": AUTO, "delay": 0.0}
     zeros, spans = [each.zero for each in one.levels], [one.sign * each.span for each in one.levels]
     if len(one.parts) == 1:
         return _source(one.parts[0], unit="1", zero=zeros[0], span=spans[0], **keys)
     source: dict[str, Any] = {"name": [each.name for each in one.parts]}
     if any(each.field not in (None, "data") for each in one.parts):
         source["field"] = [each.field or "data" for each in one.parts]
+    kinds = [each.kind for each in one.levels]
     source |= {
-        "unit": "1",
+        "unit": kinds if "N·m" in kinds else "1",
         "zero": zeros[0] if len(set(zeros)) == 1 else zeros,
         "span": spans[0] if len(set(spans)) == 1 else spans,
     }
@@ -354,9 +348,7 @@ def _tell_places(places: Places, channels: dict, series: dict, confirmed: bool, 
     told = []
     for name, candidate in zip(names, (places.first, places.second), strict=True):
         scale = {} if not places.geographic or places.first.size <= 90 else {"span": 1e7}
-        channels[name] = _source(
-            candidate, unit="deg" if places.geographic else "m", window=_window(candidate, name), **scale
-        )
+        channels[name] = _source(candidate, unit="deg" if places.geographic else "m", window=AUTO, **scale)
         series[name] = candidate
         told.append(Decision(name, "series", candidate.label, sure, why))
     return told
@@ -367,7 +359,7 @@ def _tell_velocities(found: Velocities, speeds: Sequence[Speed], channels: dict,
     size, told = found.size, []
     others = tuple(each.candidate.label for each in speeds[:3])
     for name, candidate in (("velocity_north", found.north), ("velocity_east", found.east)):
-        channels[name] = _source(candidate, unit=size.unit, window=_window(candidate, "surge"))
+        channels[name] = _source(candidate, unit=size.unit, window=AUTO)
         series[name] = candidate
         sure = UNSURE if found.guessed else CERTAIN if size.confirmed else PROBABLE
         why = ("by its direction" if found.guessed else "by name") + (

@@ -54,6 +54,8 @@ def _logs(found: Inspected) -> Iterator[str]:
     size = sum(map(bytes_of, logs.files)) / 1e6
     spans = [max((float(np.nanmax(one.time, initial=0)) for one in each), default=0) for each in logs.surveyed]
     yield f"{count} log{'s' * (count > 1)} of {logs.format.name}, {size:.1f} MB, {sum(spans) / 3600:.2f} h."
+    if logs.joined:
+        yield logs.joined
     options = {field.name: getattr(logs.reader, field.name) for field in dataclasses.fields(logs.reader)}
     told = ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in options.items() if value != "auto")
     if told:

@@ -1,9 +1,7 @@
-"""Which series are the commands of the left and the right side, and which of them are reversed.
+"""Which series are the commands of the left and the right side.
 
-Two relations decide: a boat speeds up with the sum of its sides, and turns to starboard (yaw rate positive) with left −
-right. A reversed side changes the sign of its command. Whether the two sides have the same sign shows in which of their
-sum and difference the speed follows; the speed then tells the signs. The turn must agree: if it does not, the sides are
-swapped, or the heading counts counter-clockwise.
+By name, where the names tell it: `senses` decides whether the motion agrees, and which command is reversed. Numbered
+thrusters are told apart by the turn, and unnamed series by speed and turn.
 """
 
 from __future__ import annotations
@@ -16,31 +14,26 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.inspection.candidate import Candidate
-from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE
-from usvlearn.inspection.levels import PWM, Level, find_level
+from usvlearn.inspection.decision import CERTAIN, PROBABLE, UNSURE, least
+from usvlearn.inspection.levels import PWM, Level, find_level, sharing
 from usvlearn.inspection.places import Pair
-from usvlearn.inspection.vocabulary import MIDDLE, fit, names_side_alone, side, without_side, words
+from usvlearn.inspection.senses import LIKELY, SURE, Decided, Senses, decide, pushes
+from usvlearn.inspection.vocabulary import (
+    MIDDLE,
+    fit,
+    names_force,
+    names_moment,
+    names_side_alone,
+    side,
+    without_side,
+    words,
+)
 from usvlearn.logs.relations import NOTHING, Relation, side_sign, speed_on_thrust
 
-SURE, HINT = 4.0, 2.0  # standard errors of a correlation, beyond which it is no chance, and from which it counts
-LAGS = (0.0, 10.0)  # s, of the speed
+CLEAR = 4.0  # standard errors of a correlation, beyond which it is no chance
 STRONG = 0.35  # correlation that two unnamed series need to be taken as commands
 MOST_UNNAMED = 14  # series among which unnamed commands are sought
 MIXED = {"steer", "steering", "turn", "differential", "diff"}  # names of what a mixer adds to the throttle
-
-
-class Signs(NamedTuple):
-    """The senses of two sides, and how well both relations then hold."""
-
-    left: int  # 1, or -1 if reversed
-    right: int
-    speed: Relation  # of the speed on the sum
-    turn: Relation  # of the yaw rate on left − right
-    margin: float  # of the sum of both certainties over that of the next best combination
-
-    @property
-    def score(self) -> float:
-        return _clipped(self.speed.certainty) + _clipped(self.turn.certainty)
 
 
 class Side(NamedTuple):
@@ -63,12 +56,12 @@ class Commands(NamedTuple):
     sign_reason: str
     alternatives: tuple[str, ...]
     score: float
-    turn: float = 0.0  # standard errors by which the yaw rate confirms the sides, or contradicts them
+    turning: float = 0.0  # cost by which the turn confirms the sides, or contradicts them if it is negative
     middle: Candidate | None = None  # a thruster between both sides, which is in neither
 
 
 def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], speed: Pair | None, turn: Pair | None,
-                  convention: str) -> list[Commands]:  # fmt: skip
+                  convention: str, proved: bool = False) -> list[Commands]:  # fmt: skip
     """Commands of both sides, the best first.
 
     Args:
@@ -77,19 +70,20 @@ def find_commands(pool: Sequence[Candidate], everything: Sequence[Candidate], sp
         speed: m/s.
         turn: yaw rate, rad/s, clockwise.
         convention: name of the format.
+        proved: whether the sense of the heading is.
     """
     still = [each for each in everything if not each.varies and names_command(each)]
     levels = {id(each): find_level(each, everything, convention, speed) for each in (*pool, *still)}
     named = [each for each in (*pool, *still) if fit("command", each.label) >= 1 and side(each.label)]
-    found = [judge(left, right, levels, speed, turn) for left, right in _pairs(named)]
+    found = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(named)]
     found = [_without_middle(each, pool) for each in found]
     if not found:
         found = list(_groups(pool, levels, speed, turn))
     if not found:
         alone = [each for each in (*pool, *still) if names_side_alone(each.label)]
-        found = [judge(left, right, levels, speed, turn) for left, right in _pairs(alone)]
+        found = [judge(left, right, levels, speed, turn, proved) for left, right in _pairs(alone)]
     if not found:
-        found = list(_with_rudder([*pool, *still], levels, turn))
+        found = list(_with_rudder([*pool, *still], levels, speed, turn))
     if not found:
         found = list(_unnamed(pool, levels, speed, turn))
     return sorted(found, key=lambda each: -each.score)
@@ -102,23 +96,63 @@ def names_command(candidate: Candidate) -> bool:
 
 
 def judge(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[int, Level], speed: Pair | None,
-          turn: Pair | None) -> Commands:  # fmt: skip
-    """Two named sides: their senses, and whether the names agree with the motion."""
+          turn: Pair | None, proved: bool) -> Commands:  # fmt: skip
+    """Two named sides: what the names and the motion tell of them."""
     sides = _sides(left, right, levels)
-    signs = fit_signs(_share(sides[0]), _share(sides[1]), speed, turn)
-    sure, told, others = _told(signs)
-    reversed_ = [name for name, sign in (("left", signs.left), ("right", signs.right)) if sign < 0]
-    if reversed_ and sure != UNSURE:
-        told = f"{' and '.join(reversed_)} reversed: {told}"
+    found = decide(_share(sides[0]), _share(sides[1]), speed, turn, _leveled(sides), proved)
     name = float(np.mean([fit("command", each.label) for each in (*left, *right)]))
-    turned = _clipped(signs.turn.certainty)
-    which = CERTAIN if sure == CERTAIN else PROBABLE if turned >= HINT else UNSURE
-    reason = "by name" + ("; the boat moves with them" if sure == CERTAIN else "")
-    if which == UNSURE:
-        reason += "; but it turns the other way" if turned < -HINT else "; too few turns confirm the sides"
-    score = name + 0.08 * signs.score - 0.5 * (signs.left + signs.right < 2)
-    one, other = sides[0]._replace(sign=signs.left), sides[1]._replace(sign=signs.right)
-    return Commands(one, other, which, reason, sure, told, others, score, turned)
+    which, reason = UNSURE, "by name; too little in the motion confirms the sides"
+    if found.taken.swapped:
+        reason = "swapped against the names: only so the boat moves as it is steered, by a heading that is proved"
+    elif found.best.swapped:
+        reason = "by name, but the motion fits swapped sides better, or a heading that counts the other way"
+    elif found.sides < 0:
+        reason = "by name, but the motion fits swapped sides better: weak evidence"
+    elif found.sides >= LIKELY:
+        which = CERTAIN if found.sides >= SURE else PROBABLE
+        reason = "by name; the boat moves with them" if which == CERTAIN else "by name; the motion agrees"
+    return _commands(sides, found, which, reason, name)
+
+
+def doubted(found: Commands) -> Commands:
+    """The same, but unsure: the sides are judged by a heading that a position should prove, and does not."""
+    if found.certainty == UNSURE:
+        return found
+    reason = f"{found.reason}; but the heading, by which it turns, does not follow the course over ground clearly"
+    return found._replace(certainty=UNSURE, reason=reason)
+
+
+def _commands(sides: Sequence[Side], found: Decided, which: str, reason: str, name: float) -> Commands:
+    """Both sides as they were decided."""
+    taken = found.taken
+    signed = [one._replace(sign=sign) for one, sign in zip(sides, taken[1:], strict=True)]
+    left, right = signed[::-1] if taken.swapped else signed
+    backward = min(taken[1:]) < 0
+    sure = _surely(found.signs, *taken[1:])
+    told, rival = found.facts(), _reversed(found.rival)
+    if found.signs < LIKELY:
+        told = f"{told}; weak evidence" if backward else "too little evidence in speed and turn"
+        told += f"; {'more' if found.signs < 0 else 'almost as'} likely: {rival}"
+    score = name + 0.08 * found.support - 0.5 * backward
+    others = (rival,) if sure == UNSURE else ()
+    return Commands(left, right, which, reason, sure, told, others, score, found.turning)
+
+
+def _reversed(each: Senses) -> str:
+    """A hypothesis about signs in words.
+
+    >>> _reversed(Senses(False, -1, 1)), _reversed(Senses(True, 1, 1))
+    ('left reversed, right not', 'none reversed, and left and right swapped')
+    """
+    left, right = each[:0:-1] if each.swapped else each[1:]
+    told = {(1, 1): "none reversed", (-1, -1): "both reversed", (-1, 1): "left reversed, right not"}
+    swap = ", and left and right swapped" if each.swapped else ""
+    return told.get((left, right), "right reversed, left not") + swap
+
+
+def _leveled(sides: Sequence[Side]) -> bool:
+    """Whether the zeros of all commands are known."""
+    return all(level.zero_certainty != UNSURE for one in sides for level in one.levels)
 
 
 def _without_middle(commands: Commands, pool: Sequence[Candidate]) -> Commands:
@@ -146,63 +180,6 @@ def _sides(left: Sequence[Candidate], right: Sequence[Candidate], levels: dict[i
             zero=level.zero, zero_certainty=level.zero_certainty, zero_reason=level.zero_reason, zeros=level.zeros
         )
     return [Side(tuple(part), tuple(common[id(each)] for each in part), 1) for part in (left, right)]
-
-
-def swapped(commands: Commands) -> Commands:
-    """The sides as the boat turns, and not as they are named: for a heading whose sense is proved."""
-    reason = "swapped against the names: the boat turns the other way, and its heading follows the course over ground"
-    sign = f"by the speed; {commands.sign_reason.partition(': ')[2].partition(': ')[0]} as named"
-    return commands._replace(
-        left=commands.right, right=commands.left, certainty=UNSURE, reason=reason, sign_reason=sign,
-        sign_certainty=PROBABLE, alternatives=(), turn=-commands.turn,
-    )  # fmt: skip
-
-
-def fit_signs(left: Pair, right: Pair, speed: Pair | None, turn: Pair | None) -> Signs:
-    """The senses with which speed and yaw rate follow the commands best.
-
-    >>> rng, time = np.random.default_rng(0), np.arange(0, 300, 0.25)
-    >>> left, right = (np.repeat(rng.uniform(0, 1, 60), 20) for _ in range(2))
-    >>> motion = (time, left + right), (time, 0.3 * (left - right))
-    >>> fit_signs((time, -left), (time, right), *motion)[:2]
-    (-1, 1)
-    """
-    found = []
-    for sign in (1, -1):
-        other = (right[0], sign * right[1])
-        on_speed = speed_on_thrust(left, other, speed, LAGS) if speed else NOTHING
-        on_turn = side_sign(left, other, turn) if turn else NOTHING
-        moves, turns = _clipped(on_speed.certainty), _clipped(on_turn.certainty)
-        way = -1 if moves <= -HINT else 1  # not by the turn: swapped names would look like reversed sides
-        if way < 0:
-            on_speed, on_turn = _negated(on_speed), _negated(on_turn)
-        found.append((abs(moves) + abs(turns) + (sign > 0), Signs(way, way * sign, on_speed, on_turn, 0.0)))
-    (less, _), (more, best) = sorted(found, key=lambda each: each[0])
-    return best._replace(margin=more - less)
-
-
-def _contradicts(signs: Signs) -> bool:
-    return min(_clipped(signs.speed.certainty), _clipped(signs.turn.certainty)) <= -SURE
-
-
-def _told(signs: Signs) -> tuple[str, str, tuple[str, ...]]:
-    """How certain the senses are, why, and what else may be."""
-    speed, turn = signs.speed, signs.turn
-    told = _correlations(speed, turn)
-    on_speed, on_turn = _clipped(speed.certainty), _clipped(turn.certainty)
-    if _contradicts(signs):
-        what = "the sides may be swapped, or the heading may count counter-clockwise" if on_turn < 0 else "check both"
-        return (
-            UNSURE,
-            f"contradiction: {told}: {what}",
-            ("left and right swapped", "both sides reversed", "heading enu"),
-        )
-    if on_speed >= SURE and on_turn >= SURE and signs.margin > 2:
-        return CERTAIN, told, ()
-    normal = signs.left == signs.right == 1
-    if min(on_speed, on_turn) > -HINT and max(on_speed, on_turn) >= SURE and (normal or signs.margin > 3):
-        return PROBABLE, f"{told} (too little evidence of one)", ()
-    return UNSURE, f"{told}: too little evidence", ("a reversed side: span below 0",)
 
 
 def _correlations(speed: Relation, turn: Relation) -> str:
@@ -254,20 +231,19 @@ def _groups(
         if not left or not right:
             continue
         sides = _sides(left, right, levels)
-        signs = fit_signs(_share(sides[0]), _share(sides[1]), speed, turn)
-        clear = min(abs(each.certainty) for each in relations if each.seconds) >= SURE
-        sure, told, others = _told(signs)
-        backward = signs.left + signs.right < 2
-        which = UNSURE if not clear or backward or sure == UNSURE else PROBABLE
-        reason = f"the yaw rate rises with {', '.join(each.label for each in left)} and falls with the others"
+        found = decide(_share(sides[0]), _share(sides[1]), speed, turn, _leveled(sides), proved=True, named=False)
+        clear = min(abs(each.certainty) for each in relations if each.seconds) >= CLEAR
+        steady = clear and found.sides >= LIKELY and min(found.taken[1:]) > 0
+        one = right if found.taken.swapped else left
+        reason = f"the turn fits {', '.join(each.label for each in one)} on the left, and the others on the right"
         weak = "" if clear else "; weak evidence for some of them"
-        yield Commands(
-            sides[0]._replace(sign=signs.left), sides[1]._replace(sign=signs.right), which, reason + weak,
-            UNSURE if backward else sure, told, others, fit("command", members[0].label) + 0.08 * signs.score,
-        )  # fmt: skip
+        name = fit("command", members[0].label)
+        yield _commands(sides, found, PROBABLE if steady else UNSURE, reason + weak, name)._replace(turning=0.0)
 
 
-def _with_rudder(pool: Sequence[Candidate], levels: dict[int, Level], turn: Pair | None) -> Iterator[Commands]:
+def _with_rudder(
+    pool: Sequence[Candidate], levels: dict[int, Level], speed: Pair | None, turn: Pair | None
+) -> Iterator[Commands]:
     """One thrust for both sides; a steering signal is added on the left and subtracted on the right.
 
     A rudder drives no side, so that it is only told.
@@ -276,31 +252,47 @@ def _with_rudder(pool: Sequence[Candidate], levels: dict[int, Level], turn: Pair
     rudders = [each for each in pool if fit("rudder", each.label) >= 1]
     for thrust in thrusts:
         level, name = levels[id(thrust)], fit("command", thrust.label)
-        both = Side((thrust,), (level,), 1)
+        one = Side((thrust,), (level,), 1)
+        ahead, cost, pushed = pushes(_share(one), speed, _leveled([one]))
+        push = _surely(cost, ahead)
+        other = "reversed" if ahead > 0 else "positive ahead"
+        against = (other,) if push == UNSURE else ()
+        both = one._replace(sign=ahead)
         if not rudders:
             told = "one thrust and no rudder: both sides get the same command"
-            yield Commands(both, both, UNSURE, told, UNSURE, "no side is logged", (), name - 2)
+            yield Commands(both, both, UNSURE, told, UNSURE, f"no side is logged; {pushed}", against, name - 2)
         for rudder in rudders:
-            angle = find_rudder(rudder, levels[id(rudder)])
+            if names_force(thrust.label) != names_moment(rudder.label):
+                continue
+            level, angle = levels[id(thrust)], find_rudder(rudder, levels[id(rudder)])
+            if names_moment(rudder.label):
+                level, angle = sharing(thrust, rudder, (level, angle))
             relation = NOTHING
             if turn is not None:
                 time, share = _share(Side((rudder,), (angle,), 1))
                 relation = side_sign((time, share), (time, 0 * share), turn)
-            known = abs(_clipped(relation.certainty)) >= SURE
+            known = abs(_clipped(relation.certainty)) >= CLEAR
             sign = -1 if known and relation.correlation < 0 else 1
-            left, right = (Side((thrust, rudder), (level, angle), 1, (1.0, 1.0 * sign * way)) for way in (1, -1))
-            told = f"the yaw rate follows {rudder.label}: correlation {relation.correlation:+.2f}"
-            told = told if known else f"too little evidence of the sense of {rudder.label}"
-            if MIXED & set(words(rudder.label)):
+            weights = [(float(ahead), float(sign * way)) for way in (1, -1)]
+            if MIXED & set(words(rudder.label)) or names_moment(rudder.label):
+                left, right = (Side((thrust, rudder), (level, angle), 1, each) for each in weights)
                 reason = "steering is added to the throttle on the left, and subtracted on the right"
-                sure = PROBABLE if known else UNSURE
-                yield Commands(left, right, PROBABLE, reason, sure, told, (), name + 3)
+                if names_moment(rudder.label):
+                    reason = "the force ahead is shared by both sides, and the moment turns the boat"
+                told = f"the yaw rate follows {rudder.label}: correlation {relation.correlation:+.2f}"
+                told = told if known else f"too little evidence of the sense of {rudder.label}"
+                sure = least(push, PROBABLE if known else UNSURE)
+                yield Commands(left, right, PROBABLE, reason, sure, f"{pushed}; {told}", against, name + 3)
             else:
                 reason = f"one thrust for both sides; the rudder {rudder.label} drives none"
-                mix = (
-                    f"[{thrust.label}, {rudder.label}] with weight: [1, {sign}] and [1, {-sign}], if it mixes thrusters"
-                )
-                yield Commands(both, both, PROBABLE, reason, PROBABLE, told, (mix,), name + 3)
+                mix = " and ".join(f"[{first:g}, {second:g}]" for first, second in weights)
+                mix = f"[{thrust.label}, {rudder.label}] with weight: {mix}, if it mixes thrusters"
+                yield Commands(both, both, PROBABLE, reason, push, pushed, (mix, *against), name + 3)
+
+
+def _surely(cost: float, *signs: int) -> str:
+    """How certain signs are: a reversed command is never, so that it is listed."""
+    return UNSURE if min(signs) < 0 or cost < LIKELY else CERTAIN if cost >= SURE else PROBABLE
 
 
 def find_rudder(candidate: Candidate, level: Level) -> Level:
@@ -329,7 +321,7 @@ def _unnamed(
             on_speed, on_turn = speed_on_thrust(one_share, other_share, speed), side_sign(one_share, other_share, turn)
             if (
                 min(on_speed.correlation, on_turn.correlation) < STRONG
-                or not min(on_speed.certainty, on_turn.certainty) > SURE
+                or not min(on_speed.certainty, on_turn.certainty) > CLEAR
             ):
                 continue
             told = _correlations(on_speed, on_turn)
@@ -356,10 +348,6 @@ def _mean_of(parts: Sequence[Pair]) -> Pair:
         order = np.argsort(stamps, kind="stable")
         held.append(value[order][np.clip(np.searchsorted(stamps[order], time, side="right") - 1, 0, None)])
     return time, np.mean(held, axis=0)
-
-
-def _negated(relation: Relation) -> Relation:
-    return relation._replace(slope=-relation.slope, correlation=-relation.correlation)
 
 
 def _clipped(certainty: float) -> float:

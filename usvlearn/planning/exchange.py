@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.joint.reading import Identified
+from usvlearn.estimators.joint.reading import Identified, tells_sides
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.planning.course import Course, Limits, planned, steps_of
 from usvlearn.planning.rehearsal import Rehearsal, Rehearsed
@@ -46,18 +46,21 @@ class Plan(NamedTuple):
     quarters: np.ndarray  # (segments,)
 
 
-def wide(found: Identified) -> list[str]:
-    """The quantities that are not well determined, without single parameters, which trade against each other."""
+def wide(found: Identified, one_command: bool = False) -> list[str]:
+    """Those of `derived` that are not well determined."""
     return [
         name
-        for name, (value, low, high, _) in found.items()
-        if name not in SURGE and not high - low < 2 * WELL * abs(value)
+        for name in derived(found, one_command)
+        if not found[name].high - found[name].low < 2 * WELL * abs(found[name].value)
     ]
 
 
-def derived(found: Identified) -> list[str]:
-    """All quantities but the single parameters."""
-    return [name for name in found if name not in SURGE]
+def derived(found: Identified, one_command: bool = False) -> list[str]:
+    """All quantities but the single parameters, which trade against each other.
+
+    With one command for both sides, those that tell the sides apart are left out, too.
+    """
+    return [name for name in found if name not in SURGE and not (one_command and tells_sides(name))]
 
 
 def log_width(found: Identified, aims: Sequence[str]) -> float:

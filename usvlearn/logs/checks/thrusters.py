@@ -8,6 +8,7 @@ the speed against the command of each side, at an equal command of the other one
     left reversed                         −             −              −              +
     right reversed                        +             +              +              −
     both reversed                         −             +              −              −
+    both reversed, and sides swapped      +             −              −              −
     sides swapped, or heading             −             +              +              +
     counter-clockwise
 
@@ -18,6 +19,9 @@ Thresholds, and why:
   turn is believed without the speed, unless the speed says the opposite.
 - A thruster that dies can turn the sign of one relation, since the autopilot then steers against the other thruster.
   So neither half of the log may say anything else, and one has to say the same.
+- A speed controller opens the throttle where the boat is slow, so that the speed falls as the commands rise. So a boat
+  that moves ahead with commands above zero (beyond 0.05 of full scale, in 0.9 of the time) does not have both
+  reversed; one that moves ahead with commands below zero has, whatever the changes of its speed say.
 - Delay and inertia together stay below 20 s for boats of some tons. A delay is called implausible beyond 25 s, or
   before the command by more than 5 s, if the correlation there is 0.6 or more and exceeds that at plausible lags by
   0.2.
@@ -26,7 +30,7 @@ Thresholds, and why:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -46,6 +50,10 @@ USED = 0.01  # of full scale: a smaller range is no use of a thruster
 STEADY = 0.03  # standard deviation of a speed over its mean
 SHARED = ("name", "field", "unit", "zero", "span", "weight")  # options that belong to a thruster
 
+PUSHED, MOSTLY, AHEAD, ENOUGH = 0.05, 0.9, 0.3, 60  # of full scale; of the time; of the greatest speed; bins
+
+BOTH = ("both", "both, and swapped")
+
 Sides = tuple[Relation, Relation]
 
 
@@ -54,8 +62,11 @@ def sides(e: Evidence) -> Iterator[Finding]:
     if implausible_lag(e) is not None:
         return
     turns, moves = e.sides()
-    wrong = _mistake(turns, moves)
-    if wrong is None:
+    wrong, way = _mistake(turns, moves), _way(e)
+    if way < 0 and wrong not in COMMANDS:
+        yield _backward(e, turns)
+        return
+    if wrong is None or (way > 0 and wrong in BOTH):
         return
     half = len(e.speed) // 2
     parts = [_mistake(*e.sides(part), half=True) for part in (slice(half), slice(half, None))]
@@ -65,8 +76,8 @@ def sides(e: Evidence) -> Iterator[Finding]:
         *(each.correlation for each in (*turns, *moves))
     )
     about, expected = ", ".join(COMMANDS), "turn + left, − right; speed + on both"
-    turned = [name for name in COMMANDS if wrong in (name, "both", "unknown")]
-    reverse = " ".join(override(name, {"span": _negative(e.settings(name)["span"])}) for name in turned)
+    turned = [name for name in COMMANDS if wrong in (name, "unknown", *BOTH)]
+    reverse = _swap_reversed(e) if wrong == BOTH[1] else _reverse(e, turned)
     if wrong in ("swapped", "unknown"):
         if e.sense == -1:  # the heading is wrong: see `scales.heading_sense`
             return
@@ -79,6 +90,37 @@ def sides(e: Evidence) -> Iterator[Finding]:
     yield Finding(e.boat, ", ".join(turned), "side reversed", text, expected, reverse)
 
 
+def _way(e: Evidence) -> int:
+    """1 if the boat moves ahead with commands above zero, -1 if below zero, 0 if that is not clear."""
+    if not len(e.values[SURGE]) or min(e.values[SURGE]) < -AHEAD * e.fastest:
+        return 0  # it backs up, too
+    pushed = e.thrust[(e.speed > AHEAD * e.fastest) & np.isfinite(e.thrust)]
+    if len(pushed) < ENOUGH:
+        return 0
+    above, below = ((way * pushed > PUSHED).mean() >= MOSTLY for way in (1, -1))
+    return int(above) - int(below)
+
+
+def _backward(e: Evidence, turns: Sides) -> Finding:
+    """Commands that are below zero while the boat moves ahead; the turn tells whether the sides are swapped, too."""
+    text = f"commands of {float(np.nanmean(e.thrust)):+.2f} on average while the boat moves ahead"
+    known = [_sign(each, TURN, CLEAR_TURN) for each in turns]
+    both, swapped = _reverse(e, COMMANDS), _swap_reversed(e)
+    fix = both if known == [-1, 1] else swapped if known == [1, -1] and e.sense == 1 else f"{both} or {swapped}"
+    return Finding(e.boat, ", ".join(COMMANDS), "side reversed", text, "some above zero: zero or span is wrong", fix)
+
+
+def _reverse(e: Evidence, names: Sequence[str]) -> str:
+    return " ".join(override(name, {"span": _negative(e.settings(name)["span"])}) for name in names)
+
+
+def _swap_reversed(e: Evidence) -> str:
+    """The overrides that swap both commands, and reverse both."""
+    spans = [e.settings(name)["span"] for name in COMMANDS[::-1]]
+    changed = zip(_swapped(e).items(), spans, strict=True)
+    return " ".join(override(name, {**options, "span": _negative(span)}) for (name, options), span in changed)
+
+
 def _mistake(turns: Sides, moves: Sides, half: bool = False) -> str | None:
     """Which of the mistakes of the table the relations show surely; in half of a log, less sureness will do."""
     turn = [_sign(each, HALF if half else TURN, CLEAR_TURN) for each in turns]
@@ -87,9 +129,11 @@ def _mistake(turns: Sides, moves: Sides, half: bool = False) -> str | None:
     for side, signs in enumerate(([-1, -1], [1, 1])):
         if turn == signs and move[side] != 1 and move[1 - side] != -1 and (move[side] == -1 or strong):
             return COMMANDS[side]
+    if turn == [1, -1] and max(move) <= 0 and min(move) < 0:
+        return BOTH[1]
     if turn == [-1, 1]:
         if max(move) <= 0 and min(move) < 0:
-            return "both"
+            return BOTH[0]
         if min(move) >= 0 and max(move) > 0:
             return "swapped"
         if strong and move == [0, 0]:

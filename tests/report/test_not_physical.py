@@ -1,0 +1,44 @@
+"""A boat that cannot exist is red on the first page of a report and in the terminal, and nothing there is green."""
+
+import dataclasses
+
+from rich.console import Console
+
+from tests.support.known_boats import known_boat
+from usvlearn.report.front import Front, first_page
+from usvlearn.report.overview import Overview
+from usvlearn.report.tables import identified_table
+
+WRONG = "The identified boat is not physical: <it> goes astern."
+
+
+def boat(name: str, wrong: str, findings=()) -> Overview:
+    lacks = (wrong,) if wrong else ()
+    found = dataclasses.replace(known_boat(lacks=lacks).found, unphysical=wrong)
+    return Overview(name, 0.1, (), found, (), None, None, None, None, findings)
+
+
+def page(*boats: Overview) -> str:
+    viewer = {"runs": [], "colours": {}, "shown": [], "sides": {}}
+    return first_page(Front(boats, viewer, ()), "", {})
+
+
+def test_the_first_page_is_red_and_not_green():
+    right, wrong = page(boat("a", "")), page(boat("a", WRONG))
+    assert 'class="good">Nothing suspicious' in right and "not physical" not in right
+    assert "Nothing suspicious" not in wrong
+    assert wrong.count('<p class="bad">') == 2 and "&lt;it&gt;" in wrong and "<it>" not in wrong
+    assert wrong.count("goes astern") == 2  # once in each card, and not again among the notes
+
+
+def test_the_table_of_a_fleet_names_it():
+    text = page(boat("a", ""), boat("b", WRONG, [{"about": "surge", "found": "x", "severity": "note"}]))
+    assert "<td>no findings</td>" in text and "<td>not a physical boat</td>" in text
+
+
+def test_the_terminal_warns_once():
+    console = Console(width=200, record=True, file=None, quiet=False)
+    with console.capture() as shown:
+        console.print(identified_table({"a": boat("a", WRONG).identified, "b": boat("b", "").identified}))
+    assert shown.get().count("goes astern") == 1
+    assert f"WARNING: a: {WRONG}" in shown.get()
