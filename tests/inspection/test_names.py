@@ -22,7 +22,15 @@ def told(found, what):
 
 
 @pytest.mark.parametrize(
-    ("left", "right"), [("left", "right"), ("L", "R"), ("rpm_l", "rpm_r"), ("Motor BB [%]", "Motor StB [%]")]
+    ("left", "right"),
+    [
+        ("left", "right"),
+        ("L", "R"),
+        ("rpm_l", "rpm_r"),
+        ("Motor BB [%]", "Motor StB [%]"),
+        ("motors.port", "motors.starboard"),
+        ("thrusters/left", "thrusters/right"),
+    ],
 )
 def test_both_sides_are_found_by_name(tmp_path, left, right):
     found = proposed(tmp_path, **{left: "left", right: "right"})

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.inspection.topics import joined_tables
 from usvlearn.logs.series import Series
 
 HEAD = 4096  # bytes that tell a format
@@ -105,6 +106,7 @@ class Logs(NamedTuple):
     surveyed: list[list[Series]]  # of each log that was looked at
     notes: tuple[str, ...]  # what was left out, and why
     doubts: tuple[str, ...]  # about the reader's options; each begins with the option
+    joined: str = ""  # how the tables of a folder belong together, and why
 
 
 def find_format(path: Path) -> Format:
@@ -153,10 +155,12 @@ def open_logs(given: Sequence[str]) -> Logs:
         counts = ", ".join(f"{len(each)} of {name} ({each[0].name})" for name, each in found.items())
         raise LogFormatError(f"{given[0]}: expected logs of one format, found {counts}: give those of one format")
     ((name, logs),) = found.items()
+    logs, joined = joined_tables(logs) if formats[name] is TABLE else (logs, "")
     path = _common_path(given, logs)
-    boat = Path(path).stem if Path(path).is_file() else logs[0].parent.resolve().name
+    whole = Path(path) if joined and Path(path).is_dir() else logs[0].parent
+    boat = Path(path).stem if Path(path).is_file() else whole.resolve().name
     reader, surveyed, notes, doubts = _survey(formats[name], logs)
-    return Logs(formats[name], reader, path, boat, tuple(logs), surveyed, tuple(notes), tuple(doubts))
+    return Logs(formats[name], reader, path, boat, tuple(logs), surveyed, tuple(notes), tuple(doubts), joined)
 
 
 def _files(given: str) -> list[Path]:
@@ -196,6 +200,8 @@ def bytes_of(log: Path) -> int:
 
 def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
     """One path or pattern that finds these files."""
+    if len(files) == 1 and files[0].is_dir():
+        return str(files[0].absolute())
     if len(given) == 1:
         only = Path(given[0]).expanduser().absolute()
         notes = only.is_dir() and all(file.suffix.lower() == NOTES for file in files)

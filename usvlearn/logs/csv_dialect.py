@@ -34,22 +34,26 @@ GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")  # points at thousands besi
 
 UNIT_NAMES = {
     "1": ("1", "-"),
-    "percent": ("%", "percent", "pct"),
+    "percent": ("%", "percent", "pct", "prozent", "pourcent", "procent", "prosent", "porcentaje"),
     "m/s": ("m/s", "m/sec", "mps", "m_s", "ms-1", "m s-1", "ms^-1"),
     "cm/s": ("cm/s", "cm_s"),
     "mm/s": ("mm/s", "mm_s"),
-    "km/h": ("km/h", "kmh", "kph", "kmph", "km_h"),
-    "knots": ("kn", "kt", "kts", "knot", "knots"),
-    "deg": ("deg", "degs", "degree", "degrees", "°"),
+    "km/h": ("km/h", "kmh", "kph", "kmph", "km_h", "km/t", "km/u"),
+    "knots": ("kn", "kt", "kts", "knot", "knots", "knoten", "nœuds", "noeuds", "nœud", "noeud", "nudos", "nodi", "nós",
+              "knopen", "knop", "knob"),
+    "deg": ("deg", "degs", "degree", "degrees", "°", "grad", "degré", "degrés", "degres", "grados", "gradi", "graus",
+            "graden", "grader"),
     "rad": ("rad", "rads", "radian", "radians"),
     "deg/s": ("deg/s", "deg/sec", "°/s", "dps", "deg_s", "degps"),
     "rad/s": ("rad/s", "rad/sec", "rad_s", "radps"),
-    "s": ("s", "sec", "secs", "second", "seconds"),
+    "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "secondes", "segundos", "secondi", "seconden",
+          "sekunder"),
     "ms": ("ms", "msec", "millis", "milliseconds"),
     "us": ("us", "µs", "μs", "usec", "micros", "microseconds"),
     "ns": ("ns", "nsec", "nanos", "nanoseconds"),
     "m": ("m", "metre", "metres", "meter", "meters"),
-}
+    "N·m": ("n·m", "n m", "n*m", "n.m", "nm"),
+}  # fmt: skip
 UNIT_OF = {alias: unit for unit, aliases in UNIT_NAMES.items() for alias in aliases}
 BRACKETED = re.compile(r"(.*\S)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\])")
 
@@ -126,6 +130,15 @@ def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: 
         decimal, doubt = find_decimal(cell.strip() for row in rows for cell in row)
         doubts = {"decimal": doubt} if doubt else {}
     return Dialect(encoding, best.delimiter, prefixes, decimal, names, units, body, rows, doubts)
+
+
+def no_header(path: Path, dialect: Dialect) -> LogFormatError:
+    """The error for a table of numbers without names of columns."""
+    first = dialect.delimiter.join(dialect.sample[0])[:60]
+    return LogFormatError(
+        f"{path}: expected a header, a line with the names of the columns, found none above the first numbers "
+        f"{first!r}: add such a line"
+    )
 
 
 def not_text(path: Path, encoding: str) -> LogFormatError:

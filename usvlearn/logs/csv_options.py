@@ -10,23 +10,16 @@ import numpy as np
 
 from usvlearn.errors import LogFormatError
 from usvlearn.logs.channel import QUOTED
-from usvlearn.logs.csv_dialect import AUTO, Dialect, find_dialect, split_unit
-from usvlearn.logs.csv_stamps import Stamps, parse_cells
-from usvlearn.logs.csv_table import CLOCK, TIME_UNITS, Table
+from usvlearn.logs.csv_dialect import AUTO, Dialect, find_dialect, no_header, split_unit
+from usvlearn.logs.csv_stamps import OFTEN, Stamps, parse_cells, rows_a_second
+from usvlearn.logs.csv_table import CLOCK, TIME_UNITS, TOPICS, Table
+from usvlearn.logs.csv_topics import tables_of
 
 NAMED = {
-    "time",
-    "timestamp",
-    "t",
-    "stamp",
-    "datetime",
-    "date_time",
-    "date time",
-    "date/time",
-    "utc",
-    "zeit",
-    "zeitstempel",
-}
+    "time", "timestamp", "t", "stamp", "datetime", "date_time", "date time", "date/time", "utc", "zeit", "zeitstempel",
+    "uhrzeit", "temps", "heure", "horodatage", "tiempo", "hora", "tempo", "ora", "tid", "tidsstempel", "tijd",
+    "tijdstempel", "czas", "aika", "aikaleima",
+}  # fmt: skip
 PARTS = ("time", "stamp", "zeit")  # of a name that may be one of stamps
 RISING = 0.95  # share of the steps of a column of stamps that are not negative
 ADVANCING = 0.2  # share of them that are positive
@@ -48,10 +41,10 @@ class _Candidate(NamedTuple):
 def table_of(path: Path) -> tuple[Table, list[str]]:
     """A reader for one table, with its options as found, and a sentence for each unsure one that begins with its key.
 
-    The option `comment` stays "auto".
+    The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too.
 
     Args:
-        path: the table.
+        path: the table, or a folder whose tables are topics of one run.
 
     Raises:
         LogFormatError: the file is no table with a header, or no column can be one of stamps.
@@ -64,7 +57,11 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
     >>> table.time, table.delimiter, table.decimal, table.dates, unsure
     ('Zeit', ';', ',', 'day_first', [])
     """
+    if path.is_dir():
+        return _table_of_topics(path)
     dialect = find_dialect(path, AUTO, AUTO, AUTO, AUTO, AUTO)
+    if not dialect.names and dialect.sample:
+        raise no_header(path, dialect)
     unsure = [f"decimal: found {doubt}; '.' is assumed" for doubt in dialect.doubts.values()]
     if (count := len(dialect.sample)) < 2:
         found = "a header and no rows" if not count else "a header and a single row"
@@ -99,6 +96,27 @@ def table_of(path: Path) -> tuple[Table, list[str]]:
     return (table if kind in ("number", "time") else replace(table, dates=kind)), unsure
 
 
+def _table_of_topics(folder: Path) -> tuple[Table, list[str]]:
+    found: list[Table] = []
+    unsure: dict[str, None] = {}
+    failed: LogFormatError | None = None
+    for file in tables_of(Table(AUTO), folder):
+        try:
+            table, doubts = table_of(file)
+        except LogFormatError as error:
+            failed = failed or error
+            continue
+        found.append(table)
+        unsure |= dict.fromkeys(doubts)
+    if not found:
+        raise failed or LogFormatError(f"{folder}: expected tables, found none: give another folder")
+    options = {name: {getattr(each, name) for each in found} for name in ("delimiter", "decimal", "encoding", "dates")}
+    same = {name: values.pop() for name, values in options.items() if len(values) == 1}
+    stamps = {(each.time, each.time_unit) for each in found}
+    time, unit = stamps.pop() if len(stamps) == 1 else (AUTO, "s")
+    return Table(time, unit, files=TOPICS, **same), list(unsure)
+
+
 def _candidates(dialect: Dialect) -> list[_Candidate]:
     """The columns that may be stamps; a column of dates goes with one of times."""
     found, days = [], []
@@ -128,8 +146,9 @@ def _candidates(dialect: Dialect) -> list[_Candidate]:
 
 
 def _advances(stamps: np.ndarray) -> bool:
-    """Whether enough of the steps are no repetitions."""
-    return bool((np.diff(stamps[np.isfinite(stamps)]) > 0).mean() >= ADVANCING)
+    """Whether enough of the steps are no repetitions, or they repeat as whole seconds do."""
+    known = stamps[np.isfinite(stamps)]
+    return bool((np.diff(known) > 0).mean() >= ADVANCING) or rows_a_second(known) >= OFTEN
 
 
 def _is_even(steps: np.ndarray) -> bool:

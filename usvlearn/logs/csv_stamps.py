@@ -19,6 +19,7 @@ SWAPPED = str.maketrans(",.", ".,")
 DAY = 86400.0  # s
 MIDNIGHT = datetime(1970, 1, 1)
 EPOCH = MIDNIGHT.toordinal()
+OFTEN, FEW = 1.25, 4  # rows of one whole second, from which they are no duplicates; and the least number of rows
 CERTAIN = 0.99  # share of the telling dates that agree
 TIME = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?\s*(?:([AaPp])\.?[Mm]\.?)?"
 ONLY_TIME = re.compile(rf"\s*{TIME}\s*")
@@ -48,6 +49,7 @@ class Stamps:
         self._values: list[np.ndarray] = []  # number, s since 1970, or s since midnight
         self._dates: list[np.ndarray] = []  # (n, 3) first, second, year; of OTHER_DATE
         self._dotted = False  # dates are written with points
+        self.origin = 0.0  # the first readable stamp, as a number, or in s since 1970 or midnight; of `seconds`
 
     def add(self, cells: Sequence[str], decimal: str = ".") -> None:
         """Take the next cells."""
@@ -126,7 +128,8 @@ class Stamps:
             return None, name, doubt
         if kind == CLOCK:  # past midnight they begin anew
             values[readable] = np.unwrap(values[readable], period=DAY)
-        return values - values[readable[0]], name, doubt
+        self.origin = float(values[readable[0]])
+        return values - self.origin, name, doubt
 
     def _order(self, dates: np.ndarray) -> tuple[str, str]:
         """The order of day and month, from all dates."""
@@ -140,6 +143,42 @@ class Stamps:
         one, other = (dates[place].tolist() for place in (0, -1))
         shown = " to ".join(f"{a}/{b}/{year}" for a, b, year in (one, other))
         return "day_first", f"dates from {shown}, which may have the day or the month first"
+
+
+def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
+    """Stamps of whole seconds that repeat, spread: row k of the n rows of a second is k/n s later.
+
+    The rate of rows is taken as even within each second, so a row may be up to a second off. It needs all rows of a
+    second, as only a log has them.
+
+    Args:
+        time: (n,) s, NaN where it is unreadable.
+        origin: s, of the time 0.
+
+    Returns:
+        the stamps, and the mean number of rows of a second, or 0 where nothing was changed.
+
+    >>> spread(np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0]), 5.0)
+    (array([0.  , 0.5 , 1.  , 1.25, 1.5 , 1.75, 2.  ]), 2.3333333333333335)
+    """
+    readable = np.flatnonzero(np.isfinite(time))
+    rate = rows_a_second(time[readable] + origin)
+    if rate < OFTEN:
+        return time, 0.0
+    begins = np.flatnonzero(np.append(True, np.diff(time[readable]) != 0))
+    counts = np.diff(np.append(begins, len(readable)))
+    place = np.arange(len(readable)) - np.repeat(begins, counts)
+    found = time.copy()
+    found[readable] += place / np.repeat(counts, counts)
+    return found, rate
+
+
+def rows_a_second(stamps: np.ndarray) -> float:
+    """The mean number of rows with one stamp, where all stamps are whole seconds; else 0."""
+    if len(stamps) < FEW or (stamps != np.floor(stamps)).any():
+        return 0.0
+    changes = int((np.diff(stamps) != 0).sum())
+    return len(stamps) / (changes + 1) if changes else 0.0
 
 
 def _iso(cell: str) -> float:
