@@ -159,7 +159,7 @@ def test_an_ensemble_is_taken_as_it_is(logs):
 WRONG = {
     "data": (lambda folder: usvlearn.read(folder, "bluebot"), "data: found 'bluebot'.*did you mean blueboat"),
     "path": (lambda folder: usvlearn.read(folder / "none.csv"), r"none\.csv does not exist"),
-    "several paths": (lambda folder: usvlearn.read([folder]), r"path: found \[.*\], expected a path, a pattern, or a"),
+    "several paths": (lambda folder: usvlearn.read([folder]), r"found list, expected a path, a pattern, a dictionary"),
     "no path": (lambda folder: usvlearn.read(), "data.path is not set"),
     "mass": (lambda folder: usvlearn.read(folder, mass=-1), "mass: found -1, expected a positive number of kg"),
     "top speed": (lambda folder: usvlearn.read(folder, surge_max=0), "surge_max: found 0"),

@@ -20,11 +20,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from usvlearn.errors import ConfigError, check_positive
+from usvlearn.errors import ConfigError, check_positive, did_you_mean
 from usvlearn.learned import AlignedLogs, Learned, PathLike, check_logs, predictions_of
 
 if TYPE_CHECKING:
@@ -33,10 +33,20 @@ if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.state import EnsembleState
 
 
+class Frame(Protocol):
+    """A table with named columns, such as a `pandas.DataFrame`."""
+
+    @property
+    def columns(self) -> Any: ...
+
+    def __getitem__(self, name: Any, /) -> Any: ...
+
+
 def read(
-    path: PathLike | Mapping[str, PathLike] | None = None,
+    path: PathLike | Mapping[str, Any] | Frame | None = None,
     data: str = "csv",
     *,
+    units: Mapping[str, str] | None = None,
     channels: Mapping[str, Mapping[str, Any] | None] | None = None,
     mass: float | None = None,
     surge_max: float | None = None,
@@ -46,20 +56,29 @@ def read(
 ) -> AlignedLogs:
     """Read logs, and align them on a grid of time.
 
+    In place of logs, it takes arrays of one run: `read(time=…, command_left=…, command_right=…, heading=…, surge=…)`,
+    all of the shape (time,), NaN where a channel has no value; a dictionary of them; or a table with such columns.
+    Other channels of `usvlearn.logs.channel.CHANNELS` and `AUXILIARY` are optional. They are in SI units, unless
+    `units` or `channels` say otherwise.
+
     Args:
-        path: a log; a folder, with all logs below it; a pattern such as `logs/*.csv`; or boat -> path.
+        path: a log; a folder, with all logs below it; a pattern such as `logs/*.csv`; or boat -> path. Or a dictionary
+            of arrays, or a table such as a `pandas.DataFrame`.
         data: the configuration that describes them: a file such as "my_boat.yaml", or a name in configs/data: "csv",
             "alog", "rosbag", "ardupilot", "tlog", "ulog" for any boat, "blueboat", "vtec", "dalian", "pearl", or
             "simulated", which has no path.
+        units: of arrays: channel, or `time` -> unit, such as `{"heading": "deg", "surge": "knots", "time": "ms"}`.
         channels: changes to it, channel -> keys of `usvlearn.logs.channel.Source`.
         mass: of the boat, kg, added mass included, if it differs from that of the configuration.
         surge_max: top speed of the boat, m/s, if it differs from that of the configuration.
         align: options of `usvlearn.Aligner` that differ from configs/train.yaml, such as `{"dt": 0.2}`.
         check: the data: "warn" keeps what is found in `findings`, "strict" raises for a warning, "off" does not look.
-        **settings: further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and `seed`.
+        **settings: arrays by name; or further keys of `data`, such as `boat`, `reader` or, simulated, `n`, `hours` and
+            `seed`.
 
     Raises:
-        ConfigError: an option outside its legal values, or a path that is none or finds no log.
+        ConfigError: an option outside its legal values, a path that is none or finds no log, or an array that is
+            missing, of another length or not of numbers.
         LogFormatError: no log can be read as it is described; with check="strict", the data check has warned.
 
     >>> from tempfile import TemporaryDirectory
@@ -71,27 +90,47 @@ def read(
     ...     logs = read(Path(folder, "heron.csv"), "csv", channels=channels, mass=28.0, surge_max=3.0)
     >>> logs.boats, len(logs.runs[0].time), float(logs.runs[0].columns["heading"][-1].round(2))
     (('heron',), 13, 1.57)
+    >>> time = np.arange(0, 60, 0.1)
+    >>> same = {"command_left": 0 * time + 0.5, "command_right": 0 * time + 0.5, "surge": 0 * time + 2.0}
+    >>> read(time=time, **same, heading=0 * time + 90.0, units={"heading": "deg"}).rejected
+    {'boat': {}}
     """
     from usvlearn.cli.checked import CheckedAlignment
-    from usvlearn.cli.composition import recordings_of
+    from usvlearn.cli.composition import compose_train, plain, recordings_of
+    from usvlearn.logs.array_log import NAMES, arrays_among, channels_of_arrays, described, read_arrays
     from usvlearn.logs.setup import setups_of
 
-    if isinstance(path, Mapping):
+    arrays = arrays_among(path, settings)
+    if arrays is None and units is not None:
+        raise ConfigError("units: found units without arrays, expected them in channels: {'surge': {'unit': 'knots'}}")
+    for name, value in settings.items():
+        if hasattr(value, "__array__"):
+            hint = did_you_mean(name, NAMES)
+            raise ConfigError(f"{name}: found {described(value)}, expected arrays among {', '.join(NAMES)}{hint}")
+    if arrays is not None:
+        log, settings["channels"] = channels_of_arrays(arrays, channels, units)
+    elif channels is not None:
+        settings["channels"] = dict(channels)
+    if isinstance(path, Mapping) and arrays is None:
         settings["path"] = {str(boat): os.fspath(each) for boat, each in path.items()}
     elif isinstance(path, str | os.PathLike):
         settings["path"] = os.fspath(path)
-    elif path is not None:
-        raise ConfigError(f"path: found {path!r}, expected a path, a pattern, or a dictionary of boat: path")
-    if channels is not None:
-        settings["channels"] = dict(channels)
     vehicle = {}
     if mass is not None:
         vehicle["mass"] = check_positive("mass", mass, "of kg")
     if surge_max is not None:
         vehicle["surge_max"] = check_positive("surge_max", surge_max, "of m/s")
     changes = {"data": settings, "vehicle": vehicle, "align": dict(align or {}), "check": check}
-    found, composed = recordings_of(data, changes)
-    recordings, checked = list(found), CheckedAlignment(composed)
+    if arrays is None:
+        found, composed = recordings_of(data, changes)
+        recordings = list(found)
+    else:
+        if data != "csv":
+            raise ConfigError(f"data: found {data!r} beside arrays, expected none: describe them in units and channels")
+        composed = plain(compose_train(["data=csv"], changes))
+        composed["data"]["reader"] = None
+        recordings = read_arrays(log, composed["data"]["channels"], composed["data"]["boat"])
+    checked = CheckedAlignment(composed)
     fleet = checked(recordings, **composed["align"])
     return AlignedLogs(fleet, composed, tuple(checked.findings or ()), setups_of(composed, recordings))
 

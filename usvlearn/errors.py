@@ -2,11 +2,14 @@
 
 import difflib
 import errno
+import os
 import re
 import sys
+import textwrap
 import warnings
 from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 DISK = (*NO_ROOM, errno.EROFS, errno.EIO)  # of a write, which names no file
@@ -19,6 +22,53 @@ def printable(text: str) -> str:
     found \x1b[2J, 3 °
     """
     return "".join(each if each.isprintable() else repr(each)[1:-1] for each in text)
+
+
+def folded(text: str, columns: int | None) -> str:
+    """Text whose lines are broken between words, where a terminal would break them within one; a long word stays whole.
+
+    Args:
+        text: of lines; what follows a label and two spaces continues below itself.
+        columns: of the terminal; None, as of a file, breaks nothing.
+
+    >>> print(folded("files  run: results.json, errors.csv, predictions", 28))
+    files  run: results.json,
+           errors.csv,
+           predictions
+    """
+    if columns is None:
+        return text
+    lines = []
+    for line in text.split("\n"):
+        label = re.match(r"\s*(?:\S+ {2,}(?=\S))?", line)
+        hang = " " * len(label[0] if label else "")
+        lines.append(
+            textwrap.fill(line, columns, subsequent_indent=hang, break_long_words=False, break_on_hyphens=False)
+        )
+    return "\n".join(lines)
+
+
+def columns_of(stream: TextIO) -> int | None:
+    """The width of the terminal to which a stream writes; None if it is none, or does not tell.
+
+    >>> import io
+    >>> columns_of(io.StringIO()) is None
+    True
+    """
+    try:
+        return (os.get_terminal_size(stream.fileno()).columns or None) if stream.isatty() else None
+    except (OSError, ValueError):
+        return None
+
+
+def drop_output() -> None:
+    """Let the standard output go nowhere: its reader has gone, as `head` does."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def complain(text: str) -> None:
+    """Print to the standard error stream, with lines that the terminal need not break."""
+    print(folded(text, columns_of(sys.stderr)), file=sys.stderr)
 
 
 class UsvlearnError(ValueError):
@@ -159,13 +209,17 @@ def exit_on_user_error() -> Iterator[None]:
     ...     dt = check_positive("dt", 0.4)
     """
     before = warnings.formatwarning
-    warnings.formatwarning = lambda message, *_, **__: f"warning: {message}\n"
+    warnings.formatwarning = lambda message, *_, **__: f"{folded(f'warning: {message}', columns_of(sys.stderr))}\n"
     try:
         yield
+        if sys.stdout is not None:
+            sys.stdout.flush()  # here, so that a reader who has gone is no error at the end
+    except BrokenPipeError:
+        drop_output()
     except Exception as error:
         if (cause := bad_input(error)) is None:
             raise
-        print(f"error: {cause}", file=sys.stderr)
+        complain(f"error: {cause}")
         sys.exit(2)
     finally:
         warnings.formatwarning = before

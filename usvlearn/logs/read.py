@@ -8,9 +8,9 @@ import itertools
 import os
 import re
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from usvlearn.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, printable, under
@@ -19,6 +19,7 @@ from usvlearn.logs.channel import (
     AUXILIARY,
     CHANNELS,
     COMMANDS,
+    FORCES,
     OWN_UNITS,
     REQUIRED,
     SURGE,
@@ -35,10 +36,11 @@ from usvlearn.logs.series import Series
 class Reader(Protocol):
     """A reader of one log: `Alog`, `DataFlash`, `Rosbag`, `Table`, `Tlog`, `Ulog`.
 
-    A reader may have a `marker`, the name of a file and what it contains: a folder with such a file is one log.
+    A reader may have a `marker`, the name of a file and what it contains: a folder with such a file is one log. Or it
+    may have a method `is_log(folder, files, names)`, which tells this from a folder's files and the names of channels.
     """
 
-    suffixes: tuple[str, ...]
+    suffixes: ClassVar[tuple[str, ...]]
 
     def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]: ...
 
@@ -91,7 +93,7 @@ def read_recordings(
             for recording in read_recordings(place, reader, channels, str(name))
         ]
     sources = sources_of(channels)
-    root, files = _find(path, reader.suffixes, getattr(reader, "marker", None))
+    root, files = _find(path, reader, [source.name for source in parts_of(_needed(sources)).values()])
     if boat is None:
         boat = _run(files[0], files[0].parent) if files == [Path(path).expanduser()] else printable(root.resolve().name)
     recordings, unread = [], []
@@ -115,14 +117,19 @@ def _read(file: Path, root: Path, reader: Reader, sources: Mapping[str, Source |
     try:
         if file.stat().st_size == 0:
             raise LogFormatError(f"{file}: expected a log, found an empty file: remove it")
-        channels, dropped = _channels(file, reader, sources)
-        if SURGE not in channels:
-            channels[SURGE], dropped[SURGE] = derived_surge(str(file), channels)
+        return recording_of(file, reader, sources, boat, _run(file, root))
     except OSError as error:
         raise LogFormatError(
             f"{file}: expected a readable file, found: {error.strerror or error}: fix its permissions"
         ) from error
-    return Recording(boat, _run(file, root), channels, dropped)
+
+
+def recording_of(log: Path, reader: Reader, sources: Mapping[str, Source | Mix], boat: str, run: str) -> Recording:
+    """One log as a recording; its surge is computed where it has none."""
+    channels, dropped = _channels(log, reader, sources)
+    if SURGE not in channels:
+        channels[SURGE], dropped[SURGE] = derived_surge(str(log), channels)
+    return Recording(boat, run, channels, dropped)
 
 
 def _run(log: Path, root: Path) -> str:
@@ -137,8 +144,7 @@ def _channels(
     try:
         return mixed(sources, *reader.read(file, parts_of(sources)))
     except LogFormatError as error:
-        needed = {*CHANNELS, *(() if SURGE in sources else pair_of(sources) or ())}
-        own = {name: source for name, source in sources.items() if name in needed}
+        own = _needed(sources)
         if len(own) == len(sources):
             raise
         found = mixed(own, *reader.read(file, parts_of(own)))
@@ -146,10 +152,15 @@ def _channels(
         return found
 
 
-def _find(
-    path: str | os.PathLike, suffixes: tuple[str, ...], marker: tuple[str, bytes] | None = None
-) -> tuple[Path, list[Path]]:
+def _needed(sources: Mapping[str, Source | Mix]) -> dict[str, Source | Mix]:
+    """The channels without those that only a track needs."""
+    needed = {*CHANNELS, *(() if SURGE in sources else pair_of(sources) or ())}
+    return {name: source for name, source in sources.items() if name in needed}
+
+
+def _find(path: str | os.PathLike, reader: Reader, names: Sequence[str]) -> tuple[Path, list[Path]]:
     """The folder relative to which runs are named, and the logs in natural order."""
+    suffixes, marker = reader.suffixes, getattr(reader, "marker", None)
     if path is None or str(path) in ("", "???"):
         raise ConfigError("data.path is not set: set data.path=FILE, a folder of logs, or a pattern")
     if not isinstance(path, str | os.PathLike):
@@ -179,6 +190,13 @@ def _find(
     if marker and here.is_dir():
         logs = {folder for folder in {file.parent for file in files} if _is_log(folder, marker)}
         files = [*(file for file in files if file.parent not in logs), *logs]
+    if here.is_dir() and (is_log := getattr(reader, "is_log", None)):
+        folders: dict[Path, list[Path]] = {}
+        for file in files:
+            folders.setdefault(file.parent, []).append(file)
+        logs = {folder for folder, inside in folders.items() if is_log(folder, inside, names)}
+        files = [*(file for file in files if file.parent not in logs), *logs]
+        root = here.parent if here in logs else root
     if not files and found and not here.is_dir():
         files = found  # the pattern names another suffix
     if not files:
@@ -240,6 +258,11 @@ def _source(channel: str, given: Source | Mix | Mapping | None) -> Source | Mix 
         raise ConfigError(f"{key}: found {given!r}, expected {{name: ..., unit: ...}}")
     for part in given.parts if isinstance(given, Mix) else [given] if given else []:
         _check_unit(key, channel, part.unit)
+        if part.unit in FORCES[::2] and abs(part.span) == 1:
+            raise ConfigError(
+                f"{key}.span: found {part.span:g} for {printable(part.name)!r} in {part.unit}, expected the greatest "
+                "one: a command is a share of it"
+            )
     return given
 
 
@@ -259,17 +282,18 @@ def _described(channel: str, given: Mapping, key: str) -> Source | Mix | None:
         if name not in SOURCE_KEYS:
             hint = did_you_mean(name, SOURCE_KEYS)
             raise ConfigError(f"{key}: found {name!r}, expected keys among {', '.join(SOURCE_KEYS)}{hint}")
-        numeric = name in ("zero", "span", "window", "delay") or (name == "period" and value != AUTO)
+        numeric = name in ("zero", "span", "delay") or (name in ("window", "period") and value != AUTO)
         values = listed(value) if names and name in PER_NAME else None
         for each in [value] if values is None else values:
             if numeric and (isinstance(each, bool) or not isinstance(each, int | float)):
-                expected = f"a time in s, or {AUTO}" if name == "period" else "a number"
+                expected = f"a time in s, or {AUTO}" if name in ("window", "period") else "a number"
                 raise ConfigError(f"{key}.{name}: found {each!r}, expected {expected}")
         if name == "held" and not isinstance(value, bool):
             raise ConfigError(f"{key}.held: found {value!r}, expected true or false")
     if given.get("name") in (None, "", "???", []):
         return None
-    _check_unit(key, channel, given.get("unit", "1"))
+    for unit in (listed(given.get("unit")) if names else None) or [given.get("unit", "1")]:
+        _check_unit(key, channel, unit)
     with under(key, given):
         if names is not None:
             return Mix.of({**given, "name": [str(name) for name in names]})
