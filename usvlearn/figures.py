@@ -11,6 +11,7 @@ import numpy as np
 
 from usvlearn.errors import MissingExtraError
 
+MOST_MEMBERS = 4  # in figures of a run
 WORST = 60.0  # s, the stretch that is enlarged
 INK, LINE = "#1f2430", "#c8ccd4"  # text and axes; grids. A report replaces them by the colours of its theme
 SEVEN = {  # the colours of TensorBoard's runs, in its order, and who has them: estimators that are never compared share
@@ -46,14 +47,13 @@ def colours(names: Sequence[str]) -> dict[str, str]:
     return {name: found[name.rstrip("+")] for name in names}
 
 
-def main_estimators(names: Sequence[str], output: str) -> list[str]:
-    """The estimators in figures of a run: three members, the paper's first, and the ensemble's output last.
+def main_estimators(weighed: Sequence[str], output: str) -> list[str]:
+    """The estimators in figures of a run: the first members that the ensemble's output weighs, and the output last.
 
-    >>> main_estimators(["joint", "rls", "aid", "arx", "ensemble"], "ensemble")
-    ['aid', 'rls', 'joint', 'ensemble']
+    >>> main_estimators(["joint", "joint_quick", "arx", "reader", "aid"], "ensemble")
+    ['joint', 'joint_quick', 'arx', 'reader', 'ensemble']
     """
-    order = [name for name in (*PAPER, *names) if name in names and name != output]
-    return [*list(dict.fromkeys(order))[:3], output]
+    return [*list(weighed)[:MOST_MEMBERS], output]
 
 
 @contextmanager

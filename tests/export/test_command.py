@@ -1,5 +1,6 @@
 """The command `usvlearn export`."""
 
+import dataclasses
 import sys
 import warnings
 
@@ -8,6 +9,7 @@ import pytest
 from usvlearn import AID, Online, checkpoint
 from usvlearn.__main__ import main
 from usvlearn.checkpoint import checkpoints
+from usvlearn.cli import exporting
 from usvlearn.export.formats import FORMATS
 
 
@@ -128,3 +130,13 @@ def test_a_filter_that_diverged_is_no_boat(run, tmp_path, capsys):
     broken = {name: leaf * float("nan") if name == "members.reader.mean" else leaf for name, leaf in leaves.items()}
     path = checkpoint.save(tmp_path / "a.safetensors", broken, **facts)
     assert "The filter has diverged" in told(capsys, path, "--to", "c")
+
+
+def test_a_boat_that_is_not_physical_is_written_by_force_only(run, boat, tmp_path, capsys, monkeypatch):
+    wrong = boat._replace(found=dataclasses.replace(boat.found, unphysical="It goes astern."))
+    monkeypatch.setattr(exporting, "read_boats", lambda *_: [wrong])
+    said = told(capsys, run, "--to", "json", "--out", tmp_path)
+    assert said == f"error: {boat.name}: It goes astern. To write it all the same, add --force."
+    assert not list(tmp_path.iterdir())
+    assert main(["export", str(run), "--to", "json", "--out", str(tmp_path), "--force"]) == 0
+    assert (tmp_path / f"{boat.name}.json").exists()

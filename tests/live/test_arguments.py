@@ -36,6 +36,7 @@ def test_options_of_channels_are_typed_and_change_those_of_a_file(tmp_path):
         (["--channel", "sruge=v"], "sruge: found no such option of a channel.*did you mean surge"),
         (["--channel", "surge.untis=m/s"], "surge.untis: found no such option"),
         (["--channel", "surge.span=much"], "surge.span: found 'much', expected a number"),
+        (["--channel", "surge.window=often"], "surge.window: found 'often', expected a number, or auto"),
         (["--channel", "surge.span=inf"], "expected a finite number"),
         (["--channel", "surge.held=yes"], "expected true or false"),
         (["--save-period", "0"], "save_period: found 0.0, expected a positive number"),

@@ -1,6 +1,7 @@
 """The core of the node: what it publishes of each step."""
 
 import io
+import json
 import math
 from itertools import pairwise
 
@@ -10,14 +11,22 @@ import pytest
 from tests.support.live import boat, learned_set, messages
 from usvlearn import checkpoint
 from usvlearn.errors import ConfigError
+from usvlearn.live import watched
 from usvlearn.live.health import COMPILING
+from usvlearn.live.held import HeldIntervals
+from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.node import Node
 from usvlearn.live.operator_page import WIDTH, page
-from usvlearn.live.posts import KINDS, TABLE, of_health, of_step, told
+from usvlearn.live.plan_requests import parse_plan, sampled
+from usvlearn.live.posts import KINDS, PLANNED, TABLE, of_health, of_step, told
+from usvlearn.live.prior import prior
+from usvlearn.live.sets import Sets
+from usvlearn.live.start import Options, begin
 from usvlearn.live.status_line import StatusLine
 from usvlearn.logs.align import Aligner
 from usvlearn.logs.channel import REQUIRED, Source
 from usvlearn.logs.derived_surge import COURSES, VELOCITIES
+from usvlearn.logs.mixing import Mix, sides_of
 from usvlearn.logs.setup import Setup
 from usvlearn.online import Online
 from usvlearn.simulate.fault import Fault
@@ -59,9 +68,98 @@ def test_the_intervals_of_a_simulated_boat_hold(start):
     for step in steps[500:]:
         later = speed.get(round(step.time + 2.0, 1), math.nan)
         if step.forecasts and math.isfinite(later) and stays(log, step.time - 0.2, step.time + 2.0):
-            _, low, high = step.forecasts[2.0]
+            _, low, high = step.if_held[2.0]
             inside.append(low <= later <= high)
     assert len(inside) > 1000 and 0.85 < np.mean(inside) < 0.97
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("lawn_mower", 31), ("patrol", 32)])
+def test_forecasts_of_held_commands_have_intervals_that_hold_whatever_is_commanded(start, kind, seed):
+    """The intervals that assume that the commands stay hold half of the speeds 10 s ahead, or less."""
+    one, log = node(start), fleet(n=1, hours=1.0, seed=seed, missions=[kind])[0]
+    steps = [step for message in messages(log, 0.0) for step in one.push(*message)]
+    speed = {round(step.time, 1): step.measured for step in steps}
+    inside, narrow = [], []
+    for step in steps[250:]:  # 100 s
+        later = speed.get(round(step.time + 10.0, 1), math.nan)
+        if step.forecasts and math.isfinite(later):
+            inside.append(step.forecasts[10.0][1] <= later <= step.forecasts[10.0][2])
+            narrow.append(step.if_held[10.0][1] <= later <= step.if_held[10.0][2])
+            assert step.forecasts[10.0][0] == step.if_held[10.0][0]
+    assert len(inside) > 1500 and 0.8 < np.mean(inside) < 0.97 and np.mean(narrow) < 0.7
+    again = HeldIntervals(one.horizons, one.dt)
+    again.load(json.loads(json.dumps(one.held.json())))
+    assert all(again.halfwidth(h) == pytest.approx(one.held.halfwidth(h), abs=1e-3) for h in one.horizons)
+
+
+@pytest.mark.parametrize("given", [None, 3, {"2": [0.9, -1.0]}, {"2": ["a"]}, {"2": [math.nan] * 20}, {"2": [0.1] * 20},
+                                   {"2": []}, {"2": [0.9] * 1000}, {"2": [True] * 20}])  # fmt: skip
+def test_intervals_of_a_foreign_set_begin_anew(given):
+    held = HeldIntervals([2.0], 0.4)
+    held.load(given)
+    assert held.halfwidth(2.0) == math.inf
+
+
+def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
+    """Also with delays, and the commands in force until the first row; in both forms."""
+    one = node(start)
+    for message in messages(boat(0.1), 0.0):
+        one.push(*message)
+    ahead = one._aligner.ahead(75)
+    plan = {"t": [0, 4], "left": [0.5, 0.8], "right": [0.5, 0.6], "heading": [1.0, 1.5]}
+    found = json.loads(one.answer(json.dumps({"id": "A", **plan})))
+    commands = np.where(np.arange(75)[:, None] < 10, [0.5, 0.5], [0.8, 0.6])
+    headings = np.interp(0.4 * np.arange(75), [0.0, 4.0], [1.0, 1.5])
+    turns = np.where(np.arange(75) < 10, 0.125, 0.0)
+    expected = one.online.forecast(commands, headings, turns, 0.4)
+    np.testing.assert_allclose(found["surge"], expected.surge, atol=6e-4)
+    np.testing.assert_allclose([math.inf if x is None else x for x in found["high"]], expected.high, atol=6e-4)
+    assert found["id"] == "A" and found["time"] == pytest.approx(one.last, abs=1e-3) and found["t"][-1] == 30.0
+    rows = dict(each.split("=") for each in one.answer("t,left,right\n2,0.5,0.5\n4,0.8,0.6").split(","))
+    commands[:5, 0], commands[:5, 1] = ahead.command_left[:5], ahead.command_right[:5]
+    expected = one.online.forecast(commands, ahead.heading, ahead.yaw_rate, 0.4)
+    told = [[float(x) for x in (each if ":" in each else f"{each}:-inf:inf").split(":")] for each in rows.values()]
+    np.testing.assert_allclose(told, np.stack(expected[1:], -1), atol=6e-4)
+    late = Setup.of({**one.setup.json(), "channels": {
+        name: {**each, "delay": 0.8 if name.startswith("command") else 0.0}
+        for name, each in one.setup.json()["channels"].items()}})  # fmt: skip
+    other = Node(late, Online.open(start))
+    for message in messages(boat(0.1), 0.0):
+        other.push(*message)
+    plan = parse_plan("0,1,1")
+    commands = sampled(plan, 0.4 * np.arange(76) - 0.8, other._aligner.ahead(75).command_left, "left")
+    assert (commands[:2] == other._aligner.ahead(2).command_left).all() and (commands[2:] == 1.0).all()
+    assert "plan" not in one.counts
+
+
+@pytest.mark.parametrize(("text", "sentence"), [
+    ("", "found 0 rows"), ("a", "found 'a' in row 1, expected rows t,left,right"), ("0,1", "found '0,1' in row 1"),
+    ("0,60,60", "found left 60 in row 1, expected -1 to 1, shares of full scale"),
+    ("0,1,1;0,1,1", "times t that do not rise"), ("-1,1,1", "times t that do not rise"),
+    ("0,1,1;1,1,1,1", "found '1,1,1,1' in row 2"), ("0,nan,1", "found left nan in row 1"), ("inf,1,1", "found t inf"),
+    ("1000,1,1", "found t 1000, expected at most 239.6 s"), ("0,1,1;" * 2000, "found 2000 rows"),
+    ("0" * 200_000, "found 200000 characters"), ("{", "found no JSON"), ("[" * 5000, "no JSON"), ("[]", "without"),
+    ('{"t": [0], "left": [1]}', "JSON without lists t, left and right"),
+    ('{"t": [0], "left": [1], "right": [1, 1]}', "lists of different lengths"),
+    ('{"t": [0], "left": [true], "right": [1]}', "found left True"),
+    ('{"t": [0], "left": ["\\u001b"], "right": [1]}', "found left"),
+    ('{"t": [0], "left": [1], "right": [1], "speed": 3}', "found the key 'speed'"),
+    ('{"id": 1e999, "t": [0], "left": [1], "right": [NaN]}', "found right nan"),
+    ('{"t": [0], "left": [' + "9" * 4000 + '], "right": [1]}', "found left 999"),
+    ('{"t": [0], "left": [1], "right": [1], "heading": [1e12]}', "headings: found"),
+])  # fmt: skip
+def test_a_bad_plan_is_answered_by_a_sentence_and_counted(start, text, sentence):
+    one = node(start)
+    for message in messages(boat(0.02), 0.0):
+        one.push(*message)
+    found = one.answer(text)
+    found = json.loads(found)["error"] if text[:1] in ("{", "[") else found.removeprefix("error: ")
+    assert sentence in found and len(found) < 300 and "\n" not in found
+    assert one.counts["plan"] == {"refused": 1}
+
+
+def test_a_plan_without_inputs_is_answered_so(start):
+    assert node(start).answer("0,1,1").startswith("error: plan: no forecast can be made now")
 
 
 def stays(log, begin: float, end: float) -> bool:
@@ -82,6 +180,101 @@ def test_a_lost_thruster_is_told_once(start):
     told = [(step.time, alarm) for step in steps for alarm in step.alarms]
     assert [alarm.split(" seems")[0] for _, alarm in told] == ["the left thruster"]
     assert 600.0 < told[0][0] < 700.0 and one.alarms == 1 and one.alarm == "left"
+
+
+def test_one_command_for_both_sides_makes_the_steps_of_two_equal_ones(start):
+    """And an alarm names no side: nothing tells which thruster has failed."""
+    channels = Setup.of(checkpoint.load(start)[1]["setup"]).channels
+    given = {**channels, "command_right": channels["command_left"]}
+    both, two = node(start, given), node(start)
+    found: tuple[list, list] = [], []
+    for name, stamp, value in messages(boat(0.05), 0.0):
+        if name != "command_right":
+            parts = ("command_left", "command_right") if name == "command_left" else (name,)
+            for one, steps in zip((both, two), found, strict=True):
+                steps += [step for part in parts for step in one.push(part, stamp, value)]
+    assert both.one_command and not two.one_command and len(found[0]) > 400
+    np.testing.assert_array_equal(*([step.speed for step in steps[1:]] for steps in found))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(watched, "thrusters", lambda _: watched.Thrusters("left", {"left": 0.4, "right": 1.0}))
+        (told,) = both._alarms()
+        assert "nothing tells which" in told and both.alarm == "left or right"
+        assert "the left thruster seems to have 40%" in two._alarms()[0]
+    health = COMPILING._replace(state="ok", alarm=both.alarm)
+    assert "Alarm       the left or right thruster (0 so far)" in page(health)
+
+
+def test_throttle_and_steering_make_the_sides(start):
+    sides = sides_of({"name": "T", "unit": "percent", "held": True}, {"name": "S"})
+    channels = Setup.of(checkpoint.load(start)[1]["setup"]).channels
+    one = node(start, {**channels, **{side: Mix.of(each) for side, each in sides.items()}})
+    taken = []
+    one.took = lambda *message: taken.append(message)
+    for side in ("left", "right"):
+        one.push(f"command_{side}[0]", 1.0, 80.0)
+        one.push(f"command_{side}[1]", 1.0, 30.0)
+    assert taken == [("command_left", 0.0, 1.0), ("command_right", 0.0, pytest.approx(0.5))]
+    assert not one.one_command
+
+
+@pytest.mark.parametrize(("given", "sentence"), [
+    ({"steering": {"name": "S"}}, "steering: found it without throttle"),
+    ({"throttle": {"name": "T"}, "command_left": {"name": "L"}}, "command_left: found it beside throttle"),
+    ({"throttle": {"name": ["T", "U"]}}, r"throttle: found \['T', 'U'\], expected the name of one signal"),
+    ({"throttle": {"span": 2.0}}, "throttle: found None, expected the name of one signal"),
+    ({"throttle": {"name": "T"}, "steering": {"name": "S", "unit": "percent"}}, "steering.unit: .* without throttle"),
+    ({"throttle": {"name": "T"}, "steering": {"name": "S", "delay": 0.2}}, "steering.delay: .*that of the throttle"),
+    ({"throttle": {"name": "T", "weight": [1.0]}}, "throttle.weight: found"),
+])  # fmt: skip
+def test_a_wrong_throttle_is_one_sentence(tmp_path, given, sentence):
+    with pytest.raises(ConfigError, match=sentence):
+        begin(Sets(tmp_path), Options(tmp_path, mass=36.0, surge_max=3.0, channels=given), MIDDLEWARE)
+
+
+def test_a_set_of_two_sides_can_be_continued_with_one_command_and_back(tmp_path):
+    def setup(facts, **channels):
+        options = Options(tmp_path, mass=36.0, surge_max=3.0, channels={k: {"name": v} for k, v in channels.items()})
+        (tmp_path / "start.safetensors").unlink(missing_ok=True)
+        leaves, known = prior(36.0, 3.0)
+        checkpoint.save(tmp_path / "start.safetensors", leaves, **known, **facts)
+        return begin(Sets(tmp_path), options, MIDDLEWARE).setup
+
+    sides = setup({})
+    mixed = setup({"setup": sides.json()}, throttle="T", steering="S")
+    assert mixed.channels["command_right"].weights == (1.0, -1.0)
+    one = setup({"setup": mixed.json()}, throttle="T")
+    assert one.one_command and one.channels["command_left"].unit == "percent"
+    assert setup({"setup": mixed.json()}, command_left="DESIRED_THRUST_L", command_right="DESIRED_THRUST_R") == sides
+
+
+def test_one_throttle_is_not_read_in_two_ways(tmp_path):
+    """A set with a reversed left side made the throttle ahead on the right and astern on the left."""
+    leaves, known = prior(36.0, 3.0)
+    facts = begin(Sets(tmp_path), Options(tmp_path, mass=36.0, surge_max=3.0), MIDDLEWARE).setup.json()
+    facts["channels"]["command_left"]["span"] = -1.0
+    checkpoint.save(tmp_path / "start.safetensors", leaves, **known, setup=facts)
+    with pytest.raises(ConfigError, match=r"found span -1.0 of command_left and 1.0 of .*: give throttle.span"):
+        begin(Sets(tmp_path), Options(tmp_path, channels={"throttle": {"name": "T"}}), MIDDLEWARE)
+    own = {"throttle": {"name": "T", "span": 1.0}}
+    assert begin(Sets(tmp_path), Options(tmp_path, channels=own), MIDDLEWARE).setup.one_command
+
+
+def test_what_an_interval_does_not_tell_is_no_number(start):
+    """The top speed of a prior is 3 m/s, and its interval reaches from -61 to 67 m/s."""
+    before = Online.of(*prior(36.0, 3.0))
+    assert before.identified()["steady_speed_full"].high > 60
+    found, wrong = watched.identified(before)
+    assert wrong == ""
+    assert all(math.isnan(value) for value, *_ in found.values()) and len(found) == 18
+    health = COMPILING._replace(state="ok", identified=found)
+    lines = page(health)
+    assert "steady speed full     not known yet" in lines and not any("(" in line for line in lines if "steady" in line)
+    assert "PARAMS" not in [post.name for post in of_health(health)]
+    learned, log = node(start), boat(0.5, seed=3)
+    for message in messages(log, 0.0):
+        learned.push(*message)
+    value, low, high, _ = watched.identified(learned.online)[0]["steady_speed_full"]
+    assert low < value < high < 2 * value
 
 
 def test_commands_of_two_sources_and_velocities_make_the_same_steps(start):
@@ -162,7 +355,7 @@ def test_posts_are_those_of_the_table(start):
     found = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
     health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network})
     posts = of_step(steps[-1]._replace(alarms=("left",)), members=True) + of_health(health)
-    assert {post.name for post in posts} == set(KINDS)
+    assert {post.name for post in posts} == set(KINDS) - {PLANNED}
     assert all((KINDS[post.name] == "D") == isinstance(post.value, float) for post in posts)
     assert all(len(each.short) <= 10 for each in TABLE)
     first = of_step(steps[0])

@@ -8,6 +8,7 @@ import pytest
 from tests.support.live import PLAIN, boat, learned_set, messages, replayed
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
+from usvlearn.logs.channel import AUTO
 from usvlearn.logs.derived_surge import VELOCITIES
 
 
@@ -53,13 +54,15 @@ def test_after_a_reboot_a_second_record_replays_what_follows(tmp_path, start):
     np.testing.assert_array_equal(replayed(tmp_path / "records", 2), predicted)
 
 
-def test_live_is_replay_where_the_node_mixes_commands_and_computes_the_surge(tmp_path, start):
+@pytest.mark.parametrize("windows", [(0.5, 0.25, 0.3), (AUTO, AUTO, AUTO)])
+def test_live_is_replay_where_the_node_mixes_commands_and_computes_the_surge(tmp_path, start, windows):
     """Throttle and steering make both commands, velocities to the north and east the surge; clocks jump."""
+    command, heading, velocity = windows
     channels = {
-        "command_left": {"name": ["throttle", "steering"], "weight": [1.0, 1.0], "window": 0.5},
-        "command_right": {"name": ["throttle", "steering"], "weight": [1.0, -1.0], "window": 0.5},
-        "heading": {"name": "psi", "unit": "deg", "window": 0.25},
-        **{name: {"name": name, "unit": "cm/s", "window": 0.3} for name in VELOCITIES},
+        "command_left": {"name": ["throttle", "steering"], "weight": [1.0, 1.0], "window": command},
+        "command_right": {"name": ["throttle", "steering"], "weight": [1.0, -1.0], "window": command},
+        "heading": {"name": "psi", "unit": "deg", "window": heading},
+        **{name: {"name": name, "unit": "cm/s", "window": velocity} for name in VELOCITIES},
     }
     predicted = live(tmp_path, start, steered(), Middleware("test", PLAIN.reader, channels))
     np.testing.assert_array_equal(replayed(tmp_path / "records"), predicted)

@@ -298,10 +298,11 @@ def test_stamps_of_any_size_fit_a_message(out):
 
 
 def test_a_forecast_has_a_row_for_each_horizon(out):
-    message = out.forecast({10.0: (1.0, 0.5, 1.5), 2.0: (0.5, 0.25, 0.75)})
-    assert message.data == [2.0, 0.5, 0.25, 0.75, 10.0, 1.0, 0.5, 1.5]
+    if_held = {10.0: (1.0, 0.75, 1.25), 2.0: (0.5, 0.375, 0.625)}
+    message = out.forecast({10.0: (1.0, 0.5, 1.5), 2.0: (0.5, 0.25, 0.75)}, if_held)
+    assert message.data == [2.0, 0.5, 0.25, 0.75, 0.375, 0.625, 10.0, 1.0, 0.5, 1.5, 0.75, 1.25]
     assert [(d.label, d.size, d.stride) for d in message.layout.dim] == [
-        ("horizon", 2, 8), ("horizon_s,surge,low,high", 4, 4)]  # fmt: skip
+        ("horizon", 2, 12), ("horizon_s,surge,low,high,low_if_held,high_if_held", 6, 6)]  # fmt: skip
     members = out.members({"aid": 1.0, "rls": 2.0})
     assert members.data == [1.0, 2.0] and members.layout.dim[1].label == "aid,rls"
 

@@ -194,3 +194,4 @@ def test_the_silence_of_each_topic_and_of_all_is_told_and_ends(tmp_path):
         told, _ = process.communicate(timeout=60)
         boat.close()
     assert process.returncode == 0, told
+    assert "DDS listens on all addresses of this computer" in told

@@ -276,8 +276,17 @@ def test_simulated_time_is_obeyed_and_its_reset_begins_a_new_segment(sea):
 
 
 STEP = Step(
-    1.7e9 + 0.5, 1.0, 1.5, 1.25, 1.75, 1.625, 1.5, 1.75, {10.0: (2.0, 1.0, 3.0)}, {"aid": 1.5}, ("left is lost",)
-)
+    1.7e9 + 0.5, 1.0, 1.5, 1.25, 1.75, 1.625, 1.5, 1.75, {10.0: (2.0, 1.0, 3.0)}, {10.0: (2.0, 1.5, 2.5)},
+    {"aid": 1.5}, ("left is lost",),
+)  # fmt: skip
+
+
+def test_a_plan_is_answered(sea):
+    at_sea = sea()
+    publisher, heard = at_sea.publisher("/usvlearn/plan", TEXT), at_sea.listen("/usvlearn/plan_forecast", TEXT)
+    plan = message_class(TEXT)(data="0,1,1")
+    assert at_sea.until(lambda: heard, lambda: publisher.publish(plan))
+    assert heard[0].data == "answer to 0,1,1"
 
 
 @pytest.mark.parametrize("reliable", [True, False])
@@ -292,7 +301,9 @@ def test_what_is_known_is_published(sea, reliable):
     assert heard["surge_predicted"][0].header.stamp.nanosec == 500_000_000
     assert heard["surge_next"][0].header.stamp.nanosec == 750_000_000  # a step of 0.25 s later
     assert heard["surge_next"][0].twist.covariance[0] == pytest.approx((0.125 / 1.645) ** 2, rel=1e-3)
-    assert list(heard["forecast"][0].data) == [10.0, 2.0, 1.0, 3.0] and list(heard["members"][0].data) == [1.5]
+    assert list(heard["forecast"][0].data) == [10.0, 2.0, 1.0, 3.0, 1.5, 2.5] and list(heard["members"][0].data) == [
+        1.5
+    ]
     assert heard["alarm"][0].data == "left is lost"
     at_sea.until(lambda: False, patience=0.5)  # until all has arrived
     for each in heard.values():

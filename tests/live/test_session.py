@@ -2,6 +2,7 @@
 
 import math
 import os
+import re
 import time
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from tests.support.live import PLAIN, boat, learned_set, messages, ready
 from usvlearn import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.session import Session
+from usvlearn.live.sets import STATUS, Sets
 from usvlearn.live.start import Middleware, Options, channel_options
 from usvlearn.live.told import status_lines
 from usvlearn.logs.channel import REQUIRED
@@ -235,7 +237,12 @@ def test_what_to_start_from_is_named_where_there_is_no_set(tmp_path, start):
     for place, message in (("boats", "start: .*found no parameter set there: give .*anna or .*bert"),
                            ("none", "start: .*there is no such file or folder")):  # fmt: skip
         with pytest.raises(CheckpointError, match=message):
-            Session(Options(tmp_path / "node", tmp_path / place), PLAIN)
+            Session(Options(tmp_path / "new" / "node", tmp_path / place), PLAIN)
+        assert not (tmp_path / "new").exists()  # a folder that is left behind would be taken for that of a node
+    (tmp_path / "old").mkdir()
+    with pytest.raises(CheckpointError):
+        Session(Options(tmp_path / "old", tmp_path / "none"), PLAIN)
+    assert (tmp_path / "old").is_dir()
 
 
 def test_the_end_says_what_was_saved(tmp_path, start, monkeypatch):
@@ -271,6 +278,15 @@ def test_a_pipe_is_no_status(tmp_path):
     os.mkfifo(tmp_path / "status.json")
     with pytest.raises(CheckpointError, match="it is no regular file"):
         status_lines(tmp_path)
+
+
+def test_the_status_of_another_program_is_not_replaced(tmp_path):
+    (tmp_path / STATUS).write_text('{"orders": 3}')
+    with pytest.raises(ConfigError, match="is not the status of a node: choose another folder"):
+        Sets(tmp_path)
+    assert (tmp_path / STATUS).read_text() == '{"orders": 3}'
+    (tmp_path / STATUS).write_text('{"orders":')  # cut short by a disk: a node starts
+    Sets(tmp_path)
 
 
 def test_the_status_is_json(tmp_path, start):
@@ -326,6 +342,26 @@ def test_the_data_check_of_a_replay_watches_the_live_data(tmp_path, start):
     assert "surge" in warning and "km/h" in warning
 
 
+def test_the_data_check_needs_many_measurements_but_few_commands_that_are_held(tmp_path, start):
+    """A command may come at its changes alone. Speeds in km/h, as above."""
+    changes = channel_options({f"command_{side}.held": "true" for side in ("left", "right")})
+    with ready(tmp_path, start, channels=changes) as session:
+        for part, stamp, value in messages(boat(0.2)):
+            session.push(part, stamp, 3.6 * value if part == "surge" else value)
+        columns = session._recent.copy()
+        held = [name for name in columns if session.setup.channels[name].held]
+        assert sorted(held) == ["command_left", "command_right"]
+        for name in held:
+            time_, value, order = columns[name]
+            new = np.flatnonzero(np.diff(value, prepend=np.nan) != 0)[:250]
+            columns[name] = time_[new], value[new], order[new]
+            assert len(new) < 300
+        (warning,) = session._recent.findings(columns, "heron")
+        assert "km/h" in warning
+        columns["surge"] = tuple(each[:250] for each in columns["surge"])
+        assert session._recent.findings(columns, "heron") == []
+
+
 @pytest.mark.parametrize("rate", [5.0, 10.0, 100.0])
 def test_the_data_check_is_silent_about_regular_messages(tmp_path, start, rate):
     """Also where a speed comes just as often as its window is long."""
@@ -358,7 +394,7 @@ def test_tensorboard_shows_a_session(tmp_path, start, monkeypatch):
     assert len(shown.Scalars("1 overview/MAE (m/s)")) >= 8
     assert (board / "identified").is_dir() and (board / "members" / "rnn").is_dir()
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    with pytest.raises(ConfigError, match="TensorBoard is not installed here"):
+    with pytest.raises(ConfigError, match="tensorboard: it is not installed here"):
         Session(Options(tmp_path / "other", start, tensorboard=board), PLAIN)
 
 
@@ -385,3 +421,86 @@ def test_the_status_of_a_folder_is_told(tmp_path, start):
     (folder / "status.json").write_text("[1]")
     with pytest.raises(CheckpointError, match="is not the status of a node"):
         status_lines(folder)
+
+
+def slowed(part: str, every: float, begin: float = 0.0, end: float = math.inf):
+    """The messages of a boat, of which one part comes seldom between two times, s."""
+    last = -math.inf
+    for name, stamp, value in messages(boat(0.05), 0.0):
+        if name == part and begin <= stamp < end:
+            if stamp - last < every:
+                continue
+            last = stamp
+        yield name, 1.7e9 + stamp, value
+
+
+def told(session: Session, posts) -> list[tuple[float, str, str, tuple[str, ...]]]:
+    """Time, state, sentence and warnings, once a second of the stamps."""
+    found, begin = [], time.monotonic()
+    for name, stamp, value in posts:
+        session.push(name, stamp, value)
+        if stamp - 1.7e9 >= len(found) + 1:
+            session._listening.heard = dict.fromkeys(session._listening.heard, begin + len(found))
+            health = session.tick(clock=begin + len(found))
+            found.append((stamp - 1.7e9, health.state, health.sentence, health.warnings))
+    return found
+
+
+@pytest.mark.parametrize("part, every", [("heading", 0.25), ("heading", 1.0), ("command_left", 0.9), ("surge", 0.9)])
+def test_a_node_that_loses_many_steps_says_so_within_a_minute(tmp_path, start, part, every):
+    """A fixed window of 0.01 s; the automatic one learns from the same messages."""
+    changes = channel_options({f"{part}.window": "0.01"})
+    with ready(tmp_path / "fixed", start, channels=changes) as session:
+        found = told(session, slowed(part, every))
+        learned = session._node.learned
+        session._background.wait()
+    late, _, sentence, warnings = next(row for row in found if row[1] == "sparse")
+    assert late < 60 and sentence.startswith(f"many steps are lost, because of {part} ({part.upper()})")
+    (warning,) = warnings
+    assert "of the last 75 steps had" in warning and warning.endswith(f"its window is 0.01 s: set {part}.window=auto")
+    assert every <= float(re.search(r"comes every ([\d.]+) s", warning)[1]) < every + 0.3
+    assert {row[2].partition(";")[0] for row in found if row[0] > late} == {sentence.partition(";")[0]}, "said once"
+    with ready(tmp_path / "auto", start) as session:
+        found = told(session, slowed(part, every))
+        assert session._node.learned > (3 if part != "surge" else 1.5) * learned
+    assert {row[1] for row in found} <= {"waiting", "ok"}
+
+
+def test_a_channel_that_comes_too_seldom_is_never_ok(tmp_path, start):
+    """It was ok after each heading, and stale before the next one."""
+    with ready(tmp_path, start) as session:
+        found = told(session, slowed("heading", 6.7))
+        assert session._node.learned == 0 and session.warnings == ()
+    wanted = "waiting for a second message within 5 s of heading (HEADING)"
+    assert {(state, sentence.partition(";")[0]) for at, state, sentence, _ in found if at > 2} == {("waiting", wanted)}
+
+
+def test_a_channel_that_slows_down_and_recovers_is_told_and_forgotten(tmp_path, start):
+    changes = channel_options({"heading.window": "0.25"})
+    with ready(tmp_path, start, channels=changes) as session:
+        states = [(at, state) for at, state, *_ in told(session, slowed("heading", 0.9, 40.0, 100.0))]
+    assert {state for at, state in states if 5 < at < 50} == {"ok"}
+    assert {state for at, state in states if 70 < at < 100} == {"sparse"}
+    assert {state for at, state in states if at > 130} == {"ok"}
+
+
+def test_a_paused_channel_is_stale_and_not_sparse_when_it_is_back(tmp_path, start):
+    with ready(tmp_path, start) as session:
+        begin = time.monotonic()
+        for name, stamp, value in messages(boat(0.05), 0.0):
+            if name.startswith("command") and 40 < stamp < 100:
+                continue
+            session.push(name, 1.7e9 + stamp, value)
+        clock = begin
+        session._listening.heard = dict.fromkeys(session._listening.heard, clock)
+        session.tick(clock=clock)
+        assert "stale" == session.tick(clock=clock + 30).state and session.warnings == ()
+
+
+def test_a_set_that_started_from_a_prior_tells_its_step(tmp_path):
+    """`usvlearn controller` refused it: it was "saved by a version that does not tell the step"."""
+    with ready(tmp_path, None, mass=28.0, surge_max=2.74) as session:
+        for message in MINUTE:
+            session.push(*message)
+        path = session.save()
+    assert checkpoint.load(path)[1]["setup"]["align"]["dt"] == 0.4

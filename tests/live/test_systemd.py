@@ -104,6 +104,12 @@ def test_the_command_prints_it(tmp_path, monkeypatch, capsys):
     for given in (["--folder", "/n/x"], ["--folder=/n/x"]):
         assert main(["--user", "boat", "mavlink", "udpin:127.0.0.1:14550", *given]) == 0
         assert '\nReadWritePaths="/n/x" ' in capsys.readouterr().out
+    for given in (["moos", "a.moos", "--user", "boat"], ["moos", "--user=boat", "a.moos"]):
+        assert main(["--folder", "/n/x", *given]) == 0
+        text = capsys.readouterr().out
+        assert "\nUser=boat\n" in text and '"live" "moos" "--folder" "/n/x" "a.moos"\n' in text
+    assert main(["--folder=/n/x", "--user=c", "ros2", "--ros-args", "--user", "boat", "--user=a"]) == 0
+    assert '"--ros-args" "--user" "boat" "--user=a"\n' in capsys.readouterr().out
     assert main([]) == main(["--help"]) == 0
     assert capsys.readouterr().out.startswith("usage: usvlearn live systemd")
 
@@ -121,6 +127,8 @@ def test_the_code_that_the_user_warmed_is_used(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("arguments, sentence", [
     (["--user", "boat", "moos"], "--folder: found none"), (["--folder"], "--folder: found no value"),
     (["--folder", "/n", "--user", "boat"], "command: found ''"),
+    (["--folder", "/n", "moos", "a.moos", "--user"], "--user: found no value"),
+    (["--folder", "/n", "ros2", "--user", "--ros-args"], "--user: found no value"),
     (["--folder", "/n", "--fodler", "x"], "command: found '--fodler x'"),
     (["--folder", "/n", "foo"], "command: found 'foo', expected moos, mavlink, ros2"),
     (["--folder", "/n", "--user", "root", "moos"], "user: found 'root'"),

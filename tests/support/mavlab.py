@@ -20,6 +20,7 @@ class Lab:
     def __init__(self, boats=None, sources=SOURCES, system=None, hz=10.0, session=None):
         self.boats = boats or [MavBoat(booted=-BASE)]
         self.boat, self.time, self.said = self.boats[0], 0.0, []
+        self.places = [""] * len(self.boats)  # where each sends from
         self.session = session or RecordingSession(sources)
         self.vehicle = Vehicle(self.session, mavlink, hz, system, self.said.append)
         self.log, self.deaf, self.mute = b"", False, False
@@ -28,20 +29,21 @@ class Lab:
         """Both ends for some time; `deaf`: the boat does not hear, `mute`: it is not heard."""
         for _ in range(round(seconds / step)):
             self.time += step
-            frames = [frame for boat in self.boats for frame in boat.due(self.time)]
+            senders = list(zip(self.boats, self.places, strict=True))
+            frames = [(frame, at) for boat, at in senders for frame in boat.due(self.time)]
             if math.floor(self.time + 1e-9) != math.floor(self.time - step + 1e-9):
                 self.vehicle.tick(RECEIPT + self.time + delay)
             sent = b"".join(self.vehicle.telemetry.queue)
             self.vehicle.telemetry.queue.clear()
-            for boat in [] if self.deaf else self.boats:
-                frames += boat.hear(sent)
-            for frame in [] if self.mute else frames:
-                self.give(frame, delay)
+            for boat, at in [] if self.deaf else senders:
+                frames += [(frame, at) for frame in boat.hear(sent)]
+            for frame, at in [] if self.mute else frames:
+                self.give(frame, delay, at)
 
-    def give(self, data: bytes, delay: float = 0.03) -> bool:
+    def give(self, data: bytes, delay: float = 0.03, place: str = "") -> bool:
         receipt = self.time + delay
         self.log = (self.log + record(receipt, data))[-MOST:]
-        return self.vehicle.receive(data, RECEIPT + receipt, whole=True)
+        return self.vehicle.receive(data, RECEIPT + receipt, True, place)
 
     def read_log(self, tmp_path, sources=None):
         path = tmp_path / "a.tlog"

@@ -118,6 +118,9 @@ class NotedSession:
 
     def start(self) -> None: ...
 
+    def answer(self, text: str) -> str:
+        return f"answer to {text}"
+
     def push(self, part: str, stamp: float, raw: float) -> list[Any]:
         self.pushed.append((part, stamp, raw))
         steps, self.steps = self.steps, []

@@ -35,5 +35,5 @@ def csv_table(stretches: Iterable[Stretch]) -> bytes:
         for k in range(len(each.predicted)):
             pairs = chain(*zip(each.predicted[k].tolist(), each.halfwidths[k].tolist(), strict=True))
             numbers = [*(float(values[k]) for values in each.columns.values()), *pairs]
-            writer.writerow([each.run, *("" if math.isnan(x) else repr(x) for x in numbers)])
+            writer.writerow([each.run, *(repr(x) if math.isfinite(x) else "" for x in numbers)])
     return text.getvalue().encode()

@@ -10,10 +10,16 @@ from usvlearn.errors import printable
 SHOWN = 8  # numbers of an interval's quantity
 
 
+ONE_COMMAND = (
+    "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "
+    "thrust_ratio can be identified, nor a failed thruster be named; what a rudder does is not learned"
+)
+
+
 class Health(NamedTuple):
     """The health of a node."""
 
-    state: str  # "compiling", "waiting" (a channel never came), "stale", "ok"
+    state: str  # "compiling", "waiting" (a channel never came), "stale", "sparse" (many steps are lost), "ok"
     sentence: str  # for a person
     counts: dict[str, dict[str, int]]  # channel -> cause -> messages that were not used
     ages: dict[str, float]  # part -> s since its last message, infinite if none came
@@ -26,11 +32,21 @@ class Health(NamedTuple):
     contraction: dict[str, dict[str, Any]]  # network -> see `usvlearn.live.watched.networks`
     identified: dict[str, tuple[float, float, float, str]]  # quantity -> value, low, high, unit
     warnings: tuple[str, ...]  # sentences
+    notes: tuple[str, ...] = ()  # sentences about what cannot be known
 
     def json(self) -> dict[str, Any]:
         """As JSON values: a number that is not finite becomes null."""
         found: dict[str, Any] = finite(self._asdict())
         return found
+
+
+def quantity(value: float, low: float, high: float, unit: str) -> str:
+    """An identified quantity with its 90 % interval, in words.
+
+    >>> quantity(1.5, 1.25, 1.75, "m/s"), quantity(math.nan, math.nan, math.nan, "m/s")
+    ('1.5 (1.25 ... 1.75) m/s', 'not known yet')
+    """
+    return f"{value:.3g} ({low:.3g} ... {high:.3g}) {unit}" if math.isfinite(value) else "not known yet"
 
 
 def finite(value: Any) -> Any:

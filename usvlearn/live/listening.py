@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from usvlearn.live.health import seconds
-from usvlearn.logs.channel import Source
+from usvlearn.logs.channel import AUTO, MOST_WINDOW, Source
 
 SILENT = 1.0  # s without a message, from which on a channel is reported, at least
 USELESS = ("not_a_number", "no_time", "out_of_range", "backwards", "ahead", "alone", "wrong_type", "empty", "text")
@@ -54,17 +54,31 @@ class Listening:
             if pushed > before[0] and useless - before[1] >= pushed - before[0]:
                 self._refused[channel] = max(causes, key=lambda cause: causes[cause])
 
-    def judged(self, ages: Mapping[str, float], dt: float) -> tuple[str, str]:
-        """The state, and a sentence: what is missing and since when; `dt` of a step, s."""
+    def judged(
+        self, ages: Mapping[str, float], dt: float, windows: Mapping[str, tuple[float, float]] | None = None
+    ) -> tuple[str, str]:
+        """The state, and a sentence: what is missing and since when.
+
+        Args:
+            ages: of `ages`.
+            dt: of a step, s.
+            windows: of `Node.windows`.
+        """
         never = [part for part, age in ages.items() if age == math.inf]
         if never:
             return "waiting", f"waiting for {', '.join(map(self._named, never))}"
-        old = []
+        old, rare = [], []
         for part, age in ages.items():
             source = self._sources[part]
-            longest = source.window + float(source.period) + 2 * dt
+            channel = part.partition("[")[0]
+            interval, own = (windows or {}).get(channel, (0.0, MOST_WINDOW))
+            longest = (own if source.window == AUTO else float(source.window)) + float(source.period) + 2 * dt
             if not source.held and age > max(SILENT * self._warp, longest):
                 old.append(f"{self._named(part)} for {seconds(age)}")
+            if not source.held and math.isnan(interval) and channel not in self._refused:
+                rare.append(self._named(part))
+        if rare:
+            return "waiting", f"waiting for a second message within {MOST_WINDOW:g} s of {', '.join(rare)}"
         if old:
             return "stale", f"no {', no '.join(old)}"
         refused = [f"{channel} ({cause})" for channel, cause in sorted(self._refused.items())]

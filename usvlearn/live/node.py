@@ -17,18 +17,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.errors import ConfigError
+from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.live import watched
+from usvlearn.live.held import HeldIntervals
+from usvlearn.live.plan_requests import Plan, answer, parse_plan, sampled
 from usvlearn.logs.channel import CHANNELS, SURGE
 from usvlearn.logs.derived_surge import LiveSurge, pair_of
 from usvlearn.logs.mixing import LiveMix, Mix
 from usvlearn.logs.setup import Setup
 from usvlearn.online import Online
+from usvlearn.plans import YAW_RATE, Forecast
 from usvlearn.signals import Inputs, Sample
 
 PATIENCE = 0.1  # s, for which a live step waits for late messages
 LONGEST = 600  # steps of a forecast, at most
 LATEST = 1e12  # s: a stamp of this size is none
+Ends = dict[float, tuple[float, float, float]]  # horizon, s -> surge and ends of its interval, m/s
 
 
 class Step(NamedTuple):
@@ -42,7 +46,8 @@ class Step(NamedTuple):
     next: float  # of the next step under the commands in force, likewise
     next_low: float
     next_high: float
-    forecasts: dict[float, tuple[float, float, float]]  # horizon, s -> surge and ends of its interval, m/s
+    forecasts: Ends  # under the commands in force, with intervals that hold whatever is commanded meanwhile
+    if_held: Ends  # the same, with intervals that hold where the commands stay
     members: dict[str, float]  # the prediction of each member and rule, m/s
     alarms: tuple[str, ...]  # sentences about alarms that were raised in this step
 
@@ -57,9 +62,12 @@ class Node:
 
     Attributes:
         steps, learned, alarms: how many there were.
-        alarm: the side whose thruster seems to have failed; None without an alarm.
+        grid, fresh, measured: how many steps of the grid have passed, those with all inputs, those with a speed, too.
+        alarm: the side whose thruster seems to have failed, or `watched.ONE`; None without an alarm.
+        one_command: whether both sides have the same command, so that nothing tells them apart.
         horizons: s, of the forecasts.
         dt: s, of a step.
+        held: the intervals of forecasts, whatever is commanded.
         derived: the surge that the last message completed, m/s; None where it did not, or where surge is received.
         took: is called with channel, time and value, s and SI units, of each message that is aligned.
 
@@ -76,9 +84,10 @@ class Node:
 
     def __init__(self, setup: Setup, online: Online, patience: float = PATIENCE):
         self.setup, self.online, self.patience = setup, online, patience
-        self.parts = setup.parts
+        self.parts, self.one_command = setup.parts, setup.one_command
         self._channels = {part: part.partition("[")[0] for part in self.parts}
         self.steps = self.learned = self.alarms = 0
+        self.grid = self.fresh = self.measured = 0
         self.alarm: str | None = None
         self._shell: dict[str, Counter[str]] = {}
         self._before: dict[str, Counter[str]] = {}  # counts of earlier aligners
@@ -90,13 +99,16 @@ class Node:
         self.origin = math.nan  # stamps are counted from here, s
         self.derived: float | None = None
         self.took: Callable[[str, float, float], None] = lambda *_: None
+        self.dt = float(setup.align["dt"])
+        self.held = HeldIntervals(self.horizons, self.dt)
+        self.last = math.nan  # the end of the last step, s, as the messages are stamped
         self._begin()
 
     def _begin(self) -> None:
         """A new grid of time."""
         setup = self.setup
         self._aligner = setup.aligner(patience=self.patience)
-        self.dt = float(setup.align.get("dt", 0.4))
+        self.held.clear()
         self._mixes = {name: LiveMix(each) for name, each in setup.channels.items() if isinstance(each, Mix)}
         pair = None if SURGE in setup.channels else pair_of(setup.channels)
         self._derived = None if pair is None else LiveSurge(pair, setup.channels["heading"].held)  # type: ignore[union-attr]
@@ -109,6 +121,11 @@ class Node:
             for channel, causes in source.items():
                 total.setdefault(channel, Counter()).update(causes)
         return {channel: dict(causes) for channel, causes in total.items()}
+
+    @property
+    def windows(self) -> dict[str, tuple[float, float]]:
+        """See `Aligner.windows`."""
+        return self._aligner.windows
 
     def drop(self, part: str, cause: str, count: int = 1) -> None:
         """Count messages that could not be used."""
@@ -181,49 +198,98 @@ class Node:
         """Predict, learn, and look ahead."""
         predicted = float(self.online.step(sample))
         made = math.isfinite(predicted)
+        self.grid += 1
+        self.fresh += bool(sample.fresh)
+        self.measured += bool(sample.measured)
         self.steps += made
         self.learned += bool(made and sample.measured)
         every: Any = self.online.published() if made and self.online.names else {}
         members = {name: surge for name, (surge, _) in every.items()}
         width = every[self._output][1] if every else math.nan
         alarms = self._alarms() if made else ()
-        after, after_width, forecasts = self._outlook()
+        self.held.compare(time, sample.surge if sample.measured else math.nan)
+        after, after_width, forecasts, if_held = self._outlook()
+        self.held.expect(time, {horizon: surge for horizon, (surge, _, _) in if_held.items()})
+        self.last = time + self.origin
         return Step(
-            time + self.origin,
+            self.last,
             sample.surge if sample.measured or sample.inputs.dt == 0 else math.nan,
             predicted, predicted - width, predicted + width,
             after, after - after_width, after + after_width,
-            forecasts, members, alarms,
+            forecasts, if_held, members, alarms,
         )  # fmt: skip
 
-    def _outlook(self) -> tuple[float, float, dict[float, tuple[float, float, float]]]:
+    def _outlook(self) -> tuple[float, float, Ends, Ends]:
         """The next speed under the commands in force, the half-width of its interval, and the forecasts."""
         last = max(self.horizons, default=0.0)
         steps = min(max(round(last / self.dt), 1), LONGEST)
         ahead = self._aligner.ahead(steps)
         first = Inputs(*(float(x[0]) for x in ahead))
         if not all(map(math.isfinite, first)):
-            return math.nan, math.nan, {}
+            return math.nan, math.nan, {}, {}
         if self.online.names:
             foreseen: Any = self.online.foresee(first)
             surge, width = foreseen[self._output]
         else:
             surge, width = self.online.predict(first), math.nan
-        forecasts = {}
+        forecasts, if_held = {}, {}
         if self.horizons:
-            commands = np.clip(np.stack([ahead.command_left, ahead.command_right], -1), -1.0, 1.0)
-            turns = np.clip(ahead.yaw_rate, -10.0, 10.0)
-            found = self.online.forecast(commands, ahead.heading, turns, self.dt)
+            found = self._forecast(ahead.command_left, ahead.command_right, ahead.heading, ahead.yaw_rate)
             for horizon in self.horizons:
                 k = min(max(round(horizon / self.dt), 1), steps) - 1
-                forecasts[horizon] = float(found.surge[k]), float(found.low[k]), float(found.high[k])
-        return float(surge), float(width), forecasts
+                speed, half = float(found.surge[k]), self.held.halfwidth(horizon)
+                if_held[horizon] = speed, float(found.low[k]), float(found.high[k])
+                forecasts[horizon] = speed, speed - half, speed + half
+        return float(surge), float(width), forecasts, if_held
+
+    def _forecast(self, left: Any, right: Any, headings: Any, yaw_rates: Any) -> Forecast:
+        """A forecast of commands within full scale."""
+        commands = np.clip(np.stack([left, right], -1), -1.0, 1.0)
+        return self.online.forecast(commands, headings, np.clip(yaw_rates, -YAW_RATE, YAW_RATE), self.dt)
+
+    def answer(self, text: str) -> str:
+        """The answer to a plan that was posted (`usvlearn.live.plan_requests`): a forecast, or why there is none.
+
+        A plan that cannot be used is counted; nothing is raised.
+        """
+        try:
+            found: Forecast | str = self._planned(parse_plan(text))
+        except (ConfigError, ShapeError) as error:
+            self.drop("plan", "refused")
+            found = str(error)
+        return answer(text, self.last, found)
+
+    def _planned(self, plan: Plan) -> Forecast:
+        steps = max(round(max(self.horizons, default=0.0) / self.dt), math.floor(plan.time[-1] / self.dt) + 1)
+        if steps > LONGEST:
+            raise ConfigError(f"plan: found t {plan.time[-1]:g}, expected at most {(LONGEST - 1) * self.dt:g} s")
+        ahead = self._aligner.ahead(steps)
+        if not all(math.isfinite(float(x[0])) for x in ahead):
+            raise ConfigError(
+                "plan: no forecast can be made now, because inputs are missing: see the state of the node"
+            )
+        edges, sources = self.dt * np.arange(steps + 1), self.setup.aligned
+        left, right = (  # a command takes effect after its delay
+            sampled(plan, edges - sources[f"command_{side}"].delay, ahead[k], side)
+            for k, side in enumerate(("left", "right"))
+        )
+        if plan.heading is None:
+            return self._forecast(left, right, ahead.heading, ahead.yaw_rate)
+        time, heading = plan.time, np.asarray(sources["heading"].convert(plan.heading))
+        if time[0] > 0:
+            time, heading = np.append(0.0, time), np.append(ahead.heading[0], heading)
+        headings = np.interp(edges, time, np.unwrap(heading))
+        return self._forecast(left, right, headings[:-1], np.diff(headings) / self.dt)
 
     def _alarms(self) -> tuple[str, ...]:
         """Sentences about the alarms that this step has raised."""
         found = watched.thrusters(self.online)
         before, self.alarm = self.alarm, found and found.alarm
+        if self.alarm is not None and self.one_command:
+            self.alarm = watched.ONE
         if found is None or found.alarm is None or before is not None:
             return ()
         self.alarms += 1
+        if self.one_command:
+            return ("a thruster seems to have lost thrust; both have one command, so that nothing tells which",)
         return (f"the {found.alarm} thruster seems to have {found.left[found.alarm]:.0%} of its thrust left",)

@@ -6,7 +6,7 @@ import math
 import textwrap
 from typing import Any
 
-from usvlearn.live.health import Health, seconds
+from usvlearn.live.health import Health, quantity, seconds
 from usvlearn.live.node import Step
 
 WIDTH = 78
@@ -31,8 +31,9 @@ def page(health: Health, step: Step | None = None) -> list[str]:
     for name, network in health.contraction.items():
         lines += _wrapped(f"Network {name}"[:11], _network(network))
     shown = [(name, health.identified[name]) for name in QUANTITIES if name in health.identified]
-    for name, (value, low, high, unit) in shown:
-        lines.append(_line(name[:20].replace("_", " "), f"{value:.3g} ({low:.3g} ... {high:.3g}) {unit}", 21))
+    for name, each in shown:
+        lines.append(_line(name[:20].replace("_", " "), quantity(*each), 21))
+    lines += [part for each in health.notes for part in _wrapped("Note", each)]
     heard = [
         f"{part} {seconds(age)} ago" if math.isfinite(age) else f"{part} never" for part, age in health.ages.items()
     ]
@@ -50,7 +51,9 @@ def _speeds(step: Step) -> list[str]:
     found.append(_line("Next", f"{_interval(step.next, step.next_low, step.next_high)} m/s under these commands"))
     if step.forecasts:
         horizon, each = list(step.forecasts.items())[-1]
-        found.append(_line(f"In {horizon:g} s", f"{_interval(*each)} m/s under these commands"))
+        _, low, high = step.if_held[horizon]
+        stays = f", ({low:.2f} ... {high:.2f}) if commands stay" if math.isfinite(low) else ""
+        found.append(_line(f"In {horizon:g} s", f"{_interval(*each)} m/s{stays}"))
     return found
 
 

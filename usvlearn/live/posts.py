@@ -29,7 +29,8 @@ class Published(NamedTuple):
     short: str = ""  # name of at most 10 characters, for MAVLink; "": not sent there
 
 
-STEP, SECOND, SELDOM, RAISED = "each step", "each second", "every 5 s", "when raised"
+STEP, SECOND, SELDOM, RAISED, ASKED = "each step", "each second", "every 5 s", "when raised", "on a plan"
+PLANNED = "PLAN_FORECAST"  # the answer to a plan
 TABLE = (
     Published("SPEED_PRED", NUMBER, "m/s", STEP, "predicted speed of the sample that was just measured", "USV_PRED"),
     Published("SPEED_LOW", NUMBER, "m/s", STEP, "lower end of its 90 % interval", "USV_LOW"),
@@ -39,7 +40,10 @@ TABLE = (
               "USV_NEXT"),
     Published("SPEED_NEXT_LOW", NUMBER, "m/s", STEP, "lower end of its 90 % interval", "USV_NLOW"),
     Published("SPEED_NEXT_HIGH", NUMBER, "m/s", STEP, "upper end of its 90 % interval", "USV_NHIGH"),
-    Published("FORECAST", TEXT, "s: m/s", STEP, "speeds at the horizons, and intervals if known: 10=1.23:1.10:1.36,…"),
+    Published("FORECAST", TEXT, "s: m/s", STEP,
+              "speeds under the commands in force, intervals whatever is commanded: 10=1.23:1.10:1.36,…"),
+    Published("FORECAST_IF_HELD", TEXT, "s: m/s", STEP, "the same, intervals where the commands stay"),
+    Published(PLANNED, TEXT, "s: m/s", ASKED, "speeds under a plan that was posted, or why there are none"),
     Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and rule, where members are asked for"),
     Published("ALARM", TEXT, "", RAISED, "a thruster seems to have failed, and how much of its thrust is left"),
     Published("PARAMS", TEXT, "", SELDOM, "identified quantities, as drag_linear=-20.7,thrust_full_left=18.2,…"),
@@ -65,10 +69,9 @@ def of_step(step: Step, members: bool = False) -> list[Post]:
         "SPEED_NEXT_HIGH": step.next_high,
     }  # fmt: skip
     found = [Post(name, value) for name, value in numbers.items() if math.isfinite(value)]
-    if step.forecasts:
-        found.append(
-            Post("FORECAST", ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in step.forecasts.items()))
-        )
+    for name, forecasts in (("FORECAST", step.forecasts), ("FORECAST_IF_HELD", step.if_held)):
+        if forecasts:
+            found.append(Post(name, ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in forecasts.items())))
     if members and step.members:
         found.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
     return found + [Post("ALARM", alarm) for alarm in step.alarms]
@@ -82,8 +85,9 @@ def _ends(forecast: tuple[float, float, float]) -> str:
 def of_health(health: Health) -> list[Post]:
     """What is published each second; the shell may send what changes seldom less often."""
     found = [Post("HEALTH", told(health))]
-    if health.identified:
-        found.append(Post("PARAMS", ",".join(f"{name}={each[0]:.4g}" for name, each in health.identified.items())))
+    known = {name: each[0] for name, each in health.identified.items() if math.isfinite(each[0])}
+    if known:
+        found.append(Post("PARAMS", ",".join(f"{name}={value:.4g}" for name, value in known.items())))
     for name, network in list(health.contraction.items())[:1]:
         verdict = f"yes by {network['condition']}" if network["contracting"] else "not certified"
         found.append(Post("CONTRACTING", f"{name}: {verdict}"))

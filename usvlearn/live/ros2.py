@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import math
+import os
 import signal
 import threading
 import time
@@ -55,6 +56,13 @@ def ros() -> Any:
         raise ConfigError(MISSING.format(reason)) from error
 
 
+BOUND = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "CYCLONEDDS_URI")  # may name an interface
+OPEN = (
+    "DDS listens on all addresses of this computer: who reaches it can feed the node. The page 'The node in ROS 2' "
+    "tells how to bind it to loopback"
+)
+
+
 class Shell:
     """Joins a session to a node of rclpy.
 
@@ -71,7 +79,7 @@ class Shell:
     ):
         qos = importlib.import_module("rclpy.qos")
         self._node, self._session = node, session
-        self._dt = float(session.setup.align.get("dt", 0.4))  # s
+        self._dt = float(session.setup.align["dt"])  # s
         simulated = bool(node.get_parameter("use_sim_time").value)
         self._messages = Messages(session, clock, simulated)
         types = {name: message_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}
@@ -91,7 +99,9 @@ class Shell:
             "diagnostics": node.create_publisher(health, "/diagnostics", DEPTH),
             "parameters": node.create_publisher(text, "~/parameters", last),
             "alarm": node.create_publisher(text, "~/alarm", last),
+            "planned": node.create_publisher(text, "~/plan_forecast", DEPTH),
         }
+        self._plans = node.create_subscription(text, "~/plan", self.plan, DEPTH)
         if members:
             self._publishers["members"] = node.create_publisher(table, "~/members", DEPTH)
         self._subscriptions: dict[str, tuple[str, Any]] = {}  # topic -> type, subscription
@@ -161,12 +171,16 @@ class Shell:
             if not math.isnan(step.next):
                 send["next"].publish(out.speed(step.time + self._dt, step.next, step.next_low, step.next_high))
             if step.forecasts:
-                send["forecast"].publish(out.forecast(step.forecasts))
+                send["forecast"].publish(out.forecast(step.forecasts, step.if_held))
             if "members" in send and step.members:
                 send["members"].publish(out.members(step.members))
             for alarm in step.alarms:
                 send["alarm"].publish(out.text(alarm))
                 self._node.get_logger().warning(alarm)
+
+    def plan(self, message: Any) -> None:
+        """Answer a plan."""
+        self._publishers["planned"].publish(self._outputs.text(self._session.answer(message.data)))
 
     def tick(self) -> None:
         """Once a second: topics, health, saving."""
@@ -260,6 +274,8 @@ def main(arguments: Sequence[str]) -> int:
         node.add_on_set_parameters_callback(_refuse)
         session = Session(with_parameters(options, parameters), Middleware("ros2", READER, DEFAULTS))
         node.get_logger().info(session.sentence)
+        if not any(os.environ.get(name) for name in BOUND):
+            node.get_logger().info(OPEN)
         return run(session, node, **parameters.own)
     finally:
         rclpy.try_shutdown()

@@ -19,8 +19,8 @@ LISTED = 5  # topics in a sentence
 
 # What is read where neither a parameter set nor a parameter says otherwise. Units are those of REP 103.
 DEFAULTS: dict[str, dict[str, Any]] = {
-    "command_left": {"name": "*thrusters/left/thrust", "window": 0.5},
-    "command_right": {"name": "*thrusters/right/thrust", "window": 0.5},
+    "command_left": {"name": "*thrusters/left/thrust"},
+    "command_right": {"name": "*thrusters/right/thrust"},
     "heading": {"name": "*odometry/filtered", "unit": "enu_rad"},
     "yaw_rate": {"name": "*odometry/filtered", "unit": "enu_rad/s"},
     "surge": {"name": "*odometry/filtered", "unit": "m/s"},

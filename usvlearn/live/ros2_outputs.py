@@ -15,8 +15,8 @@ NORMAL90 = 1.6448536269514722  # half-width of a 90 % interval over the standard
 UNKNOWN = 1e6  # (m/s)^2 or (rad/s)^2: the variance of what is not known, which a filter then ignores
 DIAGONAL = range(0, 36, 7)  # of a 6 x 6 covariance
 NAME = "usvlearn"
-LEVELS = {"ok": b"\x00", "compiling": b"\x01", "waiting": b"\x01", "stale": b"\x02"}  # OK, WARN, ERROR
 WARN = b"\x01"
+LEVELS = {"ok": b"\x00", "compiling": WARN, "waiting": WARN, "sparse": WARN, "stale": b"\x02"}  # the last is ERROR
 CLASSES = {  # type -> package
     "Time": "builtin_interfaces",
     "TwistWithCovarianceStamped": "geometry_msgs",
@@ -88,10 +88,10 @@ class Outputs:
         message.data = [float(each) for row in rows for each in row]
         return message
 
-    def forecast(self, forecasts: Mapping[float, Sequence[float]]) -> Any:
-        """The surge at each horizon: rows of horizon (s), surge, low, high (m/s)."""
-        rows = [(horizon, *found) for horizon, found in sorted(forecasts.items())]
-        return self.table(rows, "horizon", "horizon_s,surge,low,high")
+    def forecast(self, forecasts: Mapping[float, Sequence[float]], if_held: Mapping[float, Sequence[float]]) -> Any:
+        """The surge at each horizon: rows of horizon (s), surge, low, high (m/s), and the ends if commands stay."""
+        rows = [(horizon, *found, *if_held[horizon][1:]) for horizon, found in sorted(forecasts.items())]
+        return self.table(rows, "horizon", "horizon_s,surge,low,high,low_if_held,high_if_held")
 
     def members(self, members: Mapping[str, float]) -> Any:
         """The prediction of each member, m/s; the label of the second dimension names them."""
@@ -143,7 +143,9 @@ def _model(health: Any) -> Iterable[tuple[str, Any]]:
     for network, found in health.contraction.items():
         yield from ((f"{network} {key.replace('_', ' ')}", value) for key, value in found.items())
     for name, (value, low, high, unit) in health.identified.items():
-        yield name, f"{value:.4g} {unit}, 90 % interval {low:.4g} to {high:.4g}"
+        known = math.isfinite(value)
+        yield name, f"{value:.4g} {unit}, 90 % interval {low:.4g} to {high:.4g}" if known else "not known yet"
+    yield from (("note", each) for each in health.notes)
 
 
 def _inputs(health: Any) -> Iterable[tuple[str, Any]]:

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from usvlearn.errors import ConfigError, did_you_mean
-from usvlearn.live.start import Options
-from usvlearn.logs.channel import AUXILIARY, CHANNELS
+from usvlearn.live.start import NAMED, Options
 from usvlearn.logs.message_fields import CLOCKS
 from usvlearn.logs.mixing import SOURCE_KEYS
 
@@ -57,8 +56,8 @@ def given_by(parameters: Mapping[str, Any]) -> Given:
             continue
         if name.startswith(PREFIX):
             channel, _, key = name.removeprefix(PREFIX).partition(".")
-            if channel not in (*CHANNELS, *AUXILIARY) or key not in SOURCE_KEYS:
-                raise _unknown(name, (PREFIX + f"{each}.{option}" for each in CHANNELS for option in SOURCE_KEYS))
+            if channel not in NAMED or key not in SOURCE_KEYS:
+                raise _unknown(name, (PREFIX + f"{each}.{option}" for each in NAMED for option in SOURCE_KEYS))
             found.channels.setdefault(channel, {})[key] = _plain(value)
             continue
         if name not in KINDS:

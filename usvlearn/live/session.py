@@ -19,12 +19,14 @@ import usvlearn
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
 from usvlearn.live.background import Background
-from usvlearn.live.health import COMPILING, Health, finite
+from usvlearn.live.health import COMPILING, ONE_COMMAND, Health, finite
 from usvlearn.live.listening import Listening
+from usvlearn.live.plan_requests import answer
 from usvlearn.live.recent import Recent
 from usvlearn.live.recorder import Recorder
-from usvlearn.live.sets import Sets
+from usvlearn.live.sets import Sets, unsaved
 from usvlearn.live.start import Begin, Middleware, Options, begin
+from usvlearn.live.usable import Usable
 from usvlearn.lock import Lock
 from usvlearn.logs.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
     from usvlearn.live.live_board import Board
     from usvlearn.live.node import Node, Step
 
+HELD = "held"  # of a set's metadata: what the node knows of forecasts under held commands
 REPORT = 5.0  # s between two reports of what is identified and of the networks
 TELL = 10.0  # s between two status files
 RETRY = 60.0  # s after a save that failed, at most
@@ -51,6 +54,7 @@ class Session:
         sources: part -> what is received: see `Setup.parts`.
         sentence: what the node starts from.
         state: see `Health`.
+        one_command: whether both sides have the same command; a middleware may find it out later.
 
     Raises:
         ConfigError: another node has the folder, there is nothing to start from, or a channel is not legal.
@@ -60,9 +64,8 @@ class Session:
     def __init__(self, options: Options, middleware: Middleware):
         self.options, self.middleware = options, middleware
         if options.tensorboard is not None and importlib.util.find_spec("tensorboard") is None:
-            raise ConfigError(
-                "tensorboard: TensorBoard is not installed here: run `pip install tensorboard`, or leave it out"
-            )
+            raise ConfigError("tensorboard: it is not installed here: run `pip install tensorboard`, or leave it out")
+        self._made = [each for each in (options.folder, *options.folder.parents) if not each.exists()]
         self._lock = Lock(options.folder, "folder of the node")
         try:
             self._sets = Sets(options.folder, options.keep)
@@ -70,11 +73,13 @@ class Session:
             self.setup = self._begin.setup
             self.setup.check_live()
         except BaseException:
-            self._lock.release()
+            self._release()
             raise
         self.sources: dict[str, Source] = self.setup.parts
         self._listening = Listening(self.sources, options.warp)
+        self._usable = Usable(self.sources)
         self.sentence = self._begin.sentence
+        self.one_command = self.setup.one_command
         self.state = "compiling"
         self.last: Step | None = None
         self._node: Node | None = None
@@ -124,6 +129,18 @@ class Session:
         self._took(found)
         return found
 
+    def answer(self, text: str) -> str:
+        """The answer to a plan. See `Node.answer`."""
+        if self._node is None or self.state == "compiling":
+            self.drop("plan", "compiling")
+            return answer(text, math.nan, f"plan: no forecast can be made yet: {COMPILING.sentence}")
+        return self._node.answer(text)
+
+    def advise(self, name: str, sentence: str) -> None:
+        """Warn of something that the shell has noticed; an empty sentence ends the warning of that name."""
+        self._warnings = {key: each for key, each in self._warnings.items() if key != name}
+        self._warnings |= {name: sentence} if sentence else {}
+
     def drop(self, part: str, cause: str) -> None:
         """Count a message that the shell could not use."""
         if self._node is not None:
@@ -150,10 +167,9 @@ class Session:
             clock: `time.monotonic()`.
         """
         clock = time.monotonic() if clock is None else clock
+        ages = self._listening.ages(clock)
         if not self._ready():
-            return COMPILING._replace(
-                uptime=clock - self._began, ages=self._listening.ages(clock), warnings=self.warnings
-            )
+            return COMPILING._replace(uptime=clock - self._began, ages=ages, warnings=self.warnings)
         node = self._node
         assert node is not None
         self._finished()
@@ -161,7 +177,6 @@ class Session:
             self._recorder.flush(clock)
             if self._recorder.problem:
                 self._warnings["record"] = self._recorder.problem
-        ages = self._listening.ages(clock)
         if clock - self._reported >= REPORT:
             self._reported = clock
             self._look()
@@ -184,7 +199,7 @@ class Session:
         try:
             path = self._sets.save(*self._set())
         except OSError as error:
-            self._warnings["save"] = self._unsaved(error)
+            self._warnings["save"] = unsaved(self.options.folder, error)
             return None
         self._saved, self._learned = time.monotonic(), self._node.learned
         return path
@@ -201,7 +216,14 @@ class Session:
                 self._recorder.close()
             self._draw(close=True)
             self._background.close()
-            self._lock.release()
+            self._release()
+
+    def _release(self) -> None:
+        """Release the folder; what this session has made of it and left empty is removed."""
+        self._lock.release()
+        with suppress(OSError):  # it is not empty
+            for made in self._made:
+                made.rmdir()
 
     def _end(self) -> str:
         node = self._node
@@ -241,6 +263,7 @@ class Session:
 
             node = Node(self.setup, Online.of(self._begin.leaves, self._begin.facts), self.options.patience)
             node.warm()
+            node.held.load(self._begin.facts.get(HELD))
             node.took = self._recent.add
             self._node = node
         except BaseException as error:  # told by the thread that owns the session
@@ -305,11 +328,16 @@ class Session:
     def _health(self, ages: Mapping[str, float], clock: float) -> Health:
         node = self._node
         assert node is not None
-        state, sentence = self._listening.judged(ages, node.dt)
+        state, sentence = self._listening.judged(ages, node.dt, node.windows)
+        lost = self._usable.judged(node, ages)
+        self.advise("usable", lost.warning if lost else "")
+        if lost and state == "ok":
+            state, sentence = "sparse", lost.sentence
         counts = f"{node.steps} steps, {node.learned} learned" + (f", {node.alarms} alarms" if node.alarms else "")
         return Health(
             state, f"{sentence}; {counts}", node.counts, dict(ages), node.steps, node.learned, node.alarms, node.alarm,
             clock - self._began, clock - self._saved, self._contraction, self._identified, self.warnings,
+            (ONE_COMMAND,) if self.one_command else (),
         )  # fmt: skip
 
     def _set(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -318,8 +346,8 @@ class Session:
         assert node is not None
         facts = {
             "estimator": self._begin.facts["estimator"], "kernel": self._begin.facts["kernel"],
-            KEY: self.setup.json(), "boat": self.options.boat, "run": "live", "step": node.steps,
-            "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
+            KEY: self.setup.json(), HELD: node.held.json(), "boat": self.options.boat, "run": "live",
+            "step": node.steps, "time": 0.0 if self.last is None else self.last.time, "version": usvlearn.__version__,
         }  # fmt: skip
         return node.online.state, facts
 
@@ -342,31 +370,26 @@ class Session:
         """What is identified, the networks, and channels of which no message can be used."""
         node = self._node
         assert node is not None
-        self._contraction, self._identified = watched.networks(node.online), watched.identified(node.online)
+        node.one_command = self.one_command
+        self._contraction = watched.networks(node.online)
+        self._identified, wrong = watched.identified(node.online, self.one_command)
+        self.advise("boat", wrong)
         self._listening.look(node.counts)
 
     def _finished(self) -> None:
         """Look at what the thread has done; an error is a warning, and the node learns on."""
         for name, result, error in self._background.done():
-            for key in [key for key in self._warnings if key.startswith(name)]:
-                del self._warnings[key]
+            self._warnings = {key: each for key, each in self._warnings.items() if not key.startswith(name)}
             if name == "save" and error is None:
                 self._saved, self._learned = time.monotonic(), self._hoped
             elif name == "save":
-                self._warnings[name] = self._unsaved(error)
+                self._warnings[name] = unsaved(self.options.folder, error)
                 self._due = time.monotonic() - self.options.save_period + min(RETRY, self.options.save_period)
             elif name == "check" and error is None:
                 self._warnings |= {f"{name} {k}": each for k, each in enumerate(result)}
             elif error is not None:
                 what = {"check": "the data cannot be checked", "status": "the status cannot be written"}[name]
                 self._warnings[name] = f"{what}: {error}"
-
-    def _unsaved(self, error: BaseException | None) -> str:
-        cause = getattr(error, "strerror", None) or error
-        return (
-            f"no set can be saved in {self.options.folder} ({cause}): make room on the disk; the sets saved before are "
-            "complete"
-        )
 
     def _tell(self, health: Mapping[str, Any]) -> None:
         last = None if self.last is None else {"time": self.last.time, "speed": self.last.speed, "next": self.last.next}

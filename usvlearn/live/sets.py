@@ -30,12 +30,18 @@ class Sets:
     Args:
         folder: it is made.
         keep: how many of its own sets a node keeps, at least 2.
+
+    Raises:
+        ConfigError: the folder holds a `status.json` of another program.
     """
 
     def __init__(self, folder: Path, keep: int = 100):
         self.folder, self._keep = folder, max(keep, 2)
         folder.mkdir(parents=True, exist_ok=True)
         numbers = [int(found[1]) for path in folder.iterdir() if (found := NAME.fullmatch(path.name))]
+        with suppress(CheckpointError):  # a node starts beside a damaged status, too
+            if not numbers and (status := status_of(folder)) and "middleware" not in status:
+                raise ConfigError(f"{folder / STATUS}: is not the status of a node: choose another folder")
         self._count = itertools.count(1 + max(numbers, default=0))
 
     @property
@@ -60,6 +66,12 @@ class Sets:
     def tell(self, status: Mapping[str, Any]) -> None:
         """Write the status, which `usvlearn live status` reads."""
         checkpoint.write_atomically(self.folder / STATUS, json.dumps(status, indent=1).encode())
+
+
+def unsaved(folder: Path, error: BaseException | None) -> str:
+    """That no set can be saved, and why."""
+    cause = getattr(error, "strerror", None) or error
+    return f"no set can be saved in {folder} ({cause}): make room on the disk; the sets saved before are complete"
 
 
 def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]]:

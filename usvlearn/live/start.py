@@ -13,12 +13,13 @@ import numpy as np
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.sets import Sets, newest
-from usvlearn.logs.channel import AUTO, AUXILIARY, CHANNELS
-from usvlearn.logs.mixing import SOURCE_KEYS
+from usvlearn.logs.channel import AUTO, AUXILIARY, CHANNELS, COMMANDS
+from usvlearn.logs.mixing import PER_NAME, SOURCE_KEYS, STEERING, THROTTLE, listed, sides_of
 from usvlearn.logs.read import sources_of
 from usvlearn.logs.setup import Setup
 
-NAMES = ("name", "field", "unit", "zero", "span", "weight")  # what depends on the middleware
+NAMED = (*CHANNELS, *AUXILIARY, THROTTLE, STEERING)  # of which a user can say something
+NAMES = ("name", "field", "unit", "zero", "span", "weight", "window")  # what depends on the middleware
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Options:
         folder: of the node: its sets, status and records.
         start: a set, a folder of sets or a run's folder, to start from if the folder has no set.
         mass, surge_max: kg and m/s, of a prior, if there is no set at all.
-        channels: changes to the channels: channel -> option of a `Source` -> value.
+        channels: changes to the channels: channel -> option of a `Source` -> value. `throttle`, or `throttle` and
+            `steering`, stand for the commands of both sides (`usvlearn.logs.mixing.sides_of`).
         boat: its name.
         record: whether to record the session.
         save_period: s between two sets.
@@ -140,13 +142,16 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
             if name in channels:
                 own_options = {key: value for key, value in given.items() if key not in NAMES}
                 channels[name] = own_options | channels[name]
-    for name, changes in options.channels.items():
+    for name, changes in _sided(options.channels).items():
         if name not in (*CHANNELS, *AUXILIARY):
             raise ConfigError(
                 f"channels: found {name!r}, expected one of {', '.join(CHANNELS)}{did_you_mean(name, CHANNELS)}"
             )
-        channels[name] = channels.get(name, {}) | dict(changes)
+        channels[name] = _changed(channels.get(name, {}), changes)
+    if THROTTLE in options.channels:
+        _check_alike(channels, _sided(options.channels)[COMMANDS[0]])
     for given in channels.values():
+        given.setdefault("window", AUTO)
         if given.get("period") == AUTO:
             given["period"] = 0.0  # live messages do not tell it
     declared = sources_of(channels)
@@ -155,6 +160,43 @@ def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -
     mass = options.mass if known is None or known.mass is None else known.mass
     top = options.surge_max if options.surge_max is not None else None if known is None else known.surge_max
     return Setup(declared, align, mass, top, middleware.reader).live()
+
+
+def _sided(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
+    """The channels, with the commands of both sides in place of throttle and steering."""
+    found = dict(channels)
+    throttle, steering = (found.pop(name, None) for name in (THROTTLE, STEERING))
+    if throttle is None and steering is None:
+        return found
+    if throttle is None:
+        raise ConfigError(f"{STEERING}: found it without {THROTTLE}, expected both: name the throttle, too")
+    if sides := [name for name in COMMANDS if name in found]:
+        raise ConfigError(f"{sides[0]}: found it beside {THROTTLE}, expected one of them: leave one out")
+    return found | sides_of(throttle, steering)
+
+
+def _check_alike(channels: Mapping[str, Mapping[str, Any]], changes: Mapping[str, Any]) -> None:
+    """Refuse a throttle that would have two meanings, because the sides of the set differ in an option."""
+    left, right = (channels[side] for side in COMMANDS)
+    for key in sorted(left.keys() | right.keys()):
+        if key not in changes and left.get(key) != right.get(key):
+            raise ConfigError(
+                f"{THROTTLE}: found {key} {left.get(key)!r} of {COMMANDS[0]} and {right.get(key)!r} of {COMMANDS[1]} "
+                f"in the set, expected one for both: give {THROTTLE}.{key}"
+            )
+
+
+def _changed(own: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a channel with those of the user; where several signals make it, and now one, or the reverse, the
+    former options of each are left out.
+    """
+    if "name" in changes and (listed(own.get("name")) is None) != (listed(changes["name"]) is None):
+        own = {
+            key: value
+            for key, value in own.items()
+            if key not in (*PER_NAME, "weight") or (key == "unit" and listed(value) is None)
+        }
+    return {**own, **changes}
 
 
 def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
@@ -173,11 +215,11 @@ def channel_options(given: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     for dotted, text in given.items():
         channel, _, key = dotted.partition(".")
         key = key or "name"
-        if channel not in (*CHANNELS, *AUXILIARY) or key not in SOURCE_KEYS:
-            if channel in (*CHANNELS, *AUXILIARY):
+        if channel not in NAMED or key not in SOURCE_KEYS:
+            if channel in NAMED:
                 hint = did_you_mean(dotted, [f"{channel}.{each}" for each in SOURCE_KEYS])
             else:
-                hint = did_you_mean(channel, CHANNELS) or f": channels are {', '.join(CHANNELS)}"
+                hint = did_you_mean(channel, NAMED) or f": channels are {', '.join(CHANNELS)}"
             raise ConfigError(f"{dotted}: found no such option of a channel, such as surge or surge.unit{hint}")
         found.setdefault(channel, {})[key] = _value(dotted, key, str(text).strip())
     return found
@@ -188,6 +230,8 @@ def _value(dotted: str, key: str, text: str) -> Any:
     items = [each.strip() for each in text.split(",")]
     if key in ("name", "unit", "field"):
         return (items if key == "name" and len(items) > 1 else text) or None
+    if key == "window" and text == AUTO:
+        return AUTO
     if key == "held":
         if text.lower() not in ("true", "false"):
             raise ConfigError(f"{dotted}: found {text!r}, expected true or false")
@@ -195,7 +239,8 @@ def _value(dotted: str, key: str, text: str) -> Any:
     try:
         values = [float(each) for each in items]
     except ValueError as error:
-        raise ConfigError(f"{dotted}: found {text!r}, expected a number") from error
+        more = f", or {AUTO}" if key == "window" else ""
+        raise ConfigError(f"{dotted}: found {text!r}, expected a number{more}") from error
     if not all(map(math.isfinite, values)):
         raise ConfigError(f"{dotted}: found {text!r}, expected a finite number")
     return values if len(values) > 1 or key == "weight" else values[0]

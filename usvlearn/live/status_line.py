@@ -44,7 +44,7 @@ class StatusLine:
         self._shown = 0
 
     def show(self, health: Health, step: Step | None = None, link: str = "", warn: bool = True) -> None:
-        """Replace the line; without a terminal, write a sentence if the state has changed. Say each warning once.
+        """Replace the line; without a terminal, write a sentence if the state has changed. Say warnings and notes once.
 
         Args:
             health: of the node.
@@ -55,7 +55,10 @@ class StatusLine:
         for warning in health.warnings if warn else ():
             if warning not in self._warned:
                 self.say(f"warning: {warning}")
-        self._warned = set(health.warnings)
+        for note in health.notes:
+            if note not in self._warned:
+                self.say(f"note: {note}")
+        self._warned = {*health.warnings, *health.notes}
         if self._terminal:
             columns = shutil.get_terminal_size().columns - 1
             text = printable(line(health, step, link))[:columns]

@@ -16,7 +16,7 @@ from usvlearn.errors import ConfigError
 
 USAGE = """usage: usvlearn live systemd --folder DIR [--user NAME] COMMAND ARGUMENTS…
 Prints a systemd unit that runs `usvlearn live COMMAND ARGUMENTS…` in the current folder, as that user (by default you).
-DIR is the folder of the node, the only one that it may write to; --folder may also stand among the ARGUMENTS.
+DIR is the folder of the node, the only one that it may write to. Both options may also stand among the ARGUMENTS.
     usvlearn live systemd --folder ~/usvlearn moos mission.moos | sudo tee /etc/systemd/system/usvlearn.service
     sudo systemctl daemon-reload && sudo systemctl enable --now usvlearn"""
 USER = re.compile(r"[A-Za-z_][A-Za-z0-9_-]{0,31}")
@@ -109,11 +109,11 @@ def main(arguments: Sequence[str]) -> int:
         print(USAGE)
         return 0
     given, command = {}, list(arguments)
-    while command and command[0] in ("--folder", "--user"):
-        name = command.pop(0)
-        if not command:
-            raise ConfigError(f"{name}: found no value: see usvlearn live systemd --help")
-        given[name] = command.pop(0)
+    while command and command[0].partition("=")[0] in ("--folder", "--user"):
+        name = command[0].partition("=")[0]
+        given[name] = _taken(command, name)
+    if (user := _taken(command, "--user")) is not None:  # no option of a node
+        given["--user"] = user
     if not command or command[0] not in SHELLS:
         raise ConfigError(f"command: found {' '.join(command)!r}, expected {', '.join(SHELLS)} and its arguments")
     folder = given.get("--folder") or _option(command, "--folder")
@@ -135,6 +135,20 @@ def _option(arguments: Sequence[str], name: str) -> str | None:
     for argument, value in zip(arguments, [*arguments[1:], ""], strict=True):
         if argument == name or argument.startswith(f"{name}="):
             return value if argument == name else argument.partition("=")[2]
+    return None
+
+
+def _taken(arguments: list[str], name: str) -> str | None:
+    """As `_option`, of the arguments for usvlearn, which then lack the option: those after --ros-args are for ROS."""
+    end = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
+    for k, argument in enumerate(arguments[:end]):
+        if argument != name and not argument.startswith(f"{name}="):
+            continue
+        words = arguments[k : min(k + 2, end)] if argument == name else argument.split("=", 1)
+        if len(words) < 2:
+            raise ConfigError(f"{name}: found no value: see usvlearn live systemd --help")
+        del arguments[k : k + (2 if argument == name else 1)]
+        return words[1]
     return None
 
 

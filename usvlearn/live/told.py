@@ -9,7 +9,7 @@ from typing import Any
 
 from usvlearn import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, printable
-from usvlearn.live.health import seconds
+from usvlearn.live.health import quantity, seconds
 from usvlearn.live.sets import status_of
 from usvlearn.lock import Lock
 
@@ -34,12 +34,10 @@ def status_lines(folder: Path) -> list[str]:
     if isinstance(last, dict) and _number(last.get("speed")):
         lines.append(f"Predicted   {last['speed']:.2f} m/s at its last step")
     lines += _networks(found) + _identified(found)
-    warnings = found.get("warnings")
-    lines += (
-        [f"Warning     {printable(each)}" for each in warnings if isinstance(each, str)]
-        if isinstance(warnings, list)
-        else []
-    )
+    for title, key in (("Note", "notes"), ("Warning", "warnings")):
+        said = found.get(key)
+        sentences = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
+        lines += [f"{title:<11} {printable(each)}" for each in sentences]
     return [*lines, f"Sets        {_sets(sets)}"]
 
 
@@ -83,11 +81,9 @@ def _networks(found: dict[str, Any]) -> list[str]:
 def _identified(found: dict[str, Any]) -> list[str]:
     lines, quantities = [], found.get("identified")
     for name, each in quantities.items() if isinstance(quantities, dict) else ():
-        if isinstance(each, list) and len(each) == 4 and all(map(_number, each[:3])):
-            value, low, high, unit = each
-            lines.append(
-                f"Identified  {printable(str(name))} {value:.4g} ({low:.3g} … {high:.3g}) {printable(str(unit))}"
-            )
+        if isinstance(each, list) and len(each) == 4 and all(x is None or _number(x) for x in each[:3]):
+            value, low, high = (math.nan if x is None else x for x in each[:3])
+            lines.append(f"Identified  {printable(str(name))} {quantity(value, low, high, printable(str(each[3])))}")
     return lines
 
 

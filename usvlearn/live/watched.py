@@ -12,6 +12,7 @@ from usvlearn.estimators.ensemble.monitors.state import CALM, DOUBT
 from usvlearn.online import Online
 
 SIDES = ("left", "right")
+ONE = "left or right"  # the side of an alarm where both have one command
 
 
 class Thrusters(NamedTuple):
@@ -32,15 +33,20 @@ def thrusters(online: Online) -> Thrusters | None:
     return Thrusters(side if raised.any() else None, dict(zip(SIDES, share.tolist(), strict=True)))
 
 
-def identified(online: Online) -> dict[str, tuple[float, float, float, str]]:
-    """Value, ends of the 90 % interval and unit of each identified quantity; {} without a reader."""
-    from usvlearn.estimators.joint.reading import reader_of
+def identified(online: Online, one_command: bool = False) -> tuple[dict[str, tuple[float, float, float, str]], str]:
+    """Value, ends of the 90 % interval and unit of each identified quantity; {} without a reader. And a sentence if no
+    boat can have them, else "".
+
+    NaN while an interval says nothing. With one command for both sides, what tells them apart is left out.
+    """
+    from usvlearn.estimators.joint.reading import reader_of, tells_sides
     from usvlearn.identified import members_of
 
     if online.description is None or reader_of(members_of(online.description)) is None:
-        return {}
+        return {}, ""
     found: Any = online.identified()
-    return {name: (each.value, each.low, each.high, each.unit) for name, each in found.items()}
+    names = [name for name in found if not (one_command and tells_sides(name))]
+    return {name: tuple(found.told(name)) for name in names}, found.unphysical
 
 
 def networks(online: Online) -> dict[str, dict[str, Any]]:

@@ -59,7 +59,7 @@ class Listening:
     def __init__(self, session: Session, connection: str, warp: float = 1.0):
         self.session, self.stopped, self.error = session, threading.Event(), None
         self.said = io.StringIO()
-        self._given = argparse.Namespace(connection=connection, system=None, rate=None)
+        self._given = argparse.Namespace(connection=connection, system=None, rate=None, peer=None)
         self._warp = warp
         self._thread = threading.Thread(target=self._run, daemon=True)
 

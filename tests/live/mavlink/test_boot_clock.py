@@ -70,7 +70,7 @@ class Counting(RecordingSession):
         self.count[part] += 1
         self.late += stamp <= self.last.get(part, -1.0)
         self.last[part] = stamp
-        return [Step(stamp, 1.5, 1.5, 1.0, 1.5, 1.3, 1.1, 1.4, {}, {}, ())] if part == "heading" else []
+        return [Step(stamp, 1.5, 1.5, 1.0, 1.5, 1.3, 1.1, 1.4, {}, {}, {}, ())] if part == "heading" else []
 
     def drop(self, part, cause):
         self.count[part, cause] += 1
@@ -87,7 +87,7 @@ class Counting(RecordingSession):
 @pytest.mark.parametrize(("hours", "reboots"), [(0.05, 2), pytest.param(24.0, 100, marks=pytest.mark.slow)])
 def test_for_hours_nothing_is_lost_and_no_memory_used(hours, reboots):
     lab, memory = Lab(session=Counting()), []
-    lab.give = lambda data, delay=0.03: lab.vehicle.receive(data, RECEIPT + lab.time + delay, whole=True)
+    lab.give = lambda data, delay=0.03, place="": lab.vehicle.receive(data, RECEIPT + lab.time + delay, whole=True)
     for _ in range(reboots):
         before = lab.session.count["heading"], lab.session.count["heading", "no_time"]
         lab.boat.reboot(lab.time)

@@ -15,7 +15,7 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 from tests.support.mavboat import MavBoat, mavlink
 from usvlearn.errors import ConfigError
 from usvlearn.live.mavlink.frames import Frames
-from usvlearn.live.mavlink.links import BAUD, LONGEST_WAIT, MUTE, Link, Place, parse_place
+from usvlearn.live.mavlink.links import BAUD, LONGEST_WAIT, MUTE, Link, Peer, Place, parse_peer, parse_place
 
 HERE = "127.0.0.1"
 
@@ -26,9 +26,9 @@ def free_port() -> int:
         return one.getsockname()[1]
 
 
-def opened(place: Place, now: float = 0.0) -> tuple[Link, list[str]]:
+def opened(place: Place, now: float = 0.0, peer: Peer | None = None) -> tuple[Link, list[str]]:
     said: list[str] = []
-    link = Link(place, said.append)
+    link = Link(place, said.append, peer)
     link.open(now)
     return link, said
 
@@ -283,3 +283,37 @@ def test_what_waits_for_its_end_is_bounded():
     for _ in range(300):
         frames.take(rng.randbytes(200).replace(b"\x00", b"\xfd"))
         assert len(frames._rest) <= 300
+
+
+# ---------------------------------------------------------------- one peer
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_only_the_peer_is_heard(exact):
+    port = free_port()
+    kind = socket.AF_INET, socket.SOCK_DGRAM
+    with socket.socket(*kind) as one, socket.socket(*kind) as two:
+        one.bind((HERE, 0))
+        two.bind((HERE, 0))
+        number = one.getsockname()[1]
+        place = Place("udpin", HERE, port)
+        link, said = opened(place, peer=parse_peer(f"localhost:{number}" if exact else HERE, place))
+        two.sendto(b"two", (HERE, port))
+        two.sendto(b"two", (HERE, port))
+        one.sendto(b"one", (HERE, port))
+        assert arrived(link) == (b"one" if exact else b"two")
+        other = f"{HERE}:{two.getsockname()[1]}"
+        assert link.sender == (f"{HERE}:{number}" if exact else other)
+        assert said[1:] == ([f"what {other} sends is left out: it is not the --peer"] if exact else [])
+        link.close()
+
+
+@pytest.mark.parametrize("text", ["", "a b", "host:", "host:x", "host:70000", "::1", "udpin:1.2.3.4:5"])
+def test_what_is_no_peer_is_refused(text):
+    with pytest.raises(ConfigError, match=r"--peer: found .*expected HOST"):
+        parse_peer(text, Place("udpin", HERE, 14550))
+
+
+def test_a_serial_port_has_no_peer():
+    with pytest.raises(ConfigError, match=r"--peer: found '1\.2\.3\.4' with a serial port"):
+        parse_peer("1.2.3.4", Place("serial", "/dev/ttyUSB0", BAUD))

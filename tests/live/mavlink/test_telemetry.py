@@ -37,8 +37,8 @@ def test_numbers_carry_the_time_of_the_vehicle_and_only_what_a_float_holds():
 
 def test_a_step_and_a_health_are_sent_as_numbers():
     telemetry, nan = Telemetry(mavlink), math.nan
-    telemetry.step(Step(10.0, 1.5, 1.25, 1.0, 1.5, 1.375, 1.0, 1.75, {0.4: (1.0, 0.5, 1.5)}, {"aid": 1.0}, ()))
-    telemetry.step(Step(10.4, nan, nan, nan, nan, 1.5, nan, nan, {}, {}, ()))
+    telemetry.step(Step(10.0, 1.5, 1.25, 1.0, 1.5, 1.375, 1.0, 1.75, {0.4: (1.0, 0.5, 1.5)}, {}, {"aid": 1.0}, ()))
+    telemetry.step(Step(10.4, nan, nan, nan, nan, 1.5, nan, nan, {}, {}, {}, ()))
     network = {"contracting": True, "condition": "l2", "rate": 0.75, "time_constant": 1.0, "equilibrium": -0.5}
     telemetry.health(10.5, COMPILING._replace(contraction={"rnn": network}))
     found = [(m.time_boot_ms, m.name, m.value) for m in sent(telemetry)]

@@ -170,4 +170,45 @@ def test_changes_of_health_and_alarms_are_told_in_texts():
 
 
 def step(lab, alarms=(), speed=1.25):
-    return Step(lab.time + BASE, 1.5, speed, 1.0, 1.5, 1.3, 1.1, 1.4, {10.0: (1.4, 1.2, 1.6)}, {}, alarms)
+    return Step(lab.time + BASE, 1.5, speed, 1.0, 1.5, 1.3, 1.1, 1.4, {10.0: (1.4, 1.2, 1.6)}, {}, {}, alarms)
+
+
+def test_a_second_sender_of_the_same_id_is_left_out_and_told():
+    """Two boats left at the default id 1 on one network."""
+    alone, both = Lab(), Lab([MavBoat(booted=-BASE), MavBoat(booted=-40.0)])
+    both.places = ["127.0.0.1:5001", "127.0.0.1:5002"]
+    for lab in (alone, both):
+        lab.sail(20)
+    for part in SOURCES:
+        for one, other in zip(alone.session.channel(part), both.session.channel(part), strict=True):
+            np.testing.assert_allclose(one, other)
+    told = [line for line in both.said if "second sender" in line]
+    assert len(told) == 1 and "127.0.0.1:5002" in told[0] and "--peer 127.0.0.1:5002" in told[0]
+    assert both.session.dropped.count(("vehicle", "second_sender")) > 500
+
+
+def test_a_sender_that_changes_is_followed_after_a_silence_and_told():
+    lab = Lab()
+    lab.places = ["127.0.0.1:5001"]
+    lab.sail(10)
+    lab.places = ["127.0.0.1:6001"]  # its router was restarted
+    lab.sail(3)
+    before = len(lab.session.channel("heading")[0])
+    lab.sail(10)
+    assert len(lab.session.channel("heading")[0]) > before + 60
+    assert lab.said[-1] == "system 1 is heard from 127.0.0.1:6001 now, no longer 127.0.0.1:5001"
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("name", ["MIN", "TRIM", "MAX", "REVERSED"])
+def test_a_servo_parameter_that_is_no_number_is_told(name, bad):
+    """No warning of NumPy, which pytest makes an error; no command that is not a number."""
+    lab, told = Lab(), {f"SERVO1_{name}": bad} | ({"SERVO1_MIN": bad} if name == "TRIM" and bad < 0 else {})
+    lab.sail(6)
+    for parameter, value in told.items():
+        message = mavlink.MAVLink_param_value_message(parameter.encode(), value, 9, 24, 1)
+        lab.give(lab.boat.packed(message))
+    before = len(lab.session.channel("command_left")[0])
+    lab.sail(2)
+    assert len(lab.session.channel("command_left")[0]) == before > 0
+    assert any(f"SERVO1_{name} {bad:g}" in line and "finite numbers" in line for line in lab.said)

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import errno
+import json
 import math
 import os
 import signal
@@ -27,6 +28,7 @@ from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
 from usvlearn.live.sets import Sets
 from usvlearn.live.start import Options
+from usvlearn.live.told import status_lines
 
 NAMES = {"command_left": "DESIRED_THRUST_L", "command_right": "DESIRED_THRUST_R",
          "heading": "NAV_HEADING", "surge": "NAV_SPEED"}  # fmt: skip
@@ -233,6 +235,75 @@ def test_one_app_of_several_that_post_a_variable(tmp_path):
             assert "surge" not in sea.app.session._listening.heard
             sea.database.post("NAV_SPEED", 1.0, "pNav")
             await until(lambda: "surge" in sea.app.session._listening.heard)
+
+    asyncio.run(work())
+
+
+def test_a_plain_community_is_told_what_to_name(tmp_path):
+    """pMarinePID posts DESIRED_THRUST and DESIRED_RUDDER, never a command of a side."""
+
+    async def work():
+        async with at_sea(prior(tmp_path)) as sea:
+            await ready(sea)
+            sea.database.post("DESIRED_THRUST", 40.0)
+            sea.database.post("DESIRED_RUDDER", 5.0)
+            await until(lambda: "warnings=1" in str(sea.posted("USV_HEALTH")[-1:]))
+            sea.database.post("APPCAST_REQ", ASK)
+            await until(lambda: "add `throttle = DESIRED_THRUST`" in str([each.text for each in sea.posted("APPCAST")]))
+            await sea.steps(10)  # it has commands of both sides after all
+            await until(lambda: "warnings=0" in str(sea.posted("USV_HEALTH")[-1:]))
+
+    asyncio.run(work())
+
+
+def test_one_command_for_both_sides_is_learned_and_its_limits_are_told(tmp_path, capsys):
+    channels = {"throttle": {"name": "DESIRED_THRUST"}}
+
+    async def work():
+        async with at_sea(prior(tmp_path, channels=channels)) as sea:
+            await ready(sea)
+            for part, stamp, value in messages(boat(), sea.began):
+                if stamp > sea.began + 60:
+                    break
+                if part != "command_right" and part in NAMES:
+                    name = "DESIRED_THRUST" if part == "command_left" else NAMES[part]
+                    sea.database.post(name, SCALE[part] * value, at=stamp)
+            await until(lambda: len(sea.posted("USV_SPEED_NEXT")) > 100)
+            sea.database.post("APPCAST_REQ", ASK)
+            await until(lambda: "one command drives both" in str([each.text for each in sea.posted("APPCAST")[-1:]]))
+            await until(lambda: sea.app.session._identified)
+            return sea
+
+    sea = asyncio.run(work())
+    page = sea.posted("APPCAST")[-1].text
+    assert "nothing tells left from right" in page.replace("!@            ", " ") and "thrust ratio" not in page
+    assert not any(name.endswith(("left", "right", "ratio")) for name in sea.app.session._identified)
+    assert "_left" not in str([each.text for each in sea.posted("USV_PARAMS")])
+    assert "note: one command drives both sides" in capsys.readouterr().out
+    assert "Note        one command drives both sides" in "\n".join(status_lines(tmp_path))
+
+
+def test_a_plan_that_is_posted_is_answered(tmp_path):
+    async def work():
+        database = Moosdb()
+        database.post("USVLEARN_PLAN", "0,1,1", at=time.time() - 1000)  # of yesterday
+        async with at_sea(prior(tmp_path), database) as sea:
+            await until(lambda: sea.app.client.connected)
+            database.post("USVLEARN_PLAN", '{"id": 1, "t": [0], "left": [1], "right": [1]}')
+            await ready(sea)
+            await sea.steps(60)
+            node = sea.app.session._node
+            for text in ("0,0.5,0.5; 5,1,1", "0,50,50", '{"id": 2, "t": [0], "left": [1], "right": [1]}'):
+                before = len(sea.posted("USV_PLAN_FORECAST"))
+                database.post("USVLEARN_PLAN", text)
+                await until(lambda before=before: len(sea.posted("USV_PLAN_FORECAST")) > before)
+            *early, rows, error, last = [each.text for each in sea.posted("USV_PLAN_FORECAST")]
+            assert all("no forecast can be made" in each for each in early) and len(early) <= 1
+            assert rows.startswith("0.4=") and rows.count(",") == 74
+            assert error.startswith("error: plan: found left 50 in row 1")
+            assert json.loads(last)["id"] == 2 and len(json.loads(last)["surge"]) == 75
+            assert node.counts["plan"]["refused"] == 1
+            assert not database.refused
 
     asyncio.run(work())
 

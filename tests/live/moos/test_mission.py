@@ -66,6 +66,15 @@ def test_a_mission_says_all(tmp_path, monkeypatch):
     }
 
 
+def test_a_plain_community_has_throttle_and_steering(tmp_path):
+    """pMarinePID posts DESIRED_THRUST and DESIRED_RUDDER, and no command of a side."""
+    both = settings(block("throttle = DESIRED_THRUST"), tmp_path=tmp_path).options.channels
+    assert both == {"throttle": {"name": "DESIRED_THRUST"}}
+    lines = "throttle = DESIRED_THRUST", "steering = DESIRED_RUDDER", "steering.span = -1"
+    mixed = settings(block(*lines), tmp_path=tmp_path).options.channels
+    assert mixed["steering"] == {"name": "DESIRED_RUDDER", "span": -1.0}
+
+
 def test_the_command_line_overrides_the_mission(tmp_path):
     text = "ServerPort = 9100\n" + TEXT.replace("${START}", "x").replace("=pUSVLearn\n{", "=learner\n{")
     arguments = ["--moos_port=9300", "--moos_time_warp=2", "--moos_host=localhost", "--mass=20", "--channel=surge=V"]
@@ -91,6 +100,8 @@ def test_what_pantler_gives_is_enough(tmp_path):
         (block("record = perhaps"), "line 3: record: found 'perhaps', expected true or false"),
         (block("prefix = A B"), "line 3: prefix: found 'A B', expected one without blanks"),
         (block("surge.unt = knots"), "line 3: surge.unt: found no such option of a channel"),
+        (block("throtle = T"), r"line 3: throtle: found no such key: did you mean throttle\?"),
+        (block("steering.spam = 2"), r"line 3: steering.spam: found no such option of a channel.*steering.span\?"),
         (block("surge.span = wide"), "line 3: surge.span: found 'wide', expected a number"),
         (block("folder = ${NOWHERE}"), r"line 3: found \$\{NOWHERE\}, which neither"),
         ("ServerHost = the boat\n" + block(), "ServerHost: found 'the boat', expected a name or an address"),

@@ -13,7 +13,7 @@ from usvlearn.errors import ConfigError
 from usvlearn.live.arguments import add_arguments as add_common_arguments
 from usvlearn.live.arguments import options_of
 from usvlearn.live.mavlink.frames import load_dialect
-from usvlearn.live.mavlink.links import Link, Place, parse_place
+from usvlearn.live.mavlink.links import Link, Place, parse_peer, parse_place
 from usvlearn.live.mavlink.routes import CHANNELS
 from usvlearn.live.mavlink.vehicle import Vehicle
 from usvlearn.live.session import Session
@@ -30,6 +30,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     """The options of `usvlearn live mavlink` that other middlewares do not have."""
     parser.add_argument("connection", help="udpin:HOST:PORT, udpout:HOST:PORT, or a serial port as DEVICE,BAUD")
     parser.add_argument("--system", type=int, help="system id of the vehicle (default: the first that is heard)")
+    parser.add_argument("--peer", metavar="HOST[:PORT]", help="by UDP: take only what this sender sends")
     parser.add_argument("--rate", type=float, help=f"messages of each kind a second (default: {PER_STEP} in a step)")
 
 
@@ -69,7 +70,10 @@ def check_arguments(given: Namespace) -> Place:
         raise ConfigError(f"--system: found {given.system}, expected an id of 1 to 255")
     if given.rate is not None and not 0.5 <= given.rate <= 200:
         raise ConfigError(f"--rate: found {given.rate:g}, expected 0.5 to 200 messages a second")
-    return parse_place(given.connection)
+    place = parse_place(given.connection)
+    if given.peer is not None:
+        parse_peer(given.peer, place)
+    return place
 
 
 def run(
@@ -90,9 +94,10 @@ def run(
         line: for the operator.
         clock: a steady clock, s.
     """
-    rate = given.rate or PER_STEP / float(session.setup.align.get("dt", 0.4))
+    rate = given.rate or PER_STEP / float(session.setup.align["dt"])
     vehicle = Vehicle(session, load_dialect(), rate, given.system, say=line.say)
-    link, due = Link(place, say=line.say), clock()
+    peer = None if given.peer is None else parse_peer(given.peer, place)
+    link, due = Link(place, line.say, peer), clock()
     try:
         while not stopped.is_set():
             now = clock()
@@ -114,7 +119,7 @@ def _listen(link: Link, vehicle: Vehicle, clock: Callable[[], float]) -> None:
         now = clock()
         if not (data := link.read(now)):
             return
-        if vehicle.receive(data, now, link.whole):
+        if vehicle.receive(data, now, link.whole, link.sender):
             link.answer()
         link.write(vehicle.telemetry.queue, now)
 

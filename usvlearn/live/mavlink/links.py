@@ -24,6 +24,7 @@ from usvlearn.errors import ConfigError
 LARGEST = 65536  # bytes of one read
 FIRST_WAIT, LONGEST_WAIT = 1.0, 30.0  # s until a link is opened again
 MUTE = 15.0  # s without a byte, after which a serial port is opened again
+MOST_SENDERS = 20  # that are told
 BAUD = 57600  # of ArduPilot's telemetry ports
 EXPECTED = "expected udpin:HOST:PORT, udpout:HOST:PORT, or DEVICE,BAUD such as /dev/ttyUSB0,57600"
 
@@ -61,6 +62,36 @@ or DEVICE,BAUD such as /dev/ttyUSB0,57600
     raise ConfigError(f"connection: found {text!r}, {EXPECTED}")
 
 
+class Peer(NamedTuple):
+    """The only sender that is listened to."""
+
+    host: str
+    port: int  # 0: any
+
+
+def parse_peer(text: str, place: Place) -> Peer:
+    """The sender that `--peer` names, of a connection by UDP.
+
+    Raises:
+        ConfigError: it names none, or the connection is a serial port.
+
+    >>> parse_peer("192.168.2.1", Place("udpin", "0.0.0.0", 14550)), parse_peer("[::1]:14551", Place("udpin", "::", 1))
+    (Peer(host='192.168.2.1', port=0), Peer(host='::1', port=14551))
+    """
+    if place.kind == "serial":
+        raise ConfigError(f"--peer: found {text!r} with a serial port, which has one sender: leave it out")
+    found = re.fullmatch(r"(?:\[([^\]]+)\]|([^:\s]+))(?::(\d+))?", text)
+    if not found or not 0 <= int(found[3] or 0) < 65536:
+        raise ConfigError(f"--peer: found {text!r}, expected HOST or HOST:PORT, such as 192.168.2.1 or [::1]:14551")
+    return Peer(found[1] or found[2], int(found[3] or 0))
+
+
+def _addresses(peer: Peer, family: int) -> set[tuple[str, int]]:
+    """All addresses of a peer, and its port; raises OSError while its name is not known."""
+    found = socket.getaddrinfo(peer.host, None, family, socket.SOCK_DGRAM)
+    return {(str(address[0]), peer.port) for *_, address in found}
+
+
 def _speeds() -> dict[int, int]:
     """Baud -> what the operating system calls it."""
     try:
@@ -75,6 +106,12 @@ class Port(Protocol):
     """An open link."""
 
     whole: bool  # what it reads are datagrams
+    left_out: str  # the last sender that is not the peer; empty without
+
+    @property
+    def sender(self) -> str:
+        """Where what was read last came from, as HOST:PORT; empty where there is but one."""
+        ...
 
     def fileno(self) -> int: ...
 
@@ -94,12 +131,19 @@ class Port(Protocol):
 
 
 class Udp:
-    """A UDP socket."""
+    """A UDP socket.
+
+    Args:
+        place: where.
+        peer: the only sender whose datagrams are taken; None: anybody's.
+    """
 
     whole = True
 
-    def __init__(self, place: Place):
+    def __init__(self, place: Place, peer: Peer | None = None):
         family, *_, address = socket.getaddrinfo(place.name, place.number, type=socket.SOCK_DGRAM)[0]
+        self._only = None if peer is None else _addresses(peer, family)
+        self.left_out = ""  # the last sender whose datagram was not taken
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._peer: Any = address if place.kind == "udpout" else None
@@ -114,10 +158,20 @@ class Udp:
     def fileno(self) -> int:
         return self._socket.fileno()
 
+    @property
+    def sender(self) -> str:
+        if self._sender is None:
+            return ""
+        host, port = self._sender[:2]
+        return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
     def read(self) -> bytes:
         try:
             data, self._sender = self._socket.recvfrom(LARGEST)
         except (BlockingIOError, ConnectionRefusedError):  # the latter: nobody listens there yet
+            return b""
+        if self._only is not None and self._only.isdisjoint({self._sender[:2], (self._sender[0], 0)}):
+            self.left_out = self.sender
             return b""
         return data
 
@@ -137,9 +191,9 @@ class Udp:
 class Serial:
     """A serial port, 8 data bits, no parity, 1 stop bit, without flow control."""
 
-    whole = False
+    whole, sender, left_out = False, "", ""
 
-    def __init__(self, place: Place):
+    def __init__(self, place: Place, peer: Peer | None = None):
         import termios
         import tty
 
@@ -188,11 +242,13 @@ class Link:
 
     Args:
         place: where.
-        say: takes a sentence for the operator when the link is lost or opened.
+        say: takes a sentence for the operator when the link is lost or opened, or when a sender is left out.
+        peer: the only sender that is listened to; None: all.
     """
 
-    def __init__(self, place: Place, say: Callable[[str], None]):
-        self._place, self._say = place, say
+    def __init__(self, place: Place, say: Callable[[str], None], peer: Peer | None = None):
+        self._place, self._say, self._peer = place, say, peer
+        self._left_out: set[str] = set()  # senders that were told
         self._port: Port | None = None
         self._due, self._wait = 0.0, FIRST_WAIT  # when to open it, and how long to wait after the next failure
         self._heard = 0.0  # when something was read last, or it was opened
@@ -202,12 +258,17 @@ class Link:
     def whole(self) -> bool:
         return self._port is not None and self._port.whole
 
+    @property
+    def sender(self) -> str:
+        """Where that came from which was read last, as HOST:PORT; empty of a serial port."""
+        return "" if self._port is None else self._port.sender
+
     def open(self, now: float) -> bool:
         """Open the link if it is due; returns whether it was opened now."""
         if self._port is not None or now < self._due:
             return False
         try:
-            self._port = (Serial if self._place.kind == "serial" else Udp)(self._place)
+            self._port = (Serial if self._place.kind == "serial" else Udp)(self._place, self._peer)
         except OSError as error:
             self._lose(error, now)
             return False
@@ -238,6 +299,9 @@ class Link:
         except OSError as error:
             self._lose(error, now)
             return b""
+        if (other := self._port.left_out) not in self._left_out and other and len(self._left_out) < MOST_SENDERS:
+            self._left_out.add(other)
+            self._say(f"what {other} sends is left out: it is not the --peer")
         if data:
             self._heard, self._wait = now, FIRST_WAIT
         elif self._place.kind == "serial" and now - self._heard > MUTE:

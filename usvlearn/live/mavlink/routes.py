@@ -33,12 +33,12 @@ VELOCITIES = {"vx": 0, "vy": 1}  # fields of LOCAL_POSITION_NED that others can 
 
 # What a vehicle of ArduPilot sends, where neither a set nor the user says otherwise: as in configs/data/tlog.yaml
 CHANNELS: dict[str, dict[str, Any]] = {
-    "command_left": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_left", "window": 0.6},
-    "command_right": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_right", "window": 0.6},
-    "heading": {"name": "ATTITUDE", "field": "yaw", "unit": "rad", "window": 0.6},
-    "yaw_rate": {"name": "ATTITUDE", "field": "yawspeed", "unit": "rad/s", "window": 0.6},
-    "velocity_north": {"name": "LOCAL_POSITION_NED", "field": "vx", "unit": "m/s", "window": 0.6},
-    "velocity_east": {"name": "LOCAL_POSITION_NED", "field": "vy", "unit": "m/s", "window": 0.6},
+    "command_left": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_left"},
+    "command_right": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_right"},
+    "heading": {"name": "ATTITUDE", "field": "yaw", "unit": "rad"},
+    "yaw_rate": {"name": "ATTITUDE", "field": "yawspeed", "unit": "rad/s"},
+    "velocity_north": {"name": "LOCAL_POSITION_NED", "field": "vx", "unit": "m/s"},
+    "velocity_east": {"name": "LOCAL_POSITION_NED", "field": "vy", "unit": "m/s"},
 }
 
 

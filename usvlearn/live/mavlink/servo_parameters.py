@@ -75,6 +75,12 @@ class ServoParameters:
         """The field of SERVO_OUTPUT_RAW and the limits of the servo that has a function; None while unknown."""
         return self._found.get(function)
 
+    @property
+    def one_command(self) -> bool:
+        """Whether one servo drives both sides."""
+        left, right = (self._found.get(f"throttle_{side}") for side in ("left", "right"))
+        return left is not None and left == right
+
     def share(self, function: str, message: Any) -> float | None:
         """The share of full scale in a SERVO_OUTPUT_RAW; None while the servo is unknown."""
         if (found := self._found.get(function)) is None:

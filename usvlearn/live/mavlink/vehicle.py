@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 SILENT = 5.0  # s without a heart-beat, after which no vehicle is there
 SELDOM = 5  # ticks between two reports of what changes seldom
+MOST_OTHERS = 100  # senders that are remembered
 REPLACED = 10.0  # s without a message, after which another one gives its numbers
 RANKS = (NED, GLOBAL, HUD)  # where the velocity comes from, the best first
 
@@ -77,7 +78,8 @@ class Vehicle:
         for number in self._routes:
             self._intervals.wish(number)
         self.address: tuple[int, int] | None = None  # of the vehicle: system and component
-        self._others: set[int] = set()  # other vehicles
+        self._sender, self._sent = "", -math.inf  # where its messages come from, and when the last one came
+        self._others: set[int | str] = set()  # other vehicles, and others that send as this one
         self._clock, self._armed = BootClock(), False
         self._beat = -math.inf  # when the last heart-beat of the vehicle was received
         self._came = dict.fromkeys(RANKS, math.inf)  # when a velocity was received or first wished; inf: not wished
@@ -101,41 +103,64 @@ class Vehicle:
 
     # ------------------------------------------------------------ receiving
 
-    def receive(self, data: bytes, now: float, whole: bool = False) -> bool:
+    def receive(self, data: bytes, now: float, whole: bool = False, place: str = "") -> bool:
         """Take what a link has received; returns whether a frame of the vehicle was in it.
 
         Args:
             data: any bytes.
             now: s of a steady clock.
             whole: `data` is a datagram.
+            place: where it came from, if several can send.
         """
         heard = False
         for message in self._frames.take(data, whole):
             sender = message.get_srcSystem(), message.get_srcComponent()
             number = message.get_msgId()
+            if sender == self.address and not self._is_from(place, now):
+                self._session.drop("vehicle", "second_sender")
+                continue
             if number == HEARTBEAT:
-                self._hear_heartbeat(message, sender, now)
+                self._hear_heartbeat(message, sender, now, place)
             if self.address is None:
                 continue
-            heard |= sender == self.address
+            if sender == self.address:
+                heard, self._sender, self._sent = True, place, now
             if number == PARAM_VALUE and sender == self.address:
                 self._servos.learn(message.param_id, message.param_value)
             elif number in MESSAGES and number != HEARTBEAT:
                 self._take(message, number, sender, now)
         return heard
 
+    def _is_from(self, place: str, now: float) -> bool:
+        """Whether the vehicle itself sends from a place: two boats of one id must not be learned as one."""
+        if place == self._sender:
+            return True
+        system, other = self.address or (0, 0), now - self._sent < SILENT
+        if other and place not in self._others and len(self._others) < MOST_OTHERS:
+            self._others.add(place)
+            self._announce(
+                f"a second sender, {place}, sends as system {system[0]}, too: it is left out, and {self._sender} is "
+                f"listened to; give the boats different ids, or choose by --peer {place}", WARNING, now
+            )  # fmt: skip
+        elif not other:
+            self._others.discard(place)
+            self._announce(f"system {system[0]} is heard from {place} now, no longer {self._sender}", WARNING, now)
+            self._sender = place
+        return not other
+
     def new_link(self) -> None:
         """The link was opened anew."""
         self._frames.clear()
 
-    def _hear_heartbeat(self, message: Any, sender: tuple[int, int], now: float) -> None:
+    def _hear_heartbeat(self, message: Any, sender: tuple[int, int], now: float, place: str) -> None:
         if message.autopilot == NO_AUTOPILOT or message.type == GROUND_STATION:
             return
         system = sender[0]
         if self.address is None and system == (self._wanted or system):
             self.address, self._came[NED], self._beat = sender, now, now
             self.telemetry.system = system
-            self._announce(f"listening to system {system}, component {sender[1]}", INFO, now)
+            where = f", from {place}" if place else ""
+            self._announce(f"listening to system {system}, component {sender[1]}{where}", INFO, now)
         if sender == self.address:
             if not self.is_connected(now):
                 self._ask_again()  # it may have booted
@@ -238,6 +263,8 @@ class Vehicle:
 
     def tick(self, now: float) -> Health:
         """Do what is due each second, and return the session's health; `now` in s of a steady clock."""
+        if self._servos.one_command:
+            self._session.one_command = True
         health = self._session.tick(self._clock.now(now))
         self.telemetry.heartbeat()
         if self.is_connected(now) and self.address is not None:
@@ -261,7 +288,7 @@ class Vehicle:
         self._told = {*problems, *health.warnings}
         if health.state != self._state and (self._armed or self.address is None):  # disarmed, no command comes
             self._state = health.state
-            self._text(health.sentence, WARNING if health.state == "stale" else INFO, now)
+            self._text(health.sentence, WARNING if health.state in ("stale", "sparse") else INFO, now)
 
     def _wish_replacement(self, now: float) -> None:
         """Ask for the next source of the velocity while the better ones are silent."""

@@ -8,6 +8,7 @@ database, posts wait in a bounded outbox.
 from __future__ import annotations
 
 import asyncio
+import math
 import signal
 import time
 from collections.abc import Iterable, Sequence
@@ -25,8 +26,14 @@ from usvlearn.live.moos.wire import Message
 from usvlearn.live.operator_page import page
 from usvlearn.live.session import Session
 from usvlearn.live.status_line import StatusLine
+from usvlearn.logs.channel import COMMANDS
 
 REQUEST = "APPCAST_REQ"
+PLAIN = "DESIRED_THRUST"  # of pMarinePID, which posts no command of a side
+ADVICE = (
+    "DESIRED_THRUST is posted, and no DESIRED_THRUST_L and _R: add `throttle = DESIRED_THRUST` to the block of this "
+    "app; and `steering = DESIRED_RUDDER`, if a mixer steers by two thrusters"
+)
 SECOND, STATUS, SELDOM = 1.0, 2.0, 5.0  # s between two reports of health, of status, and of what changes seldom
 OLD = 1.0  # s: what is older than the subscription by more than this is no news
 SELDOM_POSTS = {each.name for each in posts.TABLE if each.when == posts.SELDOM}
@@ -56,10 +63,14 @@ class App:
                     f"{part}: found {source.name!r}, expected the name of one variable: {part} = VARIABLE"
                 )
             self._feeds.setdefault(variable, []).append((part, app))
-        for variable in (*self._feeds, REQUEST):
+        sides = {name for name in COMMANDS if session.sources.get(name)}
+        expected = {session.sources[name].name for name in sides}
+        self._plain = expected == {MIDDLEWARE.channels[name]["name"] for name in COMMANDS}  # whether to look for PLAIN
+        for variable in (*self._feeds, REQUEST, settings.plan, *([PLAIN] if self._plain else [])):
             self.client.register(variable)
         self._connection = 0  # number of the connection
         self._subscribed = 0.0  # MOOS time of its beginning
+        self._heard_plain = False  # whether PLAIN is posted
         self._heard: set[str] = set()  # variables that came since then
         self._stamps: dict[str, float] = {}  # variable -> its latest stamp
         self._published = {f"{settings.name.upper()}_{each}" for each in ("STATUS", "ITER_GAP", "ITER_LEN")}
@@ -83,6 +94,10 @@ class App:
         began = time.perf_counter()
         if message.key == REQUEST:
             self.casts.ask(message.text, time.monotonic(), self._node)
+        elif message.key == self.settings.plan:
+            self._answer(message)
+        elif message.key == PLAIN and self._plain:
+            self._heard_plain = True
         elif message.key in self._feeds:
             last = self._is_last_value(message)
             for part, app in self._feeds[message.key]:
@@ -130,6 +145,12 @@ class App:
                 self._line.say(alarm)
         return None
 
+    def _answer(self, message: Message) -> None:
+        """Answer a plan; the last value that the database has is old."""
+        if not self._is_last_value(message):
+            text = message.text if message.data == wire.TEXT else f"{message.value:g}"
+            self._publish([posts.Post(posts.PLANNED, self.session.answer(text))])
+
     # what goes out
 
     def _publish(self, found: Iterable[posts.Post]) -> None:
@@ -148,6 +169,8 @@ class App:
             self._expect_last_values()
             for variable in self._feeds:
                 self.client.register(variable)
+        sides = [health.ages.get(name, 0.0) for name in COMMANDS]
+        self.session.advise("plain", ADVICE if self._heard_plain and all(map(math.isinf, sides)) else "")
         for warning in set(health.warnings) - self._warned - set(self.casts.config_warnings):
             self.casts.warn(warning)
         self._warned = set(health.warnings)

@@ -13,11 +13,11 @@ import usvlearn
 from usvlearn.errors import ConfigError, did_you_mean, printable
 from usvlearn.live import arguments as shared
 from usvlearn.live.moos.mission import Entry, Mission
-from usvlearn.live.posts import TABLE
-from usvlearn.live.start import Middleware, Options, channel_options
-from usvlearn.logs.channel import AUXILIARY, CHANNELS
+from usvlearn.live.posts import PLANNED, TABLE
+from usvlearn.live.start import NAMED, Middleware, Options, channel_options
 
 NAME, HOST, PORT, TICK, PREFIX = "pUSVLearn", "localhost", 9000, 4.0, "USV_"
+PLAN = "USVLEARN_PLAN"  # variable
 HELD = {"unit": "percent", "held": True}  # a MOOSDB keeps a value until the next post
 MIDDLEWARE = Middleware(
     "MOOS",
@@ -32,7 +32,7 @@ MIDDLEWARE = Middleware(
 NODE = ("folder", "start", "mass", "surge_max", "channels", "boat", "save_period", "keep", "patience", "tensorboard")
 SWITCHES = ("record", "members")
 LEAST_TICK, MOST_TICK, MOST_WARP = 0.1, 1000.0, 500.0  # Hz, Hz, times real time
-OWN = ("apptick", "prefix")
+OWN = ("apptick", "prefix", "plan")
 OTHERS = (  # of every app, without an effect here: messages are handled as they come
     "commstick", "maxapptick", "iteratemode", "catchcommandmessages", "term_report_interval", "max_appcast_events",
     "max_appcast_run_warnings", "app_logging",
@@ -53,6 +53,7 @@ ProcessConfig = {NAME}
   keep        = 100                   // sets
   record      = false                 // true: record all messages, so that train.py can replay the session
   prefix      = {PREFIX}                  // of what is published
+  plan        = {PLAN}         // variable: a plan that is posted there is answered by a forecast
   members     = false                 // true: publish the prediction of each member, too
 
   // only where other than in the set; VARIABLE@app keeps the posts of one app
@@ -60,6 +61,11 @@ ProcessConfig = {NAME}
   // surge.unit    = knots            // m/s, km/h, knots, cm/s or mm/s
   // command_left  = DESIRED_THRUST_L
   // command_left.span = 100
+
+  // where pMarinePID's DESIRED_THRUST is posted, and no _L and _R: it is the command of both sides
+  // throttle = DESIRED_THRUST
+  // and where a mixer steers by the two thrusters: left = throttle + steering, right = throttle - steering
+  // steering = DESIRED_RUDDER
 }}
 """
 
@@ -76,6 +82,7 @@ class Settings(NamedTuple):
     prefix: str  # of what is published
     members: bool  # whether predictions of all members are published
     options: Options
+    plan: str = PLAN  # variable by which plans are asked about
 
 
 class _Parser(argparse.ArgumentParser):
@@ -120,8 +127,8 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
     entries = mission.block(name)
     for key, entry in entries.items():
         channel = key.partition(".")[0]
-        if key not in KNOWN and channel not in (*CHANNELS, *AUXILIARY):
-            known = [*KNOWN, *CHANNELS]
+        if key not in KNOWN and channel not in NAMED:
+            known = [*KNOWN, *NAMED]
             raise ConfigError(f"{_where(mission, entry)}: found no such key{did_you_mean(key, known)}")
     parse = parser()
     own = [argument for key, entry in entries.items() for argument in _argument(mission, key, entry)]
@@ -144,8 +151,11 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
     host = given.moos_host or (server.value if server else HOST)
     if not re.fullmatch(r"[\w.:%-]{1,253}", host) or ".." in host:
         raise ConfigError(f"ServerHost: found {printable(host)!r:.60}, expected a name or an address")
-    if prefix is not None and any(map(str.isspace, prefix.value)):
-        raise ConfigError(f"{_where(mission, prefix)}: found {prefix.value!r:.60}, expected one without blanks")
+    plan = entries.get("plan")
+    for each in (prefix, plan):
+        if each is not None and (re.search(r"\s", each.value) or (each is plan and not each.value)):
+            found = f"{_where(mission, each)}: found {each.value!r:.60}"
+            raise ConfigError(f"{found}, expected one without blanks")
     tick = _number(mission, entries.get("apptick"), TICK)
     if not LEAST_TICK <= tick <= MOST_TICK:
         raise ConfigError(f"AppTick: found {tick:g}, expected {LEAST_TICK:g} to {MOST_TICK:g} Hz")
@@ -156,6 +166,7 @@ def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings
         tick, PREFIX if prefix is None else prefix.value,
         _switch(mission, entries.get("members")),
         shared.options_of(parse.parse_args([*(argument for argument, _ in own), *arguments]), warp),
+        PLAN if plan is None else plan.value,
     )  # fmt: skip
 
 
@@ -201,7 +212,12 @@ def interface() -> str:
     """The variables that the app subscribes to and publishes, as text."""
     lines = ["Subscribed, unless the set or the mission file names others:"]
     lines += [f"  {each['name']:<24} {part}, {each['unit']}" for part, each in MIDDLEWARE.channels.items()]
-    lines += [f"  {'APPCAST_REQ':<24} who asks for AppCasts", "", f"Published (the prefix {PREFIX} can be changed):"]
+    lines += [
+        f"  {'APPCAST_REQ':<24} who asks for AppCasts",
+        f"  {PLAN:<24} a plan: {PREFIX}{PLANNED} answers it",
+        "",
+        f"Published (the prefix {PREFIX} can be changed):",
+    ]
     lines += [
         f"  {PREFIX + each.name:<24} {each.kind}  {each.when:<12} {each.meaning}{f', {each.unit}' * bool(each.unit)}"
         for each in TABLE

@@ -1,0 +1,102 @@
+"""How many of the last steps a node could use, and if many were lost: by which channel, and what to change."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from usvlearn.logs.channel import AUTO, MOST_WINDOW, SURGE, Source
+from usvlearn.logs.derived_surge import pair_of
+
+if TYPE_CHECKING:
+    from usvlearn.live.node import Node
+
+SPAN, LEAST = 30.0, 15  # s of steps that are judged, and as many steps at least
+FRESH, MEASURED = 0.75, 0.5  # shares of the steps, and of the speeds that come, below which many are lost
+
+
+class Cause(NamedTuple):
+    """Why many steps are lost."""
+
+    sentence: str  # of the state
+    warning: str  # with the key to change
+
+
+class _Count(NamedTuple):
+    steps: int
+    fresh: int
+    measured: int
+    stale: Counter[str]  # channel -> steps without a recent value of it
+
+
+class Usable:
+    """Counts the steps of a node. It is asked once a second.
+
+    Args:
+        sources: part -> what is received.
+    """
+
+    def __init__(self, sources: Mapping[str, Source]):
+        self._names: dict[str, str] = {}  # channel -> its name in the middleware
+        self._auto: set[str] = set()  # channels whose window follows their rate
+        for part, source in sources.items():
+            channel = part.partition("[")[0]
+            self._names.setdefault(channel, f"{channel} ({source.name})")
+            self._auto |= {channel} if source.window == AUTO else set()
+        self._counts: deque[_Count] = deque()
+        self._cause: tuple[str, str, Cause] | None = None  # channel, kind, and what is told as long as they stay
+
+    def judged(self, node: Node, ages: Mapping[str, float]) -> Cause | None:
+        """Why many of the last steps were lost; None if they were not, or if the node has made too few to tell.
+
+        Args:
+            node: which counts.
+            ages: part -> s since its last message. While one is silent for long, or never came, nothing is concluded.
+        """
+        stale = Counter({name: causes.get("stale", 0) for name, causes in node.counts.items()})
+        if "yaw_rate" not in self._names:  # it is the slope of the heading
+            stale["heading"] = max(stale["heading"], stale.pop("yaw_rate", 0))
+        now = _Count(node.grid, node.fresh, node.measured, stale)
+        longest = {part: math.inf if source.held else MOST_WINDOW for part, source in node.parts.items()}
+        silent = any(age > longest[part] or math.isinf(age) for part, age in ages.items())
+        if silent or (self._counts and now.steps < self._counts[-1].steps):
+            self._counts.clear()
+        self._counts.append(now)
+        wanted = max(round(SPAN / node.dt), LEAST)
+        while len(self._counts) > 1 and now.steps - self._counts[1].steps >= wanted:
+            self._counts.popleft()
+        found = self._lost(node, self._counts[0], now) if now.steps - self._counts[0].steps >= wanted else None
+        if found is None or self._cause is None or self._cause[:2] != found[:2]:
+            self._cause = found
+        return None if self._cause is None else self._cause[2]
+
+    def _lost(self, node: Node, before: _Count, now: _Count) -> tuple[str, str, Cause] | None:
+        steps, fresh, measured = (b - a for a, b in zip(before[:3], now[:3], strict=True))
+        windows = node.windows
+        few, late = fresh < FRESH * steps, now.stale - before.stale
+        channel = max((name for name in windows if name != SURGE), key=lambda name: late[name])
+        if few and late[channel] >= (steps - fresh) / 2:  # else steps lacked the speed from which they depart
+            return self._told(channel, *windows[channel], f"{fresh} of the last {steps} steps had all inputs")
+        every = windows[SURGE][0]
+        possible = fresh * min(1.0, node.dt / (every if every > 0 else 2 * MOST_WINDOW))
+        if few or measured < MEASURED * possible:
+            return self._told(SURGE, *windows[SURGE], f"{measured} of the last {steps} steps had a measured speed")
+        return None
+
+    def _told(self, channel: str, interval: float, window: float, share: str) -> tuple[str, str, Cause] | None:
+        if math.isnan(interval):  # none of its messages is used: `Listening` says so
+            return None
+        channel = channel if channel in self._names else (pair_of(self._names) or (channel,))[0]
+        name = self._names.get(channel, channel)
+        if window < 2 * interval - 1e-9 and channel not in self._auto:
+            kind = "short"
+            why = f"{name} comes every {interval:.2g} s, and its window is {window:.2g} s: set {channel}.window=auto"
+        else:
+            kind = "late"
+            why = (
+                f"{name} is often older than its window of {window:.2g} s, though it comes every {interval:.2g} s: its "
+                f"messages are lost, or stamped late: set {channel}.window={float(f'{2 * window:.2g}'):g}"
+            )
+        return channel, kind, Cause(f"many steps are lost, because of {name}", f"only {share}: {why}")
