@@ -7,7 +7,10 @@ python evaluate.py experiment=paper                 the paper's study from nothi
 It is the command `usvlearn evaluate`, from a checkout.
 """
 
-from usvlearn.cli.evaluate import main
-
 if __name__ == "__main__":
+    from usvlearn.cli.beginning import begin
+
+    begin("evaluate")  # first words, before what takes a second to import
+    from usvlearn.cli.evaluate import main
+
     main()

@@ -7,7 +7,10 @@ python train.py -m estimators.sift_map.memory=10,30       a sweep; or sweep=inpu
 It is the command `usvlearn train`, from a checkout.
 """
 
-from usvlearn.cli.train import main
-
 if __name__ == "__main__":
+    from usvlearn.cli.beginning import begin
+
+    begin("train")  # first words, before what takes a second to import
+    from usvlearn.cli.train import main
+
     main()

@@ -8,21 +8,24 @@ import sys
 from collections.abc import Sequence
 
 import usvlearn
+from usvlearn.cli.beginning import begin
+from usvlearn.errors import complain, drop_output
 
 COMMANDS = {  # name -> the module whose `main` does it, and what it does
-    "train": ("usvlearn.cli.train", "replay logs through estimators online, save parameter sets and predictions"),
+    "train": ("usvlearn.cli.train", "replay logs through estimators online, save what they learn"),
     "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
     "example": ("usvlearn.cli.example", "write logs of a simulated boat, to try the other commands on"),
-    "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write the configuration that reads them"),
+    "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write their configuration"),
     "delay": ("usvlearn.cli.delay", "find the delay from the commands to the speed in own logs"),
-    "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, MCAP, CSV"),
+    "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, CSV"),
     "controller": ("usvlearn.cli.speed_controller", "design a speed controller from what a run has identified"),
-    "plan": ("usvlearn.cli.plan", "tell what to sail next, so that the identified quantities become surer"),
+    "plan": ("usvlearn.cli.plan", "tell what to sail next, so that identified quantities become surer"),
     "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
     "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
+    "completion": ("usvlearn.cli.completion", "print what lets bash, zsh or fish complete commands and keys"),
     "certify": ("certify.__main__", "prove whether the networks in parameter sets contract"),
 }
-USAGE = "usage: usvlearn COMMAND ARGUMENTS, usvlearn COMMAND --help or usvlearn --version"
+USAGE = "usage: usvlearn COMMAND ARGUMENTS, COMMAND --help or --version"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,7 +35,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     usvlearn 0.2.0
     0
     """
-    name, *rest = (sys.argv[1:] if arguments is None else arguments) or ["--help"]
+    try:
+        code = _main(sys.argv[1:] if arguments is None else arguments)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except BrokenPipeError:
+        drop_output()
+        return 0
+
+
+def _main(arguments: Sequence[str]) -> int:
+    name, *rest = arguments or ["--help"]
     if name in ("-h", "--help"):
         print(USAGE, "", *(f"  {each:12}{what}" for each, (_, what) in COMMANDS.items()), sep="\n")
         return 0
@@ -42,18 +56,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name not in COMMANDS:
         close = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"did you mean {close[0]}?" if close else "see usvlearn --help"
-        print(f"error: found the command {name!r}, expected one of {', '.join(COMMANDS)}: {hint}", file=sys.stderr)
+        complain(f"error: found the command {name!r}, expected one of {', '.join(COMMANDS)}: {hint}")
         return 2
     sys.argv = [f"usvlearn {name}", *rest]
+    begin(name)
     try:
         return importlib.import_module(COMMANDS[name][0]).main() or 0
     except ModuleNotFoundError as error:
         if (package := (error.name or "").partition(".")[0]) in ("", "usvlearn", "certify"):
             raise
-        print(
+        complain(
             f"error: usvlearn {name} needs the package {package}, which is not installed (usvlearn-aboard leaves it "
-            "out): use an environment where all of usvlearn is installed, by `pip install .`",
-            file=sys.stderr,
+            "out): use an environment where all of usvlearn is installed, by `pip install .`"
         )
         return 2
 

@@ -123,7 +123,7 @@ def test_the_command_prints_the_delays_and_what_to_write(tmp_path, capsys, monke
         (["data=cvs"], "data: found 'cvs', expected one of alog"),
         (["data=csv", "data.pth=a"], "data.pth: found no such key: did you mean data.path?"),
         (["--multirun", "data=csv"], "--multirun: found a flag of usvlearn train"),
-        (["data"], "data: cannot be read"),
+        (["data"], "data: found no value"),
     ],
 )
 def test_wrong_arguments_end_in_one_sentence(arguments, said, capsys, monkeypatch):
@@ -136,4 +136,4 @@ def test_wrong_arguments_end_in_one_sentence(arguments, said, capsys, monkeypatc
 
 def test_help_says_how_it_is_called(capsys, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["usvlearn"])
-    assert main(["delay", "--help"]) == 0 and capsys.readouterr().out.startswith("usage: usvlearn delay data=NAME")
+    assert main(["delay", "--help"]) == 0 and capsys.readouterr().out.startswith("usage: usvlearn delay my_boat.yaml")

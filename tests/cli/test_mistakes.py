@@ -61,6 +61,8 @@ VALUES = {  # after torch: constructors check these
     "no path": ([], ["data.path is not set"]),
     "less than nothing": (["estimators.sift_map.memory=-1"], ["estimators.sift_map.memory: found -1"]),
     "a word": (["estimators.sift_map.memory=abc"], ["estimators.sift_map.memory: found 'abc'"]),
+    "a key of others": (["vehicle.surge_max=-3", "data.path=log.csv"], ["error: vehicle.surge_max: found -3"]),
+    "another": (["vehicle.mass=abc", "data.path=log.csv"], ["error: vehicle.mass: found 'abc'"]),
     "inside wrappers": (["estimators.arx.estimator.walk=-1"], ["estimators.arx.estimator.walk: "]),
     "a choice": (["combiners.ensemble.loss=abs"], ["combiners.ensemble.loss: found 'abs'"]),
     "members": (["combiners.weighted.members=[aidd]"], ["combiners.weighted.members: found aidd"]),

@@ -25,10 +25,11 @@ from omegaconf import DictConfig
 from usvlearn.cli.again import again
 from usvlearn.cli.composition import configs_folder
 from usvlearn.cli.data_files import with_data_files
+from usvlearn.cli.forgiving import with_keys
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.stopping import Stopped, in_program, stoppable, stoppable_worker, was_stopped
 from usvlearn.cli.sweep import LanesDone, Sweep, cut_short, end_progress, load
-from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, exit_on_user_error
+from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, exit_on_user_error
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import leaderboard
 from usvlearn.sweeps.seeds import with_seeds
@@ -53,7 +54,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
             with exit_on_user_error(), stoppable():
                 if name == "train":
                     sys.argv[1:] = with_seeds(sys.argv[1:])
-                sys.argv[1:] = with_data_files(sys.argv[1:])
+                sys.argv[1:] = with_data_files(with_keys(name, sys.argv[1:], parse(sys.argv[1:]).overrides))
                 flags = parse(sys.argv[1:])
                 check_launcher(flags.overrides)
                 folder, main_file = configs.parent / (flags.config_path or configs), flags.config_name or name
@@ -126,7 +127,7 @@ def _end(stopped: Stopped) -> NoReturn:
     """Print the command that continues, and exit."""
     logging.getLogger("torch").setLevel(logging.ERROR)  # a half-imported torch would log at exit
     _show_sweep()
-    print(f"{stopped}{Sweep.outlived}; continue with: {again(Sweep.folder, stopped.folder)}", file=sys.stderr)
+    complain(f"{stopped}{Sweep.outlived}; continue with: {again(Sweep.folder, stopped.folder)}")
     sys.exit(stopped.code)
 
 

@@ -29,9 +29,7 @@ if TYPE_CHECKING:
     from usvlearn.logs.channel import Recording
     from usvlearn.signals import Fleet
 
-USAGE = (
-    "usage: usvlearn delay data=NAME data.path=LOGS [--config-dir FOLDER] [KEY=VALUE …]; keys: usvlearn train --cfg job"
-)
+USAGE = "usage: usvlearn delay my_boat.yaml [KEY=VALUE …], or data=NAME data.path=LOGS; keys: usvlearn train --help=all"
 MODEL = "+estimator@model=dynamic_rls"  # of configs/estimator
 
 Errors = dict[tuple[str, str], np.ndarray]  # boat, run -> (steps,) of |e|, m/s; NaN where none is counted
@@ -166,30 +164,37 @@ def work(arguments: Sequence[str]) -> None:
         ConfigError: an argument is no legal override, or the data have no channels to configure.
         LogFormatError: the logs cannot be read, or are too short.
     """
-    from usvlearn.cli.command import parse
-    from usvlearn.cli.composition import compose_train
-    from usvlearn.cli.settings import instantiate
     from usvlearn.report import terminal
-    from usvlearn.sweeps.launchers import set_threads
+    from usvlearn.report.activity_bar import Activity
 
+    with Activity(console := terminal.console(), "loading"):
+        from usvlearn.cli.command import parse
+        from usvlearn.cli.composition import compose_train
+        from usvlearn.cli.forgiving import with_keys
+        from usvlearn.cli.settings import as_written, instantiate
+        from usvlearn.sweeps.launchers import set_threads
+
+    arguments = with_keys("delay", arguments, parse(arguments).overrides)
     flags = vars(parse(arguments))
     overrides, added = flags.pop("overrides"), flags.pop("config_dir")
     if wrong := [f"--{name.replace('_', '-')}" for name, value in flags.items() if value]:
         raise ConfigError(f"{wrong[0]}: found a flag of usvlearn train, expected --config-dir or none: {USAGE}")
     search = [f"hydra.searchpath=[file://{Path(added).resolve()}]"] if added else []
-    cfg, console = compose_train([*search, *overrides, MODEL]), terminal.console()
+    with Activity(console, "reading the configuration"):
+        cfg = compose_train([*search, *overrides, MODEL])
     if not (channels := cfg.data.get("channels")):
         raise ConfigError("data: found no channels, expected logs with commands: set data=csv, alog, rosbag or ulog")
-    set_threads(cfg.threads)
-    with console.status("reading, and learning with each delay"):
-        halves = find_halves(list(instantiate(cfg.data)), instantiate(cfg.model), cfg.align)
+    with Activity(console, "reading, and learning with each delay"):
+        set_threads(cfg.threads)  # imports torch
+        with as_written(cfg):
+            halves = find_halves(list(instantiate(cfg.data)), instantiate(cfg.model), cfg.align)
     place, equal, how = choose(halves[0])
     title = "Skill of the surge dynamics one step ahead, by the delay of the commands"
     table = terminal.Blocks(title, ["delay, s"], ["first half", "second half"])
     for k, skills in enumerate(zip(*(half.skills for half in halves), strict=True)):
         table.add(f"{DELAYS[k]:.2f}", *(f"{skill:.3f}" for skill in skills), style="bold" if k == place else "")
     console.print(table)
-    print(*_conclusion(place, equal, how, halves[1], channels), sep="\n")
+    terminal.show(*_conclusion(place, equal, how, halves[1], channels))
 
 
 def _conclusion(place: int, equal: list[int], how: str, second: Half, channels: Mapping[str, Mapping]) -> Iterator[str]:

@@ -13,6 +13,7 @@ from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
 from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
 from usvlearn.logs.recordings import align_fleet
+from usvlearn.report.activity_bar import Activity
 from usvlearn.report.terminal import console
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.leaderboard import leaderboard
@@ -46,12 +47,13 @@ def main(cfg: DictConfig) -> None:
         raise ConfigError("folder is not set: take an experiment that makes a study, such as experiment=paper_small")
     if isinstance(cfg.trust, int | float):
         raise ConfigError(f"trust: found {cfg.trust!r}, expected a module, or a list")
-    from usvlearn.report.from_runs import Tools, evaluate
-    from usvlearn.runs.saved import is_sweep, run_folders
-    from usvlearn.simulate.truth import truth_of
-
-    set_threads(1)
     board = console()
+    with Activity(board, "loading"):
+        from usvlearn.report.from_runs import Tools, evaluate
+        from usvlearn.runs.saved import is_sweep, run_folders
+        from usvlearn.simulate.truth import truth_of
+
+        set_threads(1)
     tools = Tools(instantiate, align_fleet, truth_of, board, cfg.trust, partial(CheckedAlignment, console=board))
     if cfg.study is not None:
         study(cfg, tools)

@@ -29,11 +29,15 @@ def work(arguments: Sequence[str]) -> None:
     Raises:
         ConfigError: an option is not legal, or a log is there already.
     """
-    from usvlearn.simulate.example_logs import example_logs
+    from usvlearn.report import terminal
+    from usvlearn.report.activity_bar import Activity
 
     given = parser().parse_args(arguments)
     folder = out_folder(given.folder, "FOLDER")
-    texts = example_logs(given.minutes, given.seed)
+    with Activity(terminal.console(), "simulating"):
+        from usvlearn.simulate.example_logs import example_logs
+
+        texts = example_logs(given.minutes, given.seed)
     for name in texts:
         if (folder / name).exists():
             raise ConfigError(f"{folder / name}: found a log there already: choose another folder")
@@ -47,7 +51,8 @@ def work(arguments: Sequence[str]) -> None:
         for path in written:
             path.unlink(missing_ok=True)
         raise
-    print(*written, f"a simulated boat; next: usvlearn inspect {shlex.quote(given.folder)} --name heron", sep="\n")
+    next_one = f"a simulated boat; next: usvlearn inspect {shlex.quote(given.folder)} --name heron"
+    terminal.show(*map(str, written), next_one)
 
 
 def main() -> int:

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 from usvlearn.checkpoint import write_atomically
+from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
-from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, printable
+from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, printable
 from usvlearn.export.formats import FORMATS, file_name
 from usvlearn.model.read_boats import IdentifiedBoat, read_boats
 from usvlearn.runs.layout import CHECKPOINTS
 
 ALL = "all"
 
-USAGE = "usvlearn export RUN --to FORMAT[,FORMAT …] [--boat NAME] [--out FOLDER]"
+USAGE = "usvlearn export RUN --to FORMAT[,FORMAT …]\n       [--boat NAME] [--out FOLDER] [--force]"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -32,11 +32,14 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    found.add_argument("run", metavar="RUN", help="the folder of a run or of a node, or a parameter set")
+    found.add_argument(
+        "run", metavar="RUN", type=without_key, help="the folder of a run or of a node, or a parameter set"
+    )
     formats = f"one or several of {', '.join(FORMATS)}; all: those that the run has and that are installed"
     found.add_argument("--to", required=True, action="append", metavar="FORMAT", help=formats)
     found.add_argument("--boat", metavar="NAME", help="only this boat")
     found.add_argument("--out", metavar="FOLDER", help="where the files are written; RUN/export if it is left out")
+    found.add_argument("--force", action="store_true", help="also write a boat that is not physical, as of wrong signs")
     return found
 
 
@@ -102,13 +105,15 @@ def work(arguments: Sequence[str]) -> None:
     formats = formats_of(given.to)
     out = None if given.out is None else out_folder(given.out)
     boats = read_boats(given.run, given.boat)
+    for boat in () if given.force else boats:
+        boat.check_physical(" To write it all the same, add --force.")
     run = run_of(Path(os.path.expanduser(given.run)))
     every = ALL in formats
     for each in export(boats, [*FORMATS] if every else formats, run, out or run / "export", lenient=every):
         print(each)
     for boat in boats:
         for sentence in boat.found.lacks:
-            print(f"{printable(boat.name)}: {sentence}", file=sys.stderr)
+            complain(f"{printable(boat.name)}: {sentence}")
 
 
 def main() -> int:

@@ -14,7 +14,7 @@ from usvlearn.errors import ConfigError
 if TYPE_CHECKING:
     from usvlearn.inspection.inspected import Inspected
 
-USAGE = "usage: usvlearn inspect LOG… [--output my_boat.yaml] [--name BOAT] [--plot] [--force]"
+USAGE = "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force]"
 LISTED = 40  # series on the screen
 EXAMPLES = {  # reader -> a configuration of its logs
     "Alog": "alog.yaml",
@@ -43,34 +43,41 @@ def work(arguments: Sequence[str]) -> None:
         ConfigError: an argument is wrong, a required channel is missing, or the file exists.
         LogFormatError: the logs cannot be read.
     """
-    from usvlearn.checkpoint import write_atomically
-    from usvlearn.inspection import screen
-    from usvlearn.inspection.inspected import inspect_logs
     from usvlearn.report import terminal
+    from usvlearn.report.activity_bar import Activity
 
     options = parser().parse_args(list(arguments))
+    with Activity(console := terminal.console(), "loading"):
+        from usvlearn.checkpoint import write_atomically
+        from usvlearn.inspection import screen
+        from usvlearn.inspection.inspected import inspect_logs
     output = Path(options.output).expanduser()
     if output.suffix not in (".yaml", ".yml"):
         raise ConfigError(f"--output: found {options.output!r}, expected a name that ends in .yaml")
     if "${" in str(output.resolve()):
         raise ConfigError(f"--output: found {str(output)!r}, in which Hydra takes '${{' for a reference: rename it")
-    if output.exists() and not options.force:
-        raise ConfigError(f"--output: {output} exists: give another name, or --force to replace it")
+    for file in (output, *([output.with_suffix(".png")] if options.plot else [])):
+        if file.exists() and not options.force:
+            raise ConfigError(f"--output: {file} exists: give another name, or --force to replace it")
     if not output.parent.is_dir():
         raise ConfigError(f"--output: found no folder {output.parent}: make it, or name another file")
     if options.name is not None and (options.name in ("", ".", "..") or set(options.name) & set("/\\")):
         raise ConfigError(f"--name: found {options.name!r}, expected one that can name a folder")
     if options.name is not None and ("${" in options.name or options.name == "???"):
         raise ConfigError(f"--name: found {options.name!r}, which a configuration takes for a reference: change it")
-    console = terminal.console()
-    with console.status("reading, and comparing the channels with each other"):
+    if options.plot:
+        from usvlearn.figures import themed
+
+        with themed():  # refuses now, before anything is written, where matplotlib is missing
+            pass
+    with Activity(console, "reading, and comparing the channels with each other"):
         found = inspect_logs(options.logs, options.name, options.output)
     for part in screen.parts(found, LISTED):
         console.print(part)
     if found.proposal.missing:
         raise ConfigError(
-            f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: copy "
-            f"configs/data/{EXAMPLES[type(found.logs.reader).__name__]} and name the series of the list above"
+            f"{options.logs[0]}: found no {', '.join(found.proposal.missing)}, so that nothing was written: "
+            f"{found.proposal.unfit or _what_to_do(found)}"
         )
     if "${" in json.dumps(found.settings):
         raise ConfigError(
@@ -82,7 +89,21 @@ def work(arguments: Sequence[str]) -> None:
         from usvlearn.inspection.picture import draw
 
         draw(found, output.with_suffix(".png"))
-    print(*_end(found, output, options.plot), sep="\n")
+    terminal.show(*_end(found, output, options.plot))
+
+
+def _what_to_do(found: Inspected) -> str:
+    """What a person can do where a required channel was not found."""
+    from usvlearn.cli.composition import configs_folder
+
+    reader, files = found.logs.reader, found.logs.files
+    name = "topics.yaml" if files[0].is_dir() and hasattr(reader, "files") else EXAMPLES[type(reader).__name__]
+    others = len(files) == 1 and files[0].suffix.lower() == ".csv" and len(list(files[0].parent.glob("*.csv"))) > 1
+    first = "if another table of its folder has them, give the folder; else " if others else ""
+    return (
+        f"{first}copy {configs_folder() / 'data' / name} to my_boat.yaml, set its data.path, and name the series of "
+        "the list above in it"
+    )
 
 
 def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:

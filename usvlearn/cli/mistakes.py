@@ -23,6 +23,7 @@ from omegaconf.errors import (
     OmegaConfBaseException,
 )
 
+from usvlearn.cli.forgiving import hint_of_data
 from usvlearn.errors import ConfigError, did_you_mean
 
 KEY = re.compile(r"Could not (?:override|delete(?: from config\.)?) '([^']+)'|config group '([^']+)' does not exist")
@@ -61,6 +62,11 @@ def _sentence(error: Exception, names: Callable[[str], Iterable[str]]) -> str:
         expected = "expected KEY=VALUE, with brackets and quotes closed"
         return f"{error.override}: cannot be read ({what}): {expected}{_in_quotes(str(error.override))}"
     if isinstance(error, MissingConfigException) and error.missing_cfg_file:
+        if (given := error.missing_cfg_file.removeprefix("data/")) != error.missing_cfg_file:
+            if Path(given).exists():
+                return f"data: found {given!r}{hint_of_data(given)}"
+            if given.endswith((".yaml", ".yml")):
+                return f"data: found {given!r}, but there is no such file{hint_of_data(given)}"
         group, _, name = error.missing_cfg_file.rpartition("/")
         options = list(error.options or names(""))
         hint = did_you_mean(name, options)
@@ -137,19 +143,19 @@ def known_names(
             except (HydraException, OmegaConfBaseException, ValueError):
                 continue
             tree: Any = OmegaConf.to_container(cfg)
-            return [*cfg.hydra.runtime.choices, *_keys(tree)]
+            return [*cfg.hydra.runtime.choices, *dotted(tree)]
         return []
 
     return find
 
 
-def _keys(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+def dotted(tree: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """The dotted keys of a tree.
 
-    >>> list(_keys({"align": {"dt": 0.4}}))
+    >>> list(dotted({"align": {"dt": 0.4}}))
     ['align', 'align.dt']
     """
     for key, value in tree.items():
         yield f"{prefix}{key}"
         if isinstance(value, Mapping):
-            yield from _keys(value, f"{prefix}{key}.")
+            yield from dotted(value, f"{prefix}{key}.")

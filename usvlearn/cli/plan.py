@@ -5,11 +5,13 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
 from usvlearn.errors import ConfigError, MissingExtraError, printable
 
@@ -35,7 +37,7 @@ WALK = (
 def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("usvlearn plan", description=__doc__)
     add = found.add_argument
-    add("run", metavar="RUN", help="the folder of a run, a folder of parameter sets, or a set")
+    add("run", metavar="RUN", type=without_key, help="the folder of a run, a folder of parameter sets, or a set")
     add("--boat", help="only this one")
     add("--minutes", type=float, default=5.0, help="length of the mission (5)")
     add("--area", type=float, default=200.0, help="side of the square to stay in, m, the start in its middle (200)")
@@ -57,11 +59,14 @@ def work(arguments: Sequence[str]) -> None:
         CheckpointError: there is no readable set.
         ConfigError: an option is outside its legal values, nothing is identified, or no course stays in the area.
     """
-    from usvlearn.model.read_boats import read_boats
-    from usvlearn.planning.course import Limits
-    from usvlearn.planning.schedules import home_of
+    from usvlearn.report import terminal
+    from usvlearn.report.activity_bar import Activity
 
     options = parser().parse_args(list(arguments))
+    with Activity(terminal.console(), "loading"):
+        from usvlearn.model.read_boats import read_boats
+        from usvlearn.planning.course import Limits
+        from usvlearn.planning.schedules import home_of
     home = None if options.home is None else home_of(options.home)
     if not (-360 <= options.heading <= 360 and options.seed >= 0):
         raise ConfigError(
@@ -76,7 +81,8 @@ def work(arguments: Sequence[str]) -> None:
         math.radians(options.heading), math.radians(options.turn_rate),
     )  # fmt: skip
     folder = out_folder(options.out)
-    planned = [_planned(boat, limits, options.seed) for boat in read_boats(options.run, options.boat)]
+    with Activity(terminal.console(), "searching for what to sail"):
+        planned = [_planned(boat, limits, options.seed) for boat in read_boats(options.run, options.boat)]
     folder.mkdir(parents=True, exist_ok=True)
     for each in planned:
         _show(each, limits, folder, home)
@@ -87,7 +93,8 @@ class Planned(NamedTuple):
 
     boat: IdentifiedBoat
     rehearsal: Rehearsal
-    aims: list[str]  # quantities that are not well known
+    quantities: list[str]  # that the boat's commands can tell
+    aims: list[str]  # those that are not well known
     plan: Plan
     mower: Identified  # what a lawn mower is expected to tell
 
@@ -102,34 +109,39 @@ def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
     from usvlearn.planning.exchange import derived, search, wide
     from usvlearn.planning.rehearsal import Rehearsal
 
+    boat.check_physical()
     top = boat.found["steady_speed_full"].value
     if not top > 0:
         raise ConfigError(
             f"{printable(boat.name)}: found a steady speed of {top:.2f} m/s at full command, expected one ahead: "
             f"check by usvlearn inspect whether a side is reversed, and learn anew ({' '.join(boat.found.lacks)})"
         )
-    dt = float(boat.setup.align.get("dt", STEP)) if boat.setup else STEP
+    dt = float(boat.setup.align["dt"]) if boat.setup else STEP
     rehearsal = Rehearsal(boat.members, boat.leaves)
-    aims = wide(rehearsal.found)
-    plan = search(rehearsal, limits, dt, aims or derived(rehearsal.found), seed)
+    one_command = boat.setup is not None and boat.setup.one_command
+    if one_command:
+        limits = replace(limits, steering=0.0)  # a turn is the rudder's
+    aims, quantities = wide(rehearsal.found, one_command), derived(rehearsal.found, one_command)
+    plan = search(rehearsal, limits, dt, aims or quantities, seed)
     mower = rehearsal(lawn_mower(limits, rehearsal.top_speed(limits.most), dt).rows).found
-    return Planned(boat, rehearsal, aims, plan, mower)
+    return Planned(boat, rehearsal, quantities, aims, plan, mower)
 
 
 def _show(planned: Planned, limits: Limits, folder: Path, home: tuple[float, float] | None) -> None:
-    """Print a plan, and write its files."""
+    """Write the files of a plan, and print it."""
     from usvlearn.report import terminal
 
-    boat, rehearsal, aims, plan, mower = planned
-    console = terminal.console()
-    for table in (_segments(boat, rehearsal, plan, limits, aims), _intervals(boat, mower, plan)):
+    boat, rehearsal, quantities, aims, plan, mower = planned
+    console, written = terminal.console(), list(_written(boat, limits, plan, mower, folder, home))
+    for table in (
+        _segments(boat, rehearsal, plan, limits, aims or quantities),
+        _intervals(boat, mower, plan, quantities),
+    ):
         console.print(table)
         console.print()
     if not aims:
-        print(*_determined(rehearsal.found, plan.expected.found))
-    print(*boat.found.lacks, WALK, sep="\n")
-    print()
-    print(*_written(boat, limits, plan, mower, folder, home), sep="\n")
+        terminal.show(*_determined(rehearsal.found, plan.expected.found, quantities))
+    terminal.show(*boat.found.lacks, WALK, "", *written)
 
 
 def _width(found: Identified, name: str) -> float:
@@ -139,7 +151,6 @@ def _width(found: Identified, name: str) -> float:
 def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Limits, aims: list[str]):
     """The table of the segments; `why` names the interval that a segment shrinks most."""
     from usvlearn.planning.course import steps_of
-    from usvlearn.planning.exchange import derived
     from usvlearn.report import terminal
 
     course, segment = plan.course, steps_of(limits, plan.course.dt)
@@ -150,7 +161,7 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Li
     )  # fmt: skip
     before, first = rehearsal.found, 0
     for part, last in zip(rehearsal.by_part(course.rows, ends), ends.tolist(), strict=True):
-        shrunk = {name: _width(part.found, name) / _width(before, name) for name in aims or derived(before)}
+        shrunk = {name: _width(part.found, name) / _width(before, name) for name in aims}
         name = min(shrunk, key=lambda each: shrunk[each] if shrunk[each] == shrunk[each] else 1.0)
         why = f"{name} {shrunk[name] - 1:+.0%}" if shrunk[name] < 0.995 else "–"
         straight = slice(last - 1, last)
@@ -162,11 +173,10 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Li
     return table
 
 
-def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan):
+def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan, quantities: list[str]):
     """The table of the intervals."""
     from usvlearn.estimators.joint.reading import shown
     from usvlearn.planning.course import SURVEY
-    from usvlearn.planning.exchange import derived
     from usvlearn.report import terminal
 
     table = terminal.Blocks(
@@ -174,17 +184,17 @@ def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan):
         ["quantity"],
         ["value", "now", "after a lawn mower", "after this plan", "unit"],
     )  # fmt: skip
-    for name in derived(boat.found):
+    for name in quantities:
         widths = [_width(each, name) / 2 for each in (boat.found, mower, plan.expected.found)]
-        table.add(name, shown(boat.found[name].value), *(shown(each) for each in widths), boat.found[name].unit)
+        table.add(name, shown(boat.found.told(name).value), *(shown(each) for each in widths), boat.found[name].unit)
     return table
 
 
-def _determined(now: Identified, after: Identified) -> Iterator[str]:
+def _determined(now: Identified, after: Identified, quantities: list[str]) -> Iterator[str]:
     """What is said where nothing is wide."""
-    from usvlearn.planning.exchange import WELL, derived
+    from usvlearn.planning.exchange import WELL
 
-    name = min(derived(now), key=lambda each: _width(after, each) / _width(now, each))
+    name = min(quantities, key=lambda each: _width(after, each) / _width(now, each))
     yield (
         f"Every quantity is known to ± {WELL:.0%} or better, so that a mission for the model alone is not needed; "
         f"this one would shrink {name} most, by {1 - _width(after, name) / _width(now, name):.0%}."

@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 import pydoc
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import hydra
@@ -67,6 +68,33 @@ def instantiate(node: Any, **options: Any) -> Any:
         return hydra.utils.instantiate(node, **options)
     except InstantiationException as error:
         _retell(error, _names(OmegaConf.to_container(node) if OmegaConf.is_config(node) else node))
+
+
+@contextmanager
+def as_written(cfg: DictConfig) -> Iterator[None]:
+    """A context in which an error about a key that only refers to another one names that one: a user has set it.
+
+    >>> with as_written(OmegaConf.create({"vehicle": {"mass": -1}, "aid": {"mass": "${vehicle.mass}"}})):
+    ...     raise ConfigError("aid.mass: found -1, expected a positive number")
+    Traceback (most recent call last):
+    usvlearn.errors.ConfigError: vehicle.mass: found -1, expected a positive number
+    """
+    try:
+        yield
+    except UsvlearnError as error:
+        key, colon, said = str(error).partition(": ")
+        while (found := _reference(OmegaConf.to_container(cfg), key)) is not None:
+            key = found
+        error.args = (f"{key}{colon}{said}",)
+        raise
+
+
+def _reference(node: Any, key: str) -> str | None:
+    """The key to which the value of another one refers as a whole."""
+    for name in key.split("."):
+        node = node.get(name) if isinstance(node, dict) else None
+    found = re.fullmatch(r"\$\{([\w.]+)\}", node) if isinstance(node, str) else None
+    return found[1] if found else None
 
 
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
-from usvlearn.errors import MissingExtraError
+from usvlearn.errors import MissingExtraError, complain
 
 if TYPE_CHECKING:
     from usvlearn.controller.design import Controller
@@ -24,7 +24,7 @@ USAGE = "usage: usvlearn controller RUN [--boat NAME] [--out FOLDER] …; all op
 
 def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("usvlearn controller", description=__doc__)
-    found.add_argument("path", metavar="RUN", help="the folder of a run, or a parameter set")
+    found.add_argument("path", metavar="RUN", type=without_key, help="the folder of a run, or a parameter set")
     found.add_argument("--boat", help="only this one")
     found.add_argument("--speed", type=float, help="cruise speed, m/s (the middle of --range)")
     found.add_argument(
@@ -48,25 +48,33 @@ def work(arguments: Sequence[str]) -> None:
 
     Raises:
         CheckpointError: there is no parameter set.
-        ConfigError: an option is wrong, or a boat is not identified well enough.
+        ConfigError: an option is wrong, or a boat is not identified well enough, or is not physical.
     """
     given = vars(parser().parse_args(list(arguments)))
     path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
-    from usvlearn.controller.design import Wanted, controller
-    from usvlearn.controller.design_text import lines
-    from usvlearn.model.read_boats import read_boats
+    from usvlearn.report import terminal
+    from usvlearn.report.activity_bar import Activity
+
+    with Activity(terminal.console(), "loading"):
+        from usvlearn.controller.design import Wanted, controller
+        from usvlearn.controller.design_text import parts
+        from usvlearn.model.read_boats import read_boats
 
     folder = None if out is None else out_folder(out)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
     given["range"] = None if given["range"] is None else tuple(given["range"])
     wanted = Wanted(**given)
-    designed = [controller(boat, wanted) for boat in read_boats(path, name)]
-    files = [[] if folder is None else _write(folder, found) for found in designed]
+    with Activity(terminal.console(), "designing"):
+        boats = read_boats(path, name)
+        for boat in boats:
+            boat.check_physical()
+        designed = [controller(boat, wanted) for boat in boats]
+        files = [[] if folder is None else _write(folder, found) for found in designed]
     for number, found in enumerate(designed):
-        print(*([""] if number else []), *lines(found), sep="\n")
+        terminal.show(*([""] if number else []), *parts(found))
         if folder is not None:
-            print(f"Written to {folder}: {', '.join(files[number])}")
+            terminal.show(f"Written to {folder}: {', '.join(files[number])}")
 
 
 def _write(folder: Path, found: Controller) -> list[str]:
@@ -88,7 +96,7 @@ def _write(folder: Path, found: Controller) -> list[str]:
 
         files |= {f"{name}.controller{ending}": content for ending, content in pictures(found).items()}
     except MissingExtraError as error:
-        print(f"warning: {error}", file=sys.stderr)
+        complain(f"warning: {error}")
     for file, content in files.items():
         write_atomically(folder / file, content)
     return list(files)

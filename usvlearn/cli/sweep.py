@@ -30,9 +30,10 @@ from usvlearn.evaluation.measure import measure_of
 from usvlearn.foreign_yaml import has_alias
 from usvlearn.lock import Lock
 from usvlearn.report.terminal import console
+from usvlearn.runs.index import check_own
 from usvlearn.sweeps.jobs import LANES, SweepNote, check_sweep, note_sweep, noted_sweep, run_job, write_lanes
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers
-from usvlearn.sweeps.leaderboard import leaderboard
+from usvlearn.sweeps.leaderboard import check_own_board, leaderboard
 from usvlearn.sweeps.progress import Progress
 
 
@@ -130,6 +131,7 @@ class Sweep(Callback):
         with exit_on_user_error(), in_one_sentence():  # a search is made by several processes together
             if not config.hydra.run.dir:
                 raise ConfigError("hydra.run.dir: found nothing, expected a folder: leave it out, or name one")
+            check_own(Path(config.hydra.run.dir))
             Sweep.lock = Lock(Path(config.hydra.run.dir), "hydra.run.dir", shared=config.get("search") is not None)
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
@@ -138,6 +140,7 @@ class Sweep(Callback):
         with exit_on_user_error(), in_one_sentence():
             check_launcher([f"hydra/launcher={config.hydra.runtime.choices['hydra/launcher']}"])  # of any file
             check_sweep(folder, load, own)
+            check_own_board(folder, "hydra.sweep.dir")
             swept, jobs = jobs_of(config.hydra)
             check_objective(config, swept)
             note = note_of(config, swept)

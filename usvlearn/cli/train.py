@@ -14,14 +14,21 @@ from rich.console import Console
 from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
-from usvlearn.cli.settings import check_settings, ensemble_of, instantiate
+from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
 from usvlearn.errors import check_positive
 from usvlearn.logs.setup import setups_of
 from usvlearn.report import terminal
 from usvlearn.report.activity_bar import Activity
-from usvlearn.report.tables import alarm_lines, error_tables, identified_table, rejection_table, summary_lines
+from usvlearn.report.tables import (
+    alarm_lines,
+    error_tables,
+    fit_lines,
+    identified_table,
+    rejection_table,
+    summary_lines,
+)
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
@@ -30,36 +37,38 @@ from usvlearn.sweeps.seeds import seeded
 def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
     """Do what is asked for, a replay or tuning; quiet where workers share the terminal. Returns the objective."""
     check_settings(cfg)
-    cfg = OmegaConf.create(seeded(plain(cfg)))
-    from usvlearn.tuning import tune as tuning
-
+    made = OmegaConf.create(seeded(plain(cfg)))
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
-    if not tuning.asked(cfg):
-        return train(cfg, folder, console, resume or cfg.resume, overrides)
-    settings = plain(cfg)
-    return tuning.tune(settings, folder, instantiate, CheckedAlignment(settings, console), overrides, console)
+    with Activity(console, "loading"):
+        from usvlearn.tuning import tune as tuning
+    with as_written(cfg):
+        if not tuning.asked(made):
+            return train(made, folder, console, resume or cfg.resume, overrides)
+        settings = plain(made)
+        return tuning.tune(settings, folder, instantiate, CheckedAlignment(settings, console), overrides, console)
 
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, overrides: Sequence[str] = ()) -> float:
     """Replay what the configuration names into the run's folder; returns the objective."""
-    from usvlearn.evaluation.identification import identified_boats
-    from usvlearn.evaluation.measure import check_measure, measure_of
-    from usvlearn.evaluation.members import explained, remarks
-    from usvlearn.report.stability import stability
-    from usvlearn.runs.board_tags import what_differs
-    from usvlearn.runs.logger import TensorBoardLogger, check_log
-    from usvlearn.runs.replay import replay
-    from usvlearn.runs.run_folder import RunFolder
-    from usvlearn.simulate.truth import quantities_of
+    with Activity(console, "loading"):
+        from usvlearn.evaluation.identification import identified_boats
+        from usvlearn.evaluation.measure import check_measure, measure_of
+        from usvlearn.evaluation.members import explained, remarks
+        from usvlearn.report.stability import stability
+        from usvlearn.runs.board_tags import what_differs
+        from usvlearn.runs.logger import TensorBoardLogger, check_log
+        from usvlearn.runs.replay import replay
+        from usvlearn.runs.run_folder import RunFolder
+        from usvlearn.simulate.truth import quantities_of
 
     began, settings = time.perf_counter(), {**plain(cfg), "resume": None}
     set_threads(cfg.threads)
     check_log(log := cfg.get("log", "main"))
     save_minutes = check_positive("save_minutes", cfg.save_minutes, "of min")
     save_every = max(1, round(60 * save_minutes / check_positive("align.dt", cfg.align.dt)))
-    ensemble = ensemble_of(cfg)
     align = CheckedAlignment(settings, console)
     with Activity(console):
+        ensemble = ensemble_of(cfg)
         recordings = list(instantiate(cfg.data))
         fleet = align(recordings, **cfg.align)
     if (rejected := rejection_table(fleet.rejected)) is not None:
@@ -69,7 +78,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts,
         align.json, {boat: each.json() for boat, each in setups_of(settings, recordings).items()},
     )  # fmt: skip
-    console.print((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note)
+    terminal.show((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note, to=console)
     truth = quantities_of([settings["data"]], cfg.vehicle.mass)
     logger = TensorBoardLogger(
         folder / TENSORBOARD, fleet, ensemble, start.position, what_differs(overrides), truth, log,
@@ -85,12 +94,12 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
             activity.completed(fleet.steps_before(*chunk.end))
         activity.begin("scoring")
         found = run.finish(ensemble, began, truth)
-        networks = stability(ensemble, run.state, fleet.boats)
+        networks = stability(ensemble, run.state, fleet.boats, found.get("free"))
         logger.finish(settings, found, run.published, networks)
     console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast")))
+    console.print(*fit_lines(found), sep="\n")
     console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
-    console.print(*alarm_lines(found["alarms"]), *networks, "", sep="\n")
-    console.print(*summary_lines(found, folder), sep="\n", soft_wrap=True)
+    terminal.show(*alarm_lines(found["alarms"]), *networks, "", *summary_lines(found, folder), to=console)
     return found["objective"]
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from usvlearn.errors import columns_of, complain, folded
+
 WORDS = "float32 also compiles the estimators' kernels of that precision, readers those for binary logs and positions"
 
 
@@ -79,14 +81,14 @@ def warm_live(arguments: Sequence[str]) -> int:
 def _command(arguments: list[str], name: str, live: bool) -> int:
     usage = f"usage: {name} [float32] [readers]; {WORDS}"
     if arguments in (["-h"], ["--help"]):
-        print(usage)
+        print(folded(usage, columns_of(sys.stdout)))
         return 0
     if not {*arguments} <= {"float32", "readers"}:
         found = " ".join(arguments)
-        print(f"error: found {found!r}, expected nothing, float32 or readers: {usage}", file=sys.stderr)
+        complain(f"error: found {found!r}, expected nothing, float32 or readers: {usage}")
         return 2
     kept = warm("float32" in arguments, "readers" in arguments, live)
     print(f"usvlearn: everything is compiled; it is kept in {kept}")
     if kept.is_relative_to(tempfile.gettempdir()):
-        print("warning: a restart of the computer empties this folder: set NUMBA_CACHE_DIR to another", file=sys.stderr)
+        complain("warning: a restart of the computer empties this folder: set NUMBA_CACHE_DIR to another")
     return 0

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-from usvlearn.errors import ConfigError, exit_on_user_error
+from usvlearn.errors import ConfigError, columns_of, complain, exit_on_user_error, folded
 
 
 def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collection[str] = ()) -> int:
@@ -21,13 +21,13 @@ def run_command(work: Callable[[Sequence[str]], None], usage: str, helps: Collec
     from usvlearn.cli.stopping import Stopped, stoppable
 
     if not sys.argv[1:] or sys.argv[1] in helps:
-        print(usage)
+        print(folded(usage, columns_of(sys.stdout)))
         return 0
     try:
         with exit_on_user_error(), stoppable():
             work(sys.argv[1:])
     except Stopped as stopped:
-        print(f"{stopped}; nothing was written", file=sys.stderr)
+        complain(f"{stopped}; nothing was written")
         return stopped.code
     return 0
 

@@ -1,0 +1,231 @@
+"""Commands at a terminal: no word is broken, first words come at once, a reader of a pipe may go, files need no key."""
+
+import fcntl
+import io
+import os
+import pty
+import re
+import shutil
+import struct
+import subprocess
+import sys
+import termios
+import time
+
+import pytest
+
+from tests.support import ROOT
+from tests.support.commands import ENVIRONMENT, sentence
+from usvlearn import jit
+from usvlearn.__main__ import main
+from usvlearn.cli import delay, evaluate, train
+from usvlearn.cli.beginning import HELP
+
+USVLEARN = [sys.executable, "-m", "usvlearn"]
+LINES, COLUMNS = 24, 80
+RULE = "─━"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Logs, their configuration, and a run."""
+    place = tmp_path_factory.mktemp("terminal")
+    for arguments in (
+        ["example", "logs", "--minutes", "4"],
+        ["inspect", "logs", "--name", "heron"],
+        ["train", "my_boat.yaml", "hydra.run.dir=run", "estimators.rnn.neurons=4"],
+    ):
+        done = subprocess.run(
+            [*USVLEARN, *arguments], cwd=place, env=ENVIRONMENT | {"PYTHONPATH": str(ROOT)},
+            capture_output=True, text=True,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    return place
+
+
+def words(text: str) -> set[str]:
+    """The words of an output, in which all numbers are equal: times differ from call to call."""
+    return {re.sub(r"[\d.]+", "0", word) for word in text.split() if not set(word) <= set(RULE)}
+
+
+PRINTED = {
+    "inspect": ["inspect", "logs", "--output", "again.yaml", "--force"],
+    "train": ["train", "my_boat.yaml", "hydra.run.dir=again", "estimators.rnn.neurons=4"],
+    "delay": ["delay", "my_boat.yaml"],
+    "plan": ["plan", "run", "--minutes", "1", "--home", "42.358,-71.087"],
+    "controller": ["controller", "run", "--boats", "20", "--out", "gains"],
+    "export": ["export", "run", "--to", "c,json"],
+    "certify": ["certify", "run", "--box", "--seconds", "0.1"],
+    "help": ["--help"],
+    **{f"help of {name}": [name, "--help"] for name in ("train", "evaluate")},
+    **{f"usage of {name}": [name] for name in ("inspect", "delay", "plan", "controller", "completion")},
+}
+
+
+@pytest.mark.parametrize("name", PRINTED)
+def test_no_line_is_broken_within_a_word(name, folder, monkeypatch, capsys):
+    """At 80 and 60 columns are the words that are printed without a limit, and no line is longer but by one word."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["usvlearn"])
+    said = {}
+    for columns in (None, 80, 60):
+        monkeypatch.delenv("COLUMNS", raising=False) if columns is None else monkeypatch.setenv("COLUMNS", str(columns))
+        shutil.rmtree("again", ignore_errors=True)
+        try:
+            main(PRINTED[name])
+        except SystemExit as end:
+            assert not end.code
+        said[columns] = capsys.readouterr().out
+    for columns in (80, 60):
+        assert words(said[columns]) <= words(said[None]), words(said[columns]) - words(said[None])
+        if "help" in name or "usage" in name:
+            continue  # a fixed text for 80 columns
+        long = [line for line in said[columns].splitlines() if len(line) > columns and len(line.split()) > 1]
+        assert [line for line in long if not FILE.match(line)] == []
+    assert max(map(len, said[80].splitlines())) <= 80 or "usage" in name
+
+
+FILE = re.compile(r"\S+,[-\d.]+  # |  \S+ = \S+ +// |  +// |-- |\s+then http")  # lines of files, which are copied whole
+
+
+def at_a_terminal(*arguments: str, folder) -> str:
+    """What a command writes to a terminal of 80 columns."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", LINES, COLUMNS, 0, 0))
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(arguments, cwd=folder, env=environment, stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    said = b""
+    try:
+        while part := os.read(ours, 65536):
+            said += part
+    except OSError:  # the end
+        pass
+    process.wait()
+    return said.decode().replace("\r\n", "\n")
+
+
+@pytest.mark.parametrize("program", [[*USVLEARN, "train"], [sys.executable, str(ROOT / "train.py")]])
+def test_first_words_and_errors_fit_a_terminal_and_a_pipe_is_clean(program, tmp_path):
+    arguments = [*program, "a_boat_that_nobody_knows.yaml"]
+    first, *error = at_a_terminal(*arguments, folder=tmp_path).splitlines()
+    assert first == "usvlearn train: loading …" and len(error) == 2 and max(map(len, error)) <= COLUMNS
+    done = subprocess.run(
+        arguments, cwd=tmp_path, env=ENVIRONMENT | {"PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert done.stdout == "" and done.stderr == f"{' '.join(error)}\n"
+
+
+@pytest.mark.parametrize(("arguments", "first"), [(["evaluate"], "evaluate"), (["export", "RUN"], "export")])
+def test_a_command_that_lacks_an_argument_says_so_within_the_width(arguments, first, tmp_path):
+    said = at_a_terminal(*USVLEARN, *arguments, folder=tmp_path).splitlines()
+    assert said[0] == f"usvlearn {first}: loading …" and max(map(len, said)) <= COLUMNS
+
+
+@pytest.mark.parametrize("name", HELP)
+def test_help_fits_a_screen_and_the_rest_is_asked_for(name, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [])
+    with pytest.raises(SystemExit):
+        main([name, "--help"])
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) < LINES and max(map(len, lines)) <= COLUMNS
+    done = subprocess.run(
+        [*USVLEARN, name, "--help=all"], cwd=tmp_path, env=ENVIRONMENT | {"PYTHONPATH": str(ROOT)}, capture_output=True,
+        text=True, check=True,
+    )  # fmt: skip
+    assert len(done.stdout.splitlines()) > LINES and "objective:" in done.stdout
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_compilation_counts_its_seconds_at_a_terminal(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setattr(jit, "folder", lambda source: tmp_path)
+    with jit.announced(jit.__file__, "trial"):
+        time.sleep(1.3)
+    assert sys.stderr.getvalue().startswith("usvlearn: compiling the trial, only once …\rusvlearn: compiling the trial")
+    assert " 1 s" in sys.stderr.getvalue() and sys.stderr.getvalue().endswith(f" 1 s\n  kept in {tmp_path}\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "written"),
+    [
+        (["plan", "run", "--minutes", "1", "--out", "{}/plan"], "plan/heron.csv"),
+        (["inspect", "logs", "--output", "{}/boat.yaml"], "boat.yaml"),
+        (["delay", "my_boat.yaml"], ""),
+        (["--help"], ""),
+    ],
+)
+def test_a_reader_who_goes_early_stops_nothing(arguments, written, folder, tmp_path):
+    with subprocess.Popen(
+        [*USVLEARN, *(each.format(tmp_path) for each in arguments)], cwd=folder,
+        env=ENVIRONMENT | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        process.stdout.close()
+        error = process.stderr.read()
+    assert "Traceback" not in error and "BrokenPipe" not in error
+    assert process.returncode == 0 and (tmp_path / written).exists()
+
+
+def test_a_picture_that_cannot_be_drawn_is_told_before_anything_is_written(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", [])
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(SystemExit):
+        main(["inspect", "logs", "--plot", "--output", str(tmp_path / "boat.yaml")])
+    assert "usvlearn[plot]" in capsys.readouterr().err and not list(tmp_path.iterdir())
+
+
+FORGIVEN = {
+    "no file": (train, ["nofile.yaml"], "data: found 'nofile.yaml', but there is no such file"),
+    "no file behind data=": (train, ["data=nofile.yaml"], "data: found 'nofile.yaml', but there is no such file"),
+    "no file in a folder": (train, ["x/nofile.yaml"], "data: found 'x/nofile.yaml', but there is no such file"),
+    "no log": (train, ["x/nolog.csv"], "data: found 'x/nolog.csv', but there is no such file"),
+    "logs": (train, ["logs"], "first run usvlearn inspect logs, which writes my_boat.yaml"),
+    "logs behind data=": (train, ["data=./logs"], "data: found './logs', expected the configuration of logs"),
+    "a log": (train, ["-m", "logs/heron_1.alog", "seeds=2"], "first run usvlearn inspect logs/heron_1.alog"),
+    "a run": (train, ["run"], "data: found 'run', the folder of a run: to judge it: usvlearn evaluate run"),
+    "a run behind data=": (train, ["data=run"], "data: found 'run', the folder of a run"),
+    "runs": (train, ["."], "data: found '.', a folder of runs: to judge them: usvlearn evaluate ."),
+    "a set": (train, ["run/results.json"], "data: found 'run/results.json', a file of a run"),
+    "a known configuration": (train, ["simulatd"], "did you mean data=simulated?"),
+    "no run": (evaluate, ["norun"], "runs: found 'norun', but there is no such folder"),
+    "a file in a run": (evaluate, ["run/results.json"], "runs: found the file 'run/results.json', expected a folder"),
+    "two runs": (evaluate, ["run", "logs"], "runs: found 2 folders, expected one"),
+    "only logs": (evaluate, ["my_boat.yaml"], "runs is not set"),
+    "logs in place of a run": (evaluate, ["logs"], "runs: found no run below 'logs'"),
+}
+
+
+@pytest.mark.parametrize("case", FORGIVEN)
+def test_a_path_without_its_key_is_told_what_it_is(case, folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    job, arguments, said = FORGIVEN[case]
+    assert said in (error := sentence(job.main, arguments, monkeypatch, capsys)), error
+
+
+def test_a_path_without_its_key_does_what_is_meant(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "argv", ["usvlearn train", "my_boat.yaml", "--cfg", "job"])
+    train.main()
+    assert f"path: {folder}/logs" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "argv", ["usvlearn evaluate", "run", "my_boat.yaml", f"report={tmp_path}/report"])
+    evaluate.main()
+    assert (tmp_path / "report" / "index.html").exists()
+    monkeypatch.setattr(sys, "argv", ["usvlearn delay", "my_boat.yaml"])
+    assert delay.main() == 0
+    monkeypatch.setattr(sys, "argv", ["usvlearn"])
+    assert main(["export", "runs=run", "--to", "json", "--out", str(tmp_path)]) == 0
+    assert list(tmp_path.glob("*.json"))
+
+
+def test_a_comparison_without_its_packages_is_refused_before_anything_is_loaded(tmp_path):
+    code = (
+        "import sys; sys.modules['cvxpy'] = None; sys.argv = ['certify', 'compare', 'none']\n"
+        "from certify.__main__ import main; code = main(); print(code, 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=ENVIRONMENT, capture_output=True, text=True)
+    assert done.stdout == "2 False\n" and done.stderr.startswith("error: compare: cvxpy is not installed: run pip")

@@ -1,0 +1,71 @@
+"""What a command says before anything that takes long is imported: its help, or on a terminal that it is loading.
+
+It imports nothing, so that its first words come at once.
+"""
+
+import sys
+
+QUICK = ("live", "certify")  # commands that say something themselves
+ALL = "--help=all"
+HELP = {
+    "train": """\
+usage: {program} my_boat.yaml [KEY=VALUE …] [FLAG …]
+Learns online from logs, and saves errors, parameter sets and predictions.
+
+  my_boat.yaml               which logs; usvlearn inspect LOGS writes this file
+  data=simulated             logs of a simulated boat; the default
+  hydra.run.dir=FOLDER       where the run is saved (outputs/DATE_TIME)
+  resume=FOLDER|latest       continue a run; `latest` with its hydra.run.dir
+  vehicle.mass=36            kg, of the boat
+  align.dt=0.4               s, step of the predictions
+  estimators.rnn.neurons=20  any setting of a member; ~estimators.rnn removes it
+  output=ensemble            the combiner that predicts
+  seed=0                     of initial weights, simulated data and search
+  check=warn                 the data before a run: warn, strict, off
+  grid=aid                   tune a member; learn=aid and search=aid, too
+  -m KEY=1,2 seeds=5         a sweep: a run for each value and seed
+  sweep=inputs               a sweep of configs/sweep, with -m
+  experiment=paper_small     the settings of configs/experiment
+
+  --cfg job                  print the settings that these arguments make
+  --config-dir FOLDER        more configurations of your own
+  --help=all                 every key with its default, and every group
+  --hydra-help               every flag""",
+    "evaluate": """\
+usage: {program} RUN [my_boat.yaml] [KEY=VALUE …]
+Writes a report of a run: errors, free runs, certificates, parameters. Of a
+sweep it prints the leaderboard.
+
+  RUN                     a folder that train has written, or one of several
+  my_boat.yaml            judge on other logs of the same boats
+  report=FOLDER           of the report (RUN/report)
+  objective=MEMBER.skill  ranks the jobs of a sweep, also by .mae, .coverage,
+                          .forecast.SECONDS or .free
+  experiment=paper_small  make a whole study from nothing; or paper
+  trust=MODULE            saved settings may name its classes: only if you trust
+                          its code
+
+  --help=all              every key with its default
+  --hydra-help            every flag""",
+}
+
+
+def begin(name: str) -> None:
+    """Print the help of a command of Hydra and end, if that is asked for; else say on a terminal what is loading.
+
+    Args:
+        name: of the command; its arguments are those of this program.
+    """
+    arguments = sys.argv[1:]
+    if name in HELP and ("--help" in arguments or "-h" in arguments):
+        program = f"python {sys.argv[0]}" if sys.argv[0].endswith(".py") else sys.argv[0]
+        print(HELP[name].format(program=program), flush=True)
+        sys.exit(0)
+    sys.argv[1:] = ["--help" if each == ALL else each for each in arguments]
+    if (
+        name not in QUICK
+        and (arguments or name in HELP)
+        and not {"-h", "--help", ALL} & {*arguments}
+        and sys.stderr.isatty()
+    ):
+        print(f"usvlearn {name}: loading …", file=sys.stderr, flush=True)
