@@ -44,7 +44,7 @@ def rows(path: Path) -> list[dict[str, str]]:
 def test_every_file_is_there_and_replaced(saved):
     report = saved / "report"
     figures = {path.name for path in (report / "figures").iterdir()}
-    names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria",
+    names = {"online", "forecast", "crossval", "fleet", "certificates", "equilibria", "residuals",
              "parameters_heron1", "parameters_heron2",
              "identified_heron1", "identified_heron2"}  # fmt: skip
     pictures = {"runs_heron1.png", "runs_heron2.png"}  # of many points
@@ -61,6 +61,7 @@ def test_every_file_is_there_and_replaced(saved):
         "identified",
         "parameters",
         "cost",
+        "residuals",
     }
     assert {path.name for path in (report / "tables").iterdir()} == {f"{t}.{k}" for t in tables for k in ("csv", "md")}
     assert "The paper found" not in (report / "report.md").read_text()  # it stands where a study is judged
@@ -266,6 +267,17 @@ def test_a_list_of_files_that_names_others_removes_none(tmp_path):
     (report / "tables").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(ConfigError, match="tables is a link to another folder"):
         write_report(report, ["Three"], [])
+
+
+def test_a_report_lists_and_removes_only_its_own_files(tmp_path):
+    report = tmp_path / "report"
+    write_report(report, ["One"], [])
+    for name in ("figures/mine.svg", "tables/mine.csv", "tensorboard/events.out.tfevents.mine"):
+        (report / name).write_text("mine")
+    for _ in range(2):
+        write_report(report, ["Again"], [])
+    assert [path.read_text() for path in sorted(report.rglob("*mine*"))] == ["mine"] * 3
+    assert json.loads((report / "files.json").read_text()) == []
 
 
 def test_matplotlib_missing_is_told_before_anything_is_simulated(tmp_path, monkeypatch):

@@ -15,10 +15,11 @@ import pytest
 from tests.support.runs import tools
 from tests.support.seasons import boats
 from usvlearn.estimators.joint.reading import shown
+from usvlearn.report import front
 from usvlearn.report.assembly import assemble, front_of
 from usvlearn.report.document import SCRIPT
 from usvlearn.report.from_runs import evaluate, read
-from usvlearn.report.overview import MAIN
+from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.page import write_report
 from usvlearn.report.viewer_data import decoded
 
@@ -75,7 +76,7 @@ def test_the_page_is_one_file_without_links(saved):
     }
     assert len(ids) == len(set(ids)) and links <= set(ids)
     assert "currentColor" in text and "prefers-color-scheme: dark" in text
-    assert text.count("<svg") == 10
+    assert text.count("<svg") == 11
 
 
 def test_only_the_viewer_may_run_and_nothing_may_be_loaded(saved):
@@ -113,6 +114,8 @@ def test_numbers_on_the_first_page_are_those_of_the_results(saved):
         assert (row[1], row[3], row[8]) == ("2", f"{own['mae']:.3f}", str(len(results["alarms"][boat])))
         found = sum(finding["boat"] == boat for finding in results["data_check"])
         assert row[9] == f"{found or 'no'} finding{'s' * (found != 1)}"
+        fits = f"{own['fit']:.1f} % one step ahead, {results['free_fit'][boat][results['output']]:.1f} % for whole runs"
+        assert f"Fit, 100 (1 − NRMSE): {fits}." in (saved / "report" / "index.html").read_text()
     assert sum(row[0].startswith("00") for row in rows) == 4  # the runs
 
 
@@ -121,12 +124,17 @@ def test_the_viewers_numbers_are_the_predictions(saved):
     ensemble, seasons, _ = read([saved], tools())
     runs = [(season.boat, run) for season in seasons for run in season.runs]
     assert [(each["boat"], each["name"]) for each in data["runs"]] == [(boat, run.name) for boat, run in runs]
-    assert data["shown"] == ["aid", "sift_map", "rnn", "ensemble"] and len(set(data["colours"].values())) == 4
+    own = ["joint", "joint_quick", "arx", "reader"]  # what the ensemble weighs; the paper's wait to be chosen
+    assert data["hidden"] == ["aid", "sift_map", "rnn"] and data["shown"] == [*data["hidden"], *own, "ensemble"]
+    assert len(set(data["colours"].values())) == 8
+    boxes = [attrs for tag, attrs in page_of(saved / "report").tags if attrs.get("type") == "checkbox"]
+    assert [each["value"] for each in boxes if "checked" in each] == [*own, "ensemble"]
     for each, (_, run) in zip(data["runs"], runs, strict=True):
         expected = {
             f"next {name}": run.published["predictions"][:, ensemble.names.index(name)] for name in data["shown"]
         }
-        expected["halfwidth"] = run.published["halfwidths"][:, ensemble.names.index("ensemble")]
+        widths = run.published["halfwidths"][:, ensemble.names.index("ensemble")]
+        expected["halfwidth"] = np.where(np.isinf(widths), np.nan, widths)  # none is drawn before ten errors
         expected["left"] = np.where(run.samples.fresh, run.samples.inputs.command_left, np.nan)
         for name, x in expected.items():
             half = each["series"][name][2] / 2 + 1e-9
@@ -153,6 +161,15 @@ def test_a_boat_without_predictions_forecasts_and_a_reader_has_a_page(tmp_path):
     assert [run["learned"] for run in page.data()["runs"]] == [True, False, True, False]
     free = [row[-1] for row in page.rows if row[0] in ("0", "1") and len(row) == 6]
     assert [x.endswith("*") for x in free] == [True, False] * 2 and all(float(x.rstrip("*")) < 0.02 for x in free)
+
+
+def test_a_whole_run_that_nothing_was_saved_before_is_said_in_words():
+    boat = Overview("heron", 0.1, [], None, [Ahead("the next step", 0.02, 0.3, 0.9)], None, 93.25, None, None, None)
+    (row,) = (row for row in Page(front._accuracy(boat)).rows if row[0] == "a whole run")
+    assert row == ["a whole run", "not known: no parameters were saved before the run; learn from two logs"]
+    known = Page(front._accuracy(boat._replace(free=0.125, free_fit=61.5)))
+    assert ["a whole run", "0.125", "", ""] in known.rows
+    assert "93.2 % one step ahead, 61.5 % for whole runs." in front._accuracy(boat._replace(free=0.125, free_fit=61.5))
 
 
 def test_boats_may_have_different_numbers_of_runs(tmp_path):

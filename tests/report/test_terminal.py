@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +165,9 @@ def test_what_eight_boats_are_fits_the_terminal(width):
     assert text.count("Means of 9 readings.") == 1 and "heron3: It drifted." in text
     one = "\n".join(printed(identified_table({"heron1": boats["heron1"]}, {"heron1": {"time_constant": 1.5}}), width))
     assert "truth" in one and "1.50" in one
+    vague = replace(boats["heron1"], unknown=frozenset(["drag_linear"]))
+    told = "\n".join(printed(identified_table({"heron1": vague}), width))
+    assert "-12.3" in one and "-12.3" not in told and "–: not known yet" in told and "not known yet" not in one
     assert "".join(printed(identified_table({}), width)) == ""
 
 
@@ -184,3 +188,10 @@ def test_the_line_of_activity_shows_what_is_done_and_leaves_nothing():
         doing("reading")
     assert file.getvalue() == ""
     doing("nobody shows this")
+
+
+def test_a_quiet_line_of_activity_loses_nothing_that_others_print(capsys):
+    """The lines of a sweep, which a thread prints while a job shows nothing."""
+    with Activity(Console(quiet=True, force_terminal=True)):
+        print("job 0: done", flush=True)
+    assert capsys.readouterr().out == "job 0: done\n"

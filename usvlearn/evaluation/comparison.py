@@ -1,6 +1,6 @@
-"""Paired differences between two settings, with a bootstrap interval over boats and runs.
+"""Paired differences between two settings, with intervals over boats and runs, and over seeds.
 
-The mathematics is in `docs/theory.md`, section 23; equation (1) and (2) are from there.
+The mathematics is in `docs/theory.md`, section 23; the equations (1) to (3) are from there.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from usvlearn.evaluation.metrics import PERSISTENCE
 DRAWS, LEVEL, SEED = 1000, 0.95, 0
 FLEET = 3  # boats, from which on they are a sample of others, and are drawn, too
 ALIKE = 0.02  # relative, of steps and of persistence's errors: the samples are the same, but for some that are rejected
+EQUAL = 1e-9  # relative to the objective: differences that are the same to rounding
 Place = tuple[str, str, str]  # seed, boat, run
 
 
@@ -30,6 +31,20 @@ class Cell(NamedTuple):
     base: float  # m/s, persistence's; NaN if it was not run
 
 
+class SeedDifference(NamedTuple):
+    """The mean over seeds of the difference of two settings that have the same seed, in the objective's unit."""
+
+    mean: float
+    low: float | None  # of the 95 % interval; None with a single seed, or if all seeds gave the same difference
+    high: float | None
+    seeds: int
+
+    @property
+    def tie(self) -> bool | None:
+        """Whether the interval contains 0; None without one."""
+        return None if self.low is None or self.high is None else self.low <= 0 <= self.high
+
+
 class Difference(NamedTuple):
     """The objective of a setting minus that of the reference, in the objective's unit."""
 
@@ -38,6 +53,7 @@ class Difference(NamedTuple):
     high: float | None
     share: float  # of the reference's
     runs: int  # different ones, each made by both
+    over_seeds: SeedDifference | None = None  # None if an objective is unknown
 
     @property
     def tie(self) -> bool | None:
@@ -119,6 +135,33 @@ def compare(one: Mapping[Place, Cell], other: Mapping[Place, Cell], measure: Mea
     return Difference(mean, low, high, mean / abs(float(whole[1])) if whole[1] else 0.0, count)
 
 
+def over_seeds(one: Mapping[str, float], other: Mapping[str, float]) -> SeedDifference | None:
+    """Equation (3): the mean difference of two settings over the seeds that both have, and its interval.
+
+    Args:
+        one, other: the objective by seed.
+
+    Returns:
+        None if they have no seed in common. There is no interval over one seed. Nor is there one if all differences
+        are equal: then nothing was drawn that matters, and the seeds say nothing of chance.
+
+    >>> found = over_seeds({"0": 0.10, "1": 0.12, "2": 0.11}, {"0": 0.09, "1": 0.10, "2": 0.10})
+    >>> round(found.mean, 5), round(found.low, 5), round(found.high, 5), found.tie
+    (0.01333, -0.00101, 0.02768, True)
+    >>> over_seeds({"0": 0.10}, {"0": 0.09}).low is None
+    True
+    """
+    seeds = [seed for seed in one if seed in other]
+    if not seeds:
+        return None
+    differences = np.array([one[seed] - other[seed] for seed in seeds])
+    mean, low, high = float(differences.mean()), None, None
+    if len(seeds) > 1 and np.ptp(differences) > EQUAL * max(abs(other[seed]) for seed in seeds):
+        half = _quantile(len(seeds)) * float(differences.std(ddof=1)) / math.sqrt(len(seeds))
+        low, high = mean - half, mean + half
+    return SeedDifference(mean, low, high, len(seeds))
+
+
 def _same_samples(one: Cell, other: Cell) -> bool:
     """Whether two runs have about the same steps, and errors of persistence, if they are known."""
     same = all(map(math.isnan, (one.base, other.base))) or math.isclose(one.base, other.base, rel_tol=ALIKE)
@@ -132,9 +175,14 @@ def _rounded(base: float) -> float | None:
 
 def _factor(count: int) -> float:
     """The factor of (2) for so many boats, or runs."""
+    return _quantile(count) * math.sqrt(count / (count - 1))
+
+
+def _quantile(count: int) -> float:
+    """Of Student's distribution, for a mean of so many: 97.5 %, with one degree of freedom less."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(count - 1, (1 + LEVEL) / 2)) * math.sqrt(count / (count - 1))
+    return float(stdtrit(count - 1, (1 + LEVEL) / 2))
 
 
 def _drawn(rng: np.random.Generator, count: int) -> np.ndarray:

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from usvlearn.estimator import clean
 from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.evaluation.season import Season
 from usvlearn.rollouts import choose, free_totals, simulate
 from usvlearn.signals import Inputs, Sample, masks, named_leaves, tree_map, where
 
@@ -49,6 +50,22 @@ class FreeErrors(NamedTuple):
         weight = np.broadcast_to(self.steps, errors.shape[:2]) * (1.0 if some is None else some)
         with np.errstate(invalid="ignore"):
             return (weight[..., None] * np.nan_to_num(errors)).sum(1) / weight.sum(1)[:, None]
+
+    def unseen(self, season: Season) -> dict[str, float | None]:
+        """MAE of the runs of a boat, each with the newest set that has not learned from it, m/s, by method.
+
+        Args:
+            season: of the boat; runs without such a set are left out. None if all are.
+        """
+        some = np.zeros(self.mae.shape[:2], bool)
+        for run in np.flatnonzero(self.steps > 0).tolist():
+            place, learned = season.set_before(run)
+            some[place, run] = not learned
+        if not some.any():
+            return dict.fromkeys(self.methods)
+        weight = (self.steps * some)[..., None]
+        total = (weight * np.nan_to_num(self.mae)).sum((0, 1)) / weight.sum()
+        return dict(zip(self.methods, total.tolist(), strict=True))
 
 
 def methods(ensemble: Ensemble) -> tuple[str, ...]:

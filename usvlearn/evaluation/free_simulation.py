@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError
+from usvlearn.evaluation.metrics import fit
 from usvlearn.evaluation.season import Season
 from usvlearn.signals import Fleet, masks, tree_map
 
@@ -20,6 +21,17 @@ class FreeErrors(NamedTuple):
 
     errors: np.ndarray  # (runs, boats, estimators) of |simulated − measured|, m/s
     steps: np.ndarray  # (runs, boats) measured steps
+    squares: np.ndarray  # (runs, boats, estimators) of their squares, m²/s²
+    speeds: np.ndarray  # (runs, boats, 2) of the measured speed, m/s, and its square
+
+    def fit(self, boats: Sequence[str], names: Sequence[str]) -> dict[str, dict[str, float | None]]:
+        """By boat and estimator, percent (`usvlearn.evaluation.metrics.fit`); None where it is unknown."""
+        squares, count, speeds = (x.sum(0) for x in (self.squares, self.steps, self.speeds))
+        spread = speeds[:, 1] - speeds[:, 0] ** 2 / np.maximum(count, 1)
+        return {
+            boat: {name: fit(squares[lane, k], spread[lane]) if count[lane] else None for k, name in enumerate(names)}
+            for lane, boat in enumerate(boats)
+        }
 
     def mae(self, boats: Sequence[str], names: Sequence[str]) -> dict[str, dict[str, float | None]]:
         """By boat and estimator, m/s; None where a boat has no measured step."""
@@ -46,15 +58,18 @@ def free_errors(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> Fre
     from usvlearn.rollouts import simulate, tensors
 
     limit, shape = ensemble.surge_max, (len(fleet.runs), len(fleet.boats))
-    found = FreeErrors(np.zeros((*shape, len(ensemble.names))), np.zeros(shape, int))
+    each = (*shape, len(ensemble.names))
+    found = FreeErrors(np.zeros(each), np.zeros(shape, int), np.zeros(each), np.zeros((*shape, 2)))
     dtype = state.predictions.dtype
     with torch.no_grad():
         for index, run in enumerate(fleet.runs[first:], first):
             _, _, kept = simulate(ensemble, state, tensors(run.samples, dtype), record=["predictions"])
             learns = masks(run.samples, ensemble.surge_limit).learns
             predicted = np.nan_to_num(kept["predictions"].double().numpy(), nan=limit, posinf=limit, neginf=-limit)
-            error = np.abs(predicted.clip(-limit, limit) - np.nan_to_num(run.samples.surge)[..., None])
-            found.errors[index] = np.where(learns[..., None], error, 0.0).sum(0)
+            surge = np.where(learns, run.samples.surge, 0.0)
+            error = np.where(learns[..., None], np.abs(predicted.clip(-limit, limit) - surge[..., None]), 0.0)
+            found.errors[index], found.squares[index] = error.sum(0), (error * error).sum(0)
+            found.speeds[index] = np.stack([surge.sum(0), (surge * surge).sum(0)], -1)
             found.steps[index] = learns.sum(0)
     return found
 

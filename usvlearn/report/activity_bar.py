@@ -19,6 +19,7 @@ class Activity:
 
     Args:
         console: of the terminal.
+        what: is done first.
 
     >>> with Activity(Console(quiet=True)) as activity:
     ...     activity.begin("replaying", total=100)
@@ -28,15 +29,17 @@ class Activity:
     100.0
     """
 
-    def __init__(self, console: Console):
+    def __init__(self, console: Console, what: str = "starting"):
         text = TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
         bar = BarColumn(BAR), TaskProgressColumn(), TimeRemainingColumn()
         self._progress = Progress(SpinnerColumn(), text, *bar, console=console, transient=True)
         self._stack, self.done = ExitStack(), 0.0
-        self._task = self._progress.add_task("starting", total=None)
+        self._task = self._progress.add_task(what, total=None)
 
     def __enter__(self) -> Activity:
-        if self._progress.console.is_terminal:  # else an empty line would be left
+        # In a file it would leave an empty line. While rich draws, all that is printed goes to its console, and a quiet
+        # one would lose the lines that a sweep prints of its jobs.
+        if self._progress.console.is_terminal and not self._progress.console.quiet:
             self._stack.enter_context(self._progress)
         self._stack.enter_context(shown_by(self.tell))
         return self

@@ -24,6 +24,7 @@ from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import Truth, parameters_section
+from usvlearn.report.sections.residuals import residual_section
 from usvlearn.report.viewer_data import viewer_data
 from usvlearn.rollouts import stack
 from usvlearn.runs.drawing import RUNS
@@ -84,10 +85,11 @@ def assemble(
         identified_section(seasons, ensemble, known or {}),
         forecast_section(seasons, ensemble),
         online_section(seasons, ensemble.names, beside, explained(ensemble)),
+        residual_section(seasons, ensemble),
         cross_section(seasons, errors, beside),
         between,
         parameters_section(seasons, ensemble, truth, mission),
-        network_section(seasons, ensemble),
+        network_section(seasons, ensemble, errors),
         cost_section(ensemble),
     ]
     return [section for section in sections if section is not None], errors

@@ -20,6 +20,7 @@ from usvlearn.report.assembly import assemble, best_start, facts, front_of, simu
 from usvlearn.report.page import check_report_folder, write_report
 from usvlearn.report.section import Section
 from usvlearn.report.sections.parameters import Truth
+from usvlearn.report.terminal import show
 from usvlearn.runs.saved import configuration, data_check, read_seasons, results
 from usvlearn.signals import Fleet
 
@@ -35,8 +36,8 @@ class Tools(NamedTuple):
     checked: Callable[[Mapping[str, Any]], Any] | None = None  # `align` with a data check, for a configuration
 
     def say(self, text: str) -> None:
-        """Print a line that must not be wrapped, such as a command or a path."""
-        self.console.print(text, soft_wrap=True)
+        """Print a line, such as a command or a path."""
+        show(text, to=self.console)
 
 
 def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensemble, list[Season], Truth]:
@@ -109,11 +110,12 @@ def evaluate(
             known = known_quantities(found[-1]) if data is None else {}
             sections, errors = assemble(ensemble, seasons, truth, activity.advance, known)
             front = front_of(ensemble, seasons, checks, activity.advance)
-        other = "Judged on other logs than those of the runs from which the boats learned."
-        notes = [*unfinished, *([] if data is None else [other])]
-        parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
-        page = write_report(report, [*facts(seasons, folders), *notes], parts, commands, errors,
-                            front._replace(notes=notes))  # fmt: skip
+            activity.begin("drawing the report")
+            other = "Judged on other logs than those of the runs from which the boats learned."
+            notes = [*unfinished, *([] if data is None else [other])]
+            parts = [section if paper else section._replace(paper="") for section in (*more, *sections)]
+            page = write_report(report, [*facts(seasons, folders), *notes], parts, commands, errors,
+                                front._replace(notes=notes))  # fmt: skip
     tools.say(f"report: {page}")
     return page
 

@@ -15,6 +15,7 @@ from usvlearn.report.section import Drawn
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
 FINDING, WARNING = ("about", "found", "expected", "key"), "warning"  # of the data check (`results.json`)
+UNSEEN = '<td class="words" colspan="3">not known: no parameters were saved before the run; learn from two logs</td>'
 SIMPLE = "assuming that the speed stays as it is"
 
 
@@ -59,7 +60,7 @@ def _fleet(boats: Sequence[Overview]) -> str:
     rows = []
     for k, boat in enumerate(boats):
         near = next((each for each in boat.ahead if each.what == NEAR), None)
-        top = boat.identified["steady_speed_full"] if boat.identified else None
+        top = boat.identified.told("steady_speed_full") if boat.identified else None
         cells = [
             str(len(boat.runs)),
             _duration(boat.hours),
@@ -69,7 +70,7 @@ def _fleet(boats: Sequence[Overview]) -> str:
             _share(near and near.coverage),
             f"{shown(top.value)} ({shown(top.low)} to {shown(top.high)}) m/s" if top else "–",
             "–" if boat.alarms is None else str(len(boat.alarms)),
-            "–" if boat.findings is None else f"{len(boat.findings) or 'no'} finding{'s' * (len(boat.findings) != 1)}",
+            _judged(boat),
         ]
         name = f'<th scope="row"><a href="#boat-{k}">{escape(boat.boat)}</a></th>'
         rows.append(f"<tr>{name}{''.join(f'<td>{escape(cell)}</td>' for cell in cells)}</tr>")
@@ -78,6 +79,15 @@ def _fleet(boats: Sequence[Overview]) -> str:
         f'<div class="rows"><table class="fleet"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
         f'</div><p class="facts">Errors are means in m/s; skill and interval {NEAR} ahead.</p>'
     )
+
+
+def _judged(boat: Overview) -> str:
+    """The data check in a few words."""
+    if boat.identified is not None and boat.identified.unphysical:
+        return "not a physical boat"
+    if boat.findings is None:
+        return "–"
+    return f"{len(boat.findings) or 'no'} finding{'s' * (len(boat.findings) != 1)}"
 
 
 def _cards(boat: Overview) -> str:
@@ -101,12 +111,13 @@ def _identified(boat: Overview) -> str:
         f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(found.value)}</b> {escape(found.unit)}</td>'
         f'<td class="n">{shown(found.low)} to {shown(found.high)}</td></tr>'
         for name, words in MAIN.items()
-        if (found := boat.identified.get(name)) is not None
+        if name in boat.identified and (found := boat.identified.told(name))
     )
-    said = (in_words(each) for each in (boat.identified.scale, *boat.identified.lacks))
-    notes = "".join(f"<p>{escape(each)}</p>" for each in said if each)
+    wrong, scale, lacks = boat.identified.unphysical, boat.identified.scale, boat.identified.lacks
+    notes = "".join(f"<p>{escape(in_words(each))}</p>" for each in (scale, *lacks) if each and each != wrong)
+    warning = f'<p class="bad"><b>{escape(wrong)}</b></p>' if wrong else ""
     head = '<thead><tr><th></th><th class="n">value</th><th class="n">90 % interval</th></tr></thead>'
-    return f'<table>{head}<tbody>{rows}</tbody></table><div class="notes">{notes}</div>'
+    return f'{warning}<table>{head}<tbody>{rows}</tbody></table><div class="notes">{notes}</div>'
 
 
 def in_words(sentence: str) -> str:
@@ -142,12 +153,16 @@ def _accuracy(boat: Overview) -> str:
         f'<td class="n">{_number(each.skill, 2)}</td><td class="n">{_share(each.coverage)}</td></tr>'
         for each in boat.ahead
     )
-    free = f'<tr><th scope="row">a whole run</th><td class="n">{_number(boat.free)}</td><td></td><td></td></tr>'
+    known = f'<td class="n">{_number(boat.free)}</td><td></td><td></td>'
+    free = f'<tr><th scope="row">a whole run</th>{UNSEEN if boat.free is None else known}</tr>'
+    fits = ((boat.fit, "one step ahead"), (boat.free_fit, "for whole runs"))
+    shown = ", ".join(f"{x:.1f} % {how}" for x, how in fits if x is not None)
+    fit = f" Fit, 100 (1 − NRMSE): {shown}." if shown else ""
     head = "".join(f'<th class="n">{each}</th>' for each in ("mean error, m/s", "skill", "in the 90 % interval"))
     return (
         f"{said}<table><thead><tr><th>ahead</th>{head}</tr></thead><tbody>{rows}{free}</tbody></table>"
         f'<div class="notes"><p>Skill: 1 is perfect, 0 is no better than {SIMPLE}. A whole run is simulated from the '
-        "commands alone, with parameters that were saved before it.</p></div>"
+        f"commands alone, with parameters that were saved before it.{fit}</p></div>"
     )
 
 
@@ -165,8 +180,12 @@ def _alarms(boat: Overview) -> str:
 
 
 def _findings(boat: Overview) -> str:
+    wrong = boat.identified.unphysical if boat.identified is not None else ""
+    learned = f'<p class="bad">{escape(wrong)}</p>' if wrong else ""
     if boat.findings is None:
-        return "<p>Not made in these runs.</p>"
+        return f"{learned}<p>Not made in these runs.</p>"
+    if not boat.findings and wrong:
+        return f"{learned}<p>The check of the log before the run found nothing.</p>"
     if not boat.findings:
         return '<p class="good">Nothing suspicious was found in the log.</p>'
     items = []
@@ -176,7 +195,7 @@ def _findings(boat: Overview) -> str:
         fix = f" Set <code>{key}</code>." if key else ""
         style = ' class="bad"' if each.get("severity") == WARNING else ""
         items.append(f"<li{style}><b>{about}</b>: found {found}{wanted}.{fix}</li>")
-    return f"<ul>{''.join(items)}</ul>"
+    return f"{learned}<ul>{''.join(items)}</ul>"
 
 
 def _duration(hours: float) -> str:
@@ -202,7 +221,7 @@ def _runs(front: Front, images: Mapping[str, bytes]) -> str:
             options += f'<option value="{place}">{escape(f"{boat.boat}, {run.name}" if several else run.name)}</option>'
             free = _number(run.free) + ("*" if run.learned and run.free is not None else "")
             cells = (f"{run.minutes:.1f}", _number(run.speed, 2), _number(run.mae), free)
-            name = f'<a href="#viewer" data-run="{place}">{escape(run.name)}</a>'
+            name = f'<a href="#viewer" data-run="{place}">{escape(run.name).replace("_", "_<wbr>")}</a>'
             whose = f"<td>{escape(boat.boat)}</td>" if several else ""
             numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
             rows.append(f'<tr><th scope="row">{name}</th>{whose}{numbers}</tr>')
@@ -215,12 +234,13 @@ def _runs(front: Front, images: Mapping[str, bytes]) -> str:
     pictures = "".join(f'<img alt="{escape(alt)}" src="data:image/png;base64,{png}">' for alt, png in coded)
     colours = front.viewer["colours"]
     names = "".join(
-        f'<label><input type="checkbox" checked value="{escape(name)}">{_chip(colours[name])}{escape(name)}</label>'
+        f'<label><input type="checkbox"{"" if name in front.viewer["hidden"] else " checked"} value="{escape(name)}">'
+        f"{_chip(colours[name])}{escape(name)}</label>"
         for name in front.viewer["shown"]
     )
     sides = "".join(f"<span>{_chip(colour)}{side}</span>" for side, colour in front.viewer["sides"].items())
     return f"""<section id="runs"><h2>Run by run</h2>
-<div class="rows"><table><thead><tr><th>run</th>{"<th>boat</th>" if several else ""}{heads}</tr></thead>
+<div class="rows"><table class="runs"><thead><tr><th>run</th>{"<th>boat</th>" if several else ""}{heads}</tr></thead>
 <tbody>{"".join(rows)}</tbody></table></div>
 <p class="facts">A free run is simulated from the commands alone. * Its parameters have learned from this run.</p>
 <noscript><p>Without JavaScript, these are the last runs of each boat.</p>{pictures}</noscript>

@@ -56,6 +56,8 @@ class Overview(NamedTuple):
     identified: Identified | None
     ahead: Sequence[Ahead]  # the next step first; empty if no run was replayed
     free: float | None  # m/s, MAE of the free runs with parameters that have not learned from them
+    fit: float | None  # percent, one step ahead (`usvlearn.evaluation.metrics.fit`)
+    free_fit: float | None  # percent, of the same free runs
     alarms: Sequence[Mapping[str, Any]] | None  # None if nobody watched
     findings: Sequence[Mapping[str, Any]] | None  # of the data check; None if there was none
 
@@ -94,6 +96,7 @@ def _overview(
     rows = [_row(run, made, column) for run, made in zip(season.runs, free, strict=True)]
     unseen = [(row.free, int(run.steps.sum())) for run, row in zip(season.runs, rows, strict=True) if not row.learned]
     total = sum(steps for error, steps in unseen if error is not None)
+    ahead, fit = _ahead(ensemble, season)
     fleet, published = season.replayed
     watched = [each for each in published if np.isfinite(each[2].get("thrusters", np.nan)).any()]
     last = tree_map(lambda leaf: leaf[-1:], season.state)
@@ -102,8 +105,10 @@ def _overview(
         sum(row.minutes for row in rows) / 60,
         rows,
         identified_boats(ensemble, last, [season.boat]).get(season.boat),
-        _ahead(ensemble, season),
+        ahead,
         sum(error * steps for error, steps in unseen if error is not None) / total if total else None,
+        fit,
+        _free_fit(season, free, column),
         alarms(fleet, published)[season.boat] if watched else None,
         findings,
     )
@@ -128,11 +133,22 @@ def _mean(x: np.ndarray) -> float | None:
     return float(x.mean()) if len(x) and np.isfinite(x).all() else None
 
 
-def _ahead(ensemble: Ensemble, season: Season) -> list[Ahead]:
-    """The errors one step ahead, and of the forecasts, if runs were replayed."""
+def _free_fit(season: Season, free: Sequence[FreeRun], column: int) -> float | None:
+    """The fit of the free runs whose parameters have not learned from them; None without."""
+    unseen = [(run, made) for run, made in zip(season.runs, free, strict=True) if not made.learned]
+    predictions = [made.predictions[run.steps, column] for run, made in unseen]
+    if not sum(map(len, predictions)):
+        return None
+    surge = np.concatenate([run.samples.surge[run.steps] for run, _ in unseen])
+    found = scores(np.concatenate(predictions)[:, None], surge, ["free"])["free"]["fit"]
+    return None if found is None else float(found)
+
+
+def _ahead(ensemble: Ensemble, season: Season) -> tuple[list[Ahead], float | None]:
+    """The errors one step ahead, and of the forecasts, if runs were replayed; the fit one step ahead."""
     runs = [run for run in season.runs if run.published]
     if not runs:
-        return []
+        return [], None
     names = list(dict.fromkeys(name for name in (PERSISTENCE, ensemble.output) if name in ensemble.names))
     places = [ensemble.names.index(name) for name in names]
     predictions = np.concatenate([run.published["predictions"][:, places] for run in runs])
@@ -144,4 +160,4 @@ def _ahead(ensemble: Ensemble, season: Season) -> list[Ahead]:
     if kept.runs:
         ahead = ensemble_scores(ensemble, *kept.replayed).get(season.boat, {}).get(ensemble.output, {})
         found += [Ahead(f"{h} s", row["mae"], row["skill"], row.get("covers")) for h, row in ahead.items()]
-    return found
+    return found, row["fit"]

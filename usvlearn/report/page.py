@@ -52,6 +52,7 @@ def write_report(
     drawings = {drawn.name: _drawing(drawn) for section in sections for drawn in section.figures}
     for old in _written(folder):
         (folder / old).unlink(missing_ok=True)
+    foreign = _present(folder)  # what is left was written by somebody else, or by a report that was cut short
     inline = {name: drawing for name, (drawing, _, _) in drawings.items()}
     images = {name: png for name, (_, _, png) in drawings.items()}
     images |= {drawn.name: _png(drawn) for drawn in (front.pictures if front else ())}
@@ -75,7 +76,9 @@ def write_report(
         np.savez_compressed(content, **named)
         write_atomically(folder / "crossval.npz", content.getvalue())
     index = folder / "index.html"
-    names = sorted(f"{kind}/{path.name}" for kind in FOLDERS for path in (folder / kind).iterdir() if path.is_file())
+    own = {f"figures/{name}.svg" for name in drawings} | {f"figures/{name}.png" for name in images}
+    own |= {f"tables/{each.name}.{kind}" for section in sections for each in section.sheets for kind in ("csv", "md")}
+    names = sorted(path for path in _present(folder) if path in own or path not in foreign)
     write_atomically(folder / FILES, json.dumps(names, indent=2).encode())
     write_atomically(index, page(facts, sections, commands, inline, front, images).encode())
     return index
@@ -108,6 +111,11 @@ def _written(folder: Path) -> list[str]:
     except (OSError, ValueError, TypeError):
         return []
     return [str(name) for name in names if len(name.parts) == 2 and name.parts[0] in FOLDERS and name.name != ".."]
+
+
+def _present(folder: Path) -> set[str]:
+    """The files in a report's folders, as `FILES` names them."""
+    return {f"{kind}/{path.name}" for kind in FOLDERS for path in (folder / kind).iterdir() if path.is_file()}
 
 
 def _png(drawn: Drawn) -> bytes:

@@ -3,23 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from certify.rounding import above, below
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.networks import Verdict, verdicts
 
 SHOWN = 8  # most boats with a line each
+FAR = 2.0  # times the error of the rule that predicts: free runs that are far off
 
 
-def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> list[str]:
+def stability(
+    ensemble: Ensemble,
+    state: EnsembleState,
+    boats: Sequence[str],
+    free: Mapping[str, Mapping[str, float | None]] | None = None,
+) -> list[str]:
     """A line for each RNN and boat, decided in rational arithmetic; for large fleets only the first boats.
+
+    Beside the proof stands the error of its free runs: a network that is contracting may still be wrong.
 
     Args:
         ensemble: to which the state belongs.
         state: leaves `(boats, …)`.
         boats: their names.
+        free: MAE of free runs, m/s, by boat and estimator; None if they are unknown.
 
     >>> from usvlearn import RNN
     >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
@@ -29,10 +39,37 @@ def stability(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) ->
     found = verdicts(ensemble, state, boats[:SHOWN])
     lines = []
     for name in next(iter(found.values()), {}):
-        lines += [f"{name} of {boat}: {_sentence(each[name])}" for boat, each in found.items()]
+        for boat, each in found.items():
+            beside = free_words(name, (free or {}).get(boat, {}), ensemble.output)
+            lines.append(f"{name} of {boat}: {_sentence(each[name])}{beside and f'; {beside}'}")
         if len(boats) > SHOWN:
             lines.append(f"{name}: {len(boats) - SHOWN} more boats: usvlearn certify on the run's folder")
     return lines
+
+
+def free_words(name: str, free: Mapping[str, float | None], output: str) -> str:
+    """How good a network's free runs are, in words; "" if that is unknown.
+
+    They are far off if they err FAR times as much as the rule that predicts, or no less than persistence, which keeps
+    the speed at which a segment starts.
+
+    Args:
+        name: of the network.
+        free: MAE of free runs, m/s, by estimator.
+        output: the rule that predicts.
+
+    >>> free_words("rnn", {"rnn": 0.17, "ensemble": 0.16}, "ensemble")
+    'free runs err by 0.170 m/s (ensemble 0.160)'
+    >>> free_words("rnn", {"rnn": 0.6, "ensemble": 0.1, "persistence": 0.5}, "ensemble")
+    'free runs are far off: they err by 0.600 m/s (ensemble 0.100, persistence 0.500)'
+    """
+    if (own := free.get(name)) is None:
+        return ""
+    others = {each: x for each in (output, PERSISTENCE) if (x := free.get(each)) is not None}
+    far = own > FAR * others.get(output, math.inf) or own >= others.get(PERSISTENCE, math.inf)
+    shown = {each: x for each, x in others.items() if far or each != PERSISTENCE}
+    beside = f" ({', '.join(f'{each} {x:.3f}' for each, x in shown.items())})" if shown else ""
+    return f"free runs {'are far off: they ' if far else ''}err by {own:.3f} m/s{beside}"
 
 
 def _sentence(verdict: Verdict) -> str:

@@ -15,7 +15,7 @@ from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.measure import measure_of
-from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean_mae
+from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
 from usvlearn.identified import sentences
 from usvlearn.report.terminal import Blocks
 from usvlearn.runs.board_tags import label
@@ -156,6 +156,21 @@ def error_tables(
     return Group(*filter(None, tables), *map(Text, notes))
 
 
+def fit_lines(results: Mapping[str, Any]) -> list[str]:
+    """The fit of the rule that predicts, one step ahead and in free runs, mean over boats; none without a speed.
+
+    >>> own = {"fit": 95.25}
+    >>> free = {"a": {"ensemble": 61.0}}
+    >>> print(*fit_lines({"output": "ensemble", "boats": {"a": {"ensemble": own}}, "free_fit": free}))
+    Fit of ensemble, 100 (1 - NRMSE): 95.2 % one step ahead, 61.0 % in free runs
+    """
+    name = results["output"]
+    near = mean(rows[name]["fit"] for rows in results["boats"].values())
+    free = mean(rows[name] for rows in results.get("free_fit", {}).values())
+    said = [f"{x:.1f} % {how}" for x, how in ((near, "one step ahead"), (free, "in free runs")) if x is not None]
+    return [f"Fit of {name}, 100 (1 - NRMSE): {', '.join(said)}"] if said else []
+
+
 def alarm_lines(alarms: Mapping[str, Sequence[Mapping]]) -> list[str]:
     """A line for each alarm, below an empty one.
 
@@ -191,11 +206,15 @@ def identified_table(found: Mapping[str, Identified], truth: Mapping[str, Mappin
             table.group(boat)
         known = truth.get(boat, {})
         for name in (name for name in quantities if not (several and name in SURGE)):
-            *numbers, unit = quantities[name]
+            *numbers, unit = quantities.told(name)
             true = [shown(known[name]) if name in known else "–"] if truth else []
             table.add(name, *map(shown, numbers), *true, unit)
     more = ["The nine parameters of each boat are in results.json and in the report."] if several else []
-    return Group(Text(), table, *map(Text, [MEANING, *sentences(found), *more]))
+    if any(each.unknown for each in found.values()):
+        more.append("–: not known yet; the interval is wider than what such a boat can have.")
+    wrong = [f"WARNING: {boat}: {each.unphysical}" for boat, each in found.items() if each.unphysical]
+    told = [each for each in sentences(found) if not any(each in one for one in wrong)]
+    return Group(Text(), table, *map(Text, [MEANING, *told, *more]), *(Text(f"\n{each}", "bold red") for each in wrong))
 
 
 def short_settings(settings: Mapping[str, str], keys: Sequence[str]) -> str:
@@ -220,15 +239,27 @@ def summary_lines(results: Mapping, folder: Path) -> list[str]:
                  then http://localhost:6006/?smoothing=0#timeseries
     """
     measure, value = measure_of(results["measure"], ""), results["objective"]
-    folder = folder.relative_to(here) if folder.is_relative_to(here := Path.cwd()) else folder
+    folder = from_here(folder)
     fleet = "&runFilter=fleet%2F" if len(results.get("boats", {})) > 1 else ""  # at first the means over boats
     return [
         f"{measure.title()}: {measure.shown(value)}; {results['seconds']:.1f} s",
         f"files        {folder}: {RESULTS}, {ERRORS}, {PREDICTIONS}, {CHECKPOINTS}",
         f"report       {program('evaluate')} runs={shlex.quote(str(folder))}",
-        f"TensorBoard  tensorboard --logdir {shlex.quote(str(folder / TENSORBOARD))}",
-        f"             then http://localhost:6006/?smoothing=0{fleet}#timeseries",
+        *board_lines(folder / TENSORBOARD, f"?smoothing=0{fleet}#timeseries"),
         *([TOGGLE] if fleet else []),
+    ]
+
+
+def from_here(folder: Path) -> Path:
+    """A folder below the current one, named from there; else as it is."""
+    return folder.relative_to(here) if folder.is_relative_to(here := Path.cwd()) else folder
+
+
+def board_lines(folder: Path, page: str) -> list[str]:
+    """The command that starts TensorBoard, and the address of a page of it."""
+    return [
+        f"TensorBoard  tensorboard --logdir {shlex.quote(str(from_here(folder)))}",
+        f"             then http://localhost:6006/{page}",
     ]
 
 

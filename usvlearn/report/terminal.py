@@ -13,9 +13,20 @@ from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions
 from rich.text import Text
 
+from usvlearn.errors import drop_output, folded
+
 UNLIMITED = 100_000  # columns of a file or a pipe
 GAP, RULE = "  ", "─"
 LEAST = 6  # least width, in columns, of a text that is folded
+
+
+class _Console(Console):
+    """A console whose command goes on, and writes its files, where the reader of a pipe has gone, as `head` does."""
+
+    def on_broken_pipe(self) -> None:
+        """Drop what is printed from now on."""
+        self.quiet = True
+        drop_output()
 
 
 def console(quiet: bool = False) -> Console:
@@ -24,10 +35,17 @@ def console(quiet: bool = False) -> Console:
     Args:
         quiet: whether nothing is printed.
     """
-    found = Console(markup=False, quiet=quiet, force_jupyter=False)
+    found = _Console(markup=False, quiet=quiet, force_jupyter=False)
     if not found.is_terminal and "COLUMNS" not in os.environ:
         found.width = UNLIMITED
     return found
+
+
+def show(*parts: str | Text | Blocks, to: Console | None = None) -> None:
+    """Print sentences, paths and commands, whose lines are broken between words, tables, and Text as it is."""
+    to = to or console()
+    for part in parts:
+        to.print(folded(part, to.width) if isinstance(part, str) else part, soft_wrap=not isinstance(part, Blocks))
 
 
 class Blocks:

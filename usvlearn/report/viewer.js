@@ -3,7 +3,7 @@
 (() => {
   const $ = (id) => document.getElementById(id);
   const data = JSON.parse($("viewer-data").textContent);
-  const hidden = new Set(); // estimators that are not drawn
+  const hidden = new Set(data.hidden); // estimators that are not drawn
   let columns = [], waiting = false;
 
   function draw() {

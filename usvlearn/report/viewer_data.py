@@ -20,7 +20,7 @@ import numpy as np
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.figures import SIDES, colours, main_estimators
+from usvlearn.figures import PAPER, SIDES, colours, main_estimators
 from usvlearn.signals import masks
 
 BUDGET = 1_500_000  # numbers; 4 MB in a page
@@ -38,7 +38,9 @@ def viewer_data(ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str
         seasons: of all boats.
         free: each boat's free runs (`usvlearn.evaluation.free_simulation.free_runs`).
     """
-    shown = main_estimators(ensemble.names, ensemble.output)
+    own = main_estimators(ensemble.weighed, ensemble.output)
+    hidden = [name for name in PAPER if name in ensemble.names and name not in own]
+    shown = [*hidden, *own]
     columns = [ensemble.names.index(name) for name in shown]
     steps = sum(len(run.time) for season in seasons for run in season.runs)
     total = steps * (8 + 2 * len(shown))
@@ -48,7 +50,8 @@ def viewer_data(ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str
         for season in seasons
         for run, made in zip(season.runs, free[season.boat], strict=True)
     ]
-    return {"output": ensemble.output, "shown": shown, "colours": colours(shown), "sides": SIDES, "runs": runs}
+    about = {"output": ensemble.output, "shown": shown, "hidden": hidden, "colours": colours(shown), "sides": SIDES}
+    return {**about, "runs": runs}
 
 
 def _run(run: SeasonRun, free: FreeRun, shown: Sequence[str], columns: Sequence[int], size: int) -> dict[str, Any]:

@@ -35,8 +35,9 @@ def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Tru
         if found is None:
             return None
         known = truth.get(season.boat, {})
-        for name, (value, low, high, unit) in found.items():
-            rows.append((season.boat, name, unit, value, low, high, known.get(name)))
+        for name, (_, low, high, _) in found.items():
+            value, start, end, unit = found.told(name)
+            rows.append((season.boat, name, unit, value, start, end, known.get(name)))
             if name in known:
                 held.append(low <= known[name] <= high)
         boats[season.boat] = found

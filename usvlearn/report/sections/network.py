@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,10 +13,12 @@ from certify.figures import equilibria_figure
 from certify.rounding import above, below, float_above, float_below
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.rnn.layer import RNN, lane_weights
+from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.season import Season
 from usvlearn.report.result_table import ResultTable
 from usvlearn.report.season_figures import certificates_figure
 from usvlearn.report.section import Drawn, Section
+from usvlearn.report.stability import SHOWN, free_words
 
 PAPER_RESULT = (
     "The contraction condition was a cost in training, and the app showed whether it held. The share of time at which "
@@ -26,7 +28,7 @@ DRAWN = (-0.1, 0.5)  # of x, the speeds at which boats run
 HEADINGS = 24  # at which equilibria are looked for
 
 
-def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
+def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mapping[str, FreeErrors]) -> Section | None:
     """Margins at every saved set, in rational arithmetic, and the equilibria of each boat's last network.
 
     None where the ensemble has no network.
@@ -34,6 +36,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
     Args:
         seasons: of all boats.
         ensemble: to which the sets belong; its first RNN is looked at.
+        errors: of each boat's cross-validation.
     """
     members = {name: member for name, member in ensemble.members.items() if isinstance(member, RNN)}
     if not members:
@@ -63,6 +66,12 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | 
                      max(places, default=None), kinds or "none"))  # fmt: skip
     steps = sum(len(boats) for boats in rates.values())
     here = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
+    beside = {s.boat: free_words(name, errors[s.boat].unseen(s), ensemble.output) for s in seasons[:SHOWN]}
+    here += [f"{boat}, {name}: {words}." for boat, words in beside.items() if words]
+    if any(beside.values()):
+        here.append(
+            "Contraction means that simulations approach each other, not that they are near the measured speed."
+        )
     here.append(
         "A network that satisfies the paper's condition (K < ¼) has a time constant below 0.72 steps, and no hull is "
         "so fast. tight (K < 1) is the weakest condition that covers all activation patterns."

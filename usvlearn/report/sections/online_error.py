@@ -19,7 +19,7 @@ PAPER_RESULT = (
 )
 LABEL = "|predicted − measured| one step ahead, m/s"
 LEAST = 2e-3  # m/s, the start of the figure's axis: far below the resolution of a measured speed
-COLUMNS = ("mae", "median", "rmse", "skill", "coverage")
+COLUMNS = ("mae", "median", "rmse", "fit", "skill", "coverage")
 
 
 def online_section(
@@ -61,8 +61,9 @@ def online_section(
     if not rows:
         here = ["The runs that were given were not replayed in these folders, so that there are no online predictions."]
         return Section("online", "Online prediction error", PAPER_RESULT, here)
-    columns = ("boat", "method", "MAE, m/s", "median, m/s", "RMSE, m/s", "skill", "coverage of the 90 % interval",
-               "steps", "not finite", "run time, h", "mean speed, m/s", "remark")  # fmt: skip
+    columns = ("boat", "method", "MAE, m/s", "median, m/s", "RMSE, m/s", "fit, %", "skill",
+               "coverage of the 90 % interval", "steps", "not finite", "run time, h", "mean speed, m/s",
+               "remark")  # fmt: skip
     order = by_error(mean_errors(maes))  # of all panels
     boxes = {boat: {name: row[name] for name in order} for boat, row in boxes.items()}
     return Section(
