@@ -142,6 +142,7 @@ MISTAKES: dict[str, tuple[Callable[[Log], Log], Sequence[str]]] = {
     "left side reversed": (times(-1, "command_left"), ("side reversed",)),
     "right side reversed": (times(-1, "command_right"), ("side reversed",)),
     "both sides reversed": (times(-1, *COMMANDS), ("side reversed", "sides or heading")),
+    "both sides reversed and swapped": (then(swapped, times(-1, *COMMANDS)), ("side reversed",)),
     "sides swapped": (swapped, ("sides or heading",)),
     "sides swapped, with positions": (then(with_positions, swapped), ("sides swapped", "sides or heading")),
     "speed 100 s late": (late, ("delay",)),

@@ -233,7 +233,9 @@ def least_squares(boat: Boat, kind: str) -> tuple[Errors, Tensor]:
     use = (steps[1:] & departs[:-1])[:, 0]
     before, target, command = x[:-1, 0][use], x[1:, 0][use], u[1:, 0][use]
     axes = [[0], [1], [2]] if kind == "axis" else [[0, 1, 2]]
-    fits = [torch.linalg.lstsq(features(before[:, a], command, kind), target[:, a]).solution for a in axes]
+    fits = [
+        torch.linalg.lstsq(features(before[:, a], command, kind), target[:, a], driver="gelsd").solution for a in axes
+    ]
 
     def step(x: Tensor, u: Tensor) -> Tensor:
         pairs = zip(axes, fits, strict=True)

@@ -1,0 +1,373 @@
+"""Which tests see a fault: 60 places of the sources are changed one by one, and the tests that ought to fail are run.
+
+    python benchmarks/mutations.py                 try those of mutations.json beside this, draw missing ones
+    python benchmarks/mutations.py --again         try the places of mutations.json alone, wherever their files are now
+    python benchmarks/mutations.py --survivors     try again those alone that no test saw
+
+A place is named by its function, its expression and what the expression becomes. A line number or a file's name would
+be lost where code moves. Every change is made in a copy of the repository. The tests of a group run in the order below,
+narrow ones first, until one fails. A change that makes them compute longer than `--seconds` counts as seen, and is told
+as such. Results are written one by one, and a run that was stopped continues with the places that are left: a result
+holds as long as the source file is the same, and if no test saw the change, as long as the tests are, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import copy
+import hashlib
+import json
+import os
+import random
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+TABLE = Path(__file__).with_suffix(".json")
+SEED = 33
+LIMIT = 300.0  # s of CPU, of one place
+MEMORY = 8 << 30  # bytes of one place: a changed size may ask for all there is
+NUMBERS = (0, 1)  # constants that are exchanged; others are doubled
+COMPARED: dict[type[ast.cmpop], type[ast.cmpop]] = {
+    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
+}  # fmt: skip
+COMPUTED: dict[type[ast.operator], type[ast.operator]] = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,
+    ast.LShift: ast.RShift, ast.RShift: ast.LShift, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd,
+}  # fmt: skip
+NAMES = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "any": "all", "all": "any"}
+
+
+class Group(NamedTuple):
+    """Sources, how many places are drawn from them, and the tests that ought to see a change."""
+
+    sources: tuple[str, ...]  # patterns below the repository
+    places: int
+    tests: tuple[str, ...]
+    compiled: bool = True  # whether the tests need numba; without it a change is not compiled first
+
+
+def named(folder: str, names: str) -> tuple[str, ...]:
+    """The test files of a folder by the middle of their names."""
+    return tuple(f"tests/{folder}/test_{name}.py" for name in names.split())
+
+
+GROUPS = {
+    "certify": Group(
+        tuple(f"certify/vector_{name}*.py" for name in ("a", "b*e", "c", "e", "f", "l", "p", "r", "sc", "w")),
+        18,
+        named(
+            "certify",
+            "vector_exact vector_certificate vector_scaling vector_projections vector_lmi learning vector_box",
+        ),
+    ),
+    "certify_box": Group(
+        tuple(f"certify/vector_{name}.py" for name in ("box", "box_proof", "box_search", "slopes", "statements")),
+        8,
+        named("certify", "vector_slopes vector_box steps"),
+    ),
+    "live": Group(
+        ("usvlearn/live/*.py",),
+        10,
+        named("live", "arguments prior systemd ros2 ros2_node ros2_parameters session replay node"),
+    ),
+    "export": Group(("usvlearn/export/*.py",), 7, named("export", "formats command")),
+    "joint": Group(("usvlearn/estimators/joint/*.py",), 6, named("estimators", "joint"), False),
+    "forecasts": Group(("usvlearn/estimators/ensemble/forecasts/*.py",), 4, named("estimators", "forecasts"), False),
+    "logs": Group(
+        ("usvlearn/logs/*.py",),
+        7,
+        named(
+            "logs",
+            "survey topics setup mixing csv_dialects relations velocities derived_surge decompress copies readers "
+            "align read",
+        ),
+    ),
+}
+ALWAYS = (  # what an adversary changed, and no test saw
+    ("certify", "_claims", "2", "4", 0),
+)
+
+
+class Place(NamedTuple):
+    """One change of one expression."""
+
+    group: str
+    function: str  # with its class
+    expression: str
+    becomes: str
+    count: int  # of the same change in the same function before it
+
+
+class Visitor(ast.NodeVisitor):
+    """Every change of a module: its function, the node, and the node that takes its place."""
+
+    def __init__(self) -> None:
+        self.scope: list[str] = []
+        self.found: list[tuple[str, ast.AST, ast.AST]] = []
+
+    def _scoped(self, node: ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef) -> None:
+        self.scope.append(node.name)
+        for child in node.body:
+            self.visit(child)
+        self.scope.pop()
+
+    visit_ClassDef = visit_FunctionDef = visit_AsyncFunctionDef = _scoped
+
+    def visit(self, node: ast.AST) -> None:
+        if isinstance(node, (ast.Raise, ast.Assert, ast.AnnAssign)) or _is_text(node):
+            return  # messages and docstrings
+        if self.scope:
+            others = (other for other in changes(node) if shown(other) != shown(node))
+            self.found += [(".".join(self.scope), node, other) for other in others]
+        super().visit(node)
+
+
+def _is_text(node: ast.AST) -> bool:
+    return isinstance(node, ast.JoinedStr) or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+
+
+def changes(node: ast.AST) -> Iterator[ast.AST]:
+    """What may take the place of a node.
+
+    >>> [ast.unparse(other) for other in changes(ast.parse("a < b", mode="eval").body)]
+    ['a <= b']
+    """
+    other: Any = copy.deepcopy(node)
+    if isinstance(node, ast.Compare) and type(node.ops[0]) in COMPARED:
+        other.ops[0] = COMPARED[type(node.ops[0])]()
+    elif isinstance(node, (ast.BinOp, ast.AugAssign)) and type(node.op) in COMPUTED:
+        other.op = COMPUTED[type(node.op)]()
+        if isinstance(node, ast.AugAssign):
+            yield ast.Pass()
+    elif isinstance(node, ast.BoolOp):
+        other.op = ast.Or() if isinstance(node.op, ast.And) else ast.And()
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, (ast.Not, ast.USub)):
+        other = other.operand
+    elif isinstance(node, ast.IfExp):
+        other.body, other.orelse = other.orelse, other.body
+    elif isinstance(node, ast.If):
+        other.test = ast.UnaryOp(ast.Not(), other.test)
+    elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        other.value = 1 - node.value if node.value in NUMBERS else 2 * node.value
+    elif isinstance(node, ast.Call) and (name := getattr(node.func, "id", getattr(node.func, "attr", ""))) in NAMES:
+        setattr(other.func, "id" if isinstance(node.func, ast.Name) else "attr", NAMES[name])
+    elif isinstance(node, ast.Call) and len(node.args) == 2 and not any(isinstance(x, ast.Starred) for x in node.args):
+        other.args.reverse()
+    else:
+        return
+    yield other
+
+
+def shown(node: ast.AST) -> str:
+    """The node as text, in one line; of a branch the condition."""
+    text = ast.unparse(node.test) if isinstance(node, ast.If) else ast.unparse(node)
+    return f"if {text}" if isinstance(node, ast.If) else " ".join(text.split())
+
+
+def places(group: str, source: Path) -> Iterator[tuple[Place, ast.AST, ast.AST]]:
+    """The places of a source file, and both nodes of each."""
+    visitor, seen = Visitor(), Counter[tuple[str, str, str]]()
+    visitor.visit(ast.parse(source.read_text()))
+    for function, node, other in visitor.found:
+        key = function, shown(node), shown(other)
+        yield Place(group, *key, seen[key]), node, other
+        seen[key] += 1
+
+
+def changed(source: Path, node: ast.AST, other: ast.AST) -> str:
+    """The text of a source file with another node in the place of one."""
+    lines = source.read_bytes().splitlines(keepends=True)
+    target: Any = node.test if isinstance(node, ast.If) else node
+    new: Any = other.test if isinstance(other, ast.If) else other
+    text = ast.unparse(new) if isinstance(new, ast.stmt) else f"({ast.unparse(new)})"
+    first, last = target.lineno - 1, target.end_lineno - 1
+    head, tail = lines[first][: target.col_offset], lines[last][target.end_col_offset :]
+    joined = head + text.encode() + b"\n" * (last - first) * isinstance(new, ast.stmt) + tail
+    return b"".join([*lines[:first], joined, *lines[last + 1 :]]).decode()
+
+
+def every_place(root: Path) -> dict[Place, tuple[Path, ast.AST, ast.AST]]:
+    """All places by name; of two equal names in different files the first file's."""
+    found: dict[Place, tuple[Path, ast.AST, ast.AST]] = {}
+    for group, each in GROUPS.items():
+        for source in sorted(path for pattern in each.sources for path in root.glob(pattern)):
+            for place, node, other in places(group, source):
+                found.setdefault(place, (source, node, other))
+    return found
+
+
+def drawn(known: dict[Place, tuple[Path, ast.AST, ast.AST]]) -> list[Place]:
+    """The places of each group, from one seed, as evenly over its files and functions as they come."""
+    rng, chosen = random.Random(SEED), [Place(*each) for each in ALWAYS]
+    for group, each in GROUPS.items():
+        own: dict[Path, list[Place]] = {}
+        for place, (source, *_) in known.items():
+            if place.group == group:
+                own.setdefault(source, []).append(place)
+        files, taken = list(own.values()), [place for place in chosen if place.group == group]
+        rng.shuffle(files)
+        for of_file in files:
+            rng.shuffle(of_file)
+        while len(taken) < min(each.places, sum(map(len, own.values()))):
+            taken += [of_file.pop() for of_file in files[: each.places - len(taken)] if of_file]
+        chosen += [place for place in taken if place not in chosen]
+    return chosen
+
+
+def filled(named: list[Place], new: list[Place], known: dict[Place, Any]) -> list[Place]:
+    """The places of the table that exist, and of each group as many new ones as it lacks."""
+    kept = [place for place in named if place in known]
+    lacking = Counter({group: each.places for group, each in GROUPS.items()}) - Counter(place.group for place in kept)
+    for place in new:
+        if place not in kept and lacking[place.group] > 0:
+            kept.append(place)
+            lacking[place.group] -= 1
+    return kept
+
+
+def copied(root: Path, folder: Path) -> Path:
+    """Copy the tracked files and new ones; the folder is always the same, so that compiled code is found again."""
+    folder = folder.resolve()
+    if folder == root:
+        raise SystemExit(f"--folder: found {folder}, expected another folder than the repository's own")
+    listed = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], cwd=root, capture_output=True, text=True)
+    for name in listed.stdout.splitlines():
+        target = folder / name
+        if (root / name).is_file() and not (target.exists() and target.read_bytes() == (root / name).read_bytes()):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(root / name, target)
+    for stale in (path for pattern in ("certify", "usvlearn", "tests") for path in (folder / pattern).rglob("*.py")):
+        if not (root / stale.relative_to(folder)).exists():
+            stale.unlink()
+    return folder
+
+
+def tried(folder: Path, source: Path, text: str, group: Group, seconds: float) -> dict[str, Any]:
+    """Run the tests on a changed file, and put it back: the first test that fails, or None."""
+    environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
+    if not group.compiled:
+        environment["NUMBA_DISABLE_JIT"] = "1"
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-rfE"]
+    tests = [name for name in group.tests if (folder / name).exists()]
+    tests.sort(key=lambda name: source.stem not in name)  # the source's own tests first
+    before, began = source.read_text(), time.perf_counter()
+
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds) + 5))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+
+    source.write_text(text)
+    try:
+        ran = subprocess.Popen(
+            [*command, *tests], cwd=folder, env=environment, text=True, start_new_session=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, preexec_fn=limited,
+        )  # fmt: skip
+        try:
+            output, killed = ran.communicate(timeout=10 * seconds)[0], None
+            if ran.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+                raise subprocess.TimeoutExpired(command, seconds)
+            if ran.returncode:
+                failed = re.search(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
+                killed = failed[1] if failed else " ".join(output.split())[-120:]
+        except subprocess.TimeoutExpired:
+            killed = f"longer than {seconds:g} s"
+        finally:
+            if ran.poll() is None:
+                os.killpg(ran.pid, signal.SIGKILL)
+                ran.communicate()
+    finally:
+        source.write_text(before)
+    return {"killed_by": killed, "seconds": round(time.perf_counter() - began, 1)}
+
+
+def holds(row: dict[str, Any], text: str, folder: Path, group: Group) -> bool:
+    """Whether a result is about this source; that no test saw it, also about these tests."""
+    return row.get("about") == about(text, folder, group if row.get("killed_by") is None else None)
+
+
+def about(text: str, folder: Path, group: Group | None) -> str:
+    """The sha256 of a changed source, and of the tests of a group."""
+    total = hashlib.sha256(text.encode())
+    for name in group.tests if group else ():
+        if (folder / name).exists():
+            total.update((folder / name).read_bytes())
+    return total.hexdigest()[:16]
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """The results in Markdown."""
+    seen = sum(row["killed_by"] is not None for row in rows if "lost" not in row)
+    late = sum(str(row.get("killed_by")).startswith("longer") for row in rows)
+    lost = sum("lost" in row for row in rows)
+    lines = [f"{seen} of {len(rows)} seen by a test ({late} by the time limit), {len(rows) - seen - lost} not"]
+    lines += ["", "| group | function | from | to | seen by |", "|---|---|---|---|---|"]
+    for row in rows:
+        cells = [row["group"], row["function"], row["expression"], row["becomes"]]
+        cells += ["lost: no such place" if "lost" in row else row["killed_by"] or "**no test**"]
+        lines.append("| " + " | ".join(cell.replace("|", "\\|")[:110] for cell in cells) + " |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Try the places; prints a line for each, then the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--again", action="store_true", help="the places of the table, and no new ones")
+    parser.add_argument("--survivors", action="store_true", help="those of the table that no test saw")
+    parser.add_argument("--group", choices=GROUPS, nargs="+", help="the places of these groups alone")
+    parser.add_argument("--folder", type=Path, help="of the copy, which is changed (default: a temporary one)")
+    parser.add_argument("--show", action="store_true", help="print the table as it is")
+    parser.add_argument("--seconds", type=float, default=LIMIT, help=f"CPU time of one place (default: {LIMIT:g})")
+    options = parser.parse_args()
+    before = json.loads(TABLE.read_text()) if TABLE.exists() else []
+    if options.show:
+        print(table(before))
+        return 0
+    name = "-".join(["mutations", *(options.group or GROUPS)])
+    folder = copied(ROOT, options.folder or Path(tempfile.gettempdir()) / name)
+    known = every_place(folder)
+    named = [Place(*(row[key] for key in Place._fields)) for row in before]
+    wanted = named if options.again or options.survivors else filled(named, drawn(known), known)
+    rows = {place: row for place, row in zip(named, before, strict=True) if place in wanted}
+    for k, place in enumerate(wanted, 1):
+        old = rows.get(place, {})
+        skipped = place.group not in (options.group or GROUPS) or (options.survivors and old.get("killed_by"))
+        if place not in known or skipped:
+            if not skipped:
+                rows[place] = {**place._asdict(), "lost": True, "killed_by": None}
+            continue
+        source, node, other = known[place]
+        text, group = changed(source, node, other), GROUPS[place.group]
+        try:
+            ast.parse(text)
+        except SyntaxError as error:
+            raise SystemExit(f"{place}: the change is no Python: {error}") from error
+        if holds(old, text, folder, group):
+            continue
+        found = tried(folder, source, text, group, options.seconds)
+        tested = group if found["killed_by"] is None else None
+        rows[place] = {**place._asdict(), **found, "about": about(text, folder, tested)}
+        print(f"{k}/{len(wanted)} {' | '.join(map(str, place[:4]))}: {rows[place]['killed_by']}", flush=True)
+        stored = json.loads(TABLE.read_text()) if TABLE.exists() else []  # by another process, of other groups
+        kept = {Place(*(row[key] for key in Place._fields)): row for row in stored} | {place: rows[place]}
+        TABLE.write_text(
+            json.dumps([kept[each] for each in wanted if each in kept], indent=1, ensure_ascii=False) + "\n"
+        )
+    print(table([rows[each] for each in wanted if each in rows]))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,78 @@
+"""The benchmark of mutations: places are found again where files move, and a change is seen or not by real tests."""
+
+import ast
+import json
+
+import mutations
+import pytest
+
+SOURCE = """def clipped(x, most):
+    \"\"\"x, at most `most`.\"\"\"
+    if x > most:
+        return most
+    return x
+
+
+class Sum:
+    def add(self, x):
+        self.total += x
+        return self.total + 1
+"""
+
+
+def test_the_places_of_the_table_are_in_the_sources():
+    known = mutations.every_place(mutations.ROOT)
+    rows = json.loads(mutations.TABLE.read_text())
+    assert len({tuple(row[key] for key in mutations.Place._fields) for row in rows}) == len(rows) > 0
+    lost = [row for row in rows if mutations.Place(*(row[key] for key in mutations.Place._fields)) not in known]
+    assert not lost, f"rename them in {mutations.TABLE.name}, or draw others: {lost}"
+
+
+def test_a_change_changes_its_place_alone(tmp_path):
+    source = tmp_path / "clip.py"
+    source.write_text(SOURCE)
+    found = list(mutations.places("any", source))
+    shown = [(place.function, place.expression, place.becomes) for place, *_ in found]
+    assert ("clipped", "x > most", "x >= most") in shown and ("Sum.add", "self.total += x", "pass") in shown
+    for _, node, other in found:
+        text = mutations.changed(source, node, other)
+        wrong = [k for k, (a, b) in enumerate(zip(SOURCE.split("\n"), text.split("\n"), strict=True)) if a != b]
+        assert len(wrong) == 1 and ast.dump(ast.parse(text)) != ast.dump(ast.parse(SOURCE))
+    lower = tmp_path / "lower.py"
+    lower.write_text("import math\n\n\n" + SOURCE)
+    assert [place for place, *_ in mutations.places("any", lower)] == [place for place, *_ in found]
+
+
+def test_the_draw_is_the_same_each_time():
+    known = mutations.every_place(mutations.ROOT)
+    once, again = mutations.drawn(known), mutations.drawn(known)
+    assert once == again and len(set(once)) == len(once) == 60
+
+
+def test_places_of_the_table_stay_and_missing_ones_are_drawn():
+    known = mutations.every_place(mutations.ROOT)
+    new = mutations.drawn(known)
+    other = next(place for place in known if place.group == "export" and place not in new)
+    gone = other._replace(function="gone")
+    wanted = mutations.filled([other, gone], new, known)
+    assert wanted[0] == other and gone not in wanted and len(wanted) == len(new)
+    assert sum(place.group == "export" for place in wanted) == mutations.GROUPS["export"].places
+
+
+@pytest.mark.parametrize(
+    ("check", "seconds", "seen"),
+    [
+        ("assert clipped(3, 2) == 2 == clipped(2, 2)", 60, None),
+        ("assert type(clipped(2.0, 2)) is float", 60, "test_clip.py::test_clipped"),
+        ("while type(clipped(2.0, 2)) is int: pass", 2, "longer than 2 s"),
+    ],
+)
+def test_a_change_is_seen_by_the_test_that_fails(tmp_path, check, seconds, seen):
+    source = tmp_path / "clip.py"
+    source.write_text(SOURCE)
+    (tmp_path / "test_clip.py").write_text(f"from clip import clipped\n\n\ndef test_clipped():\n    {check}\n")
+    changes = {place.becomes: (node, other) for place, node, other in mutations.places("any", source)}
+    group = mutations.Group(("*.py",), 1, ("test_clip.py",))
+    text = mutations.changed(source, *changes["x >= most"])
+    assert mutations.tried(tmp_path, source, text, group, seconds)["killed_by"] == seen
+    assert source.read_text() == SOURCE
