@@ -35,7 +35,7 @@ WITHOUT = """
 import sys
 sys.modules.update(dict.fromkeys(["torch", "scipy", "hydra", "omegaconf", "rich"]))
 from usvlearn.__main__ import main
-assert main(["{name}", "--help"]) == 2
+assert main(["{name}", "--help=all"]) == 2
 """
 
 
