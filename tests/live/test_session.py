@@ -475,6 +475,26 @@ def test_a_channel_that_comes_too_seldom_is_never_ok(tmp_path, start):
     assert {(state, sentence.partition(";")[0]) for at, state, sentence, _ in found if at > 2} == {("waiting", wanted)}
 
 
+def test_a_channel_that_becomes_too_seldom_stays_so_between_its_messages(tmp_path, start):
+    """It was ok after each heading, and stale before the next one, because two of them had once come quickly."""
+    with ready(tmp_path, start) as session:
+        found, heard, begin = [], {}, time.monotonic()
+        for name, stamp, value in slowed("heading", 6.7, begin=40.0):
+            session.push(name, stamp, value)
+            heard[name] = begin + stamp - 1.7e9
+            if stamp - 1.7e9 >= len(found) + 1:
+                session._listening.heard = dict(heard)
+                health = session.tick(clock=begin + len(found) + 1)
+                found.append((len(found) + 1, health.state, health.sentence, health.warnings))
+    assert {state for at, state, *_ in found if 5 < at < 40} == {"ok"}
+    late = [row for row in found if row[0] > 80]
+    assert {row[1] for row in late} == {"stale", "sparse"}
+    assert all("heading (HEADING) fell silent 3 times within a minute" in str(row[3]) for row in late)
+    assert {s.partition(";")[0] for _, state, s, _ in late if state == "sparse"} == {
+        "many steps are lost, because of heading (HEADING)"
+    }
+
+
 def test_a_channel_that_slows_down_and_recovers_is_told_and_forgotten(tmp_path, start):
     changes = channel_options({"heading.window": "0.25"})
     with ready(tmp_path, start, channels=changes) as session:

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from usvlearn.live.node import Node
 
 SPAN, LEAST = 30.0, 15  # s of steps that are judged, and as many steps at least
+SILENCES, MINUTE = 3, 60  # silences of a channel within as many looks, from which on it comes too seldom
 FRESH, MEASURED = 0.75, 0.5  # shares of the steps, and of the speeds that come, below which many are lost
 
 
@@ -47,6 +48,9 @@ class Usable:
             self._auto |= {channel} if source.window == AUTO else set()
         self._counts: deque[_Count] = deque()
         self._cause: tuple[str, str, Cause] | None = None  # channel, kind, and what is told as long as they stay
+        self._looks = 0
+        self._silent: set[str] = set()  # parts that are silent now
+        self._silences: dict[str, deque[int]] = {}  # part -> looks at which its last silences began
 
     def judged(self, node: Node, ages: Mapping[str, float]) -> Cause | None:
         """Why many of the last steps were lost; None if they were not, or if the node has made too few to tell.
@@ -60,7 +64,8 @@ class Usable:
             stale["heading"] = max(stale["heading"], stale.pop("yaw_rate", 0))
         now = _Count(node.grid, node.fresh, node.measured, stale)
         longest = {part: math.inf if source.held else MOST_WINDOW for part, source in node.parts.items()}
-        silent = any(age > longest[part] or math.isinf(age) for part, age in ages.items())
+        silent = {part for part, age in ages.items() if age > longest[part] or math.isinf(age)}
+        seldom = self._seldom(silent)
         if silent or (self._counts and now.steps < self._counts[-1].steps):
             self._counts.clear()
         self._counts.append(now)
@@ -70,7 +75,23 @@ class Usable:
         found = self._lost(node, self._counts[0], now) if now.steps - self._counts[0].steps >= wanted else None
         if found is None or self._cause is None or self._cause[:2] != found[:2]:
             self._cause = found
-        return None if self._cause is None else self._cause[2]
+        return seldom or (None if self._cause is None else self._cause[2])
+
+    def _seldom(self, silent: set[str]) -> Cause | None:
+        """Why steps are lost if a part falls silent again and again: no window spans its interval."""
+        self._looks += 1
+        for part in silent - self._silent:
+            self._silences.setdefault(part, deque(maxlen=SILENCES)).append(self._looks)
+        self._silent = silent
+        for part, began in self._silences.items():
+            if len(began) == SILENCES and self._looks - began[0] <= MINUTE:
+                name = self._names[part.partition("[")[0]]
+                return Cause(
+                    f"many steps are lost, because of {name}",
+                    f"{name} fell silent {SILENCES} times within a minute: its messages come less often than every "
+                    f"{MOST_WINDOW:g} s, the longest window: send it more often",
+                )
+        return None
 
     def _lost(self, node: Node, before: _Count, now: _Count) -> tuple[str, str, Cause] | None:
         steps, fresh, measured = (b - a for a, b in zip(before[:3], now[:3], strict=True))

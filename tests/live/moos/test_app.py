@@ -302,7 +302,7 @@ def test_a_plan_that_is_posted_is_answered(tmp_path):
             assert rows.startswith("0.4=") and rows.count(",") == 74
             assert error.startswith("error: plan: found left 50 in row 1")
             assert json.loads(last)["id"] == 2 and len(json.loads(last)["surge"]) == 75
-            assert node.counts["plan"]["refused"] == 1
+            assert node.counts["plan"]["refused"] in (1, 1 + len(early))  # an early one came before the node or to it
             assert not database.refused
 
     asyncio.run(work())
