@@ -255,6 +255,15 @@ def copied(root: Path, folder: Path) -> Path:
     return folder
 
 
+def collected(folder: Path) -> None:
+    """Refuse a copy whose tests cannot even be collected: each change would count as seen."""
+    tests = sorted({name for group in GROUPS.values() for name in group.tests if (folder / name).exists()})
+    command = [sys.executable, "-m", "pytest", "-q", "--collect-only", *tests]
+    ran = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if ran.returncode:
+        raise SystemExit(f"the tests cannot be collected without a change:\n{ran.stdout[-500:]}{ran.stderr[-500:]}")
+
+
 def tried(folder: Path, source: Path, text: str, group: Group, seconds: float) -> dict[str, Any]:
     """Run the tests on a changed file, and put it back: the first test that fails, or None."""
     environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
@@ -337,6 +346,7 @@ def main() -> int:
         return 0
     name = "-".join(["mutations", *(options.group or GROUPS)])
     folder = copied(ROOT, options.folder or Path(tempfile.gettempdir()) / name)
+    collected(folder)
     known = every_place(folder)
     named = [Place(*(row[key] for key in Place._fields)) for row in before]
     wanted = named if options.again or options.survivors else filled(named, drawn(known), known)
