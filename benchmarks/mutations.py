@@ -84,8 +84,17 @@ GROUPS = {
         named("live", "arguments prior systemd ros2 ros2_node ros2_parameters session replay node"),
     ),
     "export": Group(("usvlearn/export/*.py",), 7, named("export", "formats command")),
-    "joint": Group(("usvlearn/estimators/joint/*.py",), 6, named("estimators", "joint"), False),
-    "forecasts": Group(("usvlearn/estimators/ensemble/forecasts/*.py",), 4, named("estimators", "forecasts"), False),
+    "joint": Group(("usvlearn/estimators/joint/*.py",), 6, named("estimators", "joint identified"), False),
+    "forecasts": Group(
+        ("usvlearn/estimators/ensemble/forecasts/*.py",),
+        4,
+        (
+            *named("estimators", "forecasts"),
+            *named("engine", "descriptions"),
+            "tests/engine/test_kernels.py::test_every_estimator_and_setting[forecasts]",
+        ),
+        False,
+    ),
     "logs": Group(
         ("usvlearn/logs/*.py",),
         7,
@@ -255,9 +264,14 @@ def copied(root: Path, folder: Path) -> Path:
     return folder
 
 
+def _file(folder: Path, test: str) -> Path:
+    """The file of a test, which may be named with its function."""
+    return folder / test.partition("::")[0]
+
+
 def collected(folder: Path) -> None:
     """Refuse a copy whose tests cannot even be collected: each change would count as seen."""
-    tests = sorted({name for group in GROUPS.values() for name in group.tests if (folder / name).exists()})
+    tests = sorted({name for group in GROUPS.values() for name in group.tests if _file(folder, name).exists()})
     command = [sys.executable, "-m", "pytest", "-q", "--collect-only", *tests]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True)
     if ran.returncode:
@@ -270,7 +284,7 @@ def tried(folder: Path, source: Path, text: str, group: Group, seconds: float) -
     if not group.compiled:
         environment["NUMBA_DISABLE_JIT"] = "1"
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "-rfE"]
-    tests = [name for name in group.tests if (folder / name).exists()]
+    tests = [name for name in group.tests if _file(folder, name).exists()]
     tests.sort(key=lambda name: source.stem not in name)  # the source's own tests first
     before, began = source.read_text(), time.perf_counter()
 
@@ -311,8 +325,8 @@ def about(text: str, folder: Path, group: Group | None) -> str:
     """The sha256 of a changed source, and of the tests of a group."""
     total = hashlib.sha256(text.encode())
     for name in group.tests if group else ():
-        if (folder / name).exists():
-            total.update((folder / name).read_bytes())
+        if _file(folder, name).exists():
+            total.update(_file(folder, name).read_bytes())
     return total.hexdigest()[:16]
 
 

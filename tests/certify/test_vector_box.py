@@ -16,7 +16,8 @@ from certify.box import rate as scalar_rate
 from certify.box_planes import Box
 from certify.errors import CertifyError
 from certify.vector_box import _witness, certify, invariance, rate
-from certify.vector_box_proof import bound, coordinates, proves, proves_range
+from certify.vector_box_proof import _halvings, bound, coordinates, proves, proves_range
+from certify.vector_box_search import Floats
 from certify.vector_points import norm_at, value_at
 from certify.vector_weights import RELU, VectorNetwork, VectorWeights, activation, check, forward, of_shallow
 from certify.weights import ShallowWeights
@@ -35,6 +36,27 @@ def test_one_state_with_relu_is_decided_as_by_the_scalar_search():
     assert certify(of_shallow(weights), RELU, over, 0.9, seconds=1.0).verdict == "unknown"
     pair = ShallowWeights(np.array([0.9, -0.9]), np.array([1.0, -1.0]), np.zeros((2, 0)), np.zeros(2))
     assert certify(of_shallow(pair), RELU, Box(-np.ones(1), np.ones(1)), 0.95).verdict == "certified"  # 0.9 x
+
+
+def test_the_depth_of_a_tree_is_that_of_its_longest_path():
+    places = {"x0": 0, "u0": 1}
+    for text, depth in ((".", 0), ("x0 . .", 1), ("x0 . u0 . .", 2), ("x0 u0 . . u0 . .", 2)):
+        assert _halvings(text.split(), places) == depth
+    assert _halvings(["x0", "."], places) is _halvings([".", "."], places) is None
+
+
+@pytest.mark.parametrize("name", ["relu", "leaky:0.1"])
+def test_a_climb_finds_the_best_point_of_each_line(name):
+    """J changes at the hyperplanes alone: along the last coordinate no point has a larger norm."""
+    rng = np.random.default_rng(4)
+    weights = vector_network(rng, 2, 1, 8)
+    over = Box(-np.ones(3), np.ones(3))
+    net = Floats(weights, activation(name), over, "inf", None)
+    found, y = net.climb(rng.uniform(-1, 1, (5, 3)), over, rng)
+    for norm, point in zip(found, y, strict=True):
+        line = np.repeat(point[None], 2000, 0)
+        line[:, 2] = np.linspace(-1, 1, 2000)
+        assert norm >= net.at(line).max() - 1e-12
 
 
 def test_a_trajectory_pair_contracts_in_the_norm_of_a_certified_box():

@@ -17,6 +17,7 @@ from certify.certificate import _checksum, described, read, write
 from certify.conditions import tight
 from certify.errors import CertifyError
 from certify.exact import conditions, multipliers
+from certify.vector_assess import assess
 from certify.vector_exact import Proof, identity
 from certify.vector_lmi import smallest_rate
 from certify.vector_weights import (
@@ -381,6 +382,14 @@ def test_two_layers_of_the_papers_matrix_count_twice():
         J = net.weights.A @ (second[:, None] * net.weights.V) @ (first[:, None] * net.weights.W)
         size = np.linalg.norm(root @ J @ np.linalg.inv(root), 2)
         assert size <= float(Fraction(found["contraction_rate"])) * (1 + 1e-9)
+
+
+def test_what_a_solver_finds_is_certified():
+    pytest.importorskip("cvxpy", reason="needs the extra lmi")
+    weights = check(VectorWeights(None, [[0.3, 0.2], [-0.1, 0.4]], np.eye(2), np.zeros((2, 1)), np.zeros(2)))
+    row, made = assess(VectorNetwork("a.npz", weights), solver="CLARABEL")
+    assert {"lmi", "tight"} <= made.keys() and row["rates"]["tight"] <= row["rates"]["lmi"] < 1
+    assert all(certificates.verify(made[name], VectorNetwork("a.npz", weights)).valid for name in ("lmi", "tight"))
 
 
 @pytest.mark.parametrize(("condition", "w"), [("gershgorin", 0.5), ("lmi", 1.0)])

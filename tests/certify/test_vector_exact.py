@@ -121,7 +121,7 @@ def test_gershgorin_has_a_proof_of_every_larger_rate(cases):
         half = exact.gershgorin(weights)[1]
         if half is None or half == 0:
             continue
-        kappa = half * (1 + Fraction(1, int(rng.choice([10, 10**3, 10**9]))))
+        kappa = half * (1 + Fraction(1, int(rng.choice([1, 2, 10, 10**3, 10**9]))))
         proof = exact.gershgorin_proof(weights, kappa)
         assert exact.proves(weights, RELU, proof, kappa, Fraction(2))
         assert all(x == 0 for r, row in enumerate(proof.metric) for c, x in enumerate(row) if r != c)

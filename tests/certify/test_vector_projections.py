@@ -119,11 +119,12 @@ def test_a_network_inside_is_unchanged():
     assert all(torch.equal(x, y) for x, y in zip(near[:5], weights[:5], strict=True))
 
 
-def test_batches_do_not_mix():
+@pytest.mark.parametrize("condition", ["exact", "gershgorin"])
+def test_batches_do_not_mix(condition):
     weights = networks((2, 3))
-    near = project(weights, torch.tensor([0.3, 0.6, 0.9]).double())
+    near = project(weights, torch.tensor([0.3, 0.6, 0.9]).double(), condition=condition)
     for i, j in itertools.product(range(2), range(3)):
-        alone = project(VectorWeights(*(x[i, j] for x in weights[:5])), (0.3, 0.6, 0.9)[j])
+        alone = project(VectorWeights(*(x[i, j] for x in weights[:5])), (0.3, 0.6, 0.9)[j], condition=condition)
         torch.testing.assert_close(near.A[i, j], alone.A)
         torch.testing.assert_close(near.R[i, j], alone.R)
 

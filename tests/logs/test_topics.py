@@ -72,6 +72,14 @@ def test_a_complete_table_beside_others_is_a_run(tmp_path):
     assert "drive.csv" in message
 
 
+def test_of_two_clocks_that_share_nothing_the_longer_tables_are_read(tmp_path):
+    for name, begin, rows in (("a", 1e9, 50), ("b", 1e9, 50), ("c", 2e9, 5), ("d", 2e9, 5)):
+        write(tmp_path / f"{name}.csv", "time,v\n" + "".join(f"{begin + k},{k}\n" for k in range(rows)))
+    with pytest.warns(UserWarning, match="table left out") as told:
+        assert {each.name for each in Table("auto").survey(tmp_path)} == {"a.v", "b.v"}
+    assert len(told) == 2
+
+
 @pytest.mark.parametrize("imu_start, told", [(0.0, "imu from 0.25 to 4.25 s and"), (1.7e9, "imu from 2023-11-14")])
 def test_clocks_that_differ_are_refused(tmp_path, imu_start, told):
     message = refused(LogFormatError, read, topics(tmp_path, imu_start=imu_start))

@@ -24,7 +24,7 @@ class Board:
         self._board = TensorBoardWriter(folder)
         self._begin, self._last = math.nan, -math.inf
         self._errors: dict[str, tuple[float, float]] = {}  # member -> weighted sums of |error| and of 1
-        self._time, self._count = 0.0, 0
+        self._time = 0.0
 
     def step(self, step: Step) -> None:
         """Add one step; a point is written every `EVERY` seconds."""
@@ -52,7 +52,6 @@ class Board:
         for horizon, (value, _, _) in step.forecasts.items():
             self._write({"1 overview/forecast (m/s)": value}, at, f"forecast/{horizon:g} s ahead")
         for sentence in step.alarms:
-            self._count += 1
             self._board.text("alarm", sentence, at, "session")
 
     def health(self, health: Health) -> None:
