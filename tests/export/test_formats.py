@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,6 +43,15 @@ int main(void) {
 def without_even(boat):
     """The same boat with a model that has no even terms."""
     return boat._replace(model=SurgeModel(boat.model.mass, {k: boat.model.coefficients[k] for k in WITHOUT_EVEN}))
+
+
+def test_the_c_header_prints_no_number_for_what_is_not_known(boat):
+    vague = replace(boat.found, unknown=frozenset({"thrust_ratio"}))
+    rows = c_header(boat._replace(found=vague)).splitlines()
+    (row,) = [each for each in rows if each.startswith(" * thrust_ratio")]
+    assert row.split() == ["*", "thrust_ratio", "not", "known", "yet", "left/right"]
+    (row,) = [each for each in rows if each.startswith(" * time_constant ")]
+    assert float(row.split()[2]) == pytest.approx(boat.found["time_constant"].value, rel=1e-4)
 
 
 @pytest.mark.parametrize("even", [True, False])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import re
 from textwrap import wrap
 
+from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.regressors.terms import UNITS
 from usvlearn.export.described import EVEN_FORCE, FORCE, SIGNS, STEP
 from usvlearn.model.read_boats import IdentifiedBoat
@@ -42,8 +44,7 @@ def c_header(boat: IdentifiedBoat) -> str:
         *wrap(boat.found.basis, 110), *(line for each in boat.found.lacks for line in wrap(each, 110)), "",
         "Identified, with 90 % intervals; the coefficients are those of motion ahead, where terms are summed:",
         "quantity                       value        from          to  unit",
-        *(f"{quantity:24} {each.value:11.5g} {each.low:11.5g} {each.high:11.5g}  {each.unit}"
-          for quantity, each in boat.found.items()),
+        *(_row(quantity, boat.found.told(quantity)) for quantity in boat.found),
     ]  # fmt: skip
     lines = [
         "/*", *(f" * {line}".rstrip() for line in map(_harmless, comment)), " */",
@@ -56,6 +57,12 @@ def c_header(boat: IdentifiedBoat) -> str:
         *_body(boat.model.even), "}", "", f"#endif /* {guard} */", "",
     ]  # fmt: skip
     return "\n".join(lines)
+
+
+def _row(name: str, found: Quantity) -> str:
+    if math.isnan(found.value):  # the interval says nothing
+        return f"{name:24} {'not known yet':>35}  {found.unit}"
+    return f"{name:24} {found.value:11.5g} {found.low:11.5g} {found.high:11.5g}  {found.unit}"
 
 
 def identifier(name: str) -> str:
