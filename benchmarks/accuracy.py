@@ -23,12 +23,12 @@ from pages import publish
 
 from usvlearn import AID, RNN, Ensemble, Estimator, Persistence, SurgeDynamics, rollout
 from usvlearn.cli.settings import ensemble_of
+from usvlearn.core.samples import Fleet, Sample, masks, tree_map
+from usvlearn.engine.rollouts import simulate
 from usvlearn.estimators.baselines.persistence.layer import PersistenceState
 from usvlearn.evaluation.metrics import scores
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.rollouts import simulate
 from usvlearn.runs.replay import replay
-from usvlearn.signals import Fleet, Sample, masks, tree_map
 
 ROOT = Path(__file__).parents[1]
 

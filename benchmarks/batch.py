@@ -24,8 +24,8 @@ from peers.batch import HORIZONS, Fitted, Held, Targets, errors, free_run_errors
 from truths import NOMINAL, boats
 
 from usvlearn import Ensemble, rollout
-from usvlearn.rollouts import simulate, tensors
-from usvlearn.signals import Sample, masks, tree_map
+from usvlearn.core.samples import Sample, masks, tree_map
+from usvlearn.engine.rollouts import simulate, tensors
 
 REAL, PLANTS, SEED, DT = ("blueboat", "vtec", "dalian"), ("heron", "otter"), 77, 0.4
 PEERS = {

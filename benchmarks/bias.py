@@ -22,8 +22,8 @@ sys.path.insert(0, str(Path(__file__).parent))
 from truths import NOMINAL, PLANTS, Boat, Truths, boats, errors, model_acceleration, truths
 
 from usvlearn import Projected, Robust, SIFtRLS, SurgeDynamics, rollout
+from usvlearn.engine.rollouts import tensors
 from usvlearn.evaluation.members import unwrapped
-from usvlearn.rollouts import tensors
 from usvlearn.simulate.sensors import Sensors
 
 SEEDS = (5, 11)

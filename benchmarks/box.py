@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 from pages import publish
 
-from certify import box, box_search, box_slopes
-from certify.box_proof import proves
-from certify.families import initial_networks
+from certify.analysis.families import initial_networks
+from certify.proofs.box_proof import proves
+from certify.search import box, box_search, box_slopes
 
 SECONDS = 10.0
 NETWORKS = 2

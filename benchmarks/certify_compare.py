@@ -16,10 +16,10 @@ from importlib.metadata import version
 from pages import FOLDER, publish
 from timing import load, machine
 
-from certify.compare import parse, study
-from certify.comparison_figures import pictures
-from certify.comparison_page import markdown
-from certify.figures import svg_of_page
+from certify.command.compare import parse, study
+from certify.display.comparison_figures import pictures
+from certify.display.comparison_page import markdown
+from certify.display.figures import svg_of_page
 
 NAME = "certify_compare"
 BUSY = 1.7  # load from which on other work is mentioned: this one is 1

@@ -26,7 +26,7 @@ from torch import Tensor
 from torch.func import functional_call, grad, vmap
 
 from usvlearn import AID, RLS, RNN, Estimator, JointEKF, Sample, rollout
-from usvlearn.signals import named_leaves, tree_map
+from usvlearn.core.samples import named_leaves, tree_map
 
 MASS, SURGE_MAX, NOISE = 28.0, 2.74, 0.02  # kg, m/s, m/s
 PREDICTIONS, GRADIENTS = 1e-6, 1e-6  # m/s; of the largest entry: how far results may lie from those of the CPU

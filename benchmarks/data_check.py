@@ -24,11 +24,11 @@ from pages import publish
 from usvlearn.cli import train
 from usvlearn.cli.composition import compose_train
 from usvlearn.cli.settings import ensemble_of, instantiate
-from usvlearn.logs.channel import COMMANDS, METRES, SURGE, Channel, Recording
+from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE, Channel, Recording
+from usvlearn.logs.channels.relations import heading_rate
+from usvlearn.logs.checks.data_check import check_data
 from usvlearn.logs.checks.finding import WARNING
-from usvlearn.logs.data_check import check_data
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.logs.relations import heading_rate
 from usvlearn.runs.replay import replay
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fault import Fault

@@ -21,8 +21,8 @@ from accuracy import Log, ensemble, first_half, fleet_of, measured, recorded
 from pages import publish
 from truths import NOMINAL, PLANTS
 
+from usvlearn.engine.rollouts import stretches
 from usvlearn.estimators.ensemble.forecasts.state import HORIZONS
-from usvlearn.rollouts import stretches
 
 REAL, SEED, HOURS = ("blueboat", "vtec", "dalian"), 77, 3
 FEW = 8  # forecasts, below which no skill is stated

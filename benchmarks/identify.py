@@ -28,11 +28,11 @@ sys.path.insert(0, str(Path(__file__).parent))
 from output_error import Fit, fit, free_runs  # noqa: E402
 from truths import MINUTES, NOMINAL, PLANTS, Boat, Truths, boats, errors, free_run_mae, model_acceleration, truths  # noqa: E402
 
+from usvlearn.engine.rollouts import rollout, tensors  # noqa: E402
 from usvlearn.estimators.joint.quantities import Ahead, sums  # noqa: E402
 from usvlearn.estimators.joint.reading import Identified, identify  # noqa: E402
 from usvlearn.estimators.joint.state import NORTH, THETA  # noqa: E402
 from usvlearn.evaluation.members import unwrapped  # noqa: E402
-from usvlearn.rollouts import rollout, tensors  # noqa: E402
 from usvlearn.simulate.truth import true_parameters, true_quantities  # noqa: E402
 
 HOURS, LATER, N = 3.0, 1.0, 3

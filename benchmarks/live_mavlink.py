@@ -29,8 +29,8 @@ from pages import publish
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from timing import machine, table
 
-from usvlearn.live.mavlink import MIDDLEWARE as OWN
 from usvlearn.live.mavlink.frames import Frames
+from usvlearn.live.mavlink.shell import MIDDLEWARE as OWN
 from usvlearn.live.mavlink.vehicle import Vehicle
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options

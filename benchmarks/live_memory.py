@@ -71,7 +71,7 @@ def main(seconds: float, hours: float, modules: list[str]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         options = Options(Path(folder), mass=28.0, surge_max=2.74, record=True, save_period=10.0)
         channels = {name: {"name": name, "window": 0.4} for name in EVERY}
-        with Session(options, Middleware("benchmark", "usvlearn.logs.csv_table.Table", channels)) as session:
+        with Session(options, Middleware("benchmark", "usvlearn.logs.formats.csv.table.Table", channels)) as session:
             session.start()
             while not session.wait():
                 time.sleep(0.1)

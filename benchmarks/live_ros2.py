@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from timing import machine
 
-from usvlearn.live.ros2_inputs import NS
-from usvlearn.live.ros2_outputs import message_class
+from usvlearn.live.ros2.inputs import NS
+from usvlearn.live.ros2.outputs import message_class
 
 ODOMETRY, NUMBER = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64"
 SPEED, DIAGNOSTICS = "geometry_msgs/msg/TwistWithCovarianceStamped", "diagnostic_msgs/msg/DiagnosticArray"

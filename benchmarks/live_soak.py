@@ -28,7 +28,7 @@ from timing import machine, table
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
-from usvlearn.logs.channel import Recording
+from usvlearn.logs.channels.channel import Recording
 from usvlearn.simulate.fleet import fleet
 
 HOURS, RESTARTS = 24.0, 100

@@ -23,8 +23,8 @@ import numpy as np
 from numba import njit
 from scipy.optimize import least_squares
 
+from usvlearn.core.samples import Sample, masks
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.signals import Sample, masks
 
 NAMES = (*SURGE, "thrust_cubic_left", "thrust_cubic_right")
 TERMS, LAG, SHARED, DRAG = len(NAMES), len(NAMES), len(NAMES) + 1, 3  # of all runs: the drag, the rest of θ, and μ

@@ -16,9 +16,9 @@ from peers.online import MODULES
 from speed_steps import WAYS, costs, costs_of_others, estimators, loop, median, times
 from timing import Effort, Work, in_turn, micro, ratio, table, three_digits
 
-from certify import compare
-from certify.assess import solver
-from certify.families import initial_networks, random_networks, trained_networks
+from certify.analysis.assess import solver
+from certify.analysis.families import initial_networks, random_networks, trained_networks
+from certify.command import compare
 
 LOOP = "plain RLS in numpy"  # the reference of a time that has none in C
 SHOWN = ("aid", "rls, exponential", "sift", "joint, n = 23", "rnn, n = 20", "default ensemble")

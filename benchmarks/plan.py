@@ -28,15 +28,15 @@ sys.path.insert(0, str(Path(__file__).parent))
 from truths import NOMINAL, PLANTS
 
 from usvlearn import JointEKF
+from usvlearn.core.samples import tree_map
+from usvlearn.engine.rollouts import rollout, tensors
 from usvlearn.estimators.joint.reading import Identified, identify
 from usvlearn.estimators.joint.state import JointState
-from usvlearn.logs.channel import Recording
+from usvlearn.logs.channels.channel import Recording
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.planning.course import Limits
-from usvlearn.planning.exchange import Plan, derived, search, wide
-from usvlearn.planning.rehearsal import Rehearsal
-from usvlearn.rollouts import rollout, tensors
-from usvlearn.signals import tree_map
+from usvlearn.model.planning.course import Limits
+from usvlearn.model.planning.exchange import Plan, derived, search, wide
+from usvlearn.model.planning.rehearsal import Rehearsal
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet_vessels, sail
 from usvlearn.simulate.scenario import Mission, lawn_mower, patrol

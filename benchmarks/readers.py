@@ -25,15 +25,15 @@ from typing import Any, NamedTuple
 from pages import publish
 from timing import machine, table
 
-from usvlearn.logs.alog import Alog
-from usvlearn.logs.channel import Source
-from usvlearn.logs.csv_table import Table
-from usvlearn.logs.dataflash import DataFlash
-from usvlearn.logs.mavlink_messages import MESSAGES
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
+from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
+from usvlearn.logs.formats.ardupilot.tlog import Tlog
+from usvlearn.logs.formats.csv.table import Table
+from usvlearn.logs.formats.moos.alog import Alog
+from usvlearn.logs.formats.px4.ulog import Ulog
+from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.read import Reader
-from usvlearn.logs.rosbag import Rosbag
-from usvlearn.logs.tlog import Tlog
-from usvlearn.logs.ulog import Ulog
 
 MB = 1_000_000
 RATE = 50  # Hz

@@ -24,10 +24,10 @@ from pages import publish
 from timing import in_turn, ratio, table
 from truths import NOMINAL, boats
 
-from certify import exact
+from certify.proofs import exact
 from usvlearn import RNN, Persistence, rollout
-from usvlearn.rollouts import tensors
-from usvlearn.signals import Sample, masks
+from usvlearn.core.samples import Sample, masks
+from usvlearn.engine.rollouts import tensors
 
 SEED, SEEDS = 77, range(3)  # of the simulated boats; of the initial weights
 PASSES = (1, 5, 20)

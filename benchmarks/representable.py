@@ -13,10 +13,10 @@ import torch
 from pages import publish
 from torch import Tensor
 
-from certify.conditions import rate as contraction_rate
-from certify.families import SURGE_MAX, surge_dot
-from certify.projections import project
-from certify.weights import ShallowWeights
+from certify.analysis.families import SURGE_MAX, surge_dot
+from certify.networks.shallow import ShallowWeights
+from certify.training.conditions import rate as contraction_rate
+from certify.training.projections import project
 
 ROWS: dict[str, dict | float | None] = {
     "none": None,

@@ -26,14 +26,14 @@ from truths import NOMINAL, PLANTS
 
 import usvlearn
 from usvlearn import JointEKF
-from usvlearn.controller.autopilots import MoosLaw, RoverLaw
-from usvlearn.controller.closed_loop import Law, Responses, Step, steps_of
-from usvlearn.controller.design import controller
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.logs.setup import Setup
+from usvlearn.model.controller.autopilots import MoosLaw, RoverLaw
+from usvlearn.model.controller.closed_loop import Law, Responses, Step, steps_of
+from usvlearn.model.controller.design import controller
 from usvlearn.model.read_boats import IdentifiedBoat
 from usvlearn.model.surge import SurgeModel
-from usvlearn.signals import tree_map
 from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.vessel import Vessel, at_rest, step
 

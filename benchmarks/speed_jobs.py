@@ -21,17 +21,17 @@ from speed_steps import estimators, samples, streamed
 from timing import Effort, Section, counted, in_turn, micro, once, ratio, table
 
 from usvlearn import AID, Ensemble, Estimator, SIFtRLS, SurgeDynamics
+from usvlearn.core.samples import Fleet, Sample, named_leaves, tree_map
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.metrics import fleet_scores
-from usvlearn.logs.alog import Alog
-from usvlearn.logs.channel import Source
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.moos.alog import Alog
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.runs.logger import TensorBoardLogger
 from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
-from usvlearn.signals import Fleet, Sample, named_leaves, tree_map
+from usvlearn.runs.tensorboard.logger import TensorBoardLogger
 from usvlearn.simulate.fleet import fleet as simulated
-from usvlearn.tuning.lanes import lane_errors
+from usvlearn.sweeps.tuning.lanes import lane_errors
 
 MASS, MISSION = 28.0, 15.0  # kg, minutes
 LEAST_STEPS = 50  # of a rollout through many lanes

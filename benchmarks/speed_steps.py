@@ -31,8 +31,8 @@ from usvlearn import (
     WithMemory,
     rollout,
 )
+from usvlearn.core.samples import masks, tree_map
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.signals import masks, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 
 NEURONS, MEMBERS = (10, 20, 50, 100, 200, 500), (1, 2, 4, 7, 10, 14)

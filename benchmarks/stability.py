@@ -16,13 +16,13 @@ import torch
 import yaml
 from pages import publish
 
-from certify.conditions import rate as contraction_rate
+from certify.training.conditions import rate as contraction_rate
 from usvlearn import RNN, rollout
+from usvlearn.core.samples import Sample, tree_map
 from usvlearn.estimators.rnn.layer import RNNState
-from usvlearn.logs.csv_table import Table
+from usvlearn.logs.formats.csv.table import Table
 from usvlearn.logs.read import read_recordings
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.signals import Sample, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 from usvlearn.simulate.sensors import Sensors
 

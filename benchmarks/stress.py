@@ -34,10 +34,10 @@ from peers import LAM, NOISE, P, Peer, peers
 from torch import Tensor, nn
 
 from usvlearn import AID, ARX, RLS, Ensemble, JointEKF, Persistence, Robust, SIFtRLS
-from usvlearn.estimator import Estimator
+from usvlearn.core.protocol import Estimator
+from usvlearn.core.samples import Inputs, Sample, named_leaves, tree_map
+from usvlearn.engine.rollouts import rollout
 from usvlearn.estimators.regressors.layer import SurgeDynamics
-from usvlearn.rollouts import rollout
-from usvlearn.signals import Inputs, Sample, named_leaves, tree_map
 
 DT, OUTLIERS = 0.4, 0.02  # s, share
 TRUTH = np.array([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]) / 28  # θ/m

@@ -22,8 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from usvlearn.core.samples import Sample, masks, tree_map
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.signals import Sample, masks, tree_map
 from usvlearn.simulate.fleet import fleet, fleet_vessels
 from usvlearn.simulate.vessel import Vessel, drag, steady_surge, thrust
 

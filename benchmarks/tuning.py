@@ -16,7 +16,7 @@ from hydra.utils import instantiate
 from omegaconf import OmegaConf
 from pages import publish
 
-from usvlearn.tuning import tune as tuning
+from usvlearn.sweeps.tuning import tune as tuning
 
 SEASON = ("data.n=8", "data.hours=0.5", "data.seed=2021", "data.mission_minutes=10")
 MEMBERS = ("aid", "sift_map", "rnn", "joint", "arx")

@@ -19,11 +19,11 @@ import torch
 from pages import publish
 from torch import Tensor
 
-from certify import vector_exact
-from certify.vector_scaling import best_diagonal
-from certify.vector_weights import RELU, VectorWeights, check
+from certify.networks.vector import RELU, VectorWeights, check
+from certify.proofs import vector_exact
+from certify.search.vector_scaling import best_diagonal
 from usvlearn import VectorRNN, VectorSample
-from usvlearn.signals import tree_map
+from usvlearn.core.samples import tree_map
 from usvlearn.simulate.planar import planar_runs
 
 DT, SEEDS, RATES, KAPPA = 0.2, 5, (4e-4, 1e-3, 2.5e-3), 0.999
@@ -72,7 +72,7 @@ def simulated(quick: bool) -> Boat:
 
 def recorded(path: Path, quick: bool) -> Boat:
     """The runs of every day in turn: learned, tuning, learned, reported, reported."""
-    from usvlearn.logs.rosbag import Rosbag
+    from usvlearn.logs.formats.ros.rosbag import Rosbag
     from usvlearn.logs.velocities import read_velocities
 
     runs = read_velocities(path, Rosbag(), VTEC_INPUTS, VTEC_COMPONENTS, dt=DT)

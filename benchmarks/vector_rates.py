@@ -18,10 +18,10 @@ from collections.abc import Iterator
 import numpy as np
 from pages import publish
 
-from certify.vector_exact import everywhere, rate
-from certify.vector_lmi import smallest_rate
-from certify.vector_scaling import best_scaling
-from certify.vector_weights import RELU, VectorWeights, check
+from certify.networks.vector import RELU, VectorWeights, check
+from certify.proofs.vector_exact import everywhere, rate
+from certify.search.vector_lmi import smallest_rate
+from certify.search.vector_scaling import best_scaling
 
 STATES, NEURONS, SEEDS = (1, 2, 3, 6), (5, 20, 50, 100), 3
 TIERS = ("K_∞", "diagonal", "full", "LMI")

@@ -17,12 +17,14 @@ import torch
 from pages import publish
 from torch import Tensor
 
-from certify import box, conditions, exact
-from certify.equilibria import equilibria
-from certify.families import initial_networks, random_networks
-from certify.lmi import LMI
-from certify.projections import project
-from certify.weights import ShallowWeights
+from certify.analysis.families import initial_networks, random_networks
+from certify.networks.shallow import ShallowWeights
+from certify.proofs import exact
+from certify.proofs.equilibria import equilibria
+from certify.search import box
+from certify.search.lmi import LMI
+from certify.training import conditions
+from certify.training.projections import project
 
 ROOT = Path(__file__).parents[1]
 

@@ -17,13 +17,15 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from certify import certificate, sweep_jobs, sweep_rows, vector_certificate, verification
-from certify.certificate import CONDITIONS
-from certify.comparison_start import start
+from certify.analysis import sweep_jobs, sweep_rows
+from certify.command import verification
+from certify.command.comparison_start import start
+from certify.command.vector_run import Judged, judge, plot, write_certificates
 from certify.errors import CertifyError, about, complain
-from certify.vector_run import Judged, judge, plot, write_certificates
-from certify.vector_weights import VectorNetwork, activation, read_both
-from certify.weights import Network, find
+from certify.networks.shallow import Network, find
+from certify.networks.vector import VectorNetwork, activation, read_both
+from certify.proofs import certificate, vector_certificate
+from certify.proofs.certificate import CONDITIONS
 
 CERTIFIED, NOT_ALL, BAD_INPUT, FAULT, STOPPED = 0, 1, 2, 3, 130  # exit codes
 EVERY_CONDITION = (*CONDITIONS, *(name for name in vector_certificate.CONDITIONS if name not in CONDITIONS))
@@ -206,11 +208,11 @@ def _run(options: argparse.Namespace) -> int:
         for note in notes:
             print(note, file=sys.stderr)
     elif jobs:
-        from certify.printed import show_sweep
+        from certify.display.printed import show_sweep
 
         _say(show_sweep, table, left, condition, options.all, notes)
     else:
-        from certify.printed import show
+        from certify.display.printed import show
 
         _say(show, rows, condition, held, notes, options.dt, judged.rows)
     return max(code, CERTIFIED if all(held + judged.held) else NOT_ALL)
@@ -237,7 +239,7 @@ def _say(write: Callable, *arguments: Any) -> None:
 
 def _assess(options: argparse.Namespace, networks: Sequence[Network], code: int) -> tuple[list, list, int]:
     """The networks that could be judged, the findings for each, and the exit code so far."""
-    from certify.assess import assess, solver
+    from certify.analysis.assess import assess, solver
 
     solve = solver(options.solver) if options.lmi else None
     boxes: dict[int, Any] = {}
@@ -245,7 +247,7 @@ def _assess(options: argparse.Namespace, networks: Sequence[Network], code: int)
     for network in networks:  # report every bad argument before computing anything
         m = network.inputs
         if options.box is not None and m not in boxes:
-            from certify.box import box, operating_box
+            from certify.search.box import box, operating_box
 
             try:
                 boxes[m] = box(options.box, m) if options.box else operating_box(m)
@@ -255,7 +257,7 @@ def _assess(options: argparse.Namespace, networks: Sequence[Network], code: int)
             inputs[m] = _input(options.input, m, network.path)
     shown: Iterable[Network] = networks
     if (options.lmi or options.box is not None) and len(networks) > 1:
-        from certify.printed import progress
+        from certify.display.printed import progress
 
         shown = progress(networks, "certifying")
     judged, rows = [], []
@@ -306,7 +308,7 @@ def _write_certificates(
             continue
         more: dict[str, Any] = {}
         if condition in ("interval", "box"):
-            from certify.box import box
+            from certify.search.box import box
 
             found = row["box"]
             more = {"box": box(found["intervals"], row["m"]), "invariance_tree": found["invariance_tree"]}
@@ -334,8 +336,8 @@ def _names(networks: Sequence[Network | VectorNetwork]) -> list[str]:
 
 
 def _plot(options, networks: Sequence[Network], judged: Judged) -> list[str]:
-    from certify.equilibria import surge_inputs
-    from certify.figures import equilibria_figure, save
+    from certify.display.figures import equilibria_figure, save
+    from certify.proofs.equilibria import surge_inputs
 
     file, written = Path(options.plot), []
     for k, network in enumerate(networks):
@@ -349,8 +351,8 @@ def _plot(options, networks: Sequence[Network], judged: Judged) -> list[str]:
 
 
 def _plot_sweep(options: argparse.Namespace, table: Sequence[dict[str, Any]]) -> list[str]:
-    from certify.figures import save
-    from certify.sweep_figure import sweep_figure
+    from certify.display.figures import save
+    from certify.display.sweep_figure import sweep_figure
 
     save(sweep_figure(table), options.plot)
     return [f"picture: {options.plot}"]

@@ -14,13 +14,14 @@ import torch
 from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull
 
-from certify import conditions, learning, vector_exact, vector_rates, vector_slopes
-from certify.box_planes import Box, slope_at
-from certify.figures import INK, PALE, TIER_COLOURS
-from certify.rounding import above, below
-from certify.vector_slopes import TANH
-from certify.vector_weights import RELU, VectorNetwork, VectorWeights, check, forward
-from certify.weights import ShallowWeights
+from certify.display.figures import INK, PALE, TIER_COLOURS
+from certify.networks.shallow import ShallowWeights
+from certify.networks.vector import RELU, VectorNetwork, VectorWeights, check, forward
+from certify.proofs import learning, vector_exact, vector_slopes
+from certify.proofs.box_planes import Box, slope_at
+from certify.proofs.rounding import above, below
+from certify.proofs.vector_slopes import TANH
+from certify.training import conditions, vector_rates
 
 FOLDER = Path(__file__).parent / "images"
 RELU_COLOUR, OTHER, WARM = TIER_COLOURS["tight"], TIER_COLOURS["box"], TIER_COLOURS["gershgorin"]
@@ -236,7 +237,7 @@ def largest(net: VectorWeights, root: np.ndarray) -> float:
 
 
 def metric(net: VectorWeights) -> np.ndarray:
-    from certify.vector_lmi import smallest_rate
+    from certify.search.vector_lmi import smallest_rate
 
     found = smallest_rate(net, RELU)
     assert found.proof is not None

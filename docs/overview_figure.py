@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import usvlearn
+from usvlearn.display.figures import INK, SIDES, colours, themed
 from usvlearn.estimators.ensemble.monitors.layer import effectiveness
-from usvlearn.figures import INK, SIDES, colours, themed
 from usvlearn.simulate.truth import quantities_of
 
 SEASON = {

@@ -9,11 +9,12 @@ from hydra import compose, initialize_config_dir
 
 import usvlearn
 from tests.support import ROOT
-from usvlearn import AID, Ensemble, Online, Persistence, checkpoint
+from usvlearn import AID, Ensemble, Online, Persistence
 from usvlearn.cli import train
+from usvlearn.core import checkpoint
+from usvlearn.core.samples import UNITS, named_leaves, tree_map
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError
 from usvlearn.learned import AlignedLogs, Learned
-from usvlearn.signals import UNITS, named_leaves, tree_map
 
 HEAD = "time,L,R,heading,speed"
 SEASON = {"n": 2, "hours": 0.0667, "mission_minutes": 2.0}

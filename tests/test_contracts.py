@@ -10,8 +10,8 @@ import torch
 
 from tests.support import ESTIMATORS, over, random_samples
 from usvlearn import Inputs, Online, Sample, rollout
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ShapeError
-from usvlearn.signals import named_leaves, tree_map
 
 BATCHES = [(), (3,), (2, 3)]
 each_estimator = pytest.mark.parametrize("name", ESTIMATORS)

@@ -20,7 +20,7 @@ import pytest
 import yaml
 
 from tests.support import ROOT
-from usvlearn.logs.channel import AUXILIARY, CHANNELS, Source
+from usvlearn.logs.channels.channel import AUXILIARY, CHANNELS, Source
 
 PAGES = sorted(
     path

@@ -5,8 +5,8 @@ import torch
 
 from tests.support.configured import default_ensemble
 from usvlearn import ExponentialWeights, FixedWeights, Inputs, Sample, rollout
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.estimators.regressors.layer import surge_regressor
-from usvlearn.signals import named_leaves, tree_map
 
 MASS = 28.0
 TRUTH = torch.tensor([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0], dtype=torch.float64)

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from usvlearn import Aligner, Inputs, Online, Sample, checkpoint
+from usvlearn import Aligner, Inputs, Online, Sample
+from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError
 from usvlearn.live.prior import prior
 from usvlearn.live.watched import networks
-from usvlearn.logs.channel import Source
+from usvlearn.logs.channels.channel import Source
 
 RUN = os.environ.get("USVLEARN_RUN")
 REQUIRED = ("surge", "heading", "command_left", "command_right")
@@ -54,8 +55,8 @@ def voyage(steps: int = 600) -> list[Sample]:
 def test_nothing_here_imports_torch():
     code = (
         "import sys; sys.modules.update(torch=None, scipy=None, hydra=None, rich=None)\n"
-        "import usvlearn.live.session, usvlearn.live.prior, usvlearn.live.systemd, usvlearn.cli.warm, certify.assess\n"
-        "import usvlearn.logs.read, usvlearn.logs.alog, usvlearn.engine.single_steps, usvlearn.engine.run\n"
+        "import usvlearn.live.session, usvlearn.live.prior, usvlearn.live.systemd, usvlearn.cli.warm, certify.analysis.assess\n"
+        "import usvlearn.logs.read, usvlearn.logs.formats.moos.alog, usvlearn.engine.single_steps, usvlearn.engine.run\n"
         "from usvlearn import Aligner, Inputs, Online, Sample, checkpoint"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -9,8 +9,19 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with _HOME
     from usvlearn.api import learn as learn
     from usvlearn.api import read as read
+    from usvlearn.core.hyper import Positive as Positive
+    from usvlearn.core.hyper import UnitInterval as UnitInterval
+    from usvlearn.core.plans import Forecast as Forecast
+    from usvlearn.core.protocol import Estimator as Estimator
+    from usvlearn.core.samples import Fleet as Fleet
+    from usvlearn.core.samples import Inputs as Inputs
+    from usvlearn.core.samples import Run as Run
+    from usvlearn.core.samples import Sample as Sample
+    from usvlearn.core.samples import VectorSample as VectorSample
+    from usvlearn.engine.online import Online as Online
+    from usvlearn.engine.rollouts import forecast as forecast
+    from usvlearn.engine.rollouts import rollout as rollout
     from usvlearn.errors import UsvlearnError as UsvlearnError
-    from usvlearn.estimator import Estimator as Estimator
     from usvlearn.estimators.aid.layer import AID as AID
     from usvlearn.estimators.arx.layer import ARX as ARX
     from usvlearn.estimators.baselines.acceleration.layer import Acceleration as Acceleration
@@ -33,18 +44,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.wrappers.bank import Bank as Bank
     from usvlearn.estimators.wrappers.memory.layer import WithMemory as WithMemory
     from usvlearn.estimators.wrappers.robust.layer import Robust as Robust
-    from usvlearn.hyper import Positive as Positive
-    from usvlearn.hyper import UnitInterval as UnitInterval
-    from usvlearn.logs.align import Aligner as Aligner
-    from usvlearn.online import Online as Online
-    from usvlearn.plans import Forecast as Forecast
-    from usvlearn.rollouts import forecast as forecast
-    from usvlearn.rollouts import rollout as rollout
-    from usvlearn.signals import Fleet as Fleet
-    from usvlearn.signals import Inputs as Inputs
-    from usvlearn.signals import Run as Run
-    from usvlearn.signals import Sample as Sample
-    from usvlearn.signals import VectorSample as VectorSample
+    from usvlearn.logs.alignment.align import Aligner as Aligner
 
 _HOME = {
     "Inputs": "signals",

@@ -28,7 +28,7 @@ from usvlearn.errors import ConfigError, check_positive, did_you_mean
 from usvlearn.learned import AlignedLogs, Learned, PathLike, check_logs, predictions_of
 
 if TYPE_CHECKING:
-    from usvlearn.estimator import Estimator
+    from usvlearn.core.protocol import Estimator
     from usvlearn.estimators.ensemble.layer import Ensemble
     from usvlearn.estimators.ensemble.state import EnsembleState
 
@@ -58,7 +58,7 @@ def read(
 
     In place of logs, it takes arrays of one run: `read(time=…, command_left=…, command_right=…, heading=…, surge=…)`,
     all of the shape (time,), NaN where a channel has no value; a dictionary of them; or a table with such columns.
-    Other channels of `usvlearn.logs.channel.CHANNELS` and `AUXILIARY` are optional. They are in SI units, unless
+    Other channels of `usvlearn.logs.channels.channel.CHANNELS` and `AUXILIARY` are optional. They are in SI units, unless
     `units` or `channels` say otherwise.
 
     Args:
@@ -68,7 +68,7 @@ def read(
             "alog", "rosbag", "ardupilot", "tlog", "ulog" for any boat, "blueboat", "vtec", "dalian", "pearl", or
             "simulated", which has no path.
         units: of arrays: channel, or `time` -> unit, such as `{"heading": "deg", "surge": "knots", "time": "ms"}`.
-        channels: changes to it, channel -> keys of `usvlearn.logs.channel.Source`.
+        channels: changes to it, channel -> keys of `usvlearn.logs.channels.channel.Source`.
         mass: of the boat, kg, added mass included, if it differs from that of the configuration.
         surge_max: top speed of the boat, m/s, if it differs from that of the configuration.
         align: options of `usvlearn.Aligner` that differ from configs/train.yaml, such as `{"dt": 0.2}`.
@@ -97,7 +97,7 @@ def read(
     """
     from usvlearn.cli.checked import CheckedAlignment
     from usvlearn.cli.composition import compose_train, plain, recordings_of
-    from usvlearn.logs.array_log import NAMES, arrays_among, channels_of_arrays, described, read_arrays
+    from usvlearn.logs.formats.array_log import NAMES, arrays_among, channels_of_arrays, described, read_arrays
     from usvlearn.logs.setup import setups_of
 
     arrays = arrays_among(path, settings)
@@ -178,7 +178,7 @@ def learn(
 
 def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
     """The ensemble that `learn` runs."""
-    from usvlearn.estimator import check_estimator
+    from usvlearn.core.protocol import check_estimator
     from usvlearn.estimators.baselines.persistence.layer import Persistence
     from usvlearn.estimators.ensemble.combiners.layer import Average
     from usvlearn.estimators.ensemble.layer import Ensemble

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import Fleet, Sample, masks, named_leaves, tree_map
 from usvlearn.errors import ConfigError, did_you_mean
-from usvlearn.signals import Fleet, Sample, masks, named_leaves, tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -33,7 +33,7 @@ class AlignedRun(NamedTuple):
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All arrays by name, as `pandas.DataFrame` takes them; `usvlearn.signals.UNITS` has their units.
+        """All arrays by name, as `pandas.DataFrame` takes them; `usvlearn.core.samples.UNITS` has their units.
 
         A `dt` of 0 starts a segment; `surge` is NaN where it was not measured.
         """
@@ -48,7 +48,7 @@ class AlignedLogs:
     Attributes:
         fleet: all boats side by side, as estimators take them.
         settings: the whole configuration, as in train.py.
-        findings: of the data check, warnings first; see `usvlearn.logs.data_check`.
+        findings: of the data check, warnings first; see `usvlearn.logs.checks.data_check`.
         setups: boat -> how its messages became samples.
     """
 
@@ -77,8 +77,8 @@ class AlignedLogs:
         return self.fleet.rejected
 
     def __repr__(self) -> str:
+        from usvlearn.display.terminal import Blocks
         from usvlearn.report.tables import data_check_table, rejection_table
-        from usvlearn.report.terminal import Blocks
 
         table = Blocks("Logs on the grid of time", ["run"], ["minutes", "steps", "measured"])
         boat = None
@@ -165,8 +165,8 @@ class Learned:
         """
         import torch
 
+        from usvlearn.engine.rollouts import simulate, tensors
         from usvlearn.evaluation.metrics import fleet_scores
-        from usvlearn.rollouts import simulate, tensors
 
         lanes = [0 if len(self.boats) == 1 else self._lane(boat) for boat in check_logs(logs).boats]
         state = tree_map(lambda leaf: leaf[lanes], self.state)
@@ -202,7 +202,7 @@ class Learned:
             ConfigError: there is no such boat, or there are several and none is named.
         """
         import usvlearn
-        from usvlearn import checkpoint
+        from usvlearn.core import checkpoint
         from usvlearn.engine import of_lane
         from usvlearn.runs.layout import ESTIMATOR
 
@@ -273,7 +273,7 @@ def _measured(samples: Sample) -> np.ndarray:
 
 def _printed(*parts: Any) -> str:
     """Tables as text, as rich prints them."""
-    from usvlearn.report.terminal import console
+    from usvlearn.display.terminal import console
 
     board = console()
     with board.capture() as captured:

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from usvlearn.signals import Sample, masks, tree_map
+from usvlearn.core.samples import Sample, masks, tree_map
 
 HORIZONS = (1, 3, 5, 13, 25, 75)  # steps of 0.4 s
 EVERY = 5  # steps from origin to origin

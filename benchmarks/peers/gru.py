@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from peers.batch import HIGHEST, Fitted, Stepper, choose, windows
-from usvlearn.signals import Sample
+from usvlearn.core.samples import Sample
 
 SETTINGS = ((16, False), (16, True), (32, False), (32, True))  # units; whether the inputs have the heading
 UPDATES, LANES, RATE, DECAY, BEND = 400, 64, 5e-3, 1e-2, 0.05  # BEND: share of V where the loss becomes linear

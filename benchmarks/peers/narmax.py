@@ -16,7 +16,7 @@ from itertools import product
 import numpy as np
 
 from peers.batch import HIGHEST, Fitted, Stepper, choose, features, need, stretches
-from usvlearn.signals import Sample, masks
+from usvlearn.core.samples import Sample, masks
 
 MODULE = "sysidentpy"
 ORDERS = ((1, 1), (1, 2), (1, 3), (2, 2), (3, 1), (3, 2))  # lags, degree

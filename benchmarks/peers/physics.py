@@ -14,7 +14,7 @@ import numpy as np
 import output_error
 
 from peers.batch import HORIZONS, Fitted, choose, targets
-from usvlearn.signals import Sample
+from usvlearn.core.samples import Sample
 
 
 class Physics:

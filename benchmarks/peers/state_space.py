@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 
 from peers.batch import HIGHEST, Fitted, Stepper, choose, need, windows
-from usvlearn.signals import Sample
+from usvlearn.core.samples import Sample
 
 MODULE = "jax_sysid"
 SETTINGS = ((2, 1e-4, False), (4, 1e-4, False), (2, 1e-4, True), (4, 1e-4, True), (4, 1e-5, True))

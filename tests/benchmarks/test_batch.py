@@ -21,7 +21,7 @@ from peers.batch import (
     windows,
 )
 
-from usvlearn.signals import Inputs, Sample
+from usvlearn.core.samples import Inputs, Sample
 
 NOISE, STEPS, TOP = 0.01, 400, 2.0
 PEERS = {
@@ -193,8 +193,8 @@ def test_a_library_that_is_absent_has_a_row_that_says_so():
 def test_our_forecasts_begin_with_the_prediction_of_one_step():
     """At one step they are what the ensemble predicted as it learned online."""
     from usvlearn import AID, Average, Ensemble, rollout
-    from usvlearn.rollouts import tensors
-    from usvlearn.signals import tree_map
+    from usvlearn.core.samples import tree_map
+    from usvlearn.engine.rollouts import tensors
 
     model, one = Ensemble({"aid": AID(20.0)}, {"average": Average()}), run(0)
     samples = tensors(one, torch.float64)

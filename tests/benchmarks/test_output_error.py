@@ -5,7 +5,7 @@ import output_error as oe
 import pytest
 from scipy.integrate import solve_ivp
 
-from usvlearn.signals import Inputs, Sample
+from usvlearn.core.samples import Inputs, Sample
 
 STEPS = 1500
 

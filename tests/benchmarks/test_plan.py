@@ -5,7 +5,7 @@ import math
 import pytest
 from plan import MAIN, MINUTES, NOTED, Pair, pairs, ratio, width
 
-from usvlearn.planning.exchange import derived
+from usvlearn.model.planning.exchange import derived
 
 
 @pytest.fixture(scope="module")

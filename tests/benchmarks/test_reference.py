@@ -5,9 +5,9 @@ import torch
 from reference import compiler, reference
 
 from usvlearn import AID, RLS, RNN, JointEKF, Persistence, SIFtRLS, SurgeDynamics, rollout
-from usvlearn.estimator import clean
+from usvlearn.core.protocol import clean
+from usvlearn.core.samples import tree_map
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.signals import tree_map
 from usvlearn.simulate.fleet import fleet
 
 MASS, STEPS, EQUAL = 28.0, 2000, 1e-9

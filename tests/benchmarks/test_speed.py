@@ -48,7 +48,7 @@ def test_every_way_of_a_step_is_measured(name):
 
 
 def test_the_samples_are_learned_from_every_one():
-    from usvlearn.estimator import clean
+    from usvlearn.core.protocol import clean
 
     run = speed_steps.samples(9000)  # more than the log has: it begins again
     assert len(run.surge) == 9000 and bool(clean(run).learns.all())

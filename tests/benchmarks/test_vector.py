@@ -9,7 +9,7 @@ import vector
 from vector import Boat, above, errors, joint, least_squares, padded, separate, simulated_by
 
 from usvlearn import Inputs, VectorSample
-from usvlearn.signals import tree_map
+from usvlearn.core.samples import tree_map
 
 R = np.array([[0.9, 0.05, 0.0], [0.1, 0.7, -0.1], [0.0, 0.1, 0.8]])
 B = np.array([[0.1, 0.1], [0.02, -0.02], [0.1, -0.1]])

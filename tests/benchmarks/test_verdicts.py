@@ -6,8 +6,8 @@ import torch
 from scipy.optimize import minimize
 from verdicts import project_jointly, retract
 
-from certify.conditions import rate
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.training.conditions import rate
 
 
 def networks(count: int, n: int) -> ShallowWeights:

@@ -13,7 +13,13 @@ NEEDED = {
     "cvxpy": ["net.npz", "--lmi"],
     "matplotlib": ["net.npz", "--plot", "map.png"],
 }
-IMPORTING = ("certify.printed", "certify.compare", "certify.conditions", "certify.families", "certify.projections")
+IMPORTING = (
+    "certify.display.printed",
+    "certify.command.compare",
+    "certify.training.conditions",
+    "certify.analysis.families",
+    "certify.training.projections",
+)
 
 
 @pytest.mark.parametrize("package", NEEDED)

@@ -16,10 +16,10 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, sentence
-from usvlearn import jit
 from usvlearn.__main__ import main
 from usvlearn.cli import delay, evaluate, train
 from usvlearn.cli.beginning import HELP
+from usvlearn.core import jit
 
 USVLEARN = [sys.executable, "-m", "usvlearn"]
 LINES, COLUMNS = 24, 80

@@ -13,7 +13,7 @@ from tests.support.runs import session
 from usvlearn.cli import train
 from usvlearn.cli.checked import CheckedAlignment
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.data_check import CHECKS
+from usvlearn.logs.checks.data_check import CHECKS
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.tables import data_check_table
 from usvlearn.simulate.fleet import fleet

@@ -16,7 +16,7 @@ data:
   _convert_: all
   path: log.csv
   boat: null
-  reader: {_target_: usvlearn.logs.csv_table.Table, time: time}
+  reader: {_target_: usvlearn.logs.formats.csv.table.Table, time: time}
   channels:
     command_left: {name: L}
     command_right: {name: R}

@@ -10,7 +10,7 @@ from usvlearn import SIFtRLS, SurgeDynamics
 from usvlearn.__main__ import main
 from usvlearn.cli.delay import DELAYS, Half, choose, find_halves
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.csv_table import Table
+from usvlearn.logs.formats.csv.table import Table
 from usvlearn.logs.read import read_recordings
 
 CHANNELS = {"command_left": {"name": "L"}, "command_right": {"name": "R"},

@@ -14,12 +14,12 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, predictions, results
-from usvlearn import checkpoint
 from usvlearn.cli import checked, evaluate, train
 from usvlearn.cli.stopping import Stopped, check_stopped, stoppable, stoppable_worker, until_stopped
-from usvlearn.runs.logger import TensorBoardLogger
+from usvlearn.core import checkpoint
 from usvlearn.runs.saved import results as finished
-from usvlearn.tuning.lanes import Objective
+from usvlearn.runs.tensorboard.logger import TensorBoardLogger
+from usvlearn.sweeps.tuning.lanes import Objective
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 RUN = [*QUICK, "hydra.run.dir=run"]

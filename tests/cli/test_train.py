@@ -13,8 +13,8 @@ from hydra import compose, initialize_config_dir
 
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, GOOD, SMALL, assert_equal_runs, command, predictions, results, run
-from usvlearn import checkpoint
 from usvlearn.cli import train
+from usvlearn.core import checkpoint
 from usvlearn.errors import bad_input
 
 NAMES = {
@@ -84,7 +84,7 @@ def test_parameter_sets(whole):
 
 
 def test_tensorboard(whole):
-    """A run for each estimator of each boat; tags, steps and the HPARAMS row are in tests/runs/test_logger.py."""
+    """A run for each estimator of each boat; tags, steps and the HPARAMS row are in tests/runs/tensorboard/test_logger.py."""
     (top,) = (whole / "tensorboard").iterdir()  # named after the settings that differ
     assert top.name == "rnn.neurons=4"
     assert {path.name for path in top.iterdir()} == {"heron1", "heron2", "fleet", "results"}

@@ -10,10 +10,11 @@ from tests.support.ardupilot import dataflash, tlog
 from tests.support.commands import python, run
 from usvlearn.__main__ import main
 from usvlearn.cli import warm
-from usvlearn.logs import binary_kernel, position_kernel
-from usvlearn.logs.dataflash import DataFlash
-from usvlearn.logs.derived_surge import filtered
-from usvlearn.logs.tlog import Tlog
+from usvlearn.logs.channels import position_kernel
+from usvlearn.logs.channels.derived_surge import filtered
+from usvlearn.logs.formats.ardupilot import binary_kernel
+from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
+from usvlearn.logs.formats.ardupilot.tlog import Tlog
 
 NODE = """
 from pathlib import Path
@@ -21,7 +22,7 @@ from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
 names = ("command_left", "command_right", "heading", "surge")
 options = Options(Path({folder!r}), mass=28.0, surge_max=2.7, record=True)
-made = Middleware("test", "usvlearn.logs.csv_table.Table", {{name: {{"name": name}} for name in names}})
+made = Middleware("test", "usvlearn.logs.formats.csv.table.Table", {{name: {{"name": name}} for name in names}})
 with Session(options, made) as session:
     session.start()
     assert session.wait(60)

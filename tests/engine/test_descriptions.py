@@ -30,14 +30,14 @@ from usvlearn import (
     SIFtRLS,
     SurgeDynamics,
     WithMemory,
-    checkpoint,
     rollout,
 )
+from usvlearn.core import checkpoint
+from usvlearn.core.protocol import spec_of
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine import of_lane
 from usvlearn.engine.check import check
 from usvlearn.errors import CheckpointError
-from usvlearn.estimator import spec_of
-from usvlearn.signals import named_leaves, tree_map
 
 SAMPLE = Sample(Inputs(0.5, 0.4, 1.0, 0.1, 0.4), 1.0, True, True)
 OPEN = """

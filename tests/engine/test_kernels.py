@@ -16,11 +16,11 @@ import torch
 from tests.support import ESTIMATORS
 from tests.support.kernel_cases import CONDITIONS, LONG, VARIANTS, difference, failing_thrusters, mission
 from usvlearn import RNN, Ensemble, Persistence, Robust, rollout
+from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.engine.rollouts import simulate
 from usvlearn.estimators.ensemble.conformal.layer import LEAST
 from usvlearn.estimators.ensemble.monitors.layer import THRESHOLD
 from usvlearn.estimators.rnn.projection_kernel import threshold
-from usvlearn.rollouts import simulate
-from usvlearn.signals import named_leaves, tree_map
 
 EVERY = ESTIMATORS | VARIANTS
 each = pytest.mark.parametrize("name", EVERY)

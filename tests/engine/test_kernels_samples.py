@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from tests.support import ESTIMATORS
 from tests.support.kernel_cases import VARIANTS, difference, mission
 from usvlearn import Inputs, Sample, rollout
-from usvlearn.estimator import clean
-from usvlearn.rollouts import simulate
-from usvlearn.signals import named_leaves, tree_map
+from usvlearn.core.protocol import clean
+from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.engine.rollouts import simulate
 
 EVERY = ESTIMATORS | VARIANTS
 FAR = [math.nan, math.inf, -math.inf, 1e300, -1e300, 5e-324, 99.9, -100.0, 1e6, -0.0]

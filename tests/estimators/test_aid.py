@@ -10,10 +10,10 @@ from torch import nn
 
 from tests.support import random_samples
 from usvlearn import AID, Inputs, Sample, rollout
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.aid.layer import AIDState
 from usvlearn.estimators.regressors.layer import surge_regressor
-from usvlearn.signals import tree_map
 
 MASS = 28.0
 TRUTH = torch.tensor([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0], dtype=torch.float64)

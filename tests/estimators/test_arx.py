@@ -10,9 +10,9 @@ import torch
 from tests.support import over, random_samples
 from tests.support.kernel_cases import mission
 from usvlearn import ARX, Inputs, Robust, Sample, rollout
+from usvlearn.core.samples import PLAUSIBLE, masks, named_leaves, tree_map
+from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import ConfigError
-from usvlearn.rollouts import simulate
-from usvlearn.signals import PLAUSIBLE, masks, named_leaves, tree_map
 
 OPTIONS = {
     "default": {},

@@ -31,10 +31,10 @@ from usvlearn import (
     rollout,
 )
 from usvlearn.cli.settings import ensemble_of
+from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.engine.rollouts import stretches
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.least_squares.sift import sift_step
-from usvlearn.rollouts import stretches
-from usvlearn.signals import named_leaves, tree_map
 
 STEPS = 2
 

@@ -27,11 +27,11 @@ from usvlearn import (
     WithMemory,
     rollout,
 )
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.baselines.persistence.layer import PersistenceState
 from usvlearn.estimators.ensemble.conformal.layer import conformal_start, conformal_step
 from usvlearn.estimators.ensemble.conformal.layer import published as published_widths
-from usvlearn.signals import tree_map
 
 
 def members():

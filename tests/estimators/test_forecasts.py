@@ -24,12 +24,12 @@ from usvlearn import (
     forecast,
     rollout,
 )
+from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
+from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FIRST, MOST
 from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
-from usvlearn.rollouts import simulate
-from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
 HORIZONS, STEPS = (0.4, 2.0, 4.0), (1, 5, 10)
 

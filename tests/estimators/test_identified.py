@@ -9,6 +9,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from usvlearn import AID, Ensemble, Inputs, JointEKF, Online, Persistence, Sample
+from usvlearn.engine.rollouts import rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.quantities import COAST, FORCES, QUANTITIES, SIDES, Ahead, gradients, quantities, sums
@@ -16,7 +17,6 @@ from usvlearn.estimators.joint.reading import DEVIATIONS, Identified, identify
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.identification import as_results, identified_boats
-from usvlearn.rollouts import rollout
 from usvlearn.simulate.truth import true_parameters, true_quantities
 
 MASS, TOP, STEP = 28.0, 2.7, 0.4

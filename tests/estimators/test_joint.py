@@ -10,12 +10,13 @@ from scipy.integrate import solve_ivp
 
 from tests.support import over
 from tests.support.kernel_cases import mission
-from usvlearn import Bank, Ensemble, Inputs, JointEKF, Online, Sample, checkpoint, rollout
+from usvlearn import Bank, Ensemble, Inputs, JointEKF, Online, Sample, rollout
+from usvlearn.core import checkpoint
+from usvlearn.core.protocol import clean
+from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import CheckpointError, ConfigError
-from usvlearn.estimator import clean
 from usvlearn.estimators.joint.state import SIZES
-from usvlearn.rollouts import simulate
-from usvlearn.signals import named_leaves, tree_map
 
 SETTINGS = {
     "even": {},

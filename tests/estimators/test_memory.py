@@ -7,9 +7,9 @@ import torch
 
 from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, Robust, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.baselines.persistence.layer import Persistence, PersistenceState
-from usvlearn.signals import tree_map
 
 
 class Spy(Persistence):

@@ -8,13 +8,13 @@ import torch
 
 from tests.support import random_samples
 from usvlearn import RLS, Inputs, SurgeDynamics, rollout
-from usvlearn import rows as samples
+from usvlearn.core import rows as samples
+from usvlearn.core.family import WIDTH, Node
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.estimators.ensemble.monitors import kernel as compiled
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.monitors.state import AT, Number
-from usvlearn.family import WIDTH, Node
-from usvlearn.runs.fault_figure import fault_figure
-from usvlearn.signals import named_leaves, tree_map
+from usvlearn.runs.tensorboard.fault_figure import fault_figure
 
 pytestmark = pytest.mark.filterwarnings("error")
 ONE = torch.ones((), dtype=torch.float64)

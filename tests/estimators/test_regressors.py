@@ -9,6 +9,7 @@ from scipy.integrate import solve_ivp
 
 from tests.support import random_samples
 from usvlearn import AID, Inputs, Online, QuasiStatic, Sample, SurgeDynamics
+from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.regressors import kernel
 from usvlearn.estimators.regressors.layer import (
@@ -19,7 +20,6 @@ from usvlearn.estimators.regressors.layer import (
     surge_regressor,
 )
 from usvlearn.estimators.regressors.terms import TERMS, UNITS
-from usvlearn.rollouts import simulate
 
 THETA = torch.tensor([-3.0, -16.0, -8.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0], dtype=torch.float64)
 

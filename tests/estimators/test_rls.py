@@ -7,10 +7,10 @@ import torch
 
 from tests.support import random_samples
 from usvlearn import RLS, QuasiStatic, SIFtRLS, SurgeDynamics, rollout
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.least_squares.rls import NOISE, NOISE_LEAST, NOISE_SHARE, RLSState, rls_step, spread
 from usvlearn.estimators.regressors.layer import quasi_static_regressor, surge_regressor
-from usvlearn.signals import tree_map
 
 
 def weighted_least_squares(phi, y, lam, prior):

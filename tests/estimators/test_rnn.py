@@ -8,17 +8,17 @@ import pytest
 import torch
 from torch.func import grad
 
-from certify import exact
-from certify.box_planes import Box, interval_rate
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.proofs import exact
+from certify.proofs.box_planes import Box, interval_rate
 from tests.support import random_samples
 from tests.support.recurrent import boat, loss
 from usvlearn import AID, RNN, Ensemble, rollout
-from usvlearn.checkpoint import save
+from usvlearn.core.checkpoint import save
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.rnn.layer import RNNState, clipped, gradient, lane_weights, network, network_inputs
 from usvlearn.report.stability import stability
-from usvlearn.signals import tree_map
 
 
 def case(n: int, batch=(), seed: int = 0):

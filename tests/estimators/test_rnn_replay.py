@@ -10,18 +10,19 @@ import pytest
 import torch
 from torch.func import grad
 
-from certify import exact
-from certify.box_planes import Box, interval_rate
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.proofs import exact
+from certify.proofs.box_planes import Box, interval_rate
 from tests.support import random_samples
 from tests.support.kernel_cases import difference, mission
 from tests.support.recurrent import boat, loss
-from usvlearn import RNN, Ensemble, Online, Persistence, checkpoint, rollout
+from usvlearn import RNN, Ensemble, Online, Persistence, rollout
+from usvlearn.core import checkpoint
+from usvlearn.core.samples import masks, named_leaves, tree_map
+from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.rnn.layer import clipped, network_inputs
 from usvlearn.estimators.rnn.state import STRIDE, TURN
-from usvlearn.rollouts import simulate
-from usvlearn.signals import masks, named_leaves, tree_map
 
 
 def at(samples, k):

@@ -9,9 +9,9 @@ from scipy import integrate, stats
 
 from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, QuasiStatic, Robust, SIFtRLS, SurgeDynamics, WithMemory, rollout
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.wrappers.robust.layer import clipped_moment, finite
-from usvlearn.signals import named_leaves, tree_map
 
 TRUTH = torch.tensor([0.8, -0.5, 0.3, 1.2], dtype=torch.float64)
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from certify import vector_exact
-from certify.vector_weights import RELU, VectorWeights, check, load
+from certify.networks.vector import RELU, VectorWeights, check, load
+from certify.proofs import vector_exact
 from usvlearn import Inputs, VectorRNN, VectorSample
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.vector_rnn.layer import gradient, network
 from usvlearn.estimators.vector_rnn.state import Kept, NetworkWeights
-from usvlearn.signals import named_leaves, tree_map
 from usvlearn.simulate.planar import planar_runs
 
 MAXIMA = (2.75, 0.25, 0.75)

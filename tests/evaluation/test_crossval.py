@@ -9,14 +9,14 @@ import torch
 from tests.support import random_samples
 from tests.support.seasons import boats, numpied
 from usvlearn import AID, BOA, RLS, RNN, Average, Bank, Ensemble, Inputs, Persistence, RecursiveWeights, Sample
+from usvlearn.core.samples import tree_map
+from usvlearn.engine.rollouts import rollout, simulate
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.regressors.layer import SurgeDynamics
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate, methods
 from usvlearn.evaluation.season import Season
 from usvlearn.report.assembly import assemble, best_start
 from usvlearn.report.sections.boats import best_sets, fleet_matrices
-from usvlearn.rollouts import rollout, simulate
-from usvlearn.signals import tree_map
 
 
 def spoilt(steps: int, seed: int) -> Sample:

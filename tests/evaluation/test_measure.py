@@ -11,15 +11,15 @@ import torch
 from tests.support.commands import ENVIRONMENT, QUICK, command, results
 from tests.support.configured import request
 from usvlearn import AID, Average, Ensemble, Forecasts, Persistence, rollout
+from usvlearn.core.samples import masks
+from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.by_run import from_csv
 from usvlearn.evaluation.free_simulation import free_errors, middle
 from usvlearn.evaluation.measure import Measure, check_measure, measure_of
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.rollouts import simulate, tensors
-from usvlearn.signals import masks
 from usvlearn.simulate.fleet import fleet as simulated
-from usvlearn.tuning.lanes import Objective, lane_errors
+from usvlearn.sweeps.tuning.lanes import Objective, lane_errors
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pytest
 from rich.console import Console
 
 from usvlearn import Inputs, Sample
+from usvlearn.core.samples import Fleet, Run
+from usvlearn.display.figures import prediction_figure
 from usvlearn.evaluation.metrics import alarms, fleet_scores, scores
-from usvlearn.figures import prediction_figure
 from usvlearn.report.tables import fleet_table, rejection_table, score_table
-from usvlearn.signals import Fleet, Run
 
 SURGE = np.array([1.0, 2.0, np.nan, 4.0, np.nan])
 PREDICTIONS = np.array([[1.5, 2.0], [2.0, 4.0], [9.0, 9.0], [3.0, 5.0], [np.nan, np.nan]])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from certify import box_slopes
-from certify.box import certify, operating_box, rate
-from certify.box_proof import proves
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.proofs.box_proof import proves
+from certify.search import box_slopes
+from certify.search.box import certify, operating_box, rate
 from tests.support.exact_cells import exact_rate
 
 FAMILIES = ("integers", "halves", "duplicates", "bias-free", "common point", "float32", "zero weights", "dead neurons")

@@ -9,12 +9,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from certify import box_slopes, certificate, exact
-from certify.box import certify, operating_box
-from certify.box_planes import Box, planes
-from certify.box_proof import proves
 from certify.errors import CertifyError
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.proofs import certificate, exact
+from certify.proofs.box_planes import Box, planes
+from certify.proofs.box_proof import proves
+from certify.search import box_slopes
+from certify.search.box import certify, operating_box
 from tests.support.exact_cells import exact_rate
 
 TOKENS = (

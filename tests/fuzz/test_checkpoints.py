@@ -8,7 +8,8 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from usvlearn import AID, Bank, Ensemble, Online, Robust, checkpoint
+from usvlearn import AID, Bank, Ensemble, Online, Robust
+from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError
 
 NAMES = ("schema", "estimator", "kernel", "boat", "run", "step", "sha256", "kind", "a.b", "é", "")

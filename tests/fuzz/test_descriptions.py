@@ -13,7 +13,8 @@ import pytest
 
 from tests.support import ESTIMATORS
 from tests.support.kernel_cases import mission
-from usvlearn import Inputs, Online, Sample, checkpoint
+from usvlearn import Inputs, Online, Sample
+from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError
 
 JUNK = (

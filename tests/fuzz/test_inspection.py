@@ -6,7 +6,7 @@ import pytest
 from tests.support.shapes import SHAPES
 from tests.support.voyages import voyage
 from usvlearn.errors import UsvlearnError
-from usvlearn.inspection.inspected import inspect_logs
+from usvlearn.logs.inspection.inspected import inspect_logs
 
 
 def mutated(rng: np.random.Generator, whole: bytes) -> bytes:

@@ -14,8 +14,8 @@ from tests.support.mavboat import MavBoat, RecordingSession, mavlink
 from usvlearn.live.mavlink.routes import CHANNELS
 from usvlearn.live.mavlink.telemetry import ROOM
 from usvlearn.live.mavlink.vehicle import Vehicle
-from usvlearn.logs.channel import Source
-from usvlearn.logs.mavlink_messages import MESSAGES
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 
 SOURCES = {part: Source(**each) for part, each in CHANNELS.items()} | {
     "course": Source("RPM", "rpm1, rpm2"),

@@ -17,14 +17,14 @@ from tests.support.ardupilot import dataflash, tlog
 from tests.support.bags import NS, START, STEPS, unindexed, write_bag
 from tests.support.ulogs import boat
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.alog import Alog
-from usvlearn.logs.csv_table import Table
-from usvlearn.logs.dataflash import DataFlash
+from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
+from usvlearn.logs.formats.ardupilot.tlog import Tlog
+from usvlearn.logs.formats.csv.table import Table
+from usvlearn.logs.formats.moos.alog import Alog
+from usvlearn.logs.formats.px4.ulog import Ulog
+from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.read import read_recordings
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.logs.rosbag import Rosbag
-from usvlearn.logs.tlog import Tlog
-from usvlearn.logs.ulog import Ulog
 
 SECONDS, MEGABYTES = 20, 400  # of one log of some kB: a bag whose message types are large compiles them for a while
 TOKENS = [

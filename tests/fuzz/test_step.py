@@ -10,8 +10,8 @@ import torch
 
 from tests.support.configured import default_ensemble
 from usvlearn import AID, Ensemble, Inputs, Online, Persistence, Sample, rollout
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ShapeError
-from usvlearn.signals import named_leaves, tree_map
 
 FIELDS = (*Inputs._fields, "surge", "fresh", "measured")
 NUMBERS = (

@@ -5,11 +5,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from certify.box_planes import Box
-from certify.vector_box import certify, rate
-from certify.vector_box_proof import bound, proves
-from certify.vector_points import norm_at
-from certify.vector_weights import RELU, activation
+from certify.networks.vector import RELU, activation
+from certify.proofs.box_planes import Box
+from certify.proofs.vector_box_proof import bound, proves
+from certify.proofs.vector_points import norm_at
+from certify.search.vector_box import certify, rate
 from tests.support.exact_cells import exact_norm
 from tests.support.networks import SCALING, greatest_ratio, vector_network
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support import ROOT
 from tests.support.live import learned_set
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
 from usvlearn.live.sets import newest
 
 LOST = 1.0  # s, of learning: the save period, and what a busy disk takes

@@ -9,26 +9,26 @@ import numpy as np
 import pytest
 
 from tests.support.live import boat, learned_set, messages
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
+from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
 from usvlearn.live.health import COMPILING
 from usvlearn.live.held import HeldIntervals
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.node import Node
-from usvlearn.live.operator_page import WIDTH, page
 from usvlearn.live.plan_requests import parse_plan, sampled
-from usvlearn.live.posts import KINDS, PLANNED, TABLE, of_health, of_step, told
 from usvlearn.live.prior import prior
 from usvlearn.live.sets import Sets
 from usvlearn.live.start import Options, begin
-from usvlearn.live.status_line import StatusLine
-from usvlearn.logs.align import Aligner
-from usvlearn.logs.channel import REQUIRED, Source
-from usvlearn.logs.derived_surge import COURSES, VELOCITIES
-from usvlearn.logs.mixing import Mix, sides_of
+from usvlearn.live.status.operator_page import WIDTH, page
+from usvlearn.live.status.posts import KINDS, PLANNED, TABLE, of_health, of_step, told
+from usvlearn.live.status.status_line import StatusLine
+from usvlearn.logs.alignment.align import Aligner
+from usvlearn.logs.alignment.mixing import Mix, sides_of
+from usvlearn.logs.channels.channel import REQUIRED, Source
+from usvlearn.logs.channels.derived_surge import COURSES, VELOCITIES
 from usvlearn.logs.setup import Setup
-from usvlearn.online import Online
 from usvlearn.simulate.fault import Fault
 from usvlearn.simulate.fleet import fleet
 

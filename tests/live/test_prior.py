@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from tests.support.commands import python
-from usvlearn import Inputs, Online, Sample, checkpoint
+from usvlearn import Inputs, Online, Sample
 from usvlearn.cli import prior_file
+from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.prior import FILE, prior
 

@@ -8,8 +8,8 @@ import pytest
 from tests.support.live import PLAIN, boat, learned_set, messages, replayed
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
-from usvlearn.logs.channel import AUTO
-from usvlearn.logs.derived_surge import VELOCITIES
+from usvlearn.logs.channels.channel import AUTO
+from usvlearn.logs.channels.derived_surge import VELOCITIES
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from tests.support.live import PLAIN, boat, learned_set, messages, ready
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.live.session import Session
 from usvlearn.live.sets import STATUS, Sets
 from usvlearn.live.start import Middleware, Options, channel_options
-from usvlearn.live.told import status_lines
-from usvlearn.logs.channel import REQUIRED
+from usvlearn.live.status.status_file import status_lines
+from usvlearn.logs.channels.channel import REQUIRED
 from usvlearn.logs.setup import Setup
 
 MINUTE = list(messages(boat(0.02)))
@@ -302,16 +302,16 @@ def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
     channels = facts["setup"]["channels"]
     for side in ("command_left", "command_right"):
         channels[side] |= {"name": "pwm", "span": 400.0, "delay": 0.3}
-    facts["setup"]["reader"] = "usvlearn.logs.csv_table.Table"
+    facts["setup"]["reader"] = "usvlearn.logs.formats.csv.table.Table"
     path = checkpoint.save(tmp_path / "csv.safetensors", leaves, **facts)
     names = {name: {"name": name.upper(), "held": True} for name in REQUIRED} | {"surge": {"name": "NAV_SPEED"}}
-    own = Middleware("test", "usvlearn.logs.alog.Alog", names)
+    own = Middleware("test", "usvlearn.logs.formats.moos.alog.Alog", names)
     changes = channel_options({"command_left.span": "-100", "surge.unit": "knots"})
     with Session(Options(tmp_path / "node", path, channels=changes), own) as session:
         left, surge = session.sources["command_left"], session.sources["surge"]
     assert (left.name, left.span, left.delay, left.held) == ("COMMAND_LEFT", -100.0, 0.3, True)
     assert (surge.name, surge.unit) == ("NAV_SPEED", "knots")
-    same = Middleware("test", "usvlearn.logs.csv_table.Table", own.channels)
+    same = Middleware("test", "usvlearn.logs.formats.csv.table.Table", own.channels)
     with Session(Options(tmp_path / "node2", path), same) as session:
         assert session.sources["command_left"].name == "pwm" and session.sources["command_left"].span == 400.0
 

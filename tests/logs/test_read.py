@@ -9,11 +9,11 @@ import pytest
 
 from tests.support import REAL_LOGS, ROOT
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.alog import Alog
-from usvlearn.logs.channel import AUXILIARY, Source
-from usvlearn.logs.csv_table import Table
+from usvlearn.logs.channels.channel import AUXILIARY, Source
+from usvlearn.logs.formats.csv.table import Table
+from usvlearn.logs.formats.moos.alog import Alog
+from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.read import read_recordings
-from usvlearn.logs.rosbag import Rosbag
 
 CONFIGS = ROOT / "configs" / "data"
 DATA = REAL_LOGS

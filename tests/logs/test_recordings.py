@@ -6,10 +6,10 @@ import torch
 
 from tests.support.recordings import recording
 from usvlearn import AID, RLS, RNN, Average, Ensemble, Persistence, RecursiveWeights, SurgeDynamics
+from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.errors import ConfigError, LogFormatError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.replay import Position, replay
-from usvlearn.signals import named_leaves, tree_map
 from usvlearn.simulate.fleet import fleet as simulated
 
 

@@ -10,15 +10,15 @@ import pytest
 
 from tests.support.ardupilot import PARAMETERS, frame, header, logged
 from tests.support.ulogs import boat
-from usvlearn.logs.alog import Alog
-from usvlearn.logs.channel import Channel, Recording
-from usvlearn.logs.csv_table import Table
-from usvlearn.logs.dataflash import DataFlash
+from usvlearn.logs.channels.channel import Channel, Recording
+from usvlearn.logs.formats.ardupilot.dataflash import DataFlash
+from usvlearn.logs.formats.ardupilot.tlog import Tlog
+from usvlearn.logs.formats.csv.table import Table
+from usvlearn.logs.formats.moos.alog import Alog
+from usvlearn.logs.formats.px4.ulog import Ulog
+from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.read import read_recordings
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.logs.rosbag import Rosbag
-from usvlearn.logs.tlog import Tlog
-from usvlearn.logs.ulog import Ulog
 
 NAMES = ("left", "right", "psi", "speed")
 PLAIN = {

@@ -9,12 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import usvlearn
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
+from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError
-from usvlearn.logs.channel import Channel
-from usvlearn.logs.mixing import LiveMix, Mix, mix
+from usvlearn.logs.alignment.mixing import LiveMix, Mix, mix
+from usvlearn.logs.channels.channel import Channel
 from usvlearn.logs.setup import Setup
-from usvlearn.online import Online
 
 NAMES = {"command_left": "l", "command_right": "r", "heading": "psi", "surge": "v"}
 
@@ -40,7 +40,7 @@ def test_what_was_learned_from_a_log_knows_its_channels(tmp_path):
     left = setup.channels["command_left"]
     assert (left.name, left.zero, left.span, left.delay) == ("l", 1500, 400, 0.2)
     assert setup.align["dt"] == 0.2 and (setup.mass, setup.surge_max) == (28.0, 3.0)
-    assert setup.reader == "usvlearn.logs.csv_table.Table"
+    assert setup.reader == "usvlearn.logs.formats.csv.table.Table"
     again = Online.open(saved)
     assert checkpoint.load(again.save(tmp_path / "b.safetensors"))[1]["setup"] == setup.json()
 

@@ -7,11 +7,11 @@ import pytest
 
 from tests.support.bags import NS, START, unindexed, write_bag
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.alog import Alog
-from usvlearn.logs.channel import Source
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.moos.alog import Alog
+from usvlearn.logs.formats.ros.rosbag import LARGE, Rosbag
 from usvlearn.logs.read import read_recordings
-from usvlearn.logs.rosbag import LARGE, Rosbag
-from usvlearn.logs.series import Series
 
 
 def assert_same_as_read(reader, path: Path, series: list[Series]) -> None:

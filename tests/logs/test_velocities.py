@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.logs.align import align
-from usvlearn.logs.csv_table import Table
+from usvlearn.logs.alignment.align import align
+from usvlearn.logs.formats.csv.table import Table
+from usvlearn.logs.formats.ros.rosbag import Rosbag
 from usvlearn.logs.read import read_recordings
-from usvlearn.logs.rosbag import Rosbag
 from usvlearn.logs.velocities import read_velocities
 
 INPUTS = {"command_left": {"name": "L"}, "command_right": {"name": "R"}, "heading": {"name": "psi"}}

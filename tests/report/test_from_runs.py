@@ -17,13 +17,13 @@ from rich.console import Console
 from tests.support.commands import run
 from tests.support.seasons import boats
 from usvlearn import AID, Ensemble
-from usvlearn.checkpoint import checkpoints, load
+from usvlearn.core.checkpoint import checkpoints, load
+from usvlearn.display.result_table import ResultTable
 from usvlearn.errors import CheckpointError, ConfigError, MissingExtraError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.assembly import assemble
 from usvlearn.report.from_runs import Tools, known_quantities, read
 from usvlearn.report.page import check_report_folder, write_report
-from usvlearn.report.result_table import ResultTable
 from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.parameters import parameters_section
 from usvlearn.runs.saved import configuration, is_sweep, read_seasons, results, run_folders

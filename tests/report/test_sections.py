@@ -8,12 +8,12 @@ import torch
 
 from tests.support.seasons import boats
 from usvlearn import AID, ARX, RLS, RNN, Ensemble, JointEKF, Robust, SIFtRLS, SurgeDynamics
+from usvlearn.display.result_table import ResultTable
 from usvlearn.evaluation.members import physical_members
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.season_figures import box
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import TOO_SMALL, _findings, course
+from usvlearn.report.sections.season_figures import box
 from usvlearn.report.sections.tuning_gain import tuning_section
 from usvlearn.simulate.fleet import fleet_vessels
 from usvlearn.simulate.truth import true_parameters, truth_of

@@ -16,12 +16,12 @@ import pytest
 from rich.console import Console, Group
 
 from tests.support import ROOT, over
-from usvlearn.activity import doing
+from usvlearn.display.activity import doing
+from usvlearn.display.activity_bar import Activity
+from usvlearn.display.terminal import Blocks, console
 from usvlearn.estimators.joint.reading import Identified, Quantity
 from usvlearn.evaluation.metrics import scores
-from usvlearn.report.activity_bar import Activity
 from usvlearn.report.tables import error_tables, identified_table, rejection_table, summary_lines, tuning_table
-from usvlearn.report.terminal import Blocks, console
 
 WIDTHS = [60, 80, 100, 160]
 NAMES = ["aid", "rls", "ambient_rls_short", "persistence", "average", "a_member_with_a_long_name"]
@@ -101,7 +101,7 @@ def test_blocks_are_even():
 
 
 PRINT = """
-from usvlearn.report.terminal import Blocks, console
+from usvlearn.display.terminal import Blocks, console
 table = Blocks("title", ["name"], [f"column{k}" for k in range(40)])
 table.add("aid", *map(str, range(40)))
 console().print(table)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tests.support.runs import tools
-from usvlearn import checkpoint
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
+from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.from_runs import read
 from usvlearn.runs.index import begun

@@ -13,10 +13,11 @@ import pytest
 from tests.support import ROOT
 from tests.support.commands import ENVIRONMENT, QUICK, called, command, complaints
 from tests.support.runs import assert_same, session
-from usvlearn import checkpoint, tensorboard
 from usvlearn.cli import train
+from usvlearn.core import checkpoint
+from usvlearn.display import event_file as tensorboard
+from usvlearn.display.event_file import TensorBoardWriter
 from usvlearn.errors import bad_input
-from usvlearn.tensorboard import TensorBoardWriter
 
 
 class FullDisk:

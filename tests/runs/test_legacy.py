@@ -18,9 +18,10 @@ from omegaconf import OmegaConf
 from rich.console import Console
 
 from tests.support import ROOT
-from usvlearn import AID, Inputs, Online, Robust, Sample, checkpoint
+from usvlearn import AID, Inputs, Online, Robust, Sample
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.train import train
+from usvlearn.core import checkpoint
 from usvlearn.runs.legacy import TARGETS, current
 from usvlearn.runs.saved import configuration
 

@@ -7,9 +7,9 @@ import pytest
 
 from tests.support.recordings import recording
 from usvlearn import AID, Ensemble, Persistence
+from usvlearn.display.figures import prediction_figure
 from usvlearn.errors import CheckpointError
 from usvlearn.evaluation import metrics
-from usvlearn.figures import prediction_figure
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs.published import PUBLISHED
 from usvlearn.runs.replay import replay

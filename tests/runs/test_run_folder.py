@@ -11,13 +11,13 @@ import torch
 
 from tests.support.recordings import recording
 from tests.support.runs import SETTINGS, assert_same, model, published, session
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
+from usvlearn.core.samples import named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.runs import run_folder
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.runs.saved import configuration, run_folders
-from usvlearn.signals import named_leaves
 
 
 class Killed(Exception):

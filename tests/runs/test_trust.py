@@ -13,7 +13,8 @@ from omegaconf import OmegaConf
 from tests.support import ROOT
 from tests.support.commands import run
 from tests.support.runs import tools
-from usvlearn import Persistence, checkpoint
+from usvlearn import Persistence
+from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.report.from_runs import read
 from usvlearn.runs.saved import configuration
@@ -55,7 +56,7 @@ HARM = {  # what a foreign configuration may ask for, `touched` being a file tha
     "private": {"_target_": "usvlearn.logs.read._find", "path": "{}", "suffixes": []},
     "dunder": {"_target_": "usvlearn.logs.read.__builtins__.eval", "_args_": [CODE]},
     "function": {"_target_": "usvlearn.estimators.rnn.initial.pretrained_weights", "given": "{}", "n": 20},
-    "ours elsewhere": {"_target_": "usvlearn.checkpoint.write_atomically", "path": "{}", "content": "x"},
+    "ours elsewhere": {"_target_": "usvlearn.core.checkpoint.write_atomically", "path": "{}", "content": "x"},
     "lookalike": {"_target_": "usvlearn.estimators_of_mine.AID"},
     "relative": {"_target_": ".os.system", "command": "touch {}"},
     "no name": {"_target_": ["os.system"]},

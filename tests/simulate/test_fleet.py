@@ -10,7 +10,7 @@ import torch
 
 from tests.support.recordings import same
 from usvlearn.errors import ConfigError
-from usvlearn.logs.align import align
+from usvlearn.logs.alignment.align import align
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.fleet import fleet, fleet_missions, fleet_vessels, sail
 from usvlearn.simulate.plants import PLANTS, plant

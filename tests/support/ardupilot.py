@@ -4,8 +4,8 @@ import struct
 
 import numpy as np
 
-from usvlearn.logs.channel import Source
-from usvlearn.logs.mavlink_messages import MESSAGES
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
 
 PACKED = {**{letter: letter for letter in "bBhHiIqQfd"}, "g": "e", "n": "4s", "N": "16s", "Z": "64s", "a": "64s",
           "M": "B", "c": "h", "C": "H", "e": "i", "E": "I", "L": "i"}  # fmt: skip

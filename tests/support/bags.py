@@ -3,7 +3,7 @@
 import struct
 from pathlib import Path
 
-from usvlearn.logs.channel import Source
+from usvlearn.logs.channels.channel import Source
 
 NS = 10**9
 

@@ -12,7 +12,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from tests.support import ROOT
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
 

@@ -9,7 +9,7 @@ from tests.support import ROOT
 from usvlearn import Ensemble, Estimator, Persistence
 from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.runs.replay import replay
-from usvlearn.tuning import tune as tuning
+from usvlearn.sweeps.tuning import tune as tuning
 
 TWO_BOATS = ["data.n=2", "data.hours=0.05", "data.mission_minutes=1.5", "data.seed=7", "estimators.rnn.neurons=4"]
 

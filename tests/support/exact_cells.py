@@ -11,11 +11,11 @@ from itertools import product
 
 import numpy as np
 
-from certify.box_planes import Box
-from certify.vector_exact import Matrix, identity, inverse
-from certify.vector_exact import product as times
-from certify.vector_weights import Activation, VectorWeights
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.networks.vector import Activation, VectorWeights
+from certify.proofs.box_planes import Box
+from certify.proofs.vector_exact import Matrix, identity, inverse
+from certify.proofs.vector_exact import product as times
 
 
 def exact_rate(weights: ShallowWeights, box: Box) -> Fraction:

@@ -30,7 +30,7 @@ from usvlearn import (
     SurgeDynamics,
     WithMemory,
 )
-from usvlearn.signals import named_leaves, tree_map
+from usvlearn.core.samples import named_leaves, tree_map
 
 PRIOR = [-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]
 STIFF = [-9e3, -9e3, 0, 500, 500, -200, 500, 500, -200]  # dt Ĵ far below −20

@@ -12,10 +12,10 @@ import usvlearn
 from tests.support import commands
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
-from usvlearn.logs.channel import REQUIRED, Recording
+from usvlearn.logs.channels.channel import REQUIRED, Recording
 from usvlearn.simulate.fleet import fleet
 
-PLAIN = Middleware("test", "usvlearn.logs.alog.Alog", {name: {"name": name.upper()} for name in REQUIRED})
+PLAIN = Middleware("test", "usvlearn.logs.formats.moos.alog.Alog", {name: {"name": name.upper()} for name in REQUIRED})
 
 
 @cache

@@ -15,7 +15,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tests.support.ardupilot import PARAMETERS
 from usvlearn.live.health import COMPILING
-from usvlearn.logs.servos import DEFAULTS
+from usvlearn.logs.formats.ardupilot.servos import DEFAULTS
 
 ARDUPILOT = {f"SERVO{n}_FUNCTION": 0.0 for n in range(1, 17)} | PARAMETERS
 EPOCH = 1_700_000_000_000_000  # us

@@ -5,8 +5,8 @@ import math
 from tests.support.mavboat import MavBoat, RecordingSession, mavlink, record
 from usvlearn.live.mavlink.routes import CHANNELS
 from usvlearn.live.mavlink.vehicle import Vehicle
-from usvlearn.logs.channel import Source
-from usvlearn.logs.tlog import Tlog
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.ardupilot.tlog import Tlog
 
 SOURCES = {part: Source(**each) for part, each in CHANNELS.items()}
 RECEIPT = 1000.0  # s; the node's clock when the boat's time is 0

@@ -4,9 +4,9 @@ from fractions import Fraction
 
 import numpy as np
 
-from certify.box import Box, operating_box
-from certify.vector_weights import VectorWeights, check
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.networks.vector import VectorWeights, check
+from certify.search.box import Box, operating_box
 
 SCALING = [[Fraction(2), Fraction(1, 3)], [Fraction(0), Fraction(1)]]  # T, of two states
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from usvlearn.logs.channel import Channel, Recording
+from usvlearn.logs.channels.channel import Channel, Recording
 
 
 def channel(time, value, order=None, **how) -> Channel:

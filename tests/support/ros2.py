@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from usvlearn.live.health import COMPILING, Health
-from usvlearn.live.ros2_outputs import message_class
+from usvlearn.live.ros2.outputs import message_class
 from usvlearn.logs.setup import Setup
 
 ZERO = {"bool": False, "string": "", "byte": b"\x00", "float32": 0.0, "float64": 0.0}

@@ -4,7 +4,8 @@ import numpy as np
 from hydra.utils import instantiate
 from rich.console import Console
 
-from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics, checkpoint
+from usvlearn import AID, RLS, Ensemble, Persistence, SurgeDynamics
+from usvlearn.core import checkpoint
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.from_runs import Tools
 from usvlearn.runs.replay import replay

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from usvlearn import RLS, Average, Ensemble, Inputs, Sample, SurgeDynamics
+from usvlearn.core.samples import tree_map
+from usvlearn.engine.rollouts import rollout
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.rollouts import rollout
-from usvlearn.signals import tree_map
 
 TIME = 0.4 * np.arange(200.0)
 

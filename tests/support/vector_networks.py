@@ -4,8 +4,8 @@ from fractions import Fraction
 
 import numpy as np
 
-from certify.vector_exact import Matrix, inverse
-from certify.vector_weights import VectorWeights, check
+from certify.networks.vector import VectorWeights, check
+from certify.proofs.vector_exact import Matrix, inverse
 
 
 def draw(rng: np.random.Generator, q: int, n: int, second: int = 0, inputs: int = 2) -> VectorWeights:

@@ -6,14 +6,14 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from tests.support.boards import boards, steps, texts, values
 from tests.support.commands import hparams
+from usvlearn.display.event_file import TensorBoardWriter
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import scored
-from usvlearn.runs.board_tags import MAE
+from usvlearn.runs.tensorboard.board_tags import MAE
 from usvlearn.sweeps.board import MOST_KEYS, MOST_POINTS, REST, job_names, write_board
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.standings import standings
-from usvlearn.tensorboard import TensorBoardWriter
 
 
 def job(folder, number, settings, mae=None, by="rnn", **more) -> Job:

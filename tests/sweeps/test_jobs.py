@@ -31,12 +31,12 @@ from tests.support.commands import (
     table,
 )
 from usvlearn import Ensemble
+from usvlearn.display.event_file import LONGEST
 from usvlearn.errors import ConfigError, MissingExtraError, bad_input
 from usvlearn.evaluation.metrics import scores
 from usvlearn.sweeps.jobs import Job, digest, jobs, run_job
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import leaderboard, write_leaderboard
-from usvlearn.tensorboard import LONGEST
 
 SWEEPS = sorted(p.stem for p in (ROOT / "configs" / "sweep").glob("*.yaml"))
 LAUNCHED = {**ENVIRONMENT, "PYTHONPATH": str(ROOT)}

@@ -19,12 +19,16 @@ USAGE = """usage: usvlearn live moos MISSION.moos [ALIAS]      on a MOOSDB
        usvlearn live systemd --folder DIR COMMAND … print a systemd unit that starts one of the first three
 Each has --help. A node starts from the newest readable set of its folder, else from --start SET, else from a prior by
 --mass and --surge-max. It needs no torch."""
-SHELLS = {"moos": "usvlearn.live.moos.app", "mavlink": "usvlearn.live.mavlink", "ros2": "usvlearn.live.ros2"}
+SHELLS = {
+    "moos": "usvlearn.live.moos.app",
+    "mavlink": "usvlearn.live.mavlink.shell",
+    "ros2": "usvlearn.live.ros2.shell",
+}
 
 
 def status(arguments: Sequence[str]) -> int:
     """Print what a node last knew."""
-    from usvlearn.live.told import status_lines
+    from usvlearn.live.status.status_file import status_lines
 
     if len(arguments) != 1 or arguments[0].startswith("-"):
         print("usage: usvlearn live status FOLDER")

@@ -8,12 +8,12 @@ from typing import Any
 
 from rich.console import Console
 
+from usvlearn.core.samples import Fleet
 from usvlearn.errors import LogFormatError
+from usvlearn.logs.checks.data_check import CHECKS, check_data, check_level, refuse
 from usvlearn.logs.checks.finding import Finding
-from usvlearn.logs.data_check import CHECKS, check_data, check_level, refuse
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.report.tables import data_check_table
-from usvlearn.signals import Fleet
 
 
 class CheckedAlignment:

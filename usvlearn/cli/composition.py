@@ -13,7 +13,7 @@ import usvlearn
 from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.settings import check_settings, instantiate
-from usvlearn.logs.channel import Recording
+from usvlearn.logs.channels.channel import Recording
 
 
 def configs_folder() -> Path:

@@ -19,9 +19,9 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from usvlearn.core.foreign_yaml import read_yaml
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
-from usvlearn.foreign_yaml import read_yaml
-from usvlearn.inspection.override import hydra_text
+from usvlearn.logs.inspection.override import hydra_text
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")

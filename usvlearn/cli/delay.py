@@ -21,13 +21,13 @@ import numpy as np
 
 from usvlearn.cli.without_hydra import run_command
 from usvlearn.errors import ConfigError, LogFormatError
-from usvlearn.inspection.lag import BLOCK, DELAYS, EQUAL, LEAST_BLOCKS, SURE
-from usvlearn.logs.channel import COMMANDS as SIDES
+from usvlearn.logs.channels.channel import COMMANDS as SIDES
+from usvlearn.logs.inspection.lag import BLOCK, DELAYS, EQUAL, LEAST_BLOCKS, SURE
 
 if TYPE_CHECKING:
-    from usvlearn.estimator import Estimator
-    from usvlearn.logs.channel import Recording
-    from usvlearn.signals import Fleet
+    from usvlearn.core.protocol import Estimator
+    from usvlearn.core.samples import Fleet
+    from usvlearn.logs.channels.channel import Recording
 
 USAGE = "usage: usvlearn delay my_boat.yaml [KEY=VALUE …], or data=NAME data.path=LOGS; keys: usvlearn train --help=all"
 MODEL = "+estimator@model=dynamic_rls"  # of configs/estimator
@@ -80,8 +80,8 @@ def _errors(fleet: Fleet, model: Estimator) -> tuple[Errors, Errors]:
     """The errors of the model, which learns from run to run, and those of persistence."""
     import torch
 
-    from usvlearn.rollouts import rollout, tensors
-    from usvlearn.signals import masks
+    from usvlearn.core.samples import masks
+    from usvlearn.engine.rollouts import rollout, tensors
 
     own: Errors = {}
     persistence: Errors = {}
@@ -164,8 +164,8 @@ def work(arguments: Sequence[str]) -> None:
         ConfigError: an argument is no legal override, or the data have no channels to configure.
         LogFormatError: the logs cannot be read, or are too short.
     """
-    from usvlearn.report import terminal
-    from usvlearn.report.activity_bar import Activity
+    from usvlearn.display import terminal
+    from usvlearn.display.activity_bar import Activity
 
     with Activity(console := terminal.console(), "loading"):
         from usvlearn.cli.command import parse

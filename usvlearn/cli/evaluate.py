@@ -11,10 +11,10 @@ from usvlearn.cli.command import command
 from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.sweep import load
+from usvlearn.display.activity_bar import Activity
+from usvlearn.display.terminal import console
 from usvlearn.errors import ConfigError  # what needs torch is imported where it is used: --help is quick
 from usvlearn.logs.recordings import align_fleet
-from usvlearn.report.activity_bar import Activity
-from usvlearn.report.terminal import console
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.leaderboard import leaderboard
 
@@ -24,7 +24,7 @@ def study(cfg: DictConfig, tools) -> None:
     from usvlearn.cli.train import work
     from usvlearn.report.from_runs import evaluate, start_of
     from usvlearn.report.study import Study
-    from usvlearn.tuning.tune import request
+    from usvlearn.sweeps.tuning.tune import request
 
     made = Study(
         Path(cfg.folder), plain(cfg.study), tools.say, choose=lambda folder: start_of(folder, tools),

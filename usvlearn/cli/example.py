@@ -7,8 +7,8 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from usvlearn.checkpoint import write_atomically
 from usvlearn.cli.without_hydra import out_folder, run_command
+from usvlearn.core.checkpoint import write_atomically
 from usvlearn.errors import ConfigError
 
 USAGE = "usage: usvlearn example FOLDER [--minutes 10] [--seed 7]"
@@ -29,8 +29,8 @@ def work(arguments: Sequence[str]) -> None:
     Raises:
         ConfigError: an option is not legal, or a log is there already.
     """
-    from usvlearn.report import terminal
-    from usvlearn.report.activity_bar import Activity
+    from usvlearn.display import terminal
+    from usvlearn.display.activity_bar import Activity
 
     given = parser().parse_args(arguments)
     folder = out_folder(given.folder, "FOLDER")

@@ -8,11 +8,11 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
-from usvlearn.checkpoint import write_atomically
 from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
+from usvlearn.core.checkpoint import write_atomically
 from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, printable
-from usvlearn.export.formats import FORMATS, file_name
+from usvlearn.model.export.formats import FORMATS, file_name
 from usvlearn.model.read_boats import IdentifiedBoat, read_boats
 from usvlearn.runs.layout import CHECKPOINTS
 

@@ -12,7 +12,7 @@ from usvlearn.cli.without_hydra import run_command
 from usvlearn.errors import ConfigError
 
 if TYPE_CHECKING:
-    from usvlearn.inspection.inspected import Inspected
+    from usvlearn.logs.inspection.inspected import Inspected
 
 USAGE = "usage: usvlearn inspect LOG…\n       [--output my_boat.yaml] [--name BOAT] [--plot] [--force]"
 LISTED = 40  # series on the screen
@@ -43,14 +43,14 @@ def work(arguments: Sequence[str]) -> None:
         ConfigError: an argument is wrong, a required channel is missing, or the file exists.
         LogFormatError: the logs cannot be read.
     """
-    from usvlearn.report import terminal
-    from usvlearn.report.activity_bar import Activity
+    from usvlearn.display import terminal
+    from usvlearn.display.activity_bar import Activity
 
     options = parser().parse_args(list(arguments))
     with Activity(console := terminal.console(), "loading"):
-        from usvlearn.checkpoint import write_atomically
-        from usvlearn.inspection import screen
-        from usvlearn.inspection.inspected import inspect_logs
+        from usvlearn.core.checkpoint import write_atomically
+        from usvlearn.logs.inspection import screen
+        from usvlearn.logs.inspection.inspected import inspect_logs
     output = Path(options.output).expanduser()
     if output.suffix not in (".yaml", ".yml"):
         raise ConfigError(f"--output: found {options.output!r}, expected a name that ends in .yaml")
@@ -66,7 +66,7 @@ def work(arguments: Sequence[str]) -> None:
     if options.name is not None and ("${" in options.name or options.name == "???"):
         raise ConfigError(f"--name: found {options.name!r}, which a configuration takes for a reference: change it")
     if options.plot:
-        from usvlearn.figures import themed
+        from usvlearn.display.figures import themed
 
         with themed():  # refuses now, before anything is written, where matplotlib is missing
             pass
@@ -86,7 +86,7 @@ def work(arguments: Sequence[str]) -> None:
         )
     write_atomically(output, found.text.encode())
     if options.plot:
-        from usvlearn.inspection.picture import draw
+        from usvlearn.logs.inspection.picture import draw
 
         draw(found, output.with_suffix(".png"))
     terminal.show(*_end(found, output, options.plot))
@@ -107,8 +107,8 @@ def _what_to_do(found: Inspected) -> str:
 
 
 def _end(found: Inspected, output: Path, plot: bool) -> Iterator[str]:
-    from usvlearn.inspection.override import shell_override
-    from usvlearn.inspection.screen import hours
+    from usvlearn.logs.inspection.override import shell_override
+    from usvlearn.logs.inspection.screen import hours
 
     yield f"Read back: {len(found.recordings)} run{'s' * (len(found.recordings) > 1)}, {hours(found.recordings):.2f} h."
     if plot:

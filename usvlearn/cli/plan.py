@@ -17,10 +17,10 @@ from usvlearn.errors import ConfigError, MissingExtraError, printable
 
 if TYPE_CHECKING:
     from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.model.planning.course import Limits
+    from usvlearn.model.planning.exchange import Plan
+    from usvlearn.model.planning.rehearsal import Rehearsal
     from usvlearn.model.read_boats import IdentifiedBoat
-    from usvlearn.planning.course import Limits
-    from usvlearn.planning.exchange import Plan
-    from usvlearn.planning.rehearsal import Rehearsal
 
 USAGE = (
     "usage: usvlearn plan RUN [--boat NAME] [--minutes 5] [--area 200] [--command-max 1] [--out FOLDER] …; "
@@ -59,14 +59,14 @@ def work(arguments: Sequence[str]) -> None:
         CheckpointError: there is no readable set.
         ConfigError: an option is outside its legal values, nothing is identified, or no course stays in the area.
     """
-    from usvlearn.report import terminal
-    from usvlearn.report.activity_bar import Activity
+    from usvlearn.display import terminal
+    from usvlearn.display.activity_bar import Activity
 
     options = parser().parse_args(list(arguments))
     with Activity(terminal.console(), "loading"):
+        from usvlearn.model.planning.course import Limits
+        from usvlearn.model.planning.schedules import home_of
         from usvlearn.model.read_boats import read_boats
-        from usvlearn.planning.course import Limits
-        from usvlearn.planning.schedules import home_of
     home = None if options.home is None else home_of(options.home)
     if not (-360 <= options.heading <= 360 and options.seed >= 0):
         raise ConfigError(
@@ -105,9 +105,9 @@ def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
     Raises:
         ConfigError: its thrust points astern, or no course stays in the area.
     """
-    from usvlearn.planning.course import lawn_mower
-    from usvlearn.planning.exchange import derived, search, wide
-    from usvlearn.planning.rehearsal import Rehearsal
+    from usvlearn.model.planning.course import lawn_mower
+    from usvlearn.model.planning.exchange import derived, search, wide
+    from usvlearn.model.planning.rehearsal import Rehearsal
 
     boat.check_physical()
     top = boat.found["steady_speed_full"].value
@@ -129,7 +129,7 @@ def _planned(boat: IdentifiedBoat, limits: Limits, seed: int) -> Planned:
 
 def _show(planned: Planned, limits: Limits, folder: Path, home: tuple[float, float] | None) -> None:
     """Write the files of a plan, and print it."""
-    from usvlearn.report import terminal
+    from usvlearn.display import terminal
 
     boat, rehearsal, quantities, aims, plan, mower = planned
     console, written = terminal.console(), list(_written(boat, limits, plan, mower, folder, home))
@@ -150,8 +150,8 @@ def _width(found: Identified, name: str) -> float:
 
 def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Limits, aims: list[str]):
     """The table of the segments; `why` names the interval that a segment shrinks most."""
-    from usvlearn.planning.course import steps_of
-    from usvlearn.report import terminal
+    from usvlearn.display import terminal
+    from usvlearn.model.planning.course import steps_of
 
     course, segment = plan.course, steps_of(limits, plan.course.dt)
     ends = np.append(np.flatnonzero(np.diff(segment)) + 1, len(segment))
@@ -175,9 +175,9 @@ def _segments(boat: IdentifiedBoat, rehearsal: Rehearsal, plan: Plan, limits: Li
 
 def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan, quantities: list[str]):
     """The table of the intervals."""
+    from usvlearn.display import terminal
     from usvlearn.estimators.joint.reading import shown
-    from usvlearn.planning.course import SURVEY
-    from usvlearn.report import terminal
+    from usvlearn.model.planning.course import SURVEY
 
     table = terminal.Blocks(
         f"Half-width of each 90 % interval, as expected; a lawn mower keeps {SURVEY:.0%} throttle on parallel lines",
@@ -192,7 +192,7 @@ def _intervals(boat: IdentifiedBoat, mower: Identified, plan: Plan, quantities: 
 
 def _determined(now: Identified, after: Identified, quantities: list[str]) -> Iterator[str]:
     """What is said where nothing is wide."""
-    from usvlearn.planning.exchange import WELL
+    from usvlearn.model.planning.exchange import WELL
 
     name = min(quantities, key=lambda each: _width(after, each) / _width(now, each))
     yield (
@@ -205,9 +205,9 @@ def _written(
     boat: IdentifiedBoat, limits: Limits, plan: Plan, mower: Identified, folder: Path, home: tuple[float, float] | None
 ) -> Iterator[str]:
     """Write the files; what each is."""
-    from usvlearn.checkpoint import write_atomically
-    from usvlearn.planning import planned_figure
-    from usvlearn.planning.schedules import csv_lines, moos_lines, waypoint_lines
+    from usvlearn.core.checkpoint import write_atomically
+    from usvlearn.model.planning import planned_figure
+    from usvlearn.model.planning.schedules import csv_lines, moos_lines, waypoint_lines
 
     def write(suffix: str, text: str) -> Path:
         path = folder / f"{boat.stem}{suffix}"

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn import checkpoint
 from usvlearn.cli.composition import compose_train, plain
 from usvlearn.cli.settings import ensemble_of
+from usvlearn.core import checkpoint
+from usvlearn.core.samples import named_leaves
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.live.prior import FILE
-from usvlearn.signals import named_leaves
 
 TRIED = ((2.0, 1.0), (1.0, 2.0), (17.5, 3.5), (0.3, 0.2), (8000.0, 11.0))  # kg, m/s; the first two give the powers
 ROUNDING = 1e-12  # relative; settings are stored as logarithms

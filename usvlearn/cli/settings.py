@@ -15,8 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.errors import ConfigError, UsvlearnError, check_choice, did_you_mean, under
-from usvlearn.logs.align import Aligner
-from usvlearn.logs.data_check import check_level
+from usvlearn.logs.alignment.align import Aligner
+from usvlearn.logs.checks.data_check import check_level
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble

@@ -17,7 +17,7 @@ from usvlearn.cli.without_hydra import out_folder, run_command
 from usvlearn.errors import MissingExtraError, complain
 
 if TYPE_CHECKING:
-    from usvlearn.controller.design import Controller
+    from usvlearn.model.controller.design import Controller
 
 USAGE = "usage: usvlearn controller RUN [--boat NAME] [--out FOLDER] …; all options: usvlearn controller --help"
 
@@ -52,12 +52,12 @@ def work(arguments: Sequence[str]) -> None:
     """
     given = vars(parser().parse_args(list(arguments)))
     path, name, out = given.pop("path"), given.pop("boat"), given.pop("out")
-    from usvlearn.report import terminal
-    from usvlearn.report.activity_bar import Activity
+    from usvlearn.display import terminal
+    from usvlearn.display.activity_bar import Activity
 
     with Activity(terminal.console(), "loading"):
-        from usvlearn.controller.design import Wanted, controller
-        from usvlearn.controller.design_text import parts
+        from usvlearn.model.controller.design import Wanted, controller
+        from usvlearn.model.controller.design_text import parts
         from usvlearn.model.read_boats import read_boats
 
     folder = None if out is None else out_folder(out)
@@ -79,9 +79,9 @@ def work(arguments: Sequence[str]) -> None:
 
 def _write(folder: Path, found: Controller) -> list[str]:
     """Write all files of a boat; returns their names."""
-    from usvlearn.checkpoint import write_atomically
-    from usvlearn.controller.design import facts
-    from usvlearn.controller.design_text import head
+    from usvlearn.core.checkpoint import write_atomically
+    from usvlearn.model.controller.design import facts
+    from usvlearn.model.controller.design_text import head
 
     name = found.boat.stem
     files = {
@@ -92,7 +92,7 @@ def _write(folder: Path, found: Controller) -> list[str]:
         f"{name}_pid.moos": found.moos.text(head(found)).encode(),
     }
     try:
-        from usvlearn.controller.responses_picture import pictures
+        from usvlearn.model.controller.responses_picture import pictures
 
         files |= {f"{name}.controller{ending}": content for ending, content in pictures(found).items()}
     except MissingExtraError as error:

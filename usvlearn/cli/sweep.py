@@ -25,11 +25,11 @@ from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.cli.settings import check_lanes, check_settings, instantiate
 from usvlearn.cli.stopping import defer_signals, end_deferral
 from usvlearn.cli.submitted import wait_for_all
+from usvlearn.core.foreign_yaml import has_alias
+from usvlearn.core.lock import Lock
+from usvlearn.display.terminal import console
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.measure import measure_of
-from usvlearn.foreign_yaml import has_alias
-from usvlearn.lock import Lock
-from usvlearn.report.terminal import console
 from usvlearn.runs.index import check_own
 from usvlearn.sweeps.jobs import LANES, SweepNote, check_sweep, note_sweep, noted_sweep, run_job, write_lanes
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers
@@ -184,7 +184,7 @@ def as_lanes(config: DictConfig, folder: Path, note: SweepNote, jobs: Sequence[M
     """Run the jobs as lanes of one batch if `sweep.lanes=auto` asks for it, and it is possible; whether it was."""
     if check_lanes(OmegaConf.select(config, "sweep.lanes")) == "off":
         return False
-    from usvlearn.tuning.sweep_lanes import run_lanes, why_not
+    from usvlearn.sweeps.tuning.sweep_lanes import run_lanes, why_not
 
     own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
     settings = plain(own)

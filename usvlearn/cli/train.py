@@ -17,10 +17,10 @@ from usvlearn.cli.composition import plain
 from usvlearn.cli.settings import as_written, check_settings, ensemble_of, instantiate
 from usvlearn.cli.stopping import until_stopped
 from usvlearn.cli.sweep import do_job
+from usvlearn.display import terminal
+from usvlearn.display.activity_bar import Activity
 from usvlearn.errors import check_positive
 from usvlearn.logs.setup import setups_of
-from usvlearn.report import terminal
-from usvlearn.report.activity_bar import Activity
 from usvlearn.report.tables import (
     alarm_lines,
     error_tables,
@@ -40,7 +40,7 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     made = OmegaConf.create(seeded(plain(cfg)))
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     with Activity(console, "loading"):
-        from usvlearn.tuning import tune as tuning
+        from usvlearn.sweeps.tuning import tune as tuning
     with as_written(cfg):
         if not tuning.asked(made):
             return train(made, folder, console, resume or cfg.resume, overrides)
@@ -55,10 +55,10 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
         from usvlearn.evaluation.measure import check_measure, measure_of
         from usvlearn.evaluation.members import explained, remarks
         from usvlearn.report.stability import stability
-        from usvlearn.runs.board_tags import what_differs
-        from usvlearn.runs.logger import TensorBoardLogger, check_log
         from usvlearn.runs.replay import replay
         from usvlearn.runs.run_folder import RunFolder
+        from usvlearn.runs.tensorboard.board_tags import what_differs
+        from usvlearn.runs.tensorboard.logger import TensorBoardLogger, check_log
         from usvlearn.simulate.truth import quantities_of
 
     began, settings = time.perf_counter(), {**plain(cfg), "resume": None}

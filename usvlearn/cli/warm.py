@@ -31,13 +31,13 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
     Returns:
         The folder of the code.
     """
-    from usvlearn.crc import masked_crc32c
+    from usvlearn.core.jit import folder
+    from usvlearn.display.event_crc import masked_crc32c
     from usvlearn.engine import dispatch
     from usvlearn.engine.first_use import compile_plans
     from usvlearn.engine.free_runs import compile_free_runs
-    from usvlearn.jit import folder
-    from usvlearn.logs.align import Aligner
-    from usvlearn.logs.channel import REQUIRED, Source
+    from usvlearn.logs.alignment.align import Aligner
+    from usvlearn.logs.channels.channel import REQUIRED, Source
 
     masked_crc32c(b"")  # of TensorBoard's files
     Aligner({name: Source(name) for name in REQUIRED})
@@ -56,8 +56,9 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
 
 def _compile_readers() -> None:
     """Read empty logs, and no positions."""
-    from usvlearn.jit import announced
-    from usvlearn.logs import binary_kernel, position_kernel
+    from usvlearn.core.jit import announced
+    from usvlearn.logs.channels import position_kernel
+    from usvlearn.logs.formats.ardupilot import binary_kernel
 
     data, none = np.zeros(0, np.uint8), np.zeros(0)
     with announced(str(binary_kernel.__file__), "readers of binary logs"):

@@ -1,6 +1,6 @@
 """The compiled backend: it makes the same steps on the same states as torch, equal to rounding, and imports no torch.
 
-The engine knows the layout of no family. Each declares its own (`usvlearn.family`), and its `kernel.py` makes its
+The engine knows the layout of no family. Each declares its own (`usvlearn.core.family`), and its `kernel.py` makes its
 steps. A table describes the parts of an estimator, and the kernels interpret it, so another ensemble needs no new
 compilation. A state is one row of numbers per lane; its leaves are views of that row. The files, in the order in which
 they build on each other:

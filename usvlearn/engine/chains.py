@@ -10,9 +10,9 @@ The functions are written here from the list of families. For two families, `pre
 
 Numba inlines such a chain; it could not inline a call through a table of functions. The arguments of the verbs are
 
-    node      the row of this estimator in the table (`usvlearn.family`)
+    node      the row of this estimator in the table (`usvlearn.core.family`)
     s, q      the state and the numbers of a lane
-    x         the inputs of the step (`usvlearn.rows`)
+    x         the inputs of the step (`usvlearn.core.rows`)
     work      an array of the length that the family declares; `predict` may leave there what `learn` needs
     surge     measured speed, m/s, with which a segment starts
     predicted the first value of `predict`: the prediction, m/s
@@ -24,9 +24,9 @@ Numba inlines such a chain; it could not inline a call through a table of functi
 from importlib import import_module
 from typing import Any
 
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
 from usvlearn.estimators import COMPILED
-from usvlearn.family import Node
-from usvlearn.jit import jit
 
 VERBS = {
     "start": "node, s, q, surge",

@@ -1,6 +1,6 @@
 """Checks of a specification and a state that come from a file. The kernels check no index, so a file must not lie.
 
-A specification (`Estimator.spec`) is compared entry by entry with what the families declare (`usvlearn.family`). Its
+A specification (`Estimator.spec`) is compared entry by entry with what the families declare (`usvlearn.core.family`). Its
 sizes are bounded, and compared with the leaves, before any array is made. This is done once, where a file is opened;
 for an estimator of this process, the constructor has checked its arguments.
 """
@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.family import WIDTH, Choices, Field, Range
+from usvlearn.core.family import Numbers as Declared
 from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.engine.leaves import batch_of, leaves_of
 from usvlearn.errors import CheckpointError, ShapeError
@@ -22,8 +24,6 @@ from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
-from usvlearn.family import WIDTH, Choices, Field, Range
-from usvlearn.family import Numbers as Declared
 
 LARGEST = 2**20  # numbers of a lane: its state, its parameters, its table
 CELLS = 3 * WIDTH  # of the table, for each estimator or rule with its wrappers; the members of a rule come on top

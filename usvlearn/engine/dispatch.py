@@ -9,7 +9,11 @@ from enum import IntEnum
 
 import numpy as np
 
-from usvlearn.arrays import copy
+from usvlearn.core.arrays import copy
+from usvlearn.core.family import CHOICES, Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, HOLD, INPUTS, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
+from usvlearn.core.samples import PLAUSIBLE
 from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.chains import start as start_estimator
 from usvlearn.engine.forecasting import PLACE, coasted, forecast_step, forget_forecasts
@@ -22,10 +26,6 @@ from usvlearn.estimators.wrappers.memory.kernel import recall, remember
 from usvlearn.estimators.wrappers.memory.kernel import start as start_memory
 from usvlearn.estimators.wrappers.robust.kernel import inflation, update_scale, within
 from usvlearn.estimators.wrappers.robust.kernel import start as start_robust
-from usvlearn.family import CHOICES, Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT, HOLD, INPUTS, LEARN, MODE, PREDICT, ROW, START, SURGE, prepare
-from usvlearn.signals import PLAUSIBLE
 
 NAN, COASTED = np.nan, FORECAST.coasted
 

@@ -7,11 +7,11 @@ from functools import cache
 
 import numpy as np
 
+from usvlearn.core.family import WIDTH
+from usvlearn.core.jit import NUMBA, announced
+from usvlearn.core.rows import ROW, prepare_all
 from usvlearn.engine import dispatch, forecasting
 from usvlearn.engine.program import Plan, plan_for
-from usvlearn.family import WIDTH
-from usvlearn.jit import NUMBA, announced
-from usvlearn.rows import ROW, prepare_all
 
 COMPILING = threading.RLock()  # a fork waits for it
 

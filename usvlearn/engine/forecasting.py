@@ -7,14 +7,14 @@ length.
 
 import numpy as np
 
-from usvlearn.arrays import copy, fill
+from usvlearn.core.arrays import copy, fill
+from usvlearn.core.family import CHOICES, WIDTH, Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, INPUTS, ROW, SURGE, prepare
 from usvlearn.engine.chains import free_step
 from usvlearn.estimators.ensemble.forecasts.kernel import combine, fill_slot, learn_due, publish, weights_after
 from usvlearn.estimators.ensemble.forecasts.state import AT, EMPTY, Choice, Vector
 from usvlearn.estimators.wrappers.memory.kernel import recall, remember
-from usvlearn.family import CHOICES, WIDTH, Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT, INPUTS, ROW, SURGE, prepare
 
 PLACE = CHOICES + 8  # in the first row of the table: there stands the index of the forecasts' row, −1 without
 

@@ -7,6 +7,10 @@ from functools import cache
 
 import numpy as np
 
+from usvlearn.core.family import WIDTH
+from usvlearn.core.jit import announced, jit
+from usvlearn.core.rows import DT, LEARN, MODE, PREDICT, ROW, START, SURGE
+from usvlearn.core.samples import Sample
 from usvlearn.engine.dispatch import Whole, mask_diverged, step, surge_max
 from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.leaves import Description
@@ -14,10 +18,6 @@ from usvlearn.engine.program import plan_for
 from usvlearn.engine.run import in_parallel, prepared
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_sleeping, learn_rule
 from usvlearn.estimators.ensemble.state import AT
-from usvlearn.family import WIDTH
-from usvlearn.jit import announced, jit
-from usvlearn.rows import DT, LEARN, MODE, PREDICT, ROW, START, SURGE
-from usvlearn.signals import Sample
 
 
 @jit

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
+from usvlearn.core.family import Family
 from usvlearn.estimators import COMPILED
 from usvlearn.estimators.wrappers.memory.state import FAMILY as MEMORY
 from usvlearn.estimators.wrappers.robust.state import FAMILY as ROBUST
-from usvlearn.family import Family
 
 ESTIMATORS: list[Family[Any]] = [import_module(f"usvlearn.estimators.{name}.state").FAMILY for name in COMPILED]
 KINDS = {kind: family for family in ESTIMATORS for kind in family.kinds}

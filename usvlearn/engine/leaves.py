@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.family import Field
 from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
@@ -15,7 +16,6 @@ from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
-from usvlearn.family import Field
 
 Description = Mapping[str, Any]
 

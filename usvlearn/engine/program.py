@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Node
+from usvlearn.core.rows import INPUTS, ROW
 from usvlearn.engine.dispatch import Whole
 from usvlearn.engine.kinds import ESTIMATORS, KINDS, WRAPPERS
 from usvlearn.engine.leaves import Description, forecast_size, frozen, unwrapped
@@ -22,8 +24,6 @@ from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
-from usvlearn.family import LEAVES, WIDTH, Family, Field, Node
-from usvlearn.rows import INPUTS, ROW
 
 if TYPE_CHECKING:
     from numpy.typing import DTypeLike

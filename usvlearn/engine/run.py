@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.core.rows import ROW, prepare_all
+from usvlearn.core.samples import Sample, named_leaves, tree_map
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import Plan, plan_for
-from usvlearn.rows import ROW, prepare_all
-from usvlearn.signals import Sample, named_leaves, tree_map
 
 
 class Result(NamedTuple):

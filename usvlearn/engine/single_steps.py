@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from numba.core.errors import NumbaError
 
+from usvlearn.core.plans import NONE
+from usvlearn.core.samples import Inputs, Sample, check_sample, one_number
 from usvlearn.engine import dispatch as step
 from usvlearn.engine.first_use import COMPILING, compile_plans, compile_steps
 from usvlearn.engine.forecasting import forecast_plan
 from usvlearn.engine.leaves import Description, batch_of, leaves_of
 from usvlearn.engine.program import plan_for
 from usvlearn.errors import ConfigError
-from usvlearn.plans import NONE
-from usvlearn.signals import Inputs, Sample, check_sample, one_number
 
 LIVE = step.step_once
 Lane = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # its first arguments: program, state, numbers, work

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import masks
 from usvlearn.evaluation.season import SeasonRun
-from usvlearn.signals import masks
 
 NORMAL_99 = 2.58  # half-width of 99 % of a standard normal distribution
 

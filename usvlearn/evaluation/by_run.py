@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 from usvlearn.evaluation.free_simulation import FreeErrors
 from usvlearn.evaluation.horizons import HorizonSums
 from usvlearn.evaluation.metrics import Stretch
-from usvlearn.signals import PLAUSIBLE, Fleet, masks, tree_map
 
 STEP, FREE = "step", "free"
 HEAD = ("boat", "run", "ahead", "steps")

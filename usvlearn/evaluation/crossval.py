@@ -21,11 +21,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.estimator import clean
+from usvlearn.core.protocol import clean
+from usvlearn.core.samples import Inputs, Sample, masks, named_leaves, tree_map, where
+from usvlearn.engine.rollouts import choose, free_totals, simulate
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
-from usvlearn.rollouts import choose, free_totals, simulate
-from usvlearn.signals import Inputs, Sample, masks, named_leaves, tree_map, where
 
 LANES = 2048  # of one batch; about what fits into a processor's cache
 CHUNK = 128  # steps whose predictions are held at a time

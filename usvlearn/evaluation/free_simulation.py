@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import fit
 from usvlearn.evaluation.season import Season
-from usvlearn.signals import Fleet, masks, tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -55,7 +55,7 @@ def free_errors(ensemble: Ensemble, state: Any, fleet: Fleet, first: int) -> Fre
     """
     import torch
 
-    from usvlearn.rollouts import simulate, tensors
+    from usvlearn.engine.rollouts import simulate, tensors
 
     limit, shape = ensemble.surge_max, (len(fleet.runs), len(fleet.boats))
     each = (*shape, len(ensemble.names))
@@ -90,7 +90,7 @@ def free_runs(ensemble: Ensemble, season: Season) -> Iterator[FreeRun]:
     """
     import torch
 
-    from usvlearn.rollouts import simulate, tensors
+    from usvlearn.engine.rollouts import simulate, tensors
 
     limit = ensemble.surge_max
     for k, run in enumerate(season.runs):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.evaluation.metrics import Stretch
-from usvlearn.signals import PLAUSIBLE, Fleet, masks, tree_map
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble

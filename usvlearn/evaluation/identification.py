@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from usvlearn.checkpoint import as_array
-from usvlearn.estimator import spec_of
+from usvlearn.core.checkpoint import as_array
+from usvlearn.core.protocol import spec_of
+from usvlearn.core.samples import named_leaves
+from usvlearn.engine.identified import identified
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.reading import Identified
-from usvlearn.identified import identified
-from usvlearn.signals import named_leaves
 
 Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
 

@@ -16,10 +16,10 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from usvlearn.core.samples import Fleet
 from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.evaluation.free_simulation import check_halves
 from usvlearn.evaluation.metrics import mean
-from usvlearn.signals import Fleet
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble

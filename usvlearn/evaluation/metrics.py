@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from usvlearn.signals import PLAUSIBLE, Fleet, masks, tree_map
+from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 
 PERSISTENCE = "persistence"  # the estimator that skill refers to
 AT_ONCE = 2**25  # numbers of predictions and half-widths that are held at a time
@@ -20,7 +20,7 @@ def scores(
 
     Args:
         predictions: m/s, `(time, estimators)`.
-        surge: m/s, `(time,)`; NaN where the step does not count (`usvlearn.signals.masks`).
+        surge: m/s, `(time,)`; NaN where the step does not count (`usvlearn.core.samples.masks`).
         names: of the estimators.
         halfwidths: of the predictions' intervals, m/s, `(time, estimators)`.
 

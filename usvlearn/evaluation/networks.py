@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from certify import exact
-from certify.rounding import float_above, float_below
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.proofs import exact
+from certify.proofs.rounding import float_above, float_below
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.estimators.rnn.layer import RNN, lane_weights

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.signals import PLAUSIBLE, Fleet, Run, Sample, masks, tree_map
+from usvlearn.core.samples import PLAUSIBLE, Fleet, Run, Sample, masks, tree_map
 
 
 class SeasonRun(NamedTuple):

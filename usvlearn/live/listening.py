@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 
 from usvlearn.live.health import seconds
-from usvlearn.logs.channel import AUTO, MOST_WINDOW, Source
+from usvlearn.logs.channels.channel import AUTO, MOST_WINDOW, Source
 
 SILENT = 1.0  # s without a message, from which on a channel is reported, at least
 USELESS = ("not_a_number", "no_time", "out_of_range", "backwards", "ahead", "alone", "wrong_type", "empty", "text")

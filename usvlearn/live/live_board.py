@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+from usvlearn.display.event_file import TensorBoardWriter
 from usvlearn.live.health import Health
 from usvlearn.live.node import Step
-from usvlearn.tensorboard import TensorBoardWriter
 
 EVERY = 5.0  # s of session time between two points
 MEMORY = 60.0  # s, over which errors are averaged

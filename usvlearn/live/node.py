@@ -1,7 +1,7 @@
 """The core of the node aboard: messages in, predictions out. It has no clock, reads no file and writes none.
 
 A message is converted to SI units, mixed with others where a command has several sources, and aligned as in a replay
-(`usvlearn.logs.align`). Each sample that it completes is predicted, then learned from. So a recorded session that is
+(`usvlearn.logs.alignment.align`). Each sample that it completes is predicted, then learned from. So a recorded session that is
 replayed gives the same predictions.
 
 At each step two predictions are published: of the speed that was measured, which judges the model, and of the next
@@ -17,17 +17,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.plans import YAW_RATE, Forecast
+from usvlearn.core.samples import Inputs, Sample
+from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.live import watched
 from usvlearn.live.held import HeldIntervals
 from usvlearn.live.plan_requests import Plan, answer, parse_plan, sampled
-from usvlearn.logs.channel import CHANNELS, SURGE
-from usvlearn.logs.derived_surge import LiveSurge, pair_of
-from usvlearn.logs.mixing import LiveMix, Mix
+from usvlearn.logs.alignment.mixing import LiveMix, Mix
+from usvlearn.logs.channels.channel import CHANNELS, SURGE
+from usvlearn.logs.channels.derived_surge import LiveSurge, pair_of
 from usvlearn.logs.setup import Setup
-from usvlearn.online import Online
-from usvlearn.plans import YAW_RATE, Forecast
-from usvlearn.signals import Inputs, Sample
 
 PATIENCE = 0.1  # s, for which a live step waits for late messages
 LONGEST = 600  # steps of a forecast, at most
@@ -75,7 +75,7 @@ class Node:
         ConfigError: the setup cannot be used live, or the estimator is not of one boat.
 
     >>> from usvlearn import AID, Ensemble
-    >>> from usvlearn.logs.channel import REQUIRED, Source
+    >>> from usvlearn.logs.channels.channel import REQUIRED, Source
     >>> node = Node(Setup({name: Source(name) for name in REQUIRED}), Online(Ensemble({"aid": AID(mass=28.0)})))
     >>> steps = [step for k in range(12) for name in REQUIRED for step in node.push(name, 1e9 + 0.1 * k, 0.5)]
     >>> [round(step.time - 1e9, 1) for step in steps], 0.0 < steps[-1].next < 1.0

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.plans import Forecast
 from usvlearn.errors import ConfigError
-from usvlearn.plans import Forecast
 
 KEYS = ("t", "left", "right", "heading")
 MOST_ROWS, MOST_TEXT = 1000, 100_000

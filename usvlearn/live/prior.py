@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
 from usvlearn.errors import check_positive
 
 FILE = Path(__file__).with_name("prior.safetensors")

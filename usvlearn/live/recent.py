@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.channel import Channel, Recording, Source
-from usvlearn.logs.mixing import Mix
+from usvlearn.logs.alignment.mixing import Mix
+from usvlearn.logs.channels.channel import Channel, Recording, Source
 from usvlearn.logs.setup import Setup
 
 MOST = 20_000  # messages of a channel, at most: half an hour at 10 Hz
@@ -56,8 +56,8 @@ class Recent:
         horizons: Sequence[float] = (),
     ) -> list[str]:
         """What the data check says of `copy`: sentences, warnings only."""
+        from usvlearn.logs.checks.data_check import check_data
         from usvlearn.logs.checks.finding import WARNING
-        from usvlearn.logs.data_check import check_data
         from usvlearn.logs.recordings import align_fleet
 
         channels: dict[str, Channel] = {}

@@ -15,9 +15,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TextIO
 
-from usvlearn.checkpoint import SUFFIX, write_atomically
+from usvlearn.core.checkpoint import SUFFIX, write_atomically
 from usvlearn.errors import printable
-from usvlearn.logs.channel import AUXILIARY, SURGE
+from usvlearn.logs.channels.channel import AUXILIARY, SURGE
 from usvlearn.logs.setup import Setup
 
 NAME = re.compile(r"record_(\d{4,9})\.alog")
@@ -115,7 +115,7 @@ def configuration(path: Path, setup: Setup, boat: str = "boat") -> str:
         channels = {name: each for name, each in channels.items() if name not in AUXILIARY}
     data = {
         "_target_": "usvlearn.logs.read.read_recordings", "_convert_": "all", "path": path.name,
-        "boat": printable(boat), "reader": {"_target_": "usvlearn.logs.alog.Alog"}, "channels": channels,
+        "boat": printable(boat), "reader": {"_target_": "usvlearn.logs.formats.moos.alog.Alog"}, "channels": channels,
     }  # fmt: skip
     settings: Mapping[str, Any] = {
         "vehicle": {"mass": setup.mass, "surge_max": setup.surge_max}, "align": dict(setup.align), "data": data,

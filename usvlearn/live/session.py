@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import usvlearn
+from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
 from usvlearn.live.background import Background
@@ -27,8 +28,7 @@ from usvlearn.live.recorder import Recorder
 from usvlearn.live.sets import Sets, unsaved
 from usvlearn.live.start import Begin, Middleware, Options, begin
 from usvlearn.live.usable import Usable
-from usvlearn.lock import Lock
-from usvlearn.logs.channel import SURGE, Source
+from usvlearn.logs.channels.channel import SURGE, Source
 from usvlearn.logs.setup import KEY
 
 if TYPE_CHECKING:
@@ -258,8 +258,8 @@ class Session:
     def _make(self) -> None:
         """Make the node; in a thread, because compiling takes minutes on a small computer."""
         try:
+            from usvlearn.engine.online import Online
             from usvlearn.live.node import Node
-            from usvlearn.online import Online
 
             node = Node(self.setup, Online.of(self._begin.leaves, self._begin.facts), self.options.patience)
             node.warm()
@@ -298,7 +298,7 @@ class Session:
         if self._recorder is not None:
             self._recorder.close()
         leaves, facts = self._set()
-        from usvlearn import checkpoint
+        from usvlearn.core import checkpoint
 
         self._recorder = Recorder(
             self.options.folder / "records", self.setup, lambda path: checkpoint.save(path, leaves, **facts),

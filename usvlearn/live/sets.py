@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
+from usvlearn.engine.online import read_set
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.logs.setup import Setup
-from usvlearn.online import read_set
 
 NAME = re.compile(r"live_(\d{8,18})\.safetensors")  # sorted behind the sets of a run, which begin with a digit
 STATUS = "status.json"

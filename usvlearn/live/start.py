@@ -13,8 +13,8 @@ import numpy as np
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
 from usvlearn.live.sets import Sets, newest
-from usvlearn.logs.channel import AUTO, AUXILIARY, CHANNELS, COMMANDS
-from usvlearn.logs.mixing import PER_NAME, SOURCE_KEYS, STEERING, THROTTLE, listed, sides_of
+from usvlearn.logs.alignment.mixing import PER_NAME, SOURCE_KEYS, STEERING, THROTTLE, listed, sides_of
+from usvlearn.logs.channels.channel import AUTO, AUXILIARY, CHANNELS, COMMANDS
 from usvlearn.logs.read import sources_of
 from usvlearn.logs.setup import Setup
 
@@ -31,7 +31,7 @@ class Options:
         start: a set, a folder of sets or a run's folder, to start from if the folder has no set.
         mass, surge_max: kg and m/s, of a prior, if there is no set at all.
         channels: changes to the channels: channel -> option of a `Source` -> value. `throttle`, or `throttle` and
-            `steering`, stand for the commands of both sides (`usvlearn.logs.mixing.sides_of`).
+            `steering`, stand for the commands of both sides (`usvlearn.logs.alignment.mixing.sides_of`).
         boat: its name.
         record: whether to record the session.
         save_period: s between two sets.
@@ -253,7 +253,7 @@ def boat_of(path: Path) -> tuple[dict[str, dict[str, Any]], dict[str, float]]:
         ConfigError: there is no such file, it holds no channels, or PyYAML is not installed.
     """
     try:
-        from usvlearn.foreign_yaml import read_yaml
+        from usvlearn.core.foreign_yaml import read_yaml
     except ImportError as error:
         raise ConfigError("channels: PyYAML is not installed here: run `pip install pyyaml`") from error
     found = read_yaml("channels", path)

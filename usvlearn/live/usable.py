@@ -7,8 +7,8 @@ from collections import Counter, deque
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.logs.channel import AUTO, MOST_WINDOW, SURGE, Source
-from usvlearn.logs.derived_surge import pair_of
+from usvlearn.logs.channels.channel import AUTO, MOST_WINDOW, SURGE, Source
+from usvlearn.logs.channels.derived_surge import pair_of
 
 if TYPE_CHECKING:
     from usvlearn.live.node import Node

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.engine.online import Online
 from usvlearn.estimators.ensemble.monitors.state import CALM, DOUBT
-from usvlearn.online import Online
 
 SIDES = ("left", "right")
 ONE = "left or right"  # the side of an alarm where both have one command
@@ -39,8 +39,8 @@ def identified(online: Online, one_command: bool = False) -> tuple[dict[str, tup
 
     NaN while an interval says nothing. With one command for both sides, what tells them apart is left out.
     """
+    from usvlearn.engine.identified import members_of
     from usvlearn.estimators.joint.reading import reader_of, tells_sides
-    from usvlearn.identified import members_of
 
     if online.description is None or reader_of(members_of(online.description)) is None:
         return {}, ""
@@ -55,7 +55,7 @@ def networks(online: Online) -> dict[str, dict[str, Any]]:
     The rate K is that of a step, rounded so that the verdict stays true; the time constant is −dt/ln K, s. The
     equilibrium is that without thrust at the last heading which is nearest to the speed, m/s. None where there is none.
     """
-    from usvlearn.identified import members_of
+    from usvlearn.engine.identified import members_of
 
     if online.description is None:
         return {}
@@ -67,10 +67,10 @@ def networks(online: Online) -> dict[str, dict[str, Any]]:
 
 
 def _network(online: Online, prefix: str, scale: float) -> dict[str, Any]:
-    from certify import exact
-    from certify.equilibria import equilibria
-    from certify.rounding import float_above, float_below
-    from certify.weights import ShallowWeights
+    from certify.networks.shallow import ShallowWeights
+    from certify.proofs import exact
+    from certify.proofs.equilibria import equilibria
+    from certify.proofs.rounding import float_above, float_below
 
     weights = ShallowWeights(*(np.asarray(online.leaf(f"{prefix}weights.{w}"), float) for w in ("a", "w1", "W2", "b")))
     unknown = {"contracting": False, "condition": None, "rate": None, "time_constant": None, "equilibrium": None}

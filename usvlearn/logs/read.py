@@ -12,9 +12,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from usvlearn.activity import doing
+from usvlearn.display.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, did_you_mean, printable, under
-from usvlearn.logs.channel import (
+from usvlearn.logs.alignment.mixing import PER_NAME, SOURCE_KEYS, Mix, listed, mixed, parts_of
+from usvlearn.logs.channels.channel import (
     AUTO,
     AUXILIARY,
     CHANNELS,
@@ -27,10 +28,9 @@ from usvlearn.logs.channel import (
     Recording,
     Source,
 )
-from usvlearn.logs.copies import settle_period
-from usvlearn.logs.derived_surge import PAIRS_TOLD, derived_surge, pair_of
-from usvlearn.logs.mixing import PER_NAME, SOURCE_KEYS, Mix, listed, mixed, parts_of
-from usvlearn.logs.series import Series
+from usvlearn.logs.channels.copies import settle_period
+from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, derived_surge, pair_of
+from usvlearn.logs.channels.series import Series
 
 
 class Reader(Protocol):
@@ -62,7 +62,7 @@ def read_recordings(
         path: a log; a folder, with all logs below it; a pattern such as `logs/*/run_?.csv`; or boat -> path.
         reader: reads one log.
         channels: channel -> a Source or its arguments; None, or a name of None, means not logged. A command may have
-            several names (`usvlearn.logs.mixing`). Without a surge, it is computed from other channels
+            several names (`usvlearn.logs.alignment.mixing`). Without a surge, it is computed from other channels
             (`usvlearn.logs.ground_speed`).
         boat: the boat's name; default the name of the log or folder, without suffix.
 
@@ -71,7 +71,7 @@ def read_recordings(
         LogFormatError: no log can be read as declared; the message is that of the first log.
 
     >>> from tempfile import TemporaryDirectory
-    >>> from usvlearn.logs.csv_table import Table
+    >>> from usvlearn.logs.formats.csv.table import Table
     >>> channels = {"command_left": {"name": "L"}, "command_right": {"name": "R"}, "surge": {"name": "v"},
     ...             "heading": {"name": "psi", "unit": "deg"}}
     >>> with TemporaryDirectory() as folder:

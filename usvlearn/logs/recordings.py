@@ -8,12 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.activity import doing
+from usvlearn.core.samples import Fleet, Inputs, Run, Sample, tree_map
+from usvlearn.display.activity import doing
 from usvlearn.errors import ConfigError, LogFormatError, under
-from usvlearn.logs.align import Aligned, align
-from usvlearn.logs.channel import CHANNELS, COMMANDS, Recording
-from usvlearn.logs.positions import track
-from usvlearn.signals import Fleet, Inputs, Run, Sample, tree_map
+from usvlearn.logs.alignment.align import Aligned, align
+from usvlearn.logs.channels.channel import CHANNELS, COMMANDS, Recording
+from usvlearn.logs.channels.positions import track
 
 SHORTEST = 3  # least number of samples in a run
 
@@ -23,7 +23,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
 
     Args:
         recordings: of one or several boats, each boat's in the order in which they are replayed.
-        **options: of `usvlearn.logs.align.Aligner`.
+        **options: of `usvlearn.logs.alignment.align.Aligner`.
 
     Raises:
         LogFormatError: no run has three samples. A shorter run beside longer ones is left out with a warning.

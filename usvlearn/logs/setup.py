@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from usvlearn.errors import ConfigError, check_positive, under
-from usvlearn.logs.align import Aligner, checked
-from usvlearn.logs.channel import AUTO, CHANNELS, COMMANDS, SURGE, Channel, Recording, Source
-from usvlearn.logs.derived_surge import LIVE_PAIRS, pair_of
-from usvlearn.logs.mixing import Mix, parts_of
+from usvlearn.logs.alignment.align import Aligner, checked
+from usvlearn.logs.alignment.mixing import Mix, parts_of
+from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, SURGE, Channel, Recording, Source
+from usvlearn.logs.channels.derived_surge import LIVE_PAIRS, pair_of
 from usvlearn.logs.read import sources_of
 
 KEY = "setup"  # of a set's metadata

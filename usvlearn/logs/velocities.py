@@ -1,6 +1,6 @@
 """Logs with several components of the velocity, such as surge, sway and yaw rate, on one grid of time.
 
-Each component is aligned as `usvlearn.logs.align` aligns the surge: the target of the step from t_k to t_k + dt is the
+Each component is aligned as `usvlearn.logs.alignment.align` aligns the surge: the target of the step from t_k to t_k + dt is the
 last message of the component in it. The grid starts with the first message of the component, so all components have to
 come with the same stamps, as the fields of one message do.
 """
@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import VectorSample
 from usvlearn.errors import ConfigError, LogFormatError, UsvlearnError
-from usvlearn.logs.align import Aligned, align
-from usvlearn.logs.channel import CHANNELS, SURGE, Source
+from usvlearn.logs.alignment.align import Aligned, align
+from usvlearn.logs.channels.channel import CHANNELS, SURGE, Source
 from usvlearn.logs.read import Reader, read_recordings
-from usvlearn.signals import VectorSample
 
 
 class VectorRun(NamedTuple):
@@ -57,7 +57,7 @@ def read_velocities(
 
     >>> from pathlib import Path
     >>> from tempfile import TemporaryDirectory
-    >>> from usvlearn.logs.csv_table import Table
+    >>> from usvlearn.logs.formats.csv.table import Table
     >>> inputs = {"command_left": {"name": "L"}, "command_right": {"name": "R"}, "heading": {"name": "psi"}}
     >>> components = {"surge": {"name": "u"}, "sway": {"name": "v"}}
     >>> with TemporaryDirectory() as folder:

@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
+from usvlearn.engine.identified import identified, members_of
+from usvlearn.engine.online import read_set
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean, printable
 from usvlearn.estimators.joint.reading import Identified
-from usvlearn.identified import identified, members_of
 from usvlearn.logs.setup import Setup
 from usvlearn.model.surge import SurgeModel
-from usvlearn.online import read_set
 from usvlearn.runs.layout import CHECKPOINTS
 
 LONGEST = 100  # bytes of a boat's name in that of a file

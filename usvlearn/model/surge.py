@@ -18,14 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.kernel import flow
 from usvlearn.estimators.joint.quantities import Ahead, kilograms_of
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.estimators.regressors.terms import LAG
-from usvlearn.jit import jit
-from usvlearn.rows import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
 
 WITHOUT_EVEN, WITH_EVEN = (tuple(name for name in names(even) if name != LAG) for even in (False, True))
 

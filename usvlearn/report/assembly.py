@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.core.samples import tree_map
+from usvlearn.engine.rollouts import stack
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate
 from usvlearn.evaluation.free_simulation import free_runs
@@ -15,7 +17,6 @@ from usvlearn.evaluation.members import explained, remarks
 from usvlearn.evaluation.season import Season
 from usvlearn.report.front import Front
 from usvlearn.report.overview import overviews
-from usvlearn.report.section import Drawn, Section
 from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
@@ -25,11 +26,10 @@ from usvlearn.report.sections.network import network_section
 from usvlearn.report.sections.online_error import online_section
 from usvlearn.report.sections.parameters import Truth, parameters_section
 from usvlearn.report.sections.residuals import residual_section
+from usvlearn.report.sections.section import Drawn, Section
 from usvlearn.report.viewer_data import viewer_data
-from usvlearn.rollouts import stack
-from usvlearn.runs.drawing import RUNS
-from usvlearn.runs.run_figures import Traces, runs_figure
-from usvlearn.signals import tree_map
+from usvlearn.runs.tensorboard.drawing import RUNS
+from usvlearn.runs.tensorboard.run_figures import Traces, runs_figure
 
 
 def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 
 from usvlearn.report.front import Front, first_page, title
-from usvlearn.report.section import Section
+from usvlearn.report.sections.section import Section
 
 TITLE = "What was learned"
 INLINE = 16  # most rows of a table that is shown without a click

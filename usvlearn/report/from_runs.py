@@ -11,18 +11,18 @@ from typing import Any, NamedTuple
 
 from rich.console import Console
 
+from usvlearn.core.lock import Lock
+from usvlearn.core.samples import Fleet
+from usvlearn.display.activity_bar import Activity
+from usvlearn.display.terminal import show
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
-from usvlearn.lock import Lock
-from usvlearn.report.activity_bar import Activity
 from usvlearn.report.assembly import assemble, best_start, facts, front_of, simulations
 from usvlearn.report.page import check_report_folder, write_report
-from usvlearn.report.section import Section
 from usvlearn.report.sections.parameters import Truth
-from usvlearn.report.terminal import show
+from usvlearn.report.sections.section import Section
 from usvlearn.runs.saved import configuration, data_check, read_seasons, results
-from usvlearn.signals import Fleet
 
 
 class Tools(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report.overview import MAIN, Ahead, Overview
-from usvlearn.report.section import Drawn
+from usvlearn.report.sections.section import Drawn
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
 FINDING, WARNING = ("about", "found", "expected", "key"), "warning"  # of the data check (`results.json`)

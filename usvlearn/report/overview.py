@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import tree_map
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.free_simulation import FreeRun
@@ -14,7 +15,6 @@ from usvlearn.evaluation.horizons import ensemble_scores
 from usvlearn.evaluation.identification import identified_boats
 from usvlearn.evaluation.metrics import PERSISTENCE, alarms, scores
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.signals import tree_map
 
 MAIN = {  # the quantities that are shown first, in words
     "steady_speed_full": "Steady speed at full ahead",

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.checkpoint import write_atomically
+from usvlearn.core.checkpoint import write_atomically
+from usvlearn.core.lock import NAME as LOCK
+from usvlearn.display.event_file import TensorBoardWriter
+from usvlearn.display.figures import INK, LINE, themed
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.crossval import FreeErrors
-from usvlearn.figures import INK, LINE, themed
-from usvlearn.lock import NAME as LOCK
 from usvlearn.report.document import TITLE, page
 from usvlearn.report.front import Front
-from usvlearn.report.section import Drawn, Section
-from usvlearn.tensorboard import TensorBoardWriter
+from usvlearn.report.sections.section import Drawn, Section
 
 FOLDERS, FILES = ("figures", "tables", "tensorboard"), "files.json"  # a report's, and the list of its files in them
 LINKED = 40  # a table with more rows is a link in `report.md`

@@ -20,11 +20,11 @@ from pathlib import Path
 from typing import Any
 
 import usvlearn
-from usvlearn.checkpoint import write_atomically
+from usvlearn.core.checkpoint import write_atomically
+from usvlearn.core.lock import Lock
+from usvlearn.display.figures import themed
 from usvlearn.errors import ConfigError
-from usvlearn.figures import themed
-from usvlearn.lock import Lock
-from usvlearn.report.section import Section
+from usvlearn.report.sections.section import Section
 from usvlearn.report.sections.tuning_gain import tuning_section
 from usvlearn.runs.layout import RESULTS, RUNS, TUNING
 from usvlearn.runs.saved import results

@@ -11,15 +11,15 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
+from usvlearn.display.terminal import Blocks
+from usvlearn.engine.identified import sentences
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
-from usvlearn.identified import sentences
-from usvlearn.report.terminal import Blocks
-from usvlearn.runs.board_tags import label
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD
+from usvlearn.runs.tensorboard.board_tags import label
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
 COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.core.samples import masks
+from usvlearn.display.figures import PAPER, SIDES, colours, main_estimators
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.figures import PAPER, SIDES, colours, main_estimators
-from usvlearn.signals import masks
 
 BUDGET = 1_500_000  # numbers; 4 MB in a page
 LEVELS = 65534  # of a series

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from usvlearn.checkpoint import LEFT, SUFFIX
+from usvlearn.core.checkpoint import LEFT, SUFFIX
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.runs.layout import (
     CHECKPOINTS,

@@ -6,7 +6,7 @@ predictions/RRRRR_SSSSSSS.npz                what was published of all boats sin
 runs.json                                    names and digests of the runs, digest of the ensemble, start time, and the
                                              number of this run among the runs beside it
 errors.csv                                   the errors of each run of each boat (`usvlearn.evaluation.by_run`)
-tensorboard/                                 see `usvlearn.tensorboard`
+tensorboard/                                 see `usvlearn.display.event_file`
 results.json                                 the scores, written at the end; {"partial": scores} if the run was stopped
 tuning.json                                  the result of a tuning, which writes none of the above
 optuna.log                                   the trials of a search, written as they finish
@@ -22,7 +22,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from usvlearn.checkpoint import write_atomically
+from usvlearn.core.checkpoint import write_atomically
 
 CHECKPOINTS, PREDICTIONS, RUNS, RESULTS = "checkpoints", "predictions", "runs.json", "results.json"
 TENSORBOARD, ERRORS, TUNING, JOURNAL = "tensorboard", "errors.csv", "tuning.json", "optuna.log"

@@ -12,7 +12,7 @@ _PUBLIC = {  # module before version 0.2 -> its classes, which are now named by 
 }  # fmt: skip
 TARGETS = {
     **{f"usvlearn.estimators.{old}.{name}": f"usvlearn.{name}" for old, names in _PUBLIC.items() for name in names},
-    "usvlearn.logs.table.Table": "usvlearn.logs.csv_table.Table",
+    "usvlearn.logs.table.Table": "usvlearn.logs.formats.csv.table.Table",
     "usvlearn.logs.fleet.align_fleet": "usvlearn.logs.recordings.align_fleet",
 }
 MEMBERS = {"sift_map": "rls"}  # of the default ensemble, the name of today and the first one

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from usvlearn.core.samples import Fleet
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.evaluation.by_run import as_csv, one_step_sums, run_errors
@@ -15,7 +16,6 @@ from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import alarms, fleet_scores
 from usvlearn.evaluation.networks import verdicts
 from usvlearn.runs.published import Published
-from usvlearn.signals import Fleet
 
 
 def judged(

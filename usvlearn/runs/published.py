@@ -34,10 +34,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn import signals
+from usvlearn.core import samples as signals
+from usvlearn.core.samples import Run
 from usvlearn.errors import CheckpointError
 from usvlearn.runs.layout import PREDICTIONS
-from usvlearn.signals import Run
 
 # what a damaged .npz raises
 DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from usvlearn.core.samples import Fleet, masks, tree_map
+from usvlearn.engine.rollouts import stretches
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.layer import effectiveness
 from usvlearn.estimators.ensemble.state import EnsembleState
-from usvlearn.rollouts import stretches
 from usvlearn.runs.published import BEGIN, Position
-from usvlearn.signals import Fleet, masks, tree_map
 
 THRUSTERS, HEALTH = "monitors.thrusters.", ("evidence", "sums", "raised")  # of a state's leaves
 FORECASTS = {"forecasts": "predictions", "forecast_halfwidths": "halfwidths"}  # published, and its leaf

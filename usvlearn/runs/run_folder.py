@@ -16,21 +16,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import usvlearn
-from usvlearn.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
-from usvlearn.checkpoint import save as save_checkpoint
+from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
+from usvlearn.core.checkpoint import save as save_checkpoint
+from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
 from usvlearn.engine import of_lane
+from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.evaluation.identification import Truth
-from usvlearn.rollouts import stack
 from usvlearn.runs.index import begun, check_own, no_run, number, own_predictions, same_run
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
 from usvlearn.runs.outcome import judged
 from usvlearn.runs.published import BEGIN, Position, Published, joined, packed, position, stem, widths_of
 from usvlearn.runs.replay import Chunk
-from usvlearn.signals import Fleet, Run, named_leaves, tree_map
 
 
 class Start(NamedTuple):

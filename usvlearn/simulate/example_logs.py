@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from usvlearn.errors import ConfigError
-from usvlearn.logs.channel import Recording
+from usvlearn.logs.channels.channel import Recording
 from usvlearn.simulate.fleet import fleet
 
 KINDS = ("patrol", "lawn_mower", "convoy")  # of missions, each sailed once

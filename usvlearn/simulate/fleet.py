@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
-from usvlearn.logs.channel import Recording
-from usvlearn.signals import tree_map
+from usvlearn.logs.channels.channel import Recording
 from usvlearn.simulate.autopilot import Autopilot, Reference
 from usvlearn.simulate.fault import Fault, faulty_vessels
 from usvlearn.simulate.plants import plant as plant_named
@@ -144,7 +144,7 @@ def sail(
     >>> surge.shape, commands.shape
     (torch.Size([1201, 1, 1]), torch.Size([400, 1, 1, 2]))
     """
-    from usvlearn.jit import announced  # numba takes a moment to import
+    from usvlearn.core.jit import announced  # numba takes a moment to import
     from usvlearn.simulate import missions_kernel as kernel
 
     substeps = math.ceil(SUBSTEPS_HZ / autopilot.hz)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from usvlearn.jit import jit
+from usvlearn.core.jit import jit
 from usvlearn.simulate.autopilot import Autopilot
 from usvlearn.simulate.vessel import Vessel
 

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.core.samples import Inputs, VectorSample
 from usvlearn.errors import check_positive
-from usvlearn.signals import Inputs, VectorSample
 
 FINEST = 0.1  # s, of a step of Runge-Kutta 4
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, check_choice, check_positive
-from usvlearn.logs.channel import Channel
+from usvlearn.logs.channels.channel import Channel
 
 Posted = tuple[np.ndarray, np.ndarray]  # stamps and values of a channel's messages, (n,) each
 

@@ -11,16 +11,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.display.event_file import EVENTS, Setting, TensorBoardWriter, folder_name, folder_names
 from usvlearn.errors import ConfigError
 from usvlearn.evaluation.metrics import mean
 from usvlearn.evaluation.ranking import differing
 from usvlearn.report.tables import short_settings
-from usvlearn.runs.board_tags import MAE, number, results_of
 from usvlearn.runs.layout import TENSORBOARD
+from usvlearn.runs.tensorboard.board_tags import MAE, number, results_of
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.seeds import SEED
 from usvlearn.sweeps.standings import Standing
-from usvlearn.tensorboard import EVENTS, Setting, TensorBoardWriter, folder_name, folder_names
 
 MOST_KEYS = 5  # columns of settings that the page shows at first
 MOST_POINTS = 100  # of a learning curve
@@ -170,7 +170,10 @@ def _clear(board: Path) -> None:
     """Remove an earlier page."""
     if board.is_symlink():  # a sweep may come from anybody
         raise ConfigError(f"{board} is a link to another folder: remove it")
-    for pattern in (f"{EVENTS}.{'[0-9]' * 10}", f"*/{EVENTS}.{'[0-9]' * 10}"):  # as usvlearn.tensorboard names them
+    for pattern in (
+        f"{EVENTS}.{'[0-9]' * 10}",
+        f"*/{EVENTS}.{'[0-9]' * 10}",
+    ):  # as usvlearn.display.event_file names them
         for old in board.glob(pattern):
             if not old.parent.is_symlink():
                 old.unlink()

@@ -9,7 +9,7 @@ traceback.txt    of an unexpected error
 In the sweep's folder:
 
 sweep.json       the keys with several values, their values without the sweep, the objective
-lanes.json       the jobs that were run as lanes of one batch (`usvlearn.tuning.sweep_lanes`); they have no folders
+lanes.json       the jobs that were run as lanes of one batch (`usvlearn.sweeps.tuning.sweep_lanes`); they have no folders
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from usvlearn.checkpoint import write_atomically
+from usvlearn.core.checkpoint import write_atomically
+from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError, UsvlearnError, bad_input, printable
 from usvlearn.evaluation.by_run import RunError, from_csv
 from usvlearn.evaluation.measure import Measure, measure_of
 from usvlearn.evaluation.ranking import differing, own_measure, ranked_by, scored
-from usvlearn.lock import Lock
 from usvlearn.report.tables import short_settings
 from usvlearn.runs.index import check_no_link, check_own
 from usvlearn.runs.layout import ERRORS, JOB, RESULTS, RUNS, save_results

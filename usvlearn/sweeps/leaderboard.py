@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from usvlearn.checkpoint import write_atomically
+from usvlearn.core.checkpoint import write_atomically
+from usvlearn.display.terminal import console
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.evaluation.measure import Measure
 from usvlearn.evaluation.ranking import differing, own_objective, ranked_by, scored
 from usvlearn.report.tables import board_lines, from_here
-from usvlearn.report.terminal import console
 from usvlearn.runs.index import check_no_link
 from usvlearn.sweeps.board import write_board
 from usvlearn.sweeps.jobs import SWEEP, Job, jobs, noted_sweep

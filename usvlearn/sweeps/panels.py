@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from certify.sweep_rows import short_keys
+from certify.analysis.sweep_rows import short_keys
+from usvlearn.display.figures import INK, LINE, colours, themed
 from usvlearn.evaluation.measure import Measure
-from usvlearn.figures import INK, LINE, colours, themed
 from usvlearn.sweeps.standings import Standing
 
 MOST_ROWS = 25  # settings

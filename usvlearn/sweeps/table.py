@@ -9,15 +9,15 @@ from pathlib import Path
 from rich.console import Group
 from rich.text import Text
 
-from certify.rounding import above
-from certify.sweep_rows import short_keys
+from certify.analysis.sweep_rows import short_keys
+from certify.proofs.rounding import above
+from usvlearn.display.result_table import ResultTable
+from usvlearn.display.terminal import Blocks
 from usvlearn.errors import printable
 from usvlearn.evaluation.comparison import Difference, SeedDifference
 from usvlearn.evaluation.measure import SKILL, Measure, measure_of
 from usvlearn.evaluation.metrics import mean, mean_mae
-from usvlearn.report.result_table import ResultTable
 from usvlearn.report.tables import short_settings
-from usvlearn.report.terminal import Blocks
 from usvlearn.sweeps.jobs import Job
 from usvlearn.sweeps.standings import Standing
 

@@ -22,13 +22,13 @@ from tests.support import ROOT, commands
 from tests.support.live import learned_set
 from tests.support.mavboat import MavBoat, Motion, OnTheAir, RecordingSession, mavlink, turning
 from tests.support.voyages import voyage
-from usvlearn import checkpoint
+from usvlearn.core import checkpoint
 from usvlearn.errors import ConfigError, MissingExtraError
-from usvlearn.live.mavlink import MIDDLEWARE, check_arguments, main, run
+from usvlearn.live.mavlink.shell import MIDDLEWARE, check_arguments, main, run
 from usvlearn.live.session import Session
 from usvlearn.live.start import Options
-from usvlearn.live.status_line import StatusLine
-from usvlearn.logs.channel import Source
+from usvlearn.live.status.status_line import StatusLine
+from usvlearn.logs.channels.channel import Source
 
 HERE, WARP = "127.0.0.1", 40.0
 

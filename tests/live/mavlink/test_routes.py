@@ -10,8 +10,8 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 from tests.support.mavboat import ARDUPILOT, MavBoat, turning
 from tests.support.mavlab import Lab
 from usvlearn.errors import ConfigError
-from usvlearn.logs.channel import Source
-from usvlearn.logs.servos import Limits
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.ardupilot.servos import Limits
 
 
 # ---------------------------------------------------------------- servos

@@ -8,7 +8,7 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 from tests.support.mavboat import MavBoat, mavlink, turning
 from tests.support.mavlab import BASE, RECEIPT, SOURCES, Lab
 from usvlearn.live.node import Step
-from usvlearn.logs.channel import Source
+from usvlearn.logs.channels.channel import Source
 
 
 # ---------------------------------------------------------------- the same numbers as a log

@@ -19,7 +19,6 @@ from tests.support import ROOT
 from tests.support.live import boat, messages
 from tests.support.moosdb import Moosdb
 from usvlearn.errors import ConfigError
-from usvlearn.live import posts
 from usvlearn.live.moos import client as link
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.app import App, run
@@ -28,7 +27,8 @@ from usvlearn.live.moos.wire import Message
 from usvlearn.live.session import Session
 from usvlearn.live.sets import Sets
 from usvlearn.live.start import Options
-from usvlearn.live.told import status_lines
+from usvlearn.live.status import posts
+from usvlearn.live.status.status_file import status_lines
 
 NAMES = {"command_left": "DESIRED_THRUST_L", "command_right": "DESIRED_THRUST_R",
          "heading": "NAV_HEADING", "surge": "NAV_SPEED"}  # fmt: skip

@@ -5,7 +5,7 @@ import pytest
 from usvlearn.errors import ConfigError
 from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, interface, parser, settings_of
 from usvlearn.live.moos.mission import LARGEST, Mission
-from usvlearn.live.posts import TABLE
+from usvlearn.live.status.posts import TABLE
 
 TEXT = """\
 ServerHost = 10.0.0.7   // of the boat

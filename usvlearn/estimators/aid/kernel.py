@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from usvlearn.arrays import clamp, dot
+from usvlearn.core.arrays import clamp, dot
+from usvlearn.core.family import ESTIMATE, Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, HOLD, LEARN, MODE, START, SURGE
 from usvlearn.estimators.aid.state import AT, Choice, Number, Vector
 from usvlearn.estimators.regressors.kernel import regressor
-from usvlearn.family import ESTIMATE, Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT, HOLD, LEARN, MODE, START, SURGE
 
 
 @jit

@@ -8,14 +8,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.family import FEEDBACK
+from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.protocol import Estimator, describe, spec_of
+from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
-from usvlearn.estimator import Estimator, describe, spec_of
 from usvlearn.estimators.aid.state import FAMILY, AIDState
 from usvlearn.estimators.mass import known_rows, recover_mass
 from usvlearn.estimators.regressors.layer import LinearModel, SurgeDynamics, linearised
-from usvlearn.family import FEEDBACK
-from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
-from usvlearn.signals import Inputs
 
 # Spread per unit of the model's scale, 1 where not named. Chosen by the one-step error on logs and simulations:
 # what these terms explain, the others mostly can too.

@@ -45,8 +45,7 @@ from __future__ import annotations
 from math import inf
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.estimators.regressors import terms
-from usvlearn.family import (
+from usvlearn.core.family import (
     FEEDBACK,
     FINITE,
     MODEST,
@@ -59,6 +58,7 @@ from usvlearn.family import (
     Vectors,
     leaf,
 )
+from usvlearn.estimators.regressors import terms
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from usvlearn.arrays import clamp, copy, dot, fill
+from usvlearn.core.arrays import clamp, copy, dot, fill
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
 from usvlearn.estimators.arx.state import (
     AT,
     COMMANDS,
@@ -20,9 +23,6 @@ from usvlearn.estimators.arx.state import (
 )
 from usvlearn.estimators.factored.kernel import add, loosen, measure, project, rotated, variance, walked
 from usvlearn.estimators.least_squares.state import LOOSEST, NOISE_LEAST, NOISE_SHARE
-from usvlearn.family import Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT, LEFT, RIGHT, YAW_RATE
 
 GROUP = len(COMMANDS)
 

@@ -9,8 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.protocol import Estimator, describe
+from usvlearn.core.samples import Inputs, tree_map, where
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.arx.state import (
     COMMANDS,
     FAMILY,
@@ -34,8 +36,6 @@ from usvlearn.estimators.factored.layer import (
     variances,
 )
 from usvlearn.estimators.least_squares.state import LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE
-from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
-from usvlearn.signals import Inputs, tree_map, where
 
 GROUP = len(COMMANDS)
 

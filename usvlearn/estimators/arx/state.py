@@ -47,7 +47,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.family import NOT_NEGATIVE, POSITIVE, TRIANGLE, UNIT, Choices, Family, Numbers, Range, Vectors, leaf
+from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, TRIANGLE, UNIT, Choices, Family, Numbers, Range, Vectors, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -9,16 +9,16 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
+from usvlearn.core.plans import NONE
+from usvlearn.core.protocol import Estimator, numbers_of, spec_of
+from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, under
-from usvlearn.estimator import Estimator, numbers_of, spec_of
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
 from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step, published
 from usvlearn.estimators.ensemble.forecasts.layer import Forecasts
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
 from usvlearn.estimators.wrappers.bank import Bank
-from usvlearn.plans import NONE
-from usvlearn.signals import Inputs, named_leaves
 
 
 class Ensemble(Estimator):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from usvlearn.core.family import ANY, POSITIVE, POSITIVE_OR_INFINITE, Family, Numbers, leaf
 from usvlearn.estimators.ensemble.conformal.state import ConformalState
-from usvlearn.family import ANY, POSITIVE, POSITIVE_OR_INFINITE, Family, Numbers, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -3,8 +3,8 @@
 A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j].
 """
 
-from usvlearn.arrays import fill
-from usvlearn.jit import jit
+from usvlearn.core.arrays import fill
+from usvlearn.core.jit import jit
 
 
 @jit

@@ -3,9 +3,9 @@
 A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j].
 """
 
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import COS, SIN
 from usvlearn.estimators.joint.state import EAST, NORTH, B, W
-from usvlearn.jit import jit
-from usvlearn.rows import COS, SIN
 
 
 @jit(reorder=True)

@@ -5,7 +5,10 @@
 
 import numpy as np
 
-from usvlearn.arrays import clamp, fill
+from usvlearn.core.arrays import clamp, fill
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 from usvlearn.estimators.factored.kernel import add, loosen, measure, project, variance, walked
 from usvlearn.estimators.joint.factored_kernel import add_current, add_slow, seen, transition
 from usvlearn.estimators.joint.state import (
@@ -40,9 +43,6 @@ from usvlearn.estimators.joint.state import (
     W,
 )
 from usvlearn.estimators.regressors.kernel import phi1
-from usvlearn.family import Node
-from usvlearn.jit import jit
-from usvlearn.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
 
 
 @jit

@@ -9,8 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
+from usvlearn.core.protocol import Estimator, describe
+from usvlearn.core.samples import Inputs, tree_map, where
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.factored.layer import (
     added,
     loosened,
@@ -28,8 +30,6 @@ from usvlearn.estimators.joint.state import EAST, FAMILY, KAPPA, NORTH, THETA, B
 from usvlearn.estimators.mass import known_rows
 from usvlearn.estimators.regressors.layer import phi1
 from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
-from usvlearn.hyper import Hyper, Positive, as_tensor, check_broadcast
-from usvlearn.signals import Inputs, tree_map, where
 
 TIME = 2.5  # s, time constant of the prior's boat
 

@@ -48,8 +48,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.estimators.regressors.terms import CUBIC, EVEN, LAG, SURGE
-from usvlearn.family import (
+from usvlearn.core.family import (
     FINITE,
     MODEST,
     NOT_NEGATIVE,
@@ -62,6 +61,7 @@ from usvlearn.family import (
     Vectors,
     leaf,
 )
+from usvlearn.estimators.regressors.terms import CUBIC, EVEN, LAG, SURGE
 
 if TYPE_CHECKING:
     from torch import Tensor

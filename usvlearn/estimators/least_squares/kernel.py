@@ -6,12 +6,12 @@ w = Σ_{k>j} S_ik x_k that the row has passed, S_ij ← S_ij T_jj + y_j w. What 
 
 import numpy as np
 
-from usvlearn.arrays import clamp, copy, dot, fill
+from usvlearn.core.arrays import clamp, copy, dot, fill
+from usvlearn.core.family import ESTIMATE, Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT
 from usvlearn.estimators.least_squares.state import AT, RLS, Choice, Number
 from usvlearn.estimators.regressors.kernel import regressor
-from usvlearn.family import ESTIMATE, Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT
 
 
 @jit

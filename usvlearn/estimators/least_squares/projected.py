@@ -30,11 +30,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.protocol import Estimator, spec_of
+from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError
-from usvlearn.estimator import Estimator, spec_of
 from usvlearn.estimators.least_squares.rls import LeastSquares
 from usvlearn.estimators.least_squares.state import ROUNDS, RLSState
-from usvlearn.signals import Inputs
 
 
 def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iterations: int = 4) -> Tensor:

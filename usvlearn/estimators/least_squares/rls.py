@@ -9,14 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.family import FEEDBACK
+from usvlearn.core.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.core.protocol import Estimator, describe, spec_of
+from usvlearn.core.samples import Inputs
 from usvlearn.errors import check_choice, check_positive
-from usvlearn.estimator import Estimator, describe, spec_of
 from usvlearn.estimators.ensemble.monitors.layer import excitation_report
 from usvlearn.estimators.least_squares.state import FAMILY, LOOSEST, NOISE, NOISE_LEAST, NOISE_SHARE, RLSState
 from usvlearn.estimators.regressors.layer import LinearModel, QuasiStatic, linearised
-from usvlearn.family import FEEDBACK
-from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
-from usvlearn.signals import Inputs
 
 
 def triangle(

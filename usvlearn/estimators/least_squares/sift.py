@@ -27,11 +27,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.hyper import Hyper, Positive
 from usvlearn.errors import check_not_negative
 from usvlearn.estimators.least_squares.rls import LeastSquares, measured, triangle
 from usvlearn.estimators.least_squares.state import LONGEST
 from usvlearn.estimators.regressors.layer import LinearModel
-from usvlearn.hyper import Hyper, Positive
 
 
 def sift_step(

@@ -24,8 +24,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.estimators.regressors import terms
-from usvlearn.family import (
+from usvlearn.core.family import (
     FACTOR,
     FEEDBACK,
     MODEST,
@@ -40,6 +39,7 @@ from usvlearn.family import (
     Range,
     leaf,
 )
+from usvlearn.estimators.regressors import terms
 
 if TYPE_CHECKING:
     from torch import Tensor

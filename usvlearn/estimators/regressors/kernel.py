@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import COS, DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SIN, SURGE_DOT, YAW_RATE
 from usvlearn.estimators.regressors.terms import LEAST, MOST, NEAR, SERIES, TERMS
-from usvlearn.jit import jit
-from usvlearn.rows import COS, DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SIN, SURGE_DOT, YAW_RATE
 
 QUASI_STATIC, PLAIN = TERMS.index([]), TERMS.index(["dynamics"])
 # Sets of places in TERMS, as bits.

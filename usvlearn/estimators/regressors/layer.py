@@ -27,10 +27,10 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor, nn
 
+from usvlearn.core.hyper import Hyper, as_tensor
+from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.regressors.terms import LEAST, MOST, NEAR, QUASI_STATIC, SERIES, signs_of
-from usvlearn.hyper import Hyper, as_tensor
-from usvlearn.signals import Inputs
 
 
 class LinearModel(Protocol):

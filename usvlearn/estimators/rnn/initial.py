@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from certify.errors import CertifyError
-from certify.weights import ShallowWeights, load
+from certify.networks.shallow import ShallowWeights, load
 from usvlearn.errors import ConfigError
 
 

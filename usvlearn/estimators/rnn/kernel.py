@@ -5,7 +5,10 @@ The weights lie in the order of the gradient: a, w1, W2 row by row, b.
 
 import numpy as np
 
-from usvlearn.arrays import clamp, copy, fill
+from usvlearn.core.arrays import clamp, copy, fill
+from usvlearn.core.family import ESTIMATE, Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN
 from usvlearn.estimators.rnn.projection_kernel import project
 from usvlearn.estimators.rnn.state import (
     AT,
@@ -24,9 +27,6 @@ from usvlearn.estimators.rnn.state import (
     Number,
     Vector,
 )
-from usvlearn.family import ESTIMATE, Node
-from usvlearn.jit import jit
-from usvlearn.rows import COS, DT, LEFT, RIGHT, SIN
 
 TWO = Choice.UNROLL.allowed.index(2)
 

@@ -12,12 +12,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from certify.conditions import CONDITIONS, rate
-from certify.equilibria import CLASSES, equilibria
-from certify.projections import GAUGES, project
-from certify.weights import ShallowWeights
+from certify.networks.shallow import ShallowWeights
+from certify.proofs.equilibria import CLASSES, equilibria
+from certify.training.conditions import CONDITIONS, rate
+from certify.training.projections import GAUGES, project
+from usvlearn.core.family import FEEDBACK
+from usvlearn.core.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.core.protocol import Estimator, describe
+from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
-from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.rnn.initial import initial_weights, pretrained_weights
 from usvlearn.estimators.rnn.kept import added, due
 from usvlearn.estimators.rnn.state import (
@@ -36,9 +39,6 @@ from usvlearn.estimators.rnn.state import (
     Replay,
     RNNState,
 )
-from usvlearn.family import FEEDBACK
-from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
-from usvlearn.signals import Inputs
 
 
 def network_inputs(inputs: Inputs) -> Tensor:
@@ -123,7 +123,7 @@ class RNN(Estimator):
         neurons: n.
         surge_max: v_max, m/s, which scales the speed onto [0, 0.5].
         initial: "persistence", equation (4), or "random" weights.
-        pretrained: initial weights in place of these: a checkpoint, .npz or .pt (see `certify.weights.load`), or one of
+        pretrained: initial weights in place of these: a checkpoint, .npz or .pt (see `certify.networks.shallow.load`), or one of
             several in it, `FILE:members.rnn.weights`. They suit the `surge_max` and dt with which they were learned.
         rate: Adam's learning rate at the first update; broadcasts against the batch.
         rate_ratio: relative rates of a, w₁, the columns of W₂ for the heading and for the commands, and b; those of

@@ -8,7 +8,7 @@ With x = h v, h = 1/(2 v_max), and u = [½ + ½ sin θ, ½ + ½ cos θ, ξ_L, ξ
 
 The penalty shrinks the weights that break the paper's contraction condition; it guarantees nothing. Projection does:
 after every update, whatever the learning rate and the sample, the weights go to the nearest that hold a condition of
-`certify.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then approach
+`certify.training.conditions` at the rate κ. Two trajectories with equal inputs and the same sequence of weights then approach
 each other by the factor κ at every step. With `feedback: estimate` the weights follow the state, and two starts learn
 different weights. For differences Δ_k of x and Δθ_k of the weights (`docs/certification.md`)
 
@@ -50,8 +50,8 @@ from itertools import accumulate
 from math import prod
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-from certify.weights import ShallowWeights
-from usvlearn.family import (
+from certify.networks.shallow import ShallowWeights
+from usvlearn.core.family import (
     BELOW_ONE,
     FACTOR,
     FEEDBACK,

@@ -9,9 +9,11 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from certify.vector_projections import CONDITIONS, project
-from certify.vector_rates import rate
-from certify.vector_weights import VectorWeights
+from certify.networks.vector import VectorWeights
+from certify.training.vector_projections import CONDITIONS, project
+from certify.training.vector_rates import rate
+from usvlearn.core.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
+from usvlearn.core.samples import Inputs, VectorSample, tree_map, where
 from usvlearn.errors import ConfigError, check_choice, check_positive
 from usvlearn.estimators.rnn.kept import whole
 from usvlearn.estimators.rnn.layer import clipped
@@ -29,8 +31,6 @@ from usvlearn.estimators.vector_rnn.state import (
     VectorRNNState,
 )
 from usvlearn.estimators.vector_rnn.vector_checks import check_samples, check_width, listed, write_npz
-from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast
-from usvlearn.signals import Inputs, VectorSample, tree_map, where
 
 
 def network(weights: NetworkWeights, x: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
@@ -104,7 +104,7 @@ class VectorRNN(nn.Module):
         stability: "project" onto `condition` after every update, or "none".
         condition: "exact" (all activation patterns, in the norm (4)) or "gershgorin" (the paper's lemma).
         contraction_rate: κ; broadcasts against the batch.
-        scaling: t of (4), one number a component; ones by default. `certify.vector_scaling` finds one.
+        scaling: t of (4), one number a component; ones by default. `certify.search.vector_scaling` finds one.
         importance: of the squared error of each divided component in the loss; ones by default.
         kept: M, samples that are kept.
         window: H, steps of a free run in the loss.
@@ -327,7 +327,7 @@ class VectorRNN(nn.Module):
         return {"contraction_rate": rate(VectorWeights(*state.weights), self.scaling.diag())}
 
     def save(self, state: VectorRNNState, path: str | Path) -> Path:
-        """Write the weights as .npz, the only format, for `certify.vector_weights.load`; with `maxima` and `scaling`.
+        """Write the weights as .npz, the only format, for `certify.networks.vector.load`; with `maxima` and `scaling`.
 
         The suffix .npz is added where it is missing, and folders are made. Returns the path of the file.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from usvlearn.core.samples import PLAUSIBLE, PLAUSIBLE_INPUTS, VectorSample
 from usvlearn.estimators.rnn.kept import whole
 from usvlearn.estimators.vector_rnn.state import Kept
-from usvlearn.signals import PLAUSIBLE, PLAUSIBLE_INPUTS, VectorSample
 
 
 def masks(sample: VectorSample) -> tuple[Tensor, Tensor, Tensor]:

@@ -13,9 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from usvlearn.core.samples import VectorSample, named_leaves
 from usvlearn.errors import ConfigError, ShapeError
 from usvlearn.estimators.vector_rnn.state import VectorRNNState
-from usvlearn.signals import VectorSample, named_leaves
 
 
 def listed(name: str, values: Any, expected: str) -> list[Any]:
@@ -63,7 +63,7 @@ def check_samples(state: VectorRNNState, samples: VectorSample, components: int)
         if not isinstance(leaf, Tensor):
             raise ShapeError(
                 f"samples: {name} is {type(leaf).__name__}, expected a torch tensor: convert all with "
-                "usvlearn.signals.tree_map(torch.from_numpy, samples)"
+                "usvlearn.core.samples.tree_map(torch.from_numpy, samples)"
             )
         if leaf.device != device:
             raise ShapeError(

@@ -10,9 +10,9 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from usvlearn.core.protocol import Estimator, check_estimator, spec_of
+from usvlearn.core.samples import Inputs
 from usvlearn.errors import ConfigError
-from usvlearn.estimator import Estimator, check_estimator, spec_of
-from usvlearn.signals import Inputs
 
 
 class Bank(nn.Module):

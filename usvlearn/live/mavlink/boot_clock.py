@@ -6,14 +6,14 @@ its 32 bits began anew (after 49.7 days), or its clock was set. A single wrong s
 
 A message without a stamp has the time of its receipt, less the least delay of recent stamped messages. A stamp of
 32 bits in us begins anew every 71.6 minutes; the turn that is meant is the one nearest to the receipt. These rules are
-those of `usvlearn.logs.tlog`, as far as they can be followed without knowing what comes later.
+those of `usvlearn.logs.formats.ardupilot.tlog`, as far as they can be followed without knowing what comes later.
 """
 
 from __future__ import annotations
 
 import math
 
-from usvlearn.logs.tlog import CLOCK_LIMIT, WRAP
+from usvlearn.logs.formats.ardupilot.tlog import CLOCK_LIMIT, WRAP
 
 RECENT = 60.0  # s over which the least delay is taken: clocks drift apart
 

@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.errors import ConfigError, did_you_mean
-from usvlearn.logs.channel import UNITS, Source
-from usvlearn.logs.mavlink_messages import MESSAGES, Message
-from usvlearn.logs.messages import NAME
-from usvlearn.logs.servos import FUNCTIONS
-from usvlearn.logs.tlog import SERVOS
+from usvlearn.logs.channels.channel import UNITS, Source
+from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES, Message
+from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS
+from usvlearn.logs.formats.ardupilot.tlog import SERVOS
+from usvlearn.logs.formats.messages import NAME
 
 NUMBERS = {message.name: number for number, message in MESSAGES.items()}
 NED, GLOBAL, HUD, ATTITUDE = (

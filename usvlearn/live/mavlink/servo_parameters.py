@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from usvlearn.errors import LogFormatError
-from usvlearn.logs.servos import DEFAULTS, FUNCTIONS, Limits
-from usvlearn.logs.tlog import SERVOS
+from usvlearn.logs.formats.ardupilot.servos import DEFAULTS, FUNCTIONS, Limits
+from usvlearn.logs.formats.ardupilot.tlog import SERVOS
 
 OUTPUTS = 16  # servos whose function is asked for
 KNOWN = re.compile(rf"SERVO([1-9]|[12]\d|3[0-2])_(FUNCTION|{'|'.join(DEFAULTS)})")

@@ -1,7 +1,7 @@
 """What is done with each message and each second, without I/O and clock: finds the vehicle, asks, pushes, answers.
 
 The vehicle is the first autopilot that is heard, or the one of a given system id. Its servo outputs count only while
-it is armed, as in a telemetry log that `usvlearn.logs.tlog` reads.
+it is armed, as in a telemetry log that `usvlearn.logs.formats.ardupilot.tlog` reads.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from usvlearn.live.mavlink.routes import (
 )
 from usvlearn.live.mavlink.servo_parameters import ServoParameters
 from usvlearn.live.mavlink.telemetry import INFO, WARNING, Telemetry
-from usvlearn.logs.mavlink_messages import MESSAGES
-from usvlearn.logs.tlog import ARMED, GROUND_STATION, HEARTBEAT, NO_AUTOPILOT, PARAM_VALUE
+from usvlearn.logs.formats.ardupilot.mavlink_messages import MESSAGES
+from usvlearn.logs.formats.ardupilot.tlog import ARMED, GROUND_STATION, HEARTBEAT, NO_AUTOPILOT, PARAM_VALUE
 
 if TYPE_CHECKING:
     from usvlearn.live.health import Health

@@ -16,17 +16,17 @@ from contextlib import suppress
 from pathlib import Path
 
 from usvlearn.errors import ConfigError
-from usvlearn.live import posts
 from usvlearn.live.health import COMPILING, Health
 from usvlearn.live.moos import wire
 from usvlearn.live.moos.appcast import AppCasts
 from usvlearn.live.moos.block import EXAMPLE, MIDDLEWARE, Settings, interface, parser, settings_of
 from usvlearn.live.moos.client import Client
 from usvlearn.live.moos.wire import Message
-from usvlearn.live.operator_page import page
 from usvlearn.live.session import Session
-from usvlearn.live.status_line import StatusLine
-from usvlearn.logs.channel import COMMANDS
+from usvlearn.live.status import posts
+from usvlearn.live.status.operator_page import page
+from usvlearn.live.status.status_line import StatusLine
+from usvlearn.logs.channels.channel import COMMANDS
 
 REQUEST = "APPCAST_REQ"
 PLAIN = "DESIRED_THRUST"  # of pMarinePID, which posts no command of a side

@@ -13,15 +13,15 @@ import usvlearn
 from usvlearn.errors import ConfigError, did_you_mean, printable
 from usvlearn.live import arguments as shared
 from usvlearn.live.moos.mission import Entry, Mission
-from usvlearn.live.posts import PLANNED, TABLE
 from usvlearn.live.start import NAMED, Middleware, Options, channel_options
+from usvlearn.live.status.posts import PLANNED, TABLE
 
 NAME, HOST, PORT, TICK, PREFIX = "pUSVLearn", "localhost", 9000, 4.0, "USV_"
 PLAN = "USVLEARN_PLAN"  # variable
 HELD = {"unit": "percent", "held": True}  # a MOOSDB keeps a value until the next post
 MIDDLEWARE = Middleware(
     "MOOS",
-    "usvlearn.logs.alog.Alog",
+    "usvlearn.logs.formats.moos.alog.Alog",
     {
         "command_left": {"name": "DESIRED_THRUST_L", **HELD},
         "command_right": {"name": "DESIRED_THRUST_R", **HELD},

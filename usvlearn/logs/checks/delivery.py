@@ -19,10 +19,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usvlearn.logs.channel import AUTO, CHANNELS, COMMANDS, EPSILON, LEAST_WINDOW, MOST_WINDOW, SURGE
+from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, EPSILON, LEAST_WINDOW, MOST_WINDOW, SURGE
+from usvlearn.logs.channels.copies import find_period
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
-from usvlearn.logs.copies import find_period
 
 NONE = "empty"  # a cell of a table at whose time the channel had no message
 MANY, MOST = 0.05, 0.5  # of the messages of a channel

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.logs.bins import HUGE, OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
-from usvlearn.logs.channel import COMMANDS, DEGREES, METRES, REQUIRED, SURGE, UNITS, Channel, Recording, Source
-from usvlearn.logs.positions import in_metres
-from usvlearn.logs.relations import Offset, Relation, angle_offset, in_series, relate, relate_sides
-from usvlearn.signals import Fleet
+from usvlearn.core.samples import Fleet
+from usvlearn.logs.channels.bins import HUGE, OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
+from usvlearn.logs.channels.channel import COMMANDS, DEGREES, METRES, REQUIRED, SURGE, UNITS, Channel, Recording, Source
+from usvlearn.logs.channels.positions import in_metres
+from usvlearn.logs.channels.relations import Offset, Relation, angle_offset, in_series, relate, relate_sides
 
 STEP = 1.0  # s, of the bins: below the time constants of hulls, and few enough that a check takes milliseconds
 TURNS_WITHIN = (0.0, 5.0)  # s, from a command to the yaw rate: the yaw time constant and a delay

@@ -23,8 +23,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from usvlearn.logs.bins import GAP, INTERVALS, Series, bin_rates, cleaned
-from usvlearn.logs.channel import COMMANDS, METRES, SURGE
+from usvlearn.logs.channels.bins import GAP, INTERVALS, Series, bin_rates, cleaned
+from usvlearn.logs.channels.channel import COMMANDS, METRES, SURGE
 from usvlearn.logs.checks.evidence import LEG, MOVING, NONE, STEP, Evidence, spread
 from usvlearn.logs.checks.finding import Finding, see
 

@@ -28,8 +28,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from usvlearn.logs.bins import bin_edges, bin_means, bin_rates, clipped
-from usvlearn.logs.channel import COMMANDS, SURGE
+from usvlearn.logs.channels.bins import bin_edges, bin_means, bin_rates, clipped
+from usvlearn.logs.channels.channel import COMMANDS, SURGE
 from usvlearn.logs.checks.evidence import Evidence
 from usvlearn.logs.checks.finding import Finding, override
 from usvlearn.logs.checks.thrusters import implausible_lag

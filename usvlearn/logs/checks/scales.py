@@ -22,11 +22,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from usvlearn.logs.bins import HUGE
-from usvlearn.logs.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
+from usvlearn.logs.channels.bins import HUGE
+from usvlearn.logs.channels.channel import COMMANDS, METRES, SPEEDS, SURGE, UNITS
+from usvlearn.logs.channels.relations import rate_slope, speed_on_positions
 from usvlearn.logs.checks.evidence import Evidence, spread
 from usvlearn.logs.checks.finding import NOTE, Finding, override, see
-from usvlearn.logs.relations import rate_slope, speed_on_positions
 
 SURE, LIKELY_TURN = 4.0, 2.5  # standard errors; less beside headings of a wrong range
 TOO_FAST, CURRENT, FASTEST = 1.3, 0.5, 15.0  # of the top speed; m/s; m/s

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from usvlearn.display.result_table import ResultTable
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.season import Season
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.season_figures import matrix_figure
-from usvlearn.report.section import Drawn, Section, on
+from usvlearn.report.sections.season_figures import matrix_figure
+from usvlearn.report.sections.section import Drawn, Section, on
 
 PAPER_RESULT = (
     "The MSE of AVE with the best set of each boat on the runs of all boats, which had started the season from equal "

@@ -10,7 +10,11 @@ from typing import Any
 
 import torch
 
-from usvlearn.estimator import Estimator
+from usvlearn.core.protocol import Estimator
+from usvlearn.core.samples import Inputs, Sample, named_leaves
+from usvlearn.display.result_table import Cell, ResultTable
+from usvlearn.engine.online import Online
+from usvlearn.engine.rollouts import rollout
 from usvlearn.estimators.aid.layer import AID
 from usvlearn.estimators.arx.layer import ARX
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -20,11 +24,7 @@ from usvlearn.estimators.least_squares.sift import SIFtRLS
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.members import unwrapped
-from usvlearn.online import Online
-from usvlearn.report.result_table import Cell, ResultTable
-from usvlearn.report.section import Section
-from usvlearn.rollouts import rollout
-from usvlearn.signals import Inputs, Sample, named_leaves
+from usvlearn.report.sections.section import Section
 
 PAPER_RESULT = (
     "AID: 9 parameters, O(p) to predict and to learn. RNN: n = 20, m = 4, 140 weights, O(n (m + 1)) both. RLS: 9 "

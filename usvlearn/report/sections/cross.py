@@ -6,13 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from usvlearn.display.figures import PAPER
+from usvlearn.display.result_table import ResultTable
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.metrics import by_error
 from usvlearn.evaluation.season import Season
-from usvlearn.figures import PAPER
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.season_figures import Box, box, boxes_figure
-from usvlearn.report.section import Drawn, Section, mean_errors, on, summary, tally
+from usvlearn.report.sections.season_figures import Box, box, boxes_figure
+from usvlearn.report.sections.section import Drawn, Section, mean_errors, on, summary, tally
 
 PAPER_RESULT = (
     "43 to 82 saved sets per boat. AID had the lowest error on seven of eight boats and the smallest range on six; "

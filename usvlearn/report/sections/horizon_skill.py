@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usvlearn.display.figures import INK, LINE, colours, themed
+from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.horizons import Scores, ensemble_scores
 from usvlearn.evaluation.season import Season
-from usvlearn.figures import INK, LINE, colours, themed
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.section import Drawn, Section
+from usvlearn.report.sections.section import Drawn, Section
 
 ACROSS = 4  # panels in a row
 

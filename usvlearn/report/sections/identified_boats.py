@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usvlearn.core.samples import tree_map
+from usvlearn.display.result_table import ResultTable
+from usvlearn.engine.identified import sentences
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.evaluation.identification import Truth, identified_boats
 from usvlearn.evaluation.season import Season
-from usvlearn.identified import sentences
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.section import Drawn, Section
-from usvlearn.runs.run_figures import identified_figure
-from usvlearn.signals import tree_map
+from usvlearn.report.sections.section import Drawn, Section
+from usvlearn.runs.tensorboard.run_figures import identified_figure
 
 CAPTION = "Lines: identified. Bands: 90 %."
 

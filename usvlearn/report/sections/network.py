@@ -7,17 +7,17 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from certify import exact
-from certify.equilibria import surge_inputs, sweep
-from certify.figures import equilibria_figure
-from certify.rounding import above, below, float_above, float_below
+from certify.display.figures import equilibria_figure
+from certify.proofs import exact
+from certify.proofs.equilibria import surge_inputs, sweep
+from certify.proofs.rounding import above, below, float_above, float_below
+from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.rnn.layer import RNN, lane_weights
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.season import Season
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.season_figures import certificates_figure
-from usvlearn.report.section import Drawn, Section
+from usvlearn.report.sections.season_figures import certificates_figure
+from usvlearn.report.sections.section import Drawn, Section
 from usvlearn.report.stability import SHOWN, free_words
 
 PAPER_RESULT = (

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from usvlearn.display.figures import PAPER
+from usvlearn.display.result_table import ResultTable
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, scores
 from usvlearn.evaluation.season import Season
-from usvlearn.figures import PAPER
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.season_figures import box, boxes_figure
-from usvlearn.report.section import Drawn, Section, mean_errors, on, summary, tally
+from usvlearn.report.sections.season_figures import box, boxes_figure
+from usvlearn.report.sections.section import Drawn, Section, mean_errors, on, summary, tally
 
 PAPER_RESULT = (
     "On all eight boats AID had the lowest online prediction error of the three methods, and the plain average (AVE) "

@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.regressors.terms import UNITS
 from usvlearn.evaluation.members import physical_members, unwrapped
 from usvlearn.evaluation.season import Season
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.season_figures import Course, parameters_figure
-from usvlearn.report.section import Drawn, Section
+from usvlearn.report.sections.season_figures import Course, parameters_figure
+from usvlearn.report.sections.section import Drawn, Section
 
 PAPER_RESULT = (
     "No parameters are shown; the mass is taken as known. Some boats have a noticeable thruster bias, as the errors "

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from usvlearn.display.figures import INK, LINE, colours, themed
+from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.autocorrelation import Autocorrelation, of_runs
 from usvlearn.evaluation.season import Season
-from usvlearn.figures import INK, LINE, colours, themed
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.section import Drawn, Section
+from usvlearn.report.sections.section import Drawn, Section
 
 LAGS = 25  # steps, the largest
 ACROSS = 3  # panels in a row

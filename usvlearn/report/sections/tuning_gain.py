@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from operator import itemgetter
 from typing import Any
 
+from usvlearn.display.figures import PAPER
+from usvlearn.display.result_table import ResultTable
 from usvlearn.evaluation.metrics import by_error, mean_mae
-from usvlearn.figures import PAPER
-from usvlearn.report.result_table import ResultTable
-from usvlearn.report.section import Section
+from usvlearn.report.sections.section import Section
 
 PAPER_RESULT = (
     "A coarse grid search and refinement by hand on 29 h of the season before. The authors found a fair comparison "

@@ -1,10 +1,10 @@
 """Constant acceleration: the step of `layer`."""
 
-from usvlearn.arrays import clamp
+from usvlearn.core.arrays import clamp
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT
 from usvlearn.estimators.baselines.acceleration.state import AT, Number
-from usvlearn.family import Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT
 
 
 @jit

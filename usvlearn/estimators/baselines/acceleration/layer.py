@@ -8,10 +8,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.protocol import Estimator, describe
+from usvlearn.core.samples import Inputs
 from usvlearn.errors import check_positive
-from usvlearn.estimator import Estimator, describe
 from usvlearn.estimators.baselines.acceleration.state import FAMILY, AccelerationState
-from usvlearn.signals import Inputs
 
 
 class Acceleration(Estimator):

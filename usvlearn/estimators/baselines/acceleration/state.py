@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.family import NOT_NEGATIVE, POSITIVE, Family, Numbers, leaf
+from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, Family, Numbers, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

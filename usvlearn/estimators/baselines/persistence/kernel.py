@@ -1,7 +1,7 @@
 """Persistence: the step of `layer`."""
 
+from usvlearn.core.jit import jit
 from usvlearn.estimators.baselines.persistence.state import AT
-from usvlearn.jit import jit
 
 
 @jit

@@ -8,9 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from usvlearn.estimator import Estimator, describe
+from usvlearn.core.protocol import Estimator, describe
+from usvlearn.core.samples import Inputs
 from usvlearn.estimators.baselines.persistence.state import FAMILY, PersistenceState
-from usvlearn.signals import Inputs
 
 
 class Persistence(Estimator):

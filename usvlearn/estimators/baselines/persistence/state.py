@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.family import Family, leaf
+from usvlearn.core.family import Family, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -5,13 +5,13 @@
 
 import numpy as np
 
-from usvlearn.arrays import clamp, dot, fill
+from usvlearn.core.arrays import clamp, dot, fill
+from usvlearn.core.family import WIDTH, Node
+from usvlearn.core.jit import jit
 from usvlearn.estimators.ensemble.combiners import state
 from usvlearn.estimators.ensemble.combiners.state import Bernstein, Exponential, Given, Loss, Plain, Prior, Priors
 from usvlearn.estimators.ensemble.combiners.state import Recursive as Weighted
 from usvlearn.estimators.least_squares.kernel import forget, rotated
-from usvlearn.family import WIDTH, Node
-from usvlearn.jit import jit
 
 AVERAGE, FIXED, RECURSIVE, EXPONENTIAL, BOA = (
     list(state.RULES).index(kind) for kind in ("average", "fixed", "recursive", "exponential", "boa")

@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from usvlearn.core.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast, numbers
 from usvlearn.errors import ConfigError, check_choice, check_not_negative, check_positive
 from usvlearn.estimators.ensemble.combiners.state import LOSSES, TINY, BOAState, ExponentialState, WeightsState
 from usvlearn.estimators.least_squares.rls import rls_step
-from usvlearn.hyper import Hyper, Positive, UnitInterval, as_tensor, check_broadcast, numbers
 
 
 def fill_sleeping(predictions: Tensor, weights: Tensor) -> Tensor:

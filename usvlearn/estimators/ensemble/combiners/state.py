@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.family import (
+from usvlearn.core.family import (
     FACTOR,
     FINITE,
     NOT_NEGATIVE,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
 from usvlearn.estimators.ensemble.conformal.state import AT, FEW, Number
-from usvlearn.family import Node
-from usvlearn.jit import jit
 
 
 @jit

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.family import AT_MOST_TEN, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
+from usvlearn.core.family import AT_MOST_TEN, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

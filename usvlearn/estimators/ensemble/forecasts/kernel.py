@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
 from usvlearn.estimators.ensemble.combiners.kernel import bernstein
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import (
@@ -17,8 +19,6 @@ from usvlearn.estimators.ensemble.forecasts.state import (
     Number,
     Vector,
 )
-from usvlearn.family import Node
-from usvlearn.jit import jit
 
 
 @jit

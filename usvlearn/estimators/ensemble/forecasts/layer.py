@@ -9,14 +9,14 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from usvlearn.core.protocol import Estimator, spec_of
+from usvlearn.core.samples import Inputs, named_leaves, rebuild, tree_map, where
 from usvlearn.errors import ConfigError, check_not_negative, check_positive
-from usvlearn.estimator import Estimator, spec_of
 from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_sleeping
 from usvlearn.estimators.ensemble.combiners.state import TINY
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.ensemble.forecasts.state import ForecastState
-from usvlearn.signals import Inputs, named_leaves, rebuild, tree_map, where
 
 
 class Forecasts(nn.Module):

@@ -38,8 +38,7 @@ from __future__ import annotations
 from math import inf
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.estimators.ensemble.combiners.state import BOAState
-from usvlearn.family import (
+from usvlearn.core.family import (
     ANY,
     FACTOR,
     NOT_NEGATIVE,
@@ -53,6 +52,7 @@ from usvlearn.family import (
     Vectors,
     leaf,
 )
+from usvlearn.estimators.ensemble.combiners.state import BOAState
 
 if TYPE_CHECKING:
     from torch import Tensor

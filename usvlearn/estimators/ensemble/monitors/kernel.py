@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from usvlearn.arrays import clamp, fill
+from usvlearn.core.arrays import clamp, fill
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
 from usvlearn.estimators.ensemble.monitors.state import AT, FEATURES, ROUNDING, Number, Z
-from usvlearn.family import Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT, LEFT, RIGHT, YAW_RATE
 
 
 @jit

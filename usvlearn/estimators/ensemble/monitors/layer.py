@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from usvlearn.core.samples import Inputs, tree_map, where
 from usvlearn.estimators.ensemble.monitors.state import (
     BACKWARDS,
     CALM,
@@ -39,7 +40,6 @@ from usvlearn.estimators.ensemble.monitors.state import (
     ThrusterState,
     Z,
 )
-from usvlearn.signals import Inputs, tree_map, where
 
 
 class Whiteness(NamedTuple):

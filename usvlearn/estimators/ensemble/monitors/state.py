@@ -45,7 +45,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from usvlearn.family import FINITE, MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Range, leaf
+from usvlearn.core.family import FINITE, MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Range, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

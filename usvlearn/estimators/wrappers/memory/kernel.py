@@ -1,10 +1,10 @@
 """Memory of the step before: the parts of `WithMemory` before and after the steps of its estimator."""
 
-from usvlearn.arrays import clamp, copy
+from usvlearn.core.arrays import clamp, copy
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
+from usvlearn.core.rows import DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SURGE, SURGE_DOT
 from usvlearn.estimators.wrappers.memory.state import AT, Number
-from usvlearn.family import Node
-from usvlearn.jit import jit
-from usvlearn.rows import DT, LEFT, LEFT_BEFORE, RIGHT, RIGHT_BEFORE, SURGE, SURGE_DOT
 
 
 @jit

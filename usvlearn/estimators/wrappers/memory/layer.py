@@ -8,11 +8,11 @@ from typing import Any, cast
 import torch
 from torch import Tensor
 
+from usvlearn.core.protocol import Estimator, check_estimator, numbers_of, spec_of
+from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import check_positive
-from usvlearn.estimator import Estimator, check_estimator, numbers_of, spec_of
 from usvlearn.estimators.regressors.layer import MemoryInputs
 from usvlearn.estimators.wrappers.memory.state import FAMILY, MemoryState
-from usvlearn.signals import Inputs, named_leaves
 
 
 class WithMemory(Estimator):

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.family import NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
+from usvlearn.core.family import NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

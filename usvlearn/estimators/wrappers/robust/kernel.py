@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from usvlearn.arrays import clamp, copy, finite
+from usvlearn.core.arrays import clamp, copy, finite
+from usvlearn.core.family import Node
+from usvlearn.core.jit import jit
 from usvlearn.estimators.wrappers.robust.state import AT, Number
-from usvlearn.family import Node
-from usvlearn.jit import jit
 
 
 @jit

@@ -9,11 +9,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.hyper import Hyper, Positive, check_broadcast
+from usvlearn.core.protocol import Estimator, check_estimator, numbers_of, spec_of
+from usvlearn.core.samples import Inputs, named_leaves, tree_map, where
 from usvlearn.errors import ConfigError, check_positive
-from usvlearn.estimator import Estimator, check_estimator, numbers_of, spec_of
 from usvlearn.estimators.wrappers.robust.state import FAMILY, RobustState
-from usvlearn.hyper import Hyper, Positive, check_broadcast
-from usvlearn.signals import Inputs, named_leaves, tree_map, where
 
 
 def clipped_moment(c: float) -> float:

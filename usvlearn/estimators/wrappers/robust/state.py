@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.family import MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Range, leaf
+from usvlearn.core.family import MOST, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, Range, leaf
 
 if TYPE_CHECKING:
     from torch import Tensor

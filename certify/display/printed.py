@@ -1,0 +1,313 @@
+"""The tables that `python -m certify` prints."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import nullcontext
+from typing import Any
+
+from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from certify.analysis.sweep_rows import ranges, short_keys, short_values
+from certify.display import vector_printed
+from certify.errors import folded
+from certify.proofs.exact import CORNER
+from certify.proofs.rounding import above, below
+
+MARGINS = tuple(CORNER)
+MARKS = {
+    "certified": ("✓", "green"),
+    "refuted": ("✗", "red"),
+    "not certified": ("✗", "red"),
+    "unknown": ("?", "yellow"),
+}
+UNLIMITED = 100_000  # columns of a file or a pipe
+FOLDED = 24  # least width, in columns, of a text that may be folded
+GAP = 2
+
+
+def show(
+    rows: Sequence[dict[str, Any]],
+    condition: str,
+    held: Sequence[bool],
+    notes: Sequence[str],
+    dt: float | None,
+    vectors: Sequence[dict[str, Any]] = (),
+) -> None:
+    """One row per parameter set, and a summary; networks with a vector state have a table of their own."""
+    console, lines = _console(), []
+    if rows:
+        _print(console, *_table(rows, dt))
+        lines += summary(rows, condition, held)
+    if vectors:
+        paths, shared = _short([row["path"] for row in vectors])
+        _print(console, f"Below {shared}: proved rates, < 1 contracts", *vector_printed.table(vectors, paths, dt))
+        lines += vector_printed.summary(vectors)
+    _say(console, *lines, *notes)
+
+
+def _console() -> Console:
+    """A console as wide as the terminal; without a limit for a file or a pipe, unless COLUMNS sets one."""
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else UNLIMITED
+    return Console(markup=False, highlight=False, width=width)
+
+
+def _say(console: Console, *lines: str, style: str | None = None) -> None:
+    """Print lines, broken between words."""
+    for line in lines:
+        console.print(folded(line, console.width), style=style, soft_wrap=True)
+
+
+def _print(
+    console: Console,
+    title: str,
+    headings: Sequence[str],
+    rows: Sequence[Sequence[str | Text]],
+    texts: Sequence[str] = (),
+) -> None:
+    """Print a table. If it is too wide, its columns continue in further tables below, each with the first column.
+
+    Args:
+        console: on which it is printed.
+        title: above the table.
+        headings: of the columns; the first is that of the names.
+        rows: a cell for each heading.
+        texts: headings of the columns that may be folded between words, as the names are where they fill half a line.
+    """
+    cells = list(zip(headings, *([str(cell) for cell in row] for row in rows), strict=True))
+    widths = [max(map(cell_len, column)) for column in cells]
+    widths = [min(width, FOLDED) if name in texts else width for name, width in zip(headings, widths, strict=True)]
+    room = min(console.width // 2, console.width - GAP - max(widths[1:]))
+    widths[0] = min(widths[0], max(room, FOLDED // 2))
+    blocks: list[list[int]] = [[]]
+    for k in range(1, len(headings)):
+        if blocks[-1] and sum(widths[j] + GAP for j in (0, *blocks[-1], k)) > console.width:
+            blocks.append([])
+        blocks[-1].append(k)
+    _say(console, title, style="italic")
+    for block in blocks:
+        table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+        for k in (0, *block):
+            text = k == 0 or headings[k] in texts
+            style: dict[str, Any] = {"overflow": "fold", "min_width": widths[k]} if text else {"no_wrap": True}
+            table.add_column(headings[k], justify="left" if text else "right", **style)
+        for row in rows:
+            table.add_row(*(row[k] for k in (0, *block)))
+        console.print()
+        console.print(table)
+    console.print()
+
+
+def _table(
+    rows: Sequence[dict[str, Any]], dt: float | None
+) -> tuple[str, list[str], list[list[str | Text]], Sequence[str]]:
+    """The title, headings, rows and texts of `_print`."""
+    solved, boxed = (any(key in row for row in rows) for key in ("lmi", "box"))
+    paths, shared = _short([row["path"] for row in rows])
+    marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
+    title = f"Below {shared}: margins, > 0 where a condition holds, and rates" + f"; {marks}" * (solved or boxed)
+    headings = ["parameter set", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
+    headings += ["LMI lmi, tight"] * solved + ["on the box"] * boxed + ["equilibria"]
+    found: list[list[str | Text]] = []
+    for row, path in zip(rows, paths, strict=True):
+        margins = [
+            Text(below(row["margins"][name], 3), "green" if row["certified"][name] else "red") for name in MARGINS
+        ]
+        cells = [_lmi(row["lmi"])] if solved else []
+        cells += [_box(row["box"])] if boxed else []
+        constant = time_constant(row["time_constant"], dt)
+        found.append([path, str(row["n"]), *margins, above(row["rate"]), constant, *cells, _every_place(row)])
+    return title, headings, found, ["equilibria"]
+
+
+def _short(paths: Sequence[str]) -> tuple[list[str], str]:
+    """The paths without their common folder, and that folder."""
+    paths = [os.path.abspath(path) for path in paths]
+    shared = os.path.commonpath([os.path.dirname(path) for path in paths])
+    ending = {os.path.splitext(path)[1] for path in paths} if len(paths) > 1 else {""}
+    names = [os.path.relpath(path, shared) for path in paths]
+    names = [name.removesuffix(*ending) if len(ending) == 1 else name for name in names]
+    return names, min(os.path.relpath(shared), shared, key=len)
+
+
+def time_constant(steps: float | None, dt: float | None) -> str:
+    """τ = −1/ln K in steps, or in s, rounded up."""
+    return "–" if steps is None else above(steps * (dt or 1), 3)
+
+
+def _every_place(row: dict[str, Any]) -> str:
+    """The equilibria in [0, 1]; where there are none, those outside.
+
+    >>> _every_place({"equilibria": [], "equilibria_outside": [{"x": -0.5, "class": "stable"}]})
+    'none in 0…1; stable -0.5'
+    """
+    if row["equilibria"]:
+        return _places(row["equilibria"])
+    outside = _places(row.get("equilibria_outside", []))
+    return f"none in 0…1; {outside}" if outside else "none in 0…1"
+
+
+def _places(equilibria: Sequence[dict[str, Any]]) -> str:
+    kinds: dict[str, list[str]] = {}
+    for each in equilibria:
+        ends = each.get("interval")
+        place = f"{each['x']:.3g}" if ends is None else f"{ends[0]:.3g}…{ends[1]:.3g}"
+        kinds.setdefault(each["class"], []).append(place)
+    return "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items())
+
+
+def mark(verdict: str) -> Text:
+    """The mark of a verdict, in its colour."""
+    return Text(*MARKS[verdict])
+
+
+def _lmi(found: dict[str, Any]) -> Text:
+    marks = Text()
+    for condition in ("lmi", "tight"):
+        rate = found[condition]["rate"]
+        marks.append(mark(found[condition]["verdict"])).append(" –  " if rate is None else f" {rate:.4g}  ")
+    return marks
+
+
+def _box(found: dict[str, Any]) -> Text:
+    low, high = found["bracket"]
+    rate = above(high, 4) if found["closed"] else f"{below(low, 4)}…{above(high, 4)}"
+    kept = {"yes": "kept", "no": "left", "unknown": "?"}[found["forward_invariant"]]
+    return Text().append(mark(found["verdict"])).append(f" {rate}, {kept}")
+
+
+def summary(rows: Sequence[dict[str, Any]], condition: str, held: Sequence[bool]) -> list[str]:
+    """The result in a few lines."""
+    n = len(rows)
+    counts = Counter(name for row in rows for name in MARGINS if row["certified"][name])
+    gauge = Counter(name for row in rows for name, held in row["best_gauge"].items() if held)
+    lines = [
+        f"{sum(held)} of {n} certified contracting by {condition}, in rational arithmetic",
+        ", ".join(f"{name} {counts[name]}" for name in MARGINS)
+        + f"; after rescaling neurons: simple {gauge['simple']}, gershgorin {gauge['gershgorin']}",
+    ]
+    if rests := [row["at_rest"] for row in rows if "at_rest" in row]:
+        numbers = sorted({k for rest in rests for k in rest["equilibria"]})
+        places = sorted(x for rest in rests for x in rest["x"])
+        kinds = sorted({kind for rest in rests for kind in rest["classes"]})
+        lines.append(
+            f"at rest, over {rests[0]['headings']} headings: {'…'.join(map(str, numbers))} equilibria each"
+            + (f", x in {places[0]:.3g}…{places[-1]:.3g}, {', '.join(kinds)}" if places else "")
+        )
+    if any("box" in row for row in rows):
+        verdicts = Counter(row["box"]["verdict"] for row in rows)
+        kept = Counter(row["box"]["forward_invariant"] for row in rows)
+        lines.append(
+            f"on the box: {', '.join(f'{word} {count}' for word, count in verdicts.items())}; "
+            + "f maps the box into itself: "
+            + ", ".join(f"{word} {count}" for word, count in kept.items())
+        )
+        if refuted := next((row for row in rows if row["box"]["verdict"] == "refuted"), None):
+            point = refuted["box"]["witness"]
+            u = ", ".join(f"{x:.4g}" for x in point["u"])
+            slope = ("−" if point["slope"] < 0 else "") + below(abs(point["slope"]))
+            lines.append(f"witness: {refuted['path']}: slope {slope} at x = {point['x']:.4g}, u = ({u})")
+    return lines
+
+
+def show_sweep(
+    rows: Sequence[dict[str, Any]],
+    left: Sequence[dict[str, Any]],
+    condition: str,
+    every: bool,
+    notes: Sequence[str],
+) -> None:
+    """One row per job and network, or per network over seeds; below it the jobs without one.
+
+    Args:
+        rows, left: see `certify.analysis.sweep_rows.rows`, `certify.analysis.sweep_rows.unjudged`.
+        condition: that was asked.
+        every: whether all parameter sets were judged, not the last of each boat.
+        notes: further lines.
+    """
+    console = _console()
+    free, seeds = any(row["free"] is not None for row in rows), any(len(row["jobs"]) > 1 for row in rows)
+    networks = len({row["network"] for row in rows}) > 1
+    names = ["gersh." if name == "gershgorin" else name for name in rows[0]["certified"]]
+    verdicts = [[f"{count}/{row['sets']}" for count in row["certified"].values()] for row in rows]
+    widths = [max(map(len, column)) for column in zip(names, *verdicts, strict=True)]  # one column, never torn apart
+    keys = ", ".join(short_keys(next((row["settings"] for row in rows if row["settings"]), {})))
+    headings = ["job", *[keys] * bool(keys), *["network"] * networks, "free", "MAE", "rate K"]
+    headings += ["  ".join(map(str.rjust, names, widths)), *["K on box"] * ("box_rate" in rows[0])]
+    lines: list[list[str | Text]] = []
+    for row, counts in zip(rows, verdicts, strict=True):
+        line: list[str | Text] = [", ".join(ranges(row["jobs"]))]
+        line += [short_values(row["settings"])] * bool(keys) + [row["network"]] * networks
+        line += [_error(row["free"], row["free_deviation"]), _error(row["mae"], row["mae_deviation"])]
+        colours = ["green" if count == row["sets"] else "red" for count in row["certified"].values()]
+        line += [above(row["rate"], 4), Text("  ").join(map(Text, map(str.rjust, counts, widths), colours))]
+        lines.append(line + [above(row["box_rate"], 4) for _ in headings[len(line) :]])
+    order = "the error of free runs" if free else "the MAE one step ahead"
+    of = "" if networks else f"{rows[0]['network']}: "
+    _print(console, f"{of}jobs certified by {condition} first, then by {order}", headings, lines, [keys])
+    over = " ±: standard deviation over seeds." if seeds else ""
+    console.print(
+        f"free: MAE of free runs; MAE: one step ahead; both in m/s, mean over boats.{over} rate K: the largest of "
+        f"{'all parameter sets' if every else 'the last parameter sets of the boats'}. simple … tight: how many of "
+        "them are certified."
+    )
+    held = sum(row["holds"] for row in rows)
+    console.print(f"{held} of {len(rows)} rows certified contracting by {condition}, in rational arithmetic")
+    if begun := {name: None for row in rows for name in row["unfinished"]}:
+        console.print(f"not finished, judged by the sets saved so far: job {', '.join(ranges(list(begun)))}")
+    for row in left:
+        settings = row["settings"] or {}
+        values = zip(short_keys(settings), settings.values(), strict=True)
+        shown = ", ".join(f"{key}={value}" for key, value in values if value is not None)
+        console.print(f"job {row['jobs'][0]}{f' ({shown})' if shown else ''}: {row['error']}")
+    for note in notes:
+        _say(console, note)
+
+
+def _error(mean: float | None, deviation: float | None) -> str:
+    """An error in m/s, with its deviation.
+
+    >>> _error(None, None), _error(0.03125, None), _error(0.25, 0.0123)
+    ('–', '0.0312', '0.2500±0.0123')
+    """
+    if mean is None:
+        return "–"
+    return f"{mean:.4f}" if deviation is None else f"{mean:.4f}±{deviation:.4f}"
+
+
+def busy(what: str):
+    """A context that says at a terminal what is done, on the standard error stream; nothing is left of it."""
+    console = Console(stderr=True)
+    return console.status(what) if console.is_terminal else nullcontext()
+
+
+def progress(items: Sequence, lines: str):
+    """The items, with a temporary progress bar on the standard error stream."""
+    from rich.progress import track
+
+    return track(items, lines, console=Console(stderr=True), transient=True)
+
+
+def show_comparison(result: dict[str, Any]) -> None:
+    """The result of `certify.command.compare` in words, then question by question with its tables."""
+    from certify.display.comparison_tables import headline, highlights, parts, settings
+
+    console = _console()
+    _say(console, headline(result), *highlights(result))
+    for part in parts(result):
+        console.print()
+        _say(console, part.title, style="bold")
+        for sentence in part.said:
+            _say(console, f"  {sentence}")
+        console.print()
+        for table in part.tables:
+            _print(console, *table)
+    for sentence in settings(result):
+        _say(console, sentence)

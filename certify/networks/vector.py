@@ -1,0 +1,278 @@
+"""The weights of a network whose state is a vector, and its activation.
+
+    x⁺ = R x + A φ(y),   y = W x + W₂ u + b                    one hidden layer                        (1)
+    x⁺ = R x + A φ(V φ(y) + c)                                 two hidden layers
+
+x ∈ ℝ^q, such as surge, sway and yaw rate; u ∈ ℝ^m; φ is applied to each component. The paper's network (section
+IV-B) is q = 1, R = 0 and relu, `certify.networks.shallow.ShallowWeights`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Mapping
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from certify.errors import CertifyError, quoted, shortened
+from certify.networks.shallow import (
+    LARGEST,
+    Network,
+    ShallowWeights,
+    as_float64,
+    holds_shallow,
+    read_tensors,
+    refuse_many,
+)
+from certify.networks.shallow import from_tensors as shallow_networks
+
+MOST_STATES = 6  # q; the exact rate takes the 2^q signs of x
+LARGEST_OF_TWO = 1e100  # largest weight with two hidden layers, where a slope is a product of three weights
+MOST_DIGITS = 60  # of a leak
+
+
+class VectorWeights(NamedTuple):
+    """The weights; arrays or tensors. V and c are None where there is one hidden layer."""
+
+    R: Any  # (*batch, q, q)
+    A: Any  # (*batch, q, n), of the last hidden layer
+    W: Any  # (*batch, n, q), of the first
+    W2: Any  # (*batch, n, m)
+    b: Any  # (*batch, n)
+    V: Any = None  # (*batch, l, n): of the second; A is then (*batch, q, l)
+    c: Any = None  # (*batch, l)
+
+
+REQUIRED = ("A", "W", "W2", "b")
+
+
+class Activation(NamedTuple):
+    """φ of (1): its name, and the interval of its slopes on all of ℝ."""
+
+    name: str  # relu, leaky or tanh
+    least: Fraction  # slope
+    most: Fraction = Fraction(1)
+
+    def __str__(self) -> str:
+        return f"leaky:{self.least}" if self.name == "leaky" else self.name
+
+
+RELU = Activation("relu", Fraction(0))
+
+
+class VectorNetwork(NamedTuple):
+    """One parameter set, and the place from which it was read."""
+
+    path: str
+    weights: VectorWeights  # float64 arrays, no batch
+    activation: Activation = RELU
+
+    @property
+    def states(self) -> int:
+        """q."""
+        return int(self.weights.W.shape[-1])
+
+    @property
+    def inputs(self) -> int:
+        """m."""
+        return int(self.weights.W2.shape[-1])
+
+    @property
+    def neurons(self) -> int:
+        """Of all hidden layers."""
+        return int(self.weights.b.shape[-1] + (0 if self.weights.c is None else self.weights.c.shape[-1]))
+
+
+def activation(text: str) -> Activation:
+    """φ by its name: `relu`, `tanh`, or `leaky:α` with a slope α in [0, 1) for negative arguments.
+
+    Raises:
+        CertifyError: another name, or no such slope.
+
+    >>> str(activation("leaky:0.01")), activation("tanh").most
+    ('leaky:1/100', Fraction(1, 1))
+    """
+    name, given, value = text.partition(":") if isinstance(text, str) else (text, "", "")
+    if name in ("relu", "tanh") and not given:
+        return Activation(name, Fraction(0))
+    if name == "leaky" and len(value) <= MOST_DIGITS and re.fullmatch(r"[0-9]+(\.[0-9]+)?|[0-9]+/[1-9][0-9]*", value):
+        if (slope := Fraction(value)) < 1:
+            return Activation("leaky", slope)
+    raise CertifyError(
+        f"activation: found {quoted(text)}, expected relu, tanh or leaky:α with a slope α from 0 to below 1, such as "
+        "leaky:0.01"
+    )
+
+
+def check(weights: VectorWeights, name: str = "weights") -> VectorWeights:
+    """The weights as float64 arrays; R = None becomes zeros.
+
+    Raises:
+        CertifyError: shapes that do not fit, q above 6, a weight that is NaN or infinite or no float64.
+
+    >>> check(VectorWeights(None, [[0.5]], [[1.0]], [[0.0, 1.0]], [0.0])).R.tolist()
+    [[0.0]]
+    """
+    if weights.R is None:
+        q = np.shape(weights.A)[-2] if np.ndim(weights.A) > 1 else 0
+        weights = weights._replace(R=np.zeros((*np.shape(weights.A)[:-2], q, q)))
+    given = {key: value for key, value in zip(VectorWeights._fields, weights, strict=True) if value is not None}
+    arrays = as_float64(given, name)
+    shapes = {key: value.shape for key, value in arrays.items()}
+    batch, (n, q) = shapes["b"][:-1], shapes["W"][-2:] if len(shapes["W"]) > 1 else (-1, -1)
+    last = shapes["V"][-2] if len(shapes.get("V", ())) > 1 else n
+    expected = {"R": (q, q), "A": (q, last), "W": (n, q), "W2": (n, *shapes["W2"][-1:]), "b": (n,)}
+    if "V" in arrays or "c" in arrays:
+        expected |= {"V": (last, n), "c": (last,)}
+    if shapes != {key: (*batch, *shape) for key, shape in expected.items()} or n < 1 or last < 1:
+        found = ", ".join(f"{key} {value}" for key, value in shapes.items())
+        raise CertifyError(
+            f"{name}: found the shapes {found}, expected R (q, q), A (q, n), W (n, q), W2 (n, m), b (n,) with q and n "
+            "of 1 or more; with a second hidden layer V (l, n), c (l,) and A (q, l)"
+        )
+    if not 1 <= q <= MOST_STATES:
+        raise CertifyError(f"{name}: found a state of {q} components, expected 1 to {MOST_STATES}")
+    return VectorWeights(**arrays)
+
+
+def refuse_large(weights: VectorWeights, name: str = "weights") -> None:
+    """Refuse weights whose products along the layers, and their sums, may exceed a float.
+
+    Raises:
+        CertifyError: a weight above 1e150; with two hidden layers, above 1e100.
+    """
+    largest = LARGEST if weights.V is None else LARGEST_OF_TWO
+    if (size := max(np.abs(x).max(initial=0.0) for x in weights if x is not None)) > largest:
+        raise CertifyError(f"{name}: found a weight of {size:.3g}, expected none above {largest:g}")
+
+
+def forward(network: VectorNetwork, x: Any, u: Any) -> np.ndarray:
+    """x⁺ of (1) in floats, `(*batch, q)`, from x `(*batch, q)` and u `(*batch, m)`.
+
+    >>> halved = VectorNetwork("", check(VectorWeights(None, [[0.5]], [[1.0]], [[0.0]], [0.0])))
+    >>> forward(halved, np.ones(1), np.zeros(1)).tolist()
+    [0.5]
+    """
+    R, A, W, W2, b, V, c = network.weights
+    x = np.asarray(x)
+    hidden = _phi(network.activation, x @ W.T + np.asarray(u) @ W2.T + b)
+    if V is not None:
+        hidden = _phi(network.activation, hidden @ V.T + c)
+    return np.asarray(x @ R.T + hidden @ A.T)
+
+
+def _phi(phi: Activation, z: np.ndarray) -> np.ndarray:
+    return np.asarray(np.tanh(z) if phi.name == "tanh" else np.maximum(z, float(phi.least) * z))
+
+
+def of_shallow(weights: ShallowWeights) -> VectorWeights:
+    """The paper's network as one with a vector state, q = 1.
+
+    >>> of_shallow(ShallowWeights([0.5], [1.0], [[0.0]], [0.0])).A.tolist()
+    [[0.5]]
+    """
+    a, w1 = np.asarray(weights.a, dtype=np.float64), np.asarray(weights.w1, dtype=np.float64)
+    return check(VectorWeights(None, a[..., None, :], w1[..., None], weights.W2, weights.b))
+
+
+def digest(weights: VectorWeights) -> str:
+    """The sha256 of one network's weights, which a certificate is about."""
+    total = hashlib.sha256(b"vector")
+    for name, array in zip(VectorWeights._fields, check(weights), strict=True):
+        if array is not None:
+            total.update(f"{name}{array.shape}".encode() + np.ascontiguousarray(array + 0.0).astype("<f8").tobytes())
+    return total.hexdigest()
+
+
+def from_tensors(
+    tensors: Mapping[str, Any], path: str = "tensors", phi: Activation = RELU, most: float = math.inf
+) -> list[VectorNetwork]:
+    """Every network (1) among named tensors, lane by lane; empty where there is none.
+
+    Names end in `A`, `W`, `W2`, `b` after a common prefix, with `R` where there is a skip connection, and `V`, `c`
+    where there is a second hidden layer. The linear layers of a torch module are accepted, too: two or three, the first
+    with (n, q + m) weights, those of the state first, the last with (q, n) and no bias. There may be `most` networks.
+
+    >>> net = {"net.A": [[0.5]], "net.W": [[1.0]], "net.W2": [[0.0]], "net.b": [0.0]}
+    >>> from_tensors(net)[0].states
+    1
+    """
+    found = []
+    for prefix in [name.removesuffix("W") for name in tensors if re.search(r"(^|\.)W$", name)]:
+        if lacking := [prefix + name for name in REQUIRED if prefix + name not in tensors]:
+            raise CertifyError(f"{path}: holds {prefix}W but no {', '.join(lacking)}: expected A, W, W2 and b together")
+        named = {name: tensors.get(prefix + name) for name in VectorWeights._fields}
+        found.append((prefix.rstrip("."), VectorWeights(**named)))
+    found = found or [("", each) for each in _layers(tensors, path)]
+    networks: list[VectorNetwork] = []
+    for prefix, weights in found:
+        label = path if len(found) == 1 else f"{path}:{prefix}"
+        arrays = check(weights, label)
+        refuse_large(arrays, label)
+        refuse_many(len(networks) + math.prod(arrays.b.shape[:-1]), most, label)
+        for lane in np.ndindex(arrays.b.shape[:-1]):
+            own = VectorWeights(*(None if x is None else x[lane] for x in arrays))
+            name = f"[{','.join(map(str, lane))}]" if lane else ""
+            networks.append(VectorNetwork(label + name, own, phi))
+    return networks
+
+
+def _layers(tensors: Mapping[str, Any], path: str) -> list[VectorWeights]:
+    """The network of two or three linear layers, if the tensors are such with q > 1 or two hidden layers."""
+    layers = [(name.removesuffix("weight"), x) for name, x in tensors.items() if re.search(r"(^|\.)weight$", name)]
+    if len(layers) not in (2, 3) or any(np.ndim(x) != 2 for _, x in layers):
+        return []
+    (first, W), *middle, (last, A) = layers
+    W, A = np.asarray(W), np.asarray(A)
+    q = len(A)
+    if len(layers) == 2 and q == 1:
+        return []  # a shallow network of one state
+    if W.shape[1] < q or len(W) != (np.asarray(middle[0][1]) if middle else A).shape[1]:
+        shapes = ", ".join(str(np.shape(x)) for _, x in layers)
+        raise CertifyError(f"{path}: found linear layers of the shapes {shapes}, expected (n, q + m), …, (q, n)")
+    if (offset := tensors.get(f"{last}bias")) is not None and np.any(np.asarray(offset)):
+        raise CertifyError(f"{path}: {last}bias is not zero, expected x⁺ = A φ(…) without an offset")
+    bias = tensors.get(f"{first}bias")
+    weights = VectorWeights(None, A, W[:, :q], W[:, q:], np.zeros(len(W)) if bias is None else bias)
+    for name, V in middle:
+        c = tensors.get(f"{name}bias")
+        weights = weights._replace(V=V, c=np.zeros(len(V)) if c is None else c)
+    return [weights]
+
+
+def read_both(
+    path: str | Path, phi: Activation = RELU, as_vectors: bool = False, most: float = math.inf
+) -> tuple[list[Network], list[VectorNetwork]]:
+    """The shallow networks and the networks (1) in a file.
+
+    With another activation, or `as_vectors`, all are of the second kind.
+
+    Raises:
+        CertifyError: as `certify.networks.shallow.load`; or there are more than `most` of a kind.
+    """
+    tensors = read_tensors(path)
+    vectors = from_tensors(tensors, str(path), phi, most)
+    shallow = [] if vectors and not holds_shallow(tensors) else shallow_networks(tensors, str(path), most)
+    if phi == RELU and not as_vectors:
+        return shallow, vectors
+    return [], vectors + [VectorNetwork(each.path, of_shallow(each.weights), phi) for each in shallow]
+
+
+def load(path: str | Path, phi: Activation = RELU) -> list[VectorNetwork]:
+    """The networks (1) in a file, as `certify.networks.shallow.load` reads it: no pickled code is run.
+
+    Raises:
+        CertifyError: no such file, of another kind, damaged, or without such a network.
+    """
+    tensors = read_tensors(path)
+    if found := from_tensors(tensors, str(path), phi):
+        return found
+    raise CertifyError(
+        f"{path}: holds no network with a vector state (it holds: {shortened(', '.join(tensors)) or 'nothing'}): "
+        "expected tensors named A, W, W2 and b, or two or three linear layers"
+    )

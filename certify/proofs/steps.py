@@ -1,0 +1,163 @@
+"""One proof of contraction for all steps up to the largest: Euler steps of the flow that a network has learned.
+
+A network f is learned at the step h, so that (f(x, u) − x)/h is the speed at which x changes. With the step η h,
+
+    f_η(x, u) = x + η (f(x, u) − x),   Jacobian  J_η = I + η (J − I),   η = dt/h                             (1)
+
+is a network of the same kind: R_η = (1 − η) I + η R, A_η = η A.
+
+**One step proves all smaller ones.** Let K(η) = sup ‖I + η (J − I)‖ over all slopes, in any norm ‖T x‖_∞, ‖T x‖_1 or
+√(xᵀ P x). Each ‖I + η (J − I)‖ is a norm of a function that is affine in η, so it is convex in η; so is the supremum K.
+K(0) = 1. Hence for 0 < η ≤ η_max
+
+    K(η) ≤ (1 − η/η_max) K(0) + (η/η_max) K(η_max) = 1 − (η/η_max)(1 − K(η_max)).                              (2)
+
+So if K(η_max) < 1, every smaller step contracts. After the time t = k η h the distance of two trajectories is at most
+K(η)ᵏ ≤ exp(−λ t) times that at the start, with the rate λ = (1 − K(η_max))/(η_max h) per second, for all these steps.
+All of this holds on a box as well, with K(η) the supremum over the box. If f maps a box into its intervals of x, so
+does f_η with η ≤ 1, since f_η(x, u) lies between x and f(x, u).
+
+**Which steps contract.** For one hidden layer and the ∞-norm, with c_rε = max [J ε]_r over all slopes, see
+`certify.proofs.vector_exact`,
+
+    K(η) = max_{r, ε} ε_r + η (c_rε − ε_r) = max(1 + η μ, −1 + η (1 + ν)),                                    (3)
+    μ = max_{ε_r = 1} c_rε − 1,   ν = max_{ε_r = −1} c_rε,
+
+because each row sum is affine in η. μ is the greatest logarithmic norm of J − I. So every η < 2/(1 + ν) contracts if
+μ < 0, and no step does if μ ≥ 0. Up to η = 2/(1 + ν − μ) the rate λ of (2) is −μ/h, the greatest possible. If μ < 0
+then 1 + ν > 0, because ν ≥ −J_rr and J_rr ≤ 1 + μ < 1. For one state, relu and R = ρ this says: all η ≤ η_max contract
+iff ρ + P < 1 and η_max (1 − ρ + N) < 2, P the sum of the positive a_i w_i, −N that of the negative ones. The 1-norm is
+the ∞-norm of the transposed matrices. With two hidden layers c_rε is a bound, so that (3) bounds K(η) from above.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+from certify.errors import CertifyError
+from certify.networks.vector import Activation, VectorWeights
+from certify.proofs.rounding import float_below
+from certify.proofs.vector_exact import Matrix, Slopes, everywhere, identity, matrix, rate, row_sums
+
+BITS = 20  # after the point of the step that `short` gives
+
+
+class Steps(NamedTuple):
+    """μ and ν of (3)."""
+
+    measure: Fraction  # μ
+    reach: Fraction  # ν
+
+    @property
+    def largest(self) -> Fraction:
+        """The least η that does not contract; every η in (0, largest) does. 0 where no step contracts."""
+        return 2 / (1 + self.reach) if self.measure < 0 else Fraction(0)
+
+    @property
+    def fastest(self) -> Fraction:
+        """The largest η up to which λ of (2) is −μ/h; 0 where no step contracts."""
+        return 2 / (1 + self.reach - self.measure) if self.measure < 0 else Fraction(0)
+
+    def rate(self, eta: Fraction) -> Fraction:
+        """K(η) of (3)."""
+        return max(1 + eta * self.measure, eta * (1 + self.reach) - 1)
+
+
+def steps(weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", scaling: Matrix | None = None) -> Steps:
+    """μ and ν, exact over all slopes; with two hidden layers bounds from above. Arguments as of `vector_exact.rate`.
+
+    >>> from certify.networks.vector import RELU, ShallowWeights, of_shallow
+    >>> net = of_shallow(ShallowWeights([0.5, -0.25], [1.0, 1.0], [[], []], [0.0, 1.0]))
+    >>> found = steps(net, everywhere(net, RELU))  # P = ½, N = ¼
+    >>> found.measure, found.reach, found.largest
+    (Fraction(-1, 2), Fraction(1, 4), Fraction(8, 5))
+    """
+    sums = row_sums(weights, slopes, norm, scaling)
+    high = max(value for signs, values in sums for sign, value in zip(signs, values, strict=True) if sign > 0)
+    low = max(value for signs, values in sums for sign, value in zip(signs, values, strict=True) if sign < 0)
+    return Steps(high - 1, low)
+
+
+def stepped(weights: VectorWeights, eta: Fraction) -> VectorWeights:
+    """f_η of (1) exactly: its R and A are lists of rows of fractions, for the functions of `certify.proofs.vector_exact`.
+
+    `certify.proofs.vector_box_proof.proves` accepts it, too, and so proves the rate of all steps up to η on a box.
+
+    >>> net = VectorWeights([[0.0]], [[0.5]], [[1.0]], [[]], [0.0])
+    >>> stepped(net, Fraction(1, 3)).R, stepped(net, Fraction(1, 3)).A
+    ([[Fraction(2, 3)]], [[Fraction(1, 6)]])
+    """
+    R, A = matrix(weights.R), matrix(weights.A)
+    direct = [
+        [(1 - eta) * i + eta * x for i, x in zip(*rows, strict=True)] for rows in zip(identity(len(R)), R, strict=True)
+    ]
+    return weights._replace(R=direct, A=[[eta * x for x in row] for row in A])
+
+
+def largest_step(weights: VectorWeights, phi: Activation, norm: str = "inf", scaling: Matrix | None = None) -> Fraction:
+    """The supremum of the steps η = dt/h up to which all contract, over all slopes of φ; 0 where none does.
+
+    Exact for one hidden layer; with two a bound from below.
+    """
+    return steps(weights, everywhere(weights, phi), norm, scaling).largest
+
+
+def short(largest: Fraction, bits: int = BITS) -> Fraction | None:
+    """A step below the supremum, with few digits: the η_max of a certificate. None where no step contracts.
+
+    >>> short(Fraction(8, 5), 4), short(Fraction(2), 4), short(Fraction(0))
+    (Fraction(25, 16), Fraction(31, 16), None)
+    """
+    if largest <= 0:
+        return None
+    while largest * 2**bits <= 1:
+        bits += 8
+    return Fraction(math.ceil(largest * 2**bits) - 1, 2**bits)
+
+
+def proves(
+    weights: VectorWeights,
+    phi: Activation,
+    eta: Fraction,
+    kappa: Fraction,
+    norm: str = "inf",
+    scaling: Matrix | None = None,
+    slopes: Sequence[Slopes] | None = None,
+) -> bool:
+    """Whether K(η) ≤ κ < 1, by one evaluation of the exact rate: (2) then holds for all steps up to η with κ.
+
+    Args:
+        weights: of one network, checked.
+        phi: its activation.
+        eta: η_max.
+        kappa: the rate at η_max.
+        norm: "inf" or "one".
+        scaling: T, `(q, q)`; the identity by default.
+        slopes: of each hidden layer, such as those on a box; all slopes of φ by default.
+
+    >>> from certify.networks.vector import RELU, ShallowWeights, of_shallow
+    >>> net = of_shallow(ShallowWeights([0.5, -0.25], [1.0, 1.0], [[], []], [0.0, 1.0]))
+    >>> [proves(net, RELU, Fraction(3, 2), Fraction(k, 8)) for k in (7, 6, 8)]
+    [True, False, False]
+    """
+    if not (eta > 0 and kappa < 1):
+        return False
+    known = everywhere(weights, phi) if slopes is None else slopes
+    return rate(stepped(weights, Fraction(eta)), known, norm, scaling) <= kappa
+
+
+def per_second(eta: Fraction, kappa: Fraction, h: float) -> float:
+    """λ of (2), 1/s, rounded down: the rate for all steps dt ≤ η h; h in s, at which f was learned.
+
+    Raises:
+        CertifyError: h or η is not above 0, or κ is not below 1.
+
+    >>> per_second(Fraction(1), Fraction(3, 4), 0.5)
+    0.5
+    """
+    if not (math.isfinite(h) and h > 0 and eta > 0 and kappa < 1):
+        raise CertifyError(f"step: found η = {eta}, κ = {kappa}, h = {h}, expected η > 0, κ < 1 and h > 0")
+    return float_below((1 - Fraction(kappa)) / (Fraction(eta) * Fraction(h)))

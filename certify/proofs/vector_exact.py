@@ -1,0 +1,325 @@
+"""The contraction of a network with a vector state, in rational arithmetic: floats are rationals.
+
+For equal inputs an increment of φ is D Δz with a diagonal D, whose entries lie between the least and the greatest slope
+of φ. So Δx⁺ = J Δx, and over all these D
+
+    J(D) = R + A D W,   with two hidden layers   J(D₀, D₁) = R + A D₁ V D₀ W                               (1)
+
+In a norm ‖T x‖ with a regular T, the rate is the largest ‖T J T⁻¹‖. For the ∞-norm and one hidden layer, with A, W, R
+standing for T A, W T⁻¹, T R T⁻¹, and with every slope d_i in [α_i, β_i], it is
+
+    K_∞ = max_r max_{ε ∈ {±1}^q}  [R ε]_r + Σ_i max(α_i A_ri (W ε)_i, β_i A_ri (W ε)_i)                    (2)
+
+since the ∞-norm of a matrix is its largest row sum of absolute values, that is max_r max_ε [J ε]_r, and each term of
+[J ε]_r is largest at one end of its d_i, whatever the other terms are. So (2) is exact over all activation patterns.
+K_1 is K_∞ of the transposed matrices. With two hidden layers the first layer's interval is propagated to the second,
+for each ε; the result bounds the rate from above.
+
+In the norm √(xᵀ P x), with diagonal Λ₀, Λ₁ ≻ 0 and slopes in [α, β], the rate is at most κ if
+
+    M = [ P   P R                     0                       P A          ]
+        [ ·   κ² P + 2αβ WᵀΛ₀W       −(α+β) WᵀΛ₀              0            ]  ≻ 0                          (3)
+        [ ·   ·                       2 Λ₀ + 2αβ VᵀΛ₁V       −(α+β) VᵀΛ₁   ]
+        [ ·   ·                       ·                       2 Λ₁         ]
+
+With one hidden layer the third row is missing, and so is V. `docs/certification.md` derives all of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from certify.errors import CertifyError
+from certify.networks.vector import Activation, VectorWeights
+from certify.proofs.exact import definiteness, pairwise_sum, power_below
+
+ZERO, ONE = Fraction(0), Fraction(1)
+Matrix = list[list[Fraction]]
+Slopes = Sequence[tuple[Fraction, Fraction]]  # the least and the greatest slope of each neuron of a layer
+NORMS = ("inf", "one")
+WORK = 5e9  # of LDLᵀ, in about ns: a proof from elsewhere may have numbers of any length
+
+
+class Proof(NamedTuple):
+    """P and the multipliers of (3)."""
+
+    metric: Matrix  # (q, q)
+    multipliers: list[list[Fraction]]  # the diagonals of Λ₀ and, with two hidden layers, of Λ₁
+
+
+def matrix(values: Any) -> Matrix:
+    """The exact values of a matrix of floats, or of fractions: a list of rows, see `certify.proofs.steps.stepped`.
+
+    >>> matrix([[0.5, 1.0]]), matrix([[Fraction(1, 3)]])
+    ([[Fraction(1, 2), Fraction(1, 1)]], [[Fraction(1, 3)]])
+    """
+    if isinstance(values, list) and any(isinstance(x, Fraction) for row in values for x in row):
+        return [[Fraction(x) for x in row] for row in values]
+    return [[Fraction(*x.as_integer_ratio()) for x in row] for row in np.asarray(values, dtype=np.float64).tolist()]
+
+
+def identity(q: int) -> Matrix:
+    return [[Fraction(i == j) for j in range(q)] for i in range(q)]
+
+
+def product(X: Matrix, Y: Matrix) -> Matrix:
+    """X Y."""
+    columns = list(zip(*Y, strict=True))
+    return [
+        [sum((x * y for x, y in zip(row, column, strict=True) if x and y), ZERO) for column in columns] for row in X
+    ]
+
+
+def transposed(X: Matrix) -> Matrix:
+    return [list(column) for column in zip(*X, strict=True)]
+
+
+def inverse(X: Matrix) -> Matrix | None:
+    """X⁻¹ by Gauss and Jordan; None of a singular matrix.
+
+    >>> inverse([[Fraction(2), ONE], [ZERO, ONE]])
+    [[Fraction(1, 2), Fraction(-1, 2)], [Fraction(0, 1), Fraction(1, 1)]]
+    """
+    q = len(X)
+    rows = [[*row, *unit] for row, unit in zip(X, identity(q), strict=True)]
+    for k in range(q):
+        pivot = next((i for i in range(k, q) if rows[i][k]), None)
+        if pivot is None:
+            return None
+        rows[k], rows[pivot] = rows[pivot], rows[k]
+        rows[k] = [x / rows[k][k] for x in rows[k]]
+        for i in range(q):
+            if i != k and (factor := rows[i][k]):
+                rows[i] = [x - factor * y for x, y in zip(rows[i], rows[k], strict=True)]
+    return [row[q:] for row in rows]
+
+
+def everywhere(weights: VectorWeights, phi: Activation) -> list[Slopes]:
+    """The slopes of φ on all of ℝ, for each hidden layer."""
+    layers = [weights.b] if weights.c is None else [weights.b, weights.c]
+    return [[(phi.least, phi.most)] * len(layer) for layer in layers]
+
+
+def changed(weights: VectorWeights, scaling: Matrix | None = None) -> tuple[Matrix, Matrix, Matrix]:
+    """T R T⁻¹, T A and W T⁻¹ exactly: the matrices of the state T x.
+
+    Raises:
+        CertifyError: T is singular.
+    """
+    R, A, W = matrix(weights.R), matrix(weights.A), matrix(weights.W)
+    if scaling is None:
+        return R, A, W
+    back = inverse(scaling)
+    if back is None:
+        raise CertifyError("scaling: found a singular T, expected a regular one")
+    return product(product(scaling, R), back), product(scaling, A), product(W, back)
+
+
+def rate(
+    weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", scaling: Matrix | None = None
+) -> Fraction:
+    """K of (2), over all slopes; with two hidden layers a bound of it.
+
+    Args:
+        weights: of one network, checked.
+        slopes: of each hidden layer, see `everywhere`.
+        norm: "inf" or "one".
+        scaling: T, `(q, q)`; the identity by default.
+
+    Raises:
+        CertifyError: T is singular.
+
+    >>> from certify.networks.vector import RELU, check
+    >>> net = check(VectorWeights(None, [[0.5, -1.0]], [[1.0], [0.75]], np.zeros((2, 0)), [0.0, 0.0]))
+    >>> rate(net, everywhere(net, RELU))
+    Fraction(3, 4)
+    """
+    return max(value for _, values in row_sums(weights, slopes, norm, scaling) for value in values)
+
+
+def row_sums(
+    weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", scaling: Matrix | None = None
+) -> list[tuple[tuple[int, ...], list[Fraction]]]:
+    """For each ε the greatest [J ε]_r of all r, whose maximum is (2); with two hidden layers bounds of them.
+
+    Arguments and errors are those of `rate`. Computed in integers over common denominators.
+    """
+    R, A, W = changed(weights, scaling)
+    middle = [] if weights.V is None else [matrix(weights.V)]
+    layers, own = [W, *middle, A], list(slopes)
+    if norm == "one":
+        R, layers, own = transposed(R), [transposed(X) for X in reversed(layers)], own[::-1]
+    direct, unit = over_one_denominator(R)
+    found = [over_one_denominator(X) for X in layers]
+    ends = []
+    for each in own:
+        flat, below = over_one_denominator([[x for pair in each for x in pair]])
+        ends.append((list(zip(flat[0][::2], flat[0][1::2], strict=True)), below))
+    whole = math.prod([below for _, below in found]) * math.prod([below for _, below in ends])
+    sums = []
+    for signs in itertools.product((-1, 1), repeat=len(R)):
+        least = greatest = [sum(x for x in _signed(row, signs)) for row in found[0][0]]
+        for (X, _), (bounds, _) in zip(found[1:], ends, strict=True):
+            pairs = [
+                (min(lo * x, hi * x), max(lo * y, hi * y))
+                for (lo, hi), x, y in zip(bounds, least, greatest, strict=True)
+            ]
+            least = [sum(k * (x if k > 0 else y) for k, (x, y) in zip(row, pairs, strict=True)) for row in X]
+            greatest = [sum(k * (y if k > 0 else x) for k, (x, y) in zip(row, pairs, strict=True)) for row in X]
+        values = [sum(_signed(row, signs)) * whole + y * unit for row, y in zip(direct, greatest, strict=True)]
+        sums.append((signs, [Fraction(value, whole * unit) for value in values]))
+    return sums
+
+
+def _signed(row: Sequence[int], signs: Sequence[int]) -> list[int]:
+    return [x if sign > 0 else -x for x, sign in zip(row, signs, strict=True)]
+
+
+def over_one_denominator(X: Matrix) -> tuple[list[list[int]], int]:
+    """A matrix as integers and one denominator."""
+    below = math.lcm(*(x.denominator for row in X for x in row)) if X else 1
+    return [[x.numerator * (below // x.denominator) for x in row] for row in X], below
+
+
+def gershgorin(weights: VectorWeights) -> tuple[Fraction, Fraction | None]:
+    """The paper's lemma for a vector state: its margin, and the smallest rate at which it holds; None if there is none.
+
+    With one hidden layer of relu, ‖W_i‖₁ < 1 for all i, and for all r
+
+        Σ_k (|R_rk| + |R_kr|) + Σ_i |A_ri| + Σ_i |W_ir| ‖A_·i‖₁ / (1 − ‖W_i‖₁) < 2.
+
+    >>> from certify.networks.vector import check
+    >>> gershgorin(check(VectorWeights(None, [[0.5]], [[0.5]], np.zeros((1, 0)), [0.0])))
+    (Fraction(1, 2), Fraction(1, 2))
+    """
+    R, A, W = ([[abs(x) for x in row] for row in matrix(X)] for X in (weights.R, weights.A, weights.W))
+    columns, room = [sum(column, ZERO) for column in zip(*A, strict=True)], [1 - sum(row, ZERO) for row in W]
+    least = min(room)
+    sums = []
+    for r, (row, own) in enumerate(zip(A, R, strict=True)):
+        total = sum(own, ZERO) + sum((other[r] for other in R), ZERO) + sum(row, ZERO)
+        shares = [w[r] * column / left for w, column, left in zip(W, columns, room, strict=True) if left > 0]
+        sums.append(total + pairwise_sum(shares))
+    half = max(sums) / 2
+    return min(1 - half, least), half if least > 0 else None
+
+
+def gershgorin_proof(weights: VectorWeights, kappa: Fraction) -> Proof | None:
+    """P and Λ that prove a rate for β = 2 where the lemma holds at it; None where it does not, or with two layers.
+
+    At the rate κ the lemma makes [2I − P, R/κ, A/κ; ·, P, −WᵀΛ; ·, ·, Λ] strictly dominated by its diagonal for some
+    diagonal P and Λ: its sums leave a slack, which is shared by λ_i and both sides of p_r. As 2 − p ≤ 1/p, the matrix
+    with P⁻¹ in place of 2I − P is positive definite, too. Scaled by P, κ I and κ I, it is (3) with κ²Λ/2 for Λ.
+
+    >>> from certify.networks.vector import RELU, check
+    >>> net = check(VectorWeights(None, [[0.5]], [[0.5]], np.zeros((1, 0)), [0.0]))
+    >>> found = gershgorin_proof(net, Fraction(3, 4))
+    >>> proves(net, RELU, found, Fraction(3, 4), Fraction(2)), gershgorin_proof(net, Fraction(1, 2))
+    (True, None)
+    """
+    half = None if weights.V is not None else gershgorin(weights)[1]
+    if half is None or not half < kappa:
+        return None
+    R, A, W = ([[abs(x) for x in row] for row in matrix(X)] for X in (weights.R, weights.A, weights.W))
+    slack = power_below((2 - 2 * half / kappa) / 4)
+    unit = slack / 2 ** len(W).bit_length()  # at most slack/n
+    shares = [
+        sum(column, ZERO) / kappa / (1 - sum(row, ZERO)) for column, row in zip(zip(*A, strict=True), W, strict=True)
+    ]
+    lam = [(share // (unit / 2) + 1) * unit / 2 for share in shares]
+    metric = identity(len(R))
+    for r in range(len(R)):
+        least = sum((row[r] for row in R), ZERO) / kappa + sum((w[r] * x for w, x in zip(W, lam, strict=True)), ZERO)
+        metric[r][r] = (least // slack + 1) * slack
+    return Proof(metric, [[kappa * kappa * x / 2 for x in lam]])
+
+
+def inequality(
+    weights: VectorWeights, phi: Activation, proof: Proof, kappa: Fraction, most: Fraction | None = None
+) -> Matrix:
+    """M of (3); `most` is β, by default φ's greatest slope."""
+    P, lam = proof.metric, proof.multipliers
+    alpha, beta = phi.least, phi.most if most is None else most
+    R, A, W = matrix(weights.R), matrix(weights.A), matrix(weights.W)
+    q, n = len(R), len(W)
+    widths = [q, q, n] + ([] if weights.V is None else [len(lam[1])])
+    starts = [0, *itertools.accumulate(widths)]
+    M = [[ZERO] * starts[-1] for _ in range(starts[-1])]
+
+    def put(i: int, j: int, block: Matrix) -> None:
+        for r, row in enumerate(block):
+            for c, x in enumerate(row):
+                if x:
+                    M[starts[i] + r][starts[j] + c] += x
+                    if i != j:
+                        M[starts[j] + c][starts[i] + r] += x
+
+    put(0, 0, P)
+    put(0, 1, product(P, R))
+    put(0, len(widths) - 1, product(P, A))
+    put(1, 1, [[kappa * kappa * x for x in row] for row in P])
+    for k, X in enumerate([W] if weights.V is None else [W, matrix(weights.V)]):
+        weighted = [[x * y for x in row] for row, y in zip(X, lam[k], strict=True)]  # Λ X
+        for i, y in enumerate(lam[k], starts[2 + k]):
+            M[i][i] += 2 * y
+        put(1 + k, 2 + k, [[-(alpha + beta) * x for x in row] for row in transposed(weighted)])
+        if alpha * beta:
+            put(1 + k, 1 + k, [[2 * alpha * beta * x for x in row] for row in product(transposed(X), weighted)])
+    return M
+
+
+def effort(weights: VectorWeights, scaling: Matrix | None = None, leaves: int = 0) -> float:
+    """About how many ns it takes to check a proof, told from the sizes and before any work: compare with `WORK`.
+
+    Args:
+        weights: of one network.
+        scaling: T of a rate (2), `(q, q)`; without it, of M (3), before its LDLᵀ.
+        leaves: of a tree of boxes.
+
+    Raises:
+        CertifyError: T is singular.
+
+    >>> from certify.networks.vector import check
+    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    >>> effort(net), effort(net, [[Fraction(1)]]) < effort(net, [[Fraction(1, 3**40)]]) < WORK
+    (1350.0, True)
+    """
+    q, n, last = len(weights.R), len(weights.b), 0 if weights.c is None else len(weights.c)
+    if scaling is None:
+        return 150.0 * (2 * q + n + last) ** 2
+    back = inverse(scaling)
+    if back is None:
+        raise CertifyError("scaling: found a singular T, expected a regular one")
+    numbers = [*itertools.chain(*scaling), *itertools.chain(*back)]
+    bits = 106 + sum(over_one_denominator(X)[1].bit_length() for X in (scaling, back))
+    bits += max(x.numerator.bit_length() - x.denominator.bit_length() for x in numbers)
+    fractions, whole = (5 if leaves else 2) * n * q * q, float(2 ** (q + 1) * (n * q + (n + q) * last))
+    return fractions * (4000 + 5 * bits + bits**2 / 4000) + whole * (100 + bits**2 / 4000 * (1 + leaves / 4))
+
+
+def proves(
+    weights: VectorWeights, phi: Activation, proof: Proof, kappa: Fraction, most: Fraction | None = None
+) -> bool:
+    """Whether P and Λ prove the rate κ: shapes that fit, Λ ≻ 0, M ≻ 0 (3), which contains P ≻ 0.
+
+    False also where LDLᵀ takes longer than about 5 s.
+
+    >>> from certify.networks.vector import RELU, check
+    >>> net = check(VectorWeights(None, [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    >>> half = Proof([[ONE]], [[Fraction(1, 2)]])
+    >>> proves(net, RELU, half, Fraction(3, 4)), proves(net, RELU, half, Fraction(1, 2))
+    (True, False)
+    """
+    q, sizes = len(weights.R), [len(weights.b)] + ([] if weights.c is None else [len(weights.c)])
+    P = proof.metric
+    if kappa <= 0 or len(P) != q or any(len(row) != q for row in P) or P != transposed(P):
+        return False
+    if [len(each) for each in proof.multipliers] != sizes or not all(x > 0 for each in proof.multipliers for x in each):
+        return False
+    return definiteness(inequality(weights, phi, proof, kappa, most), WORK) == 1

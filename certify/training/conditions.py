@@ -1,0 +1,167 @@
+"""Conditions for x⁺ = aᵀ relu(w₁ x + W₂ u + b), x scalar, to contract, each in closed form.
+
+With s_i = a_i w_{1i}, P = Σ max(s_i, 0), N = Σ max(−s_i, 0), the slope of x ↦ x⁺ is the sum of s_i over the active
+neurons, so that K = max(P, N) is the exact rate over all activation patterns. From the narrowest to the widest:
+
+    simple      (n+1)|a_i| + |w_{1i}| < 1 for all i                    paper, theorem III.6 (RNNSimple)   (1)
+    gershgorin  |w_{1i}| < 1 for all i, Σ |a_i|/(1 − |w_{1i}|) < 2     paper, lemma III.5                 (2)
+    lmi         2K < 1          the paper's matrix M(p, Λ) ≻ 0         paper, theorem III.3               (3)
+    tight       K < 1           with 2Λ in the corner: slopes in [0, 1]    Revay & Manchester 2020        (4)
+    interval    (4) on a box, neurons whose sign is fixed there counted as such                           (5)
+
+A condition holds *at the rate* κ if it holds with a/κ in place of a. The smallest such κ is the rate that it proves.
+`docs/certification.md` derives the conditions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from certify.networks.shallow import ShallowWeights
+
+
+class Condition(NamedTuple):
+    """The result of a condition for each network."""
+
+    margin: Tensor  # (*batch,) > 0 where it holds
+    rate: Tensor  # (*batch,) the smallest rate at which it holds; inf if there is none
+
+
+def extreme_slopes(a: Tensor, w1: Tensor) -> tuple[Tensor, Tensor]:
+    """P and N, `(*batch,)`: over all activation patterns the slope of x ↦ x⁺ lies in [−N, P]; a, w₁ `(*batch, n)`.
+
+    >>> extreme_slopes(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
+    (tensor(0.5000), tensor(0.7500))
+    """
+    s = a * w1
+    return s.clamp(min=0).sum(-1), (-s).clamp(min=0).sum(-1)  # not P − Σ s_i, which cancels
+
+
+def rate(a: Tensor, w1: Tensor) -> Tensor:
+    """K = max(P, N), the exact contraction rate over all activation patterns, `(*batch,)`.
+
+    >>> rate(torch.tensor([0.5, -1.0]), torch.tensor([1.0, 0.75]))
+    tensor(0.7500)
+    """
+    P, N = extreme_slopes(a, w1)
+    return P.maximum(N)
+
+
+def simple(a: Tensor, w1: Tensor) -> Condition:
+    """(1): the paper's theorem with p = 1, λ = 1/(n+1); a, w₁ are `(*batch, n)`. It proves no rate K above ¼.
+
+    >>> simple(torch.tensor([0.25]), torch.tensor([0.25])).margin
+    tensor(0.2500)
+    """
+    size, w = (a.shape[-1] + 1) * a.abs(), w1.abs()
+    room = 1 - w
+    each = torch.where(room > 0, size / torch.where(room > 0, room, 1.0), torch.inf)
+    return Condition(1 - (size + w).amax(-1), each.amax(-1))
+
+
+def gershgorin(a: Tensor, w1: Tensor) -> Condition:
+    """(2): the paper's lemma, with the best p and Λ. It proves no rate K above ½.
+
+    >>> gershgorin(torch.tensor([0.5]), torch.tensor([0.5]))
+    Condition(margin=tensor(0.5000), rate=tensor(0.5000))
+    """
+    room = 1 - w1.abs()
+    safe = torch.where(room > 0, room, 1.0)
+    half = (torch.where(room > 0, a.abs(), 0.0) / safe).sum(-1) / 2
+    least = room.amin(-1)
+    return Condition((1 - half).minimum(least), torch.where(least > 0, half, torch.inf))
+
+
+def lmi(a: Tensor, w1: Tensor) -> Condition:
+    """(3): the paper's LMI is feasible ⇔ 2K < 1. The factor is 2 because Λ in its corner allows slopes in [0, 2].
+
+    >>> lmi(torch.tensor([0.5]), torch.tensor([0.5])).margin
+    tensor(0.5000)
+    """
+    twice = 2 * rate(a, w1)
+    return Condition(1 - twice, twice)
+
+
+def tight(a: Tensor, w1: Tensor, skip: Tensor | float = 0.0, leak: float = 0.0) -> Condition:
+    """(4): all activation patterns; no condition on (a, w₁) alone is weaker.
+
+    Args:
+        a: `(*batch, n)`.
+        w1: `(*batch, n)`.
+        skip: ρ of x⁺ = ρ x + aᵀ φ(·), `(*batch,)`.
+        leak: α, the slope of leaky relu for negative arguments. Each s_i counts with a slope in [α, 1], so that
+            K = max(|ρ + P − αN|, |ρ + αP − N|).
+
+    >>> tight(torch.tensor([0.5]), torch.tensor([0.5])).margin
+    tensor(0.7500)
+    >>> tight(torch.tensor([-0.5]), torch.tensor([0.5]), skip=0.5, leak=0.5).rate
+    tensor(0.3750)
+    """
+    P, N = extreme_slopes(a, w1)
+    K = (skip + P - leak * N).abs().maximum((skip + leak * P - N).abs())
+    return Condition(1 - K, K)
+
+
+def interval(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> Condition:
+    """(5): as `tight`, of the patterns that interval arithmetic cannot exclude on a box.
+
+    Args:
+        weights: `(*batch, …)`.
+        lo: least x, u₁ … u_m, `(1 + m,)`.
+        hi: greatest.
+
+    >>> one = torch.ones(1)
+    >>> interval(ShallowWeights(one, -one, 0 * one[:, None], -one), torch.zeros(2), torch.ones(2)).rate
+    tensor(0.)
+    """
+    always, never = fixed_signs(weights, lo, hi)
+    s = weights.a * weights.w1
+    on = torch.where(always, s, 0.0).sum(-1)
+    free = torch.where(always | never, 0.0, s)
+    K = (on + free.clamp(min=0).sum(-1)).maximum(-on + (-free).clamp(min=0).sum(-1))
+    return Condition(1 - K, K)
+
+
+def fixed_signs(weights: ShallowWeights, lo: Tensor, hi: Tensor) -> tuple[Tensor, Tensor]:
+    """The neurons that are on everywhere in a box, and those that are off everywhere: `(*batch, n)` bool each."""
+    centre, radius = (lo + hi) / 2, (hi - lo) / 2
+    w1, W2, b = weights.w1, weights.W2, weights.b
+    z = w1 * centre[0] + W2 @ centre[1:] + b
+    reach = w1.abs() * radius[0] + W2.abs() @ radius[1:]
+    largest = lo.abs().maximum(hi.abs())
+    rounding = 2 * (len(lo) + 2) * torch.finfo(z.dtype).eps
+    reach = reach + rounding * (w1.abs() * largest[0] + W2.abs() @ largest[1:] + b.abs())
+    return z > reach, z < -reach
+
+
+def simple_best_gauge(a: Tensor, w1: Tensor) -> Condition:
+    """(1) of the best of the equal networks (a_i/c_i, c_i w_{1i}, …), c > 0: 4(n+1) max |s_i| < 1.
+
+    >>> simple_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
+    tensor(0.8000)
+    """
+    found = 4 * (a.shape[-1] + 1) * (a * w1).abs().amax(-1)
+    return Condition(1 - found, found)
+
+
+def gershgorin_best_gauge(a: Tensor, w1: Tensor) -> Condition:
+    """(2) of the best of the equal networks: 2 Σ |s_i| < 1, at c_i = 1/(2|w_{1i}|).
+
+    >>> gershgorin_best_gauge(torch.tensor([10.0]), torch.tensor([0.01])).rate
+    tensor(0.2000)
+    """
+    found = 2 * (a * w1).abs().sum(-1)
+    return Condition(1 - found, found)
+
+
+CONDITIONS: dict[str, Callable[[Tensor, Tensor], Condition]] = {
+    "simple": simple,
+    "gershgorin": gershgorin,
+    "lmi": lmi,
+    "tight": tight,
+}
+BEST_GAUGE = {"simple": simple_best_gauge, "gershgorin": gershgorin_best_gauge}

@@ -1,0 +1,463 @@
+"""python -m certify, as it is typed: JSON, exit codes, certificates, pictures, and one sentence for bad input."""
+
+import itertools
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from certify.__main__ import main
+from certify.display.printed import show
+from certify.networks.shallow import Network, ShallowWeights
+from certify.networks.vector import VectorNetwork
+from certify.proofs.rounding import above, below
+from tests.support import ROOT
+from usvlearn import AID, RNN, Ensemble
+from usvlearn.core.checkpoint import save
+
+KEYS = {"path", "n", "margins", "rate", "certified", "equilibria"}
+CONDITIONS = {"simple", "gershgorin", "lmi", "tight"}
+
+
+@pytest.fixture
+def files(tmp_path):
+    """One network on each side of `tight`, one on an edge that only the box sees, and a run's checkpoints."""
+    one, zero = np.ones(1), np.zeros(1)
+    networks = {
+        "good": ShallowWeights(0.6 * one, 0.5 * one, np.zeros((1, 1)), zero),
+        "identity": ShallowWeights(one, one, np.zeros((1, 1)), zero),
+        "tooth": ShallowWeights(2 * one, one, np.zeros((1, 1)), -0.25 * one),
+        "off": ShallowWeights(2 * one, one, np.zeros((1, 1)), -9 * one),
+    }
+    for name, weights in networks.items():
+        np.savez(tmp_path / f"{name}.npz", **weights._asdict())
+    ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6, initial="random")})
+    for boat in ("anna", "bert"):
+        save(tmp_path / "run/checkpoints" / boat / "00000_0000010.safetensors", ensemble.init(), boat=boat)
+    return tmp_path
+
+
+def told(capsys, *arguments) -> tuple[int, list]:
+    code = main([*map(str, arguments), "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_json_of_one_network(files, capsys):
+    code, rows = told(capsys, files / "good.npz")
+    assert code == 0 and len(rows) == 1 and KEYS <= set(rows[0])
+    (row,) = rows
+    assert row["path"] == str(files / "good.npz") and row["n"] == 1
+    assert row["rate"] == pytest.approx(0.3) and set(row["margins"]) == set(row["certified"]) == CONDITIONS
+    assert row["margins"] == pytest.approx({"simple": -0.7, "gershgorin": 0.4, "lmi": 0.4, "tight": 0.7})
+    assert row["certified"] == {"simple": False, "gershgorin": True, "lmi": True, "tight": True}
+    assert [(each["x"], each["class"]) for each in row["equilibria"]] == [(0.0, "half-stable")] or row["equilibria"]
+
+
+@pytest.mark.parametrize(
+    ("names", "condition", "code"),
+    [
+        (["good"], "tight", 0),
+        (["good"], "simple", 1),
+        (["good", "identity"], "tight", 1),
+        (["identity"], "lmi", 1),
+        (["off"], "tight", 1),
+        (["off"], "interval", 0),
+        (["off", "good"], "box", 0),
+        (["tooth"], "box", 1),
+    ],
+)
+def test_the_condition_decides_the_exit_code(files, capsys, names, condition, code):
+    found, rows = told(capsys, *(files / f"{name}.npz" for name in names), "--condition", condition)
+    assert found == code and len(rows) == len(names)
+
+
+def test_equilibria_are_those_of_the_paper_and_its_errata(files, capsys):
+    _, rows = told(capsys, files / "tooth.npz", files / "identity.npz")
+    assert [(each["x"], each["class"]) for each in rows[0]["equilibria"]] == [(0.0, "deadbeat"), (0.5, "unstable")]
+    (line,) = rows[1]["equilibria"]
+    assert line["class"] == "continuum" and line["interval"] == [0.0, 1.0]
+    _, rows = told(capsys, files / "tooth.npz", "--input", "0.3")
+    assert rows[0]["input"] == [0.3]
+
+
+def test_rates_of_any_size_have_a_time_constant(files, capsys):
+    rest = {"w1": np.ones(2), "W2": np.zeros((2, 1)), "b": np.zeros(2)}
+    np.savez(files / "tiny.npz", **{**rest, "a": [5e-324, 0.0]})
+    np.savez(files / "edge.npz", **{**rest, "a": [1 - 2.0**-53, 2.0**-60]})
+    code, rows = told(capsys, files / "tiny.npz", files / "edge.npz")
+    assert code == 0 and rows[0]["time_constant"] >= 0
+    assert rows[1]["rate"] == 1 and rows[1]["time_constant"] == pytest.approx(2**53, rel=0.01)
+
+
+def near_one(bits: int) -> ShallowWeights:
+    """K = 1 − 2^−bits: the sum of 1 − 2⁻⁵³, 2⁻⁵³ (1 − 2⁻⁵³) …"""
+    ends = [*range(0, bits, 53), bits]
+    parts = [
+        (max(-lo, -1000), (1 - 2.0 ** (lo - hi)) * 2.0 ** min(1000 - lo, 0)) for lo, hi in itertools.pairwise(ends)
+    ]
+    a, w1 = np.array([2.0**e for e, _ in parts]), np.array([w for _, w in parts])
+    return ShallowWeights(a, w1, np.zeros((len(a), 4)), np.full(len(a), 0.1))
+
+
+@pytest.mark.parametrize(
+    "options", [[], ["--box", "--seconds", "0.2"], ["--plot", "map.png"], ["--certificate", "proofs"]]
+)
+def test_a_rate_nearer_to_one_than_any_float_is_certified(files, capsys, monkeypatch, options):
+    monkeypatch.chdir(files)
+    weights = near_one(1113)
+    pairs = zip(weights.a.tolist(), weights.w1.tolist(), strict=True)
+    assert sum(Fraction(x) * Fraction(y) for x, y in pairs) == 1 - Fraction(1, 2**1113)
+    np.savez("near.npz", **weights._asdict())
+    wide = {"A": np.stack([weights.a, 0 * weights.a]), "W": np.stack([weights.w1, 0 * weights.w1], -1)}
+    np.savez("wide.npz", **wide, W2=weights.W2, b=weights.b)
+    assert main(["near.npz", "wide.npz", "good.npz", *options]) == 0
+    assert "2 of 2 certified contracting by tight" in capsys.readouterr().out
+    code, rows = told(capsys, "near.npz", "wide.npz", "good.npz", *options)
+    assert code == 0 and [row["time_constant"] is None for row in rows] == [True, False, True]
+    assert not options[:1] == ["--certificate"] or main(["--verify", *map(str, Path("proofs").glob("*"))]) == 0
+
+
+@pytest.mark.parametrize("size", [1e150, 1e100, 5e-324])
+@pytest.mark.parametrize(
+    "options", [["--json"], ["--lmi"], ["--steps", "--box", "--seconds", "0.2"], ["--plot", "m.png"]]
+)
+def test_weights_of_any_size_end_in_a_verdict_or_in_one_sentence(files, capsys, monkeypatch, size, options):
+    monkeypatch.chdir(files)
+    ones = {"A": np.ones((2, 2)), "W": np.ones((2, 2)), "W2": np.ones((2, 1)), "b": np.ones(2)}
+    one = {**ones, "R": np.ones((2, 2))}
+    two = {**ones, "V": np.ones((2, 2)), "c": np.ones(2)}
+    shallow = near_one(60)._asdict()
+    for name, network in {"one": one, "two": two, "shallow": shallow}.items():
+        np.savez(f"{name}.npz", **{key: size * x for key, x in network.items()})
+        code = main([f"{name}.npz", "good.npz", *options])
+        output = capsys.readouterr()
+        assert code in (0, 1, 2) and "good" in output.out
+        assert len(output.err.split("\n")) <= 2 and bool(output.err.strip()) == (code == 2)
+        assert code != 2 or output.err.strip().startswith(f"error: {name}.npz: ")
+
+
+def test_a_certified_set_whose_proof_is_too_long_stops_no_other(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    rng = np.random.default_rng(0)
+    w1 = rng.uniform(1, 2, 400) * 2.0 ** -rng.integers(900, 1000, 400)
+    np.savez("long.npz", a=np.zeros(400), w1=w1, W2=np.zeros((400, 1)), b=np.zeros(400))
+    assert main(["long.npz", "good.npz", "--certificate", "proofs"]) == 2
+    output = capsys.readouterr()
+    assert "long.npz: is certified, but its proof is longer" in output.err and "1 certificates" in output.out
+    assert [path.name for path in Path("proofs").iterdir()] == ["good.tight.json"]
+
+
+def test_errors_that_nobody_foresaw_stop_no_other_set(files, capsys, monkeypatch):
+    from certify.analysis import assess
+    from certify.command import vector_run
+
+    def fails(network, *rest):
+        if "good" in network.path:
+            raise OverflowError("too large")
+        return known[type(network)](network, *rest)
+
+    known = {type(n): f for n, f in ((Network("", None), assess.assess), (VectorNetwork("", None), vector_run.assess))}
+    monkeypatch.setattr(assess, "assess", fails)
+    monkeypatch.setattr(vector_run, "assess", fails)
+    for more in ([], ["--activation", "tanh"]):
+        assert main([str(files / "good.npz"), str(files / "off.npz"), *more]) == 2
+        output = capsys.readouterr()
+        assert "good.npz: cannot be judged (OverflowError: too large)" in output.err and "off" in output.out
+    monkeypatch.setattr("certify.__main__.find", lambda paths: 1 // 0)
+    assert main([str(files / "good.npz")]) == 3
+    assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_verification_compares_no_more_than_some_thousand_sets(files, capsys, monkeypatch):
+    """Told from the shapes: 250,000 sets of one neuron are 8 MB."""
+    monkeypatch.chdir(files)
+    assert main(["good.npz", "--certificate", "proofs"]) == 0
+    (proof,) = map(str, Path("proofs").iterdir())
+    lanes = {"a": np.full((250_000, 1), 0.6), "w1": np.ones((250_000, 1)), "b": np.zeros((250_000, 1))}
+    np.savez("many.npz", **lanes, W2=np.zeros((250_000, 1, 0)))
+    wide = {"A": lanes["a"][:, None], "W": lanes["w1"][..., None], "b": lanes["b"], "W2": np.zeros((250_000, 1, 0))}
+    np.savez("wide.npz", **wide)
+    capsys.readouterr()
+    for name in ("many", "wide"):
+        began = time.perf_counter()
+        assert main([f"{name}.npz", "--verify", proof]) == 2 and time.perf_counter() - began < 5
+        assert "found 250000 parameter sets, expected at most 10000" in capsys.readouterr().err
+    text = Path(proof).read_text().replace("good.npz", "many.npz")
+    Path("named.json").write_text(text)
+    assert main(["--verify", "named.json", proof]) == 2
+    output = capsys.readouterr()
+    assert "named.json: many.npz: found 250000" in output.err and f"{proof}: valid" in output.out
+
+
+def test_a_runs_folder_and_a_pattern(files, capsys):
+    code, rows = told(capsys, files / "run")
+    assert code == 0 and [Path(row["path"]).parent.name for row in rows] == ["anna", "bert"]
+    assert all(row["m"] == 4 and row["at_rest"]["equilibria"] == [1, 1] for row in rows)
+    assert told(capsys, files / "run/checkpoints/*/*")[1] == rows
+
+
+def test_the_table_and_its_summary(files, capsys):
+    assert main([str(files / "run"), str(files / "identity.npz"), "--dt", "0.4"]) == 1
+    text = capsys.readouterr().out
+    assert "2 of 3 certified contracting by tight, in rational arithmetic" in text
+    assert "continuum 0…1" in text and "τ, s" in text and "anna" in text and "at rest" in text
+
+
+def test_no_number_and_no_name_of_the_table_is_cut(files, capsys, monkeypatch):
+    """At any width, and without a limit where the output is no terminal."""
+    folder = files / "a_folder_of_a_season_with_a_long_name"
+    (files / "run").rename(folder)
+    for paths in ([folder], [folder / "checkpoints/anna/00000_0000010.safetensors"], [folder, files / "tooth.npz"]):
+        _, rows = told(capsys, *paths, "--box", "--lmi", "--seconds", "0.2")
+        for columns in (60, 80, 100, 160, None):
+            monkeypatch.setenv("COLUMNS", str(columns)) if columns else monkeypatch.delenv("COLUMNS")
+            show(rows, "tight", [True] * len(rows), [], 0.4)
+            text = capsys.readouterr().out
+            head, blocks = text[: text.index(f"\n\n{len(rows)} of")].split("\n\n", 1)
+            words = blocks.split()
+            assert head.startswith("Below") and max(map(len, blocks.splitlines())) <= (columns or 10_000)
+            assert columns or len(re.findall("─+", blocks)) == 1
+            for row in rows:
+                assert {below(x, 3) for x in row["margins"].values()} | {above(row["rate"])} <= set(words)
+                assert {f"{each['x']:.3g}" for each in row["equilibria"]} <= {word.strip(",;") for word in words}
+            assert {"simple", "gershgorin", "K", "τ,", "equilibria", "LMI", "box"} <= set(words)
+            assert ("00000_0000010.safetensors" if len(rows) == 1 else "0000010") in "".join(words)
+
+
+def test_lmi_and_box(files, capsys):
+    code, rows = told(capsys, files / "good.npz", files / "identity.npz", "--lmi", "--box")
+    assert code == 1
+    good, identity = rows
+    assert good["lmi"]["tight"]["verdict"] == good["lmi"]["lmi"]["verdict"] == "certified"
+    assert good["lmi"]["lmi"]["rate"] == pytest.approx(0.6, rel=5e-6)
+    assert identity["lmi"]["tight"]["verdict"] != "certified"
+    assert good["box"]["verdict"] == "certified" and good["box"]["forward_invariant"] == "yes"
+    assert identity["box"]["verdict"] == "refuted" and abs(identity["box"]["witness"]["slope"]) >= 1
+    assert main([str(files / "identity.npz"), "--box"]) == 1
+    assert "witness" in capsys.readouterr().out
+    _, rows = told(capsys, files / "tooth.npz", "--box=0:0.2,0:0")
+    assert rows[0]["box"]["verdict"] == "certified" and rows[0]["box"]["intervals"] == [[0.0, 0.2], [0.0, 0.0]]
+    _, rows = told(capsys, files / "good.npz", "--box", "-1:1,-1:1", "--input", "-0.5")
+    assert rows[0]["box"]["intervals"][0] == [-1.0, 1.0] and rows[0]["input"] == [-0.5]
+    code, rows = told(capsys, "--box", files / "good.npz")  # a path behind --box is a path
+    assert code == 0 and rows[0]["box"]["bracket"][1] == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("condition", ["lmi", "tight", "interval", "box"])
+def test_certificates_are_written_and_verified(files, capsys, condition, monkeypatch):
+    monkeypatch.chdir(files)
+    options = ["--condition", condition, "--certificate", "proofs"]
+    assert main(["good.npz", "identity.npz", "run", *options]) in (0, 1)
+    proofs = sorted(Path("proofs").iterdir())
+    assert len(proofs) == 3 and not any("identity" in path.name for path in proofs)
+    capsys.readouterr()
+    assert main(["--verify", *map(str, proofs)]) == 0
+    assert capsys.readouterr().out.count(": valid: ") == len(proofs)
+    assert main(["identity.npz", "--verify", str(proofs[0])]) == 1
+    text = proofs[0].read_text()
+    proofs[0].write_text(text.replace('"margin": 0.', '"margin": 0.9'))
+    capsys.readouterr()
+    code, results = told(capsys, "--verify", *proofs)
+    assert code == 1 and [result["valid"] for result in results] == [False] + [True] * (len(proofs) - 1)
+
+
+def test_pictures(files, capsys):
+    pytest.importorskip("matplotlib")
+    assert main([str(files / "good.npz"), str(files / "tooth.npz"), "--plot", str(files / "out/map.png")]) == 1
+    assert (files / "out/map.png").stat().st_size > 10_000 and (files / "out/map-2.png").exists()
+    assert main([str(files / "run"), "--headings", "--plot", str(files / "map.svg")]) == 0
+    assert "heading" in (files / "map.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "no PATH is given"),
+        (["nowhere"], "nowhere: no such file"),
+        (["good.npz", "nowhere*"], "no such file"),
+        (["text.npz"], "text.npz: cannot be read"),
+        (["notes.txt"], "notes.txt: is no parameter set"),
+        (["nan.npz"], "nan.npz: found 1 NaN"),
+        (["empty.npz"], "without neurons"),
+        (["shapes.npz"], "found the shapes"),
+        (["good.npz", "--box=1:0,0:1"], "lo"),
+        (["good.npz", "--box=0:1"], "1 intervals, expected 2"),
+        (["good.npz", "--lmi", "--solver", "NOSUCH"], "NOSUCH"),
+        (["good.npz", "--input", "1,2"], "expected 1 finite numbers"),
+        (["good.npz", "--input", "one"], "expected numbers"),
+        (["good.npz", "--dt", "-1"], "--dt"),
+        (["good.npz", "--headings", "--plot", "map.png"], "--headings"),
+        (["good.npz", "--plot", ""], "--plot"),
+        (["good.npz", "--plot", "run"], "--plot"),
+        (["x" * 300], "File name too long"),
+        ([""], "empty PATH"),
+        (["good.npz", "--certificate", ""], "expected a folder"),
+        (["good.npz", "--input", "-inf"], "expected 1 finite"),
+        (["compare", "--seed", "-1"], "--seed"),
+        (["empty", "--json"], "holds no parameter sets"),
+        (["good.npz", "--plot", "map.xyz"], "map.xyz"),
+        (["good.npz", "--certificate", "good.npz"], "is a file"),
+        (["good.npz", "--certificate", "/dev/null/proofs"], "cannot be written"),
+        (["--verify", "good.npz"], "good.npz"),
+        (["--verify", "nowhere.json"], "cannot be read"),
+        (["compare", "--networks", "0"], "--networks"),
+        (["compare", "--sizes", "10,x"], "--sizes"),
+    ],
+)
+def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, arguments, message):
+    monkeypatch.chdir(files)
+    arrays = dict(np.load("good.npz"))
+    np.savez("nan.npz", **{**arrays, "a": [np.nan]})
+    np.savez("empty.npz", a=[], w1=[], W2=np.zeros((0, 1)), b=[])
+    np.savez("shapes.npz", **{**arrays, "w1": [1.0, 2.0]})
+    Path("text.npz").write_text("hello")
+    Path("notes.txt").write_text("hello")
+    Path("empty").mkdir()
+    assert main(arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
+    assert message in captured.err
+
+
+def test_ctrl_c_is_one_line_and_code_130(files, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("certify.__main__.find", interrupted)
+    assert main([str(files)]) == 130
+    assert capsys.readouterr().err == "stopped by SIGINT: the certificates written so far are complete\n"
+
+
+@pytest.mark.parametrize("wrong", [["--condition", "magic"], ["--bx"], ["--certificate"]])
+def test_a_wrong_flag_is_one_sentence_and_code_2(files, capsys, wrong):
+    assert main([str(files / "good.npz"), *wrong]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: ") and wrong[0] in error and len(error.splitlines()) == 1
+
+
+def test_closed_forms_import_no_solver(files):
+    code = (
+        "import sys\nfrom certify.__main__ import main\n"
+        f"rc = main([{str(files / 'run')!r}, {str(files / 'good.npz')!r}])\n"
+        "sys.exit(rc or any(name in sys.modules for name in ('cvxpy', 'torch', 'scipy', 'matplotlib')))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 0, found.stderr + found.stdout
+
+
+def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cvxpy", None)
+    assert main([str(files / "good.npz"), "--lmi"]) == 2
+    assert "usvlearn[lmi]" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert main([str(files / "good.npz"), "--plot", str(files / "x.png")]) == 2
+    assert "usvlearn[plot]" in capsys.readouterr().err
+
+
+def test_what_can_be_verified_is_though_another_cannot(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    assert main(["good.npz", "--certificate", "proofs"]) == 0
+    capsys.readouterr()
+    assert main(["--verify", "nowhere.json", "proofs/good.tight.json"]) == 2
+    captured = capsys.readouterr()
+    assert "nowhere.json" in captured.err and "proofs/good.tight.json: valid" in captured.out
+
+
+def test_one_bad_file_does_not_hide_the_other_verdicts(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    (files / "text.npz").write_text("hello")
+    huge = {**np.load("good.npz"), "b": [1e100]}  # too large for the search on a box
+    np.savez("huge.npz", **huge)
+    assert main([".", "--json", "--box"]) == 2
+    captured = capsys.readouterr()
+    assert (
+        "text.npz: cannot be read" in captured.err and "huge.npz: weights or box: found a value of size" in captured.err
+    )
+    assert len(json.loads(captured.out)) == 6 and captured.err.count("error: ") == 2
+    assert main(["good.npz", "text.npz"]) == 2 and "1 of 1 certified" in capsys.readouterr().out
+    assert main(["huge.npz", "--box"]) == 2 and capsys.readouterr().out == ""
+
+
+def test_a_run_with_a_report_is_judged_by_its_checkpoints(files, capsys):
+    (files / "run/report").mkdir()
+    np.savez(files / "run/report/crossval.npz", errors=np.zeros(3))
+    assert told(capsys, files / "run")[0] == 0
+
+
+@pytest.mark.parametrize(
+    "path", ["x" * 100_000 + ".npz", "a/" * 3000 + "a.npz", "nul\0.npz", ["good.npz"], "\ud800.npz"]
+)
+def test_a_path_that_no_file_can_have_stops_nobody(files, capsys, monkeypatch, path):
+    monkeypatch.chdir(files)
+    assert main(["good.npz", "--certificate", "proofs"]) == 0
+    good = Path("proofs/good.tight.json")
+    Path("bad.json").write_text(json.dumps({**json.loads(good.read_text()), "path": path}))
+    capsys.readouterr()
+    assert main(["--verify", "bad.json", str(good)]) == 2
+    captured = capsys.readouterr()
+    assert f"{good}: valid" in captured.out and "bad.json: its weights" in captured.err and len(captured.err) < 250
+
+
+def test_what_is_printed_is_never_below_the_rate_or_above_a_margin(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    np.savez("edge.npz", **{**np.load("identity.npz"), "a": [1 - 4e-8]})
+    assert main(["edge.npz", "--box", "--certificate", "proofs"]) == 0
+    assert capsys.readouterr().out.count("0.99999997") == 2  # the rate, and that on the box
+    assert "≤ 0.99999997 " in Path("proofs/edge.tight.json").read_text(encoding="utf-8")
+    assert told(capsys, "edge.npz")[1][0]["margins"]["tight"] <= 1 - Fraction(1 - 4e-8)
+
+
+def test_a_file_whose_name_is_no_text_is_certified(files, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    np.savez(os.fsdecode(b"bad\xff.npz"), **np.load("good.npz"))
+    assert told(capsys, os.fsdecode(b"bad\xff.npz"), "--certificate", "proofs")[0] == 0
+    (made,) = Path("proofs").iterdir()
+    assert main(["good.npz", "--verify", str(made)]) == 0 and ": valid" in capsys.readouterr().out
+
+
+def test_any_locale_will_do(files):
+    """Certificates are UTF-8 wherever they are made; a terminal that cannot show a sign shows another."""
+    plain = {**os.environ, "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "PYTHONPATH": str(ROOT)}
+    calls = ["good.npz", "--certificate", "proofs"], ["--verify", "proofs/good.tight.json"], ["good.npz", "--json"]
+    for arguments in calls:
+        command = [sys.executable, "-m", "certify", *arguments]
+        found = subprocess.run(command, cwd=files, env=plain, capture_output=True, text=True)
+        assert found.returncode == 0, found.stderr
+
+
+@pytest.mark.parametrize("output", [[], ["--json"]])
+def test_a_reader_that_has_seen_enough_changes_no_verdict(files, output):
+    for name, code in (("good", 0), ("identity", 1)):
+        command = [sys.executable, "-m", "certify", *[str(files / f"{name}.npz")], *output]
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        process.stdout.close()
+        assert process.wait() == code and process.stderr.read() == b""
+        process.stderr.close()
+
+
+def test_certificates_of_like_names_are_all_kept(files, monkeypatch, capsys):
+    monkeypatch.chdir(files)
+    arrays = dict(np.load("good.npz"))
+    for k, name in enumerate(("a.npz", "a_1.npz", "a.1.npz")):
+        np.savez(name, **{**arrays, "b": [float(k)]})
+    save(Path("a.safetensors"), ShallowWeights(*arrays.values()))
+    assert main(["a.npz", "a_1.npz", "a.1.npz", "a.safetensors", "--certificate", "proofs"]) == 0
+    assert len(list(Path("proofs").iterdir())) == 4
+    Path("elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")  # other weights of the same name here, the right ones beside the certificate
+    np.savez("a_1.npz", **{**arrays, "b": [9.0]})
+    capsys.readouterr()
+    assert main(["--verify", *map(str, Path("../proofs").glob("a_1.*"))]) in (0, 1)
+
+
+def test_the_module_runs(files):
+    command = [sys.executable, "-m", "certify", str(files / "good.npz")]
+    found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert found.returncode == 0 and "1 of 1 certified" in found.stdout and not found.stderr

@@ -1,0 +1,265 @@
+"""Rational arithmetic decides what floats cannot, and agrees with minors, eigenvalues and patterns."""
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from certify.proofs import exact
+from certify.proofs.exact import CORNER, Multipliers, definiteness, matrix, multipliers, proves
+
+ONE, HALF = Fraction(1), Fraction(1, 2)
+
+
+def random_matrix(generator, n: int, entries: int = 3) -> np.ndarray:
+    """Symmetric, integers; often singular."""
+    M = generator.integers(-entries, entries + 1, (n, n))
+    return M + M.T
+
+
+def rationals(M) -> list[list[Fraction]]:
+    return [[Fraction(x) for x in row] for row in np.asarray(M).tolist()]
+
+
+def determinant(M: list[list[Fraction]]) -> Fraction:
+    """By the first row."""
+    if not M:
+        return ONE
+    return sum((-1) ** j * x * determinant([row[:j] + row[j + 1 :] for row in M[1:]]) for j, x in enumerate(M[0]))
+
+
+def by_minors(M: list[list[Fraction]]) -> int:
+    """Definiteness by Sylvester: all leading minors positive, all principal minors at least zero."""
+    size = range(len(M))
+    if all(determinant([row[:k] for row in M[:k]]) > 0 for k in range(1, len(M) + 1)):
+        return 1
+    subsets = itertools.chain.from_iterable(itertools.combinations(size, k) for k in range(1, len(M) + 1))
+    return 0 if all(determinant([[M[i][j] for j in rows] for i in rows]) >= 0 for rows in subsets) else -1
+
+
+def slope(a, w1) -> Fraction:
+    """K, over all patterns."""
+    s = [Fraction(float(x)) * Fraction(float(y)) for x, y in zip(a, w1, strict=True)]
+    return max(abs(sum(part)) for k in range(len(s) + 1) for part in itertools.combinations(s, k))
+
+
+def networks(count: int, seed: int = 0, sizes=(1, 2, 5, 12)):
+    """Weights of spread sizes for which each condition holds for some; some are zero."""
+    generator = np.random.default_rng(seed)
+    for k in range(count):
+        n = sizes[k % len(sizes)]
+        a = generator.standard_normal(n) * 10 ** generator.uniform(-2, 1.5) / n
+        w1 = generator.uniform(-1, 1, n) * 10 ** generator.uniform(-0.7, 0.1)
+        a[generator.random(n) < 0.1] = 0
+        w1[generator.random(n) < 0.1] = 0
+        yield a, w1
+
+
+def test_definiteness_agrees_with_the_minors():
+    generator, counts = np.random.default_rng(0), {1: 0, 0: 0, -1: 0}
+    for k in range(600):
+        n = 1 + k % 4
+        M = random_matrix(generator, n) + generator.integers(0, 9) * np.eye(n, dtype=int)
+        if k % 3 == 0:  # a Gram matrix, singular where it has fewer columns than rows
+            B = generator.integers(-2, 3, (n, generator.integers(1, 5)))
+            M = B @ B.T
+        found = definiteness(rationals(M))
+        assert found == by_minors(rationals(M)), M
+        counts[found] += 1
+    assert min(counts.values()) > 80
+
+
+def test_definiteness_agrees_with_eigenvalues_away_from_zero():
+    generator, counts = np.random.default_rng(1), {True: 0, False: 0}
+    for k in range(60):
+        n = 2 + k % 9
+        M = generator.standard_normal((n, n))
+        M = M + M.T + generator.uniform(0, 6) * np.sqrt(n) * np.eye(n) / 2
+        least = np.linalg.eigvalsh(M)[0]
+        assert abs(least) > 1e-6
+        assert definiteness(rationals(M)) == (1 if least > 0 else -1)
+        counts[bool(least > 0)] += 1
+    assert min(counts.values()) > 10
+
+
+def test_definiteness_tells_a_singular_matrix_from_its_neighbours():
+    """A Gram matrix of floats, exactly singular, whose least eigenvalue is rounding noise; ± 2⁻²⁰⁰ is seen."""
+    generator = np.random.default_rng(2)
+    for n in (2, 5, 9):
+        B = [[Fraction(x) for x in row] for row in generator.standard_normal((n, n - 1)).tolist()]
+        M = [[sum(x * y for x, y in zip(one, other, strict=True)) for other in B] for one in B]
+        assert definiteness(M) == 0
+        for tiny, expected in ((Fraction(1, 2**200), 1), (-Fraction(1, 2**200), -1)):
+            assert (
+                definiteness([[x + tiny * (i == j) for j, x in enumerate(row)] for i, row in enumerate(M)]) == expected
+            )
+
+
+def test_definiteness_of_a_zero_pivot():
+    assert definiteness(rationals([[1, 0], [0, 0]])) == 0
+    assert definiteness(rationals([[0, 1], [1, 0]])) == -1
+    assert definiteness(rationals([[5, 1], [1, 0]])) == -1
+    assert definiteness(rationals([[0, 0], [0, 0]])) == 0
+
+
+def test_matrix_is_that_of_the_paper():
+    a, w1, p, lam, rate = [0.5, -2.0], [1.5, 0.25], Fraction(3, 4), [Fraction(1, 3), Fraction(5)], Fraction(2, 7)
+    for corner in (1, 2):
+        M = np.array([[float(x) for x in row] for row in matrix(a, w1, p, lam, rate, corner)])
+        L, a_, w_ = np.diag([1 / 3, 5]), np.array(a) / (2 / 7), np.array(w1)
+        column = np.column_stack([-a_, -L @ w_])
+        np.testing.assert_allclose(M, np.block([[np.diag([1.25, 0.75]), column.T], [column, corner * L]]), rtol=1e-15)
+
+
+def test_conditions_are_those_of_the_paper():
+    for a, w1 in networks(60, sizes=(1, 2, 5)):
+        n, K = len(a), slope(a, w1)
+        found = exact.conditions(a, w1)
+        assert list(found) == list(CORNER)
+        assert found["tight"] == (1 - K, K) and found["lmi"] == (1 - 2 * K, 2 * K)
+        sizes = [(abs(Fraction(x)), abs(Fraction(y))) for x, y in zip(a.tolist(), w1.tolist(), strict=True)]
+        assert (found["simple"].margin > 0) == all((n + 1) * x + y < 1 for x, y in sizes)
+        inside = all(y < 1 for _, y in sizes)
+        half = sum(x / (1 - y) for x, y in sizes) / 2 if inside else None
+        assert (found["gershgorin"].margin > 0) == (inside and half < 1)
+        assert found["gershgorin"].rate == half
+        rate = found["simple"].rate
+        assert (rate is None) == (not inside)
+        if rate:
+            assert max((n + 1) * x / rate + y for x, y in sizes) == 1
+        P, N = exact.extreme_slopes(a, w1)
+        assert max(P, N) == K and P - N == sum(
+            Fraction(x) * Fraction(y) for x, y in zip(a.tolist(), w1.tolist(), strict=True)
+        )
+
+
+def test_a_float_sum_loses_what_makes_K_exceed_one():
+    s = [1 - 2.0**-53] + 16 * [2.0**-56]
+    assert sum(s) < 1 < exact.conditions(s, np.ones(17))["tight"].rate == 1 + Fraction(1, 2**53)
+    assert multipliers("tight", s, np.ones(17)) is None
+    assert multipliers("tight", s[:8], np.ones(8)) is not None  # 1 − 2⁻⁵³ + 7/2⁵⁶ is below 1
+
+
+@pytest.mark.parametrize("condition", CORNER)
+@pytest.mark.parametrize("rate", [ONE, Fraction(7, 8), Fraction(0.3)])
+def test_closed_form_multipliers_prove_what_holds_and_nothing_else(condition, rate):
+    held = 0
+    for a, w1 in networks(80, seed=3):
+        smallest = exact.conditions(a, w1)[condition].rate
+        found = multipliers(condition, a, w1, rate)
+        assert (found is not None) == (smallest is not None and smallest < rate)
+        if found is not None:
+            assert proves(condition, a, w1, found, rate)
+            held += 1
+        elif smallest is not None:  # what proves a larger rate proves no smaller one
+            found = multipliers(condition, a, w1, 2 * smallest)
+            assert proves(condition, a, w1, found, 2 * smallest) and not proves(condition, a, w1, found, rate)
+    assert 8 < held < 78
+
+
+@pytest.mark.parametrize("condition", CORNER)
+def test_closed_form_multipliers_prove_up_to_the_edge(condition):
+    cases = {
+        "two signs": ([0.5, -0.25, 0.125], [0.5, 0.75, -0.25]),
+        "a = 0": ([0.5, 0.0], [0.5, 0.75]),
+        "w = 0": ([0.5, 0.25], [0.5, 0.0]),
+        "both": ([0.5, 0.0, 0.25], [0.5, 0.0, 0.25]),
+        "one": ([3.0], [0.25]),
+    }
+    tiny = Fraction(1, 10**30)
+    for name, (a, w1) in cases.items():
+        smallest = exact.conditions(a, w1)[condition].rate
+        assert multipliers(condition, a, w1, smallest) is None
+        assert multipliers(condition, a, w1, smallest * (1 - tiny)) is None
+        rate = smallest * (1 + tiny)
+        assert proves(condition, a, w1, multipliers(condition, a, w1, rate), rate), name
+
+
+def test_tight_multipliers_grow_without_bound_towards_the_edge():
+    a, w1 = [0.5, 0.25], [0.5, 0.0]  # K = ¼
+    largest = [
+        max(multipliers("tight", a, w1, Fraction(1, 4) * (1 + Fraction(1, 10**k))).multipliers) for k in (3, 6, 9)
+    ]
+    assert largest[0] > 100 and largest[1] > 900 * largest[0] and largest[2] > 900 * largest[1]
+
+
+def test_nothing_is_proved_by_what_was_tampered_with():
+    a, w1 = [0.2, -0.1], [0.3, 0.25]
+    for condition in CORNER:
+        good = multipliers(condition, a, w1)
+        assert proves(condition, a, w1, good)
+        lam = good.multipliers
+        for bad in (
+            Multipliers(Fraction(2), lam),
+            Multipliers(Fraction(0), lam),
+            Multipliers(-good.metric, lam),
+            Multipliers(good.metric, [-lam[0], lam[1]]),
+            Multipliers(good.metric, [Fraction(0), lam[1]]),
+            Multipliers(good.metric, [1000 * lam[0], lam[1]]),
+            Multipliers(good.metric, lam[:1]),
+            Multipliers(good.metric, [*lam, lam[0]]),
+        ):
+            assert not proves(condition, a, w1, bad), (condition, bad)
+        for rate in (Fraction(0), -ONE, Fraction(1, 1000)):
+            assert not proves(condition, a, w1, good, rate)
+        assert not proves(condition, [2.0, -0.1], w1, good)
+    best = multipliers("gershgorin", a, w1)
+    assert not proves("simple", a, w1, best), "the theorem's p and Λ are p = 1, λ = 1/(n + 1) and no others"
+    gauge = [0.2 * 64, -0.1 * 64], [0.3 / 64, 0.25 / 64]
+    assert proves("lmi", *gauge, multipliers("lmi", *gauge)) and multipliers("gershgorin", *gauge) is None
+    assert not proves("gershgorin", *gauge, multipliers("lmi", *gauge)), "M ≻ 0 is not the lemma"
+    for p in (Fraction(7, 4), Fraction(1, 8)):  # 2 − p ≤ Σ|a_i|, p ≤ Σ λ_i |w_i|
+        found = best._replace(metric=p, multipliers=[Fraction(1, 2)] * 2)
+        assert proves("lmi", a, w1, found) and not proves("gershgorin", a, w1, found)
+
+
+def test_the_papers_matrix_is_sound_though_only_semidefinite():
+    """M ⪰ 0 with Λ in the corner gives 4K² ≤ p(2 − p) for any p and Λ ≥ 0, singular ones too."""
+    generator, singular, definite = np.random.default_rng(4), 0, 0
+    for _ in range(4000):
+        a, w1 = generator.integers(-4, 5, (2, 2)) / 8
+        p, lam = Fraction(int(generator.integers(0, 9)), 4), [Fraction(int(x), 4) for x in generator.integers(0, 9, 2)]
+        found = definiteness(matrix(a, w1, p, lam, corner=1))
+        if found >= 0:
+            assert 4 * slope(a, w1) ** 2 <= p * (2 - p)
+        singular, definite = singular + (found == 0), definite + (found == 1)
+    assert singular > 50 and definite > 500
+
+
+def test_the_papers_matrix_at_p_0_p_2_and_lambda_0():
+    lam = [ONE]
+    assert definiteness(matrix([0.5], [0.0], Fraction(0), lam, corner=1)) == 0  # p = 0: λ w₁ = 0
+    assert definiteness(matrix([0.5], [0.5], Fraction(0), lam, corner=1)) == -1
+    assert definiteness(matrix([0.0], [0.5], Fraction(2), lam, corner=1)) == 0  # p = 2: a = 0
+    assert definiteness(matrix([0.5], [0.5], Fraction(2), lam, corner=1)) == -1
+    assert definiteness(matrix([0.0], [9.0], ONE, [Fraction(0)], corner=1)) == 0  # Λ = 0: a = 0
+    assert definiteness(matrix([0.5], [0.0], ONE, [Fraction(0)], corner=1)) == -1
+
+
+def test_the_bound_of_the_semidefinite_matrix_is_reached():
+    """p = 2/5, λ_i = |a_i|/(2|w_i|), K = 2/5 = ½√(p(2 − p)): singular; a little more, and indefinite."""
+    K, p = Fraction(2, 5), Fraction(2, 5)
+    rate = Fraction(1, 2) / K  # a/rate·w₁ sums to K
+    for a, w1, factor in (([0.5], [1.0], ONE), ([0.25, 0.5], [1.0, 0.5], ONE), ([0.25, 0.5], [1.0, 0.5], 1 + HALF**99)):
+        lam = [Fraction(x) / Fraction(y) / rate / 2 for x, y in zip(a, w1, strict=True)]
+        found = definiteness(matrix(a, w1, p, lam, rate / factor, corner=1))
+        assert found == (0 if factor == 1 else -1)
+
+
+def test_two_lambda_and_semidefinite_passes_the_identity():
+    """a = w₁ = 1, b = 0, a continuum of equilibria: M ⪰ 0 with 2Λ. So only ≻ proves, and Λ refuses it in any case."""
+    a, w1 = [1.0], [1.0]
+    assert definiteness(matrix(a, w1, ONE, [ONE], corner=2)) == 0
+    assert not proves("tight", a, w1, Multipliers(ONE, [ONE])) and multipliers("tight", a, w1) is None
+    for lam in np.linspace(0.01, 5, 50):
+        for p in np.linspace(0, 2, 9):
+            assert definiteness(matrix(a, w1, Fraction(p), [Fraction(lam)], corner=1)) == -1
+            assert definiteness(matrix(a, w1, Fraction(p), [Fraction(lam)], corner=2)) < 1
+
+
+def test_lists_arrays_and_single_floats_are_taken_exactly():
+    a = np.array([0.1, 0.2], dtype=np.float32)
+    assert exact.fractions(a) == [Fraction(float(a[0])), Fraction(float(a[1]))] != exact.fractions([0.1, 0.2])
+    with pytest.raises(ValueError):
+        exact.extreme_slopes([0.1], [0.1, 0.2])

@@ -1,0 +1,138 @@
+"""One proof for all smaller steps: the closed form against the exact rate at each step, enumeration and simulation."""
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from certify.errors import CertifyError
+from certify.networks.vector import RELU, VectorWeights, activation, check
+from certify.proofs.box_planes import Box
+from certify.proofs.steps import largest_step, per_second, proves, short, stepped, steps
+from certify.proofs.vector_box_proof import proves as proves_on_box
+from certify.proofs.vector_box_proof import proves_range
+from certify.proofs.vector_exact import Proof, everywhere, rate
+from certify.proofs.vector_exact import proves as proves_metric
+from certify.search.vector_box import certify
+
+ETAS = [Fraction(k, 7) for k in range(1, 30)]
+
+
+def network(rng: np.random.Generator, q: int, n: int, last: int | None = None) -> VectorWeights:
+    deep = {} if last is None else {"V": rng.normal(size=(last, n)) / n, "c": rng.normal(size=last)}
+    A = rng.normal(size=(q, last or n)) / (2 * n)
+    return check(
+        VectorWeights(
+            rng.normal(size=(q, q)) / 3, A, rng.normal(size=(n, q)), np.zeros((n, 1)), rng.normal(size=n), **deep
+        )
+    )
+
+
+@pytest.mark.parametrize("norm", ["inf", "one"])
+@pytest.mark.parametrize(("name", "last"), [("relu", None), ("leaky:1/3", None), ("tanh", 2), ("leaky:1/3", 2)])
+def test_the_closed_form_is_the_exact_rate_of_every_step(name, last, norm):
+    rng, phi, contracting = np.random.default_rng(0), activation(name), 0
+    for k in range(12):
+        net, T = network(rng, 1 + k % 3, 4, last), None
+        if k % 2:
+            T = [[Fraction(int(rng.integers(1, 5))) * (i == j) + Fraction(i < j, 3) for j in range(1 + k % 3)]
+                 for i in range(1 + k % 3)]  # fmt: skip
+        slopes = everywhere(net, phi)
+        found = steps(net, slopes, norm, T)
+        assert largest_step(net, phi, norm, T) == found.largest
+        for eta in [*ETAS, found.fastest, found.largest]:
+            assert rate(stepped(net, eta), slopes, norm, T) == (found.rate(eta) if eta else 1)
+        if found.largest:
+            contracting += 1
+            assert found.rate(found.largest) == 1 and found.fastest < found.largest
+            eta = short(found.largest)
+            assert 0 < found.largest - eta <= Fraction(1, 2**20) and found.rate(eta) < 1
+            kappa = found.rate(found.fastest)
+            assert proves(net, phi, found.fastest, kappa, norm, T)
+            assert not proves(net, phi, found.fastest, kappa - Fraction(1, 10**30), norm, T)
+            assert not proves(net, phi, found.largest, Fraction(1), norm, T)
+            for each in ETAS:  # equation (2)
+                if each <= found.fastest:
+                    assert found.rate(each) <= 1 - each / found.fastest * (1 - kappa)
+        else:
+            assert found.measure >= 0 and all(rate(stepped(net, eta), slopes, norm, T) >= 1 for eta in ETAS)
+            assert short(found.largest) is None
+    assert contracting >= 4
+
+
+def test_one_state_contracts_iff_the_two_inequalities_hold():
+    """ρ + P < 1 and η (1 − ρ + N) < 2, against all patterns of slopes."""
+    rng, seen = np.random.default_rng(1), set()
+    for _ in range(200):
+        a, w, rho = rng.integers(-4, 5, 4) / 8, rng.integers(-2, 3, 4) / 2, float(rng.integers(-8, 9) / 8)
+        net = check(VectorWeights([[rho]], [a], w[:, None], np.zeros((4, 0)), np.zeros(4)))
+        slopes = [
+            rho + sum(x for x, on in zip(a * w, each, strict=True) if on)
+            for each in itertools.product((0, 1), repeat=4)
+        ]
+        for eta in (Fraction(1, 4), Fraction(1), Fraction(9, 4)):
+            contracts = all(abs(1 + eta * (Fraction(s) - 1)) < 1 for s in slopes)
+            P, N = sum(x for x in a * w if x > 0), -sum(x for x in a * w if x < 0)
+            assert contracts == (rho + P < 1 and eta * (1 - Fraction(rho) + Fraction(N)) < 2)
+            assert contracts == (0 < eta < largest_step(net, RELU))
+            seen.add(contracts)
+    assert seen == {True, False}
+
+
+def test_trajectories_of_all_steps_approach_each_other_at_the_rate_per_second():
+    rng = np.random.default_rng(2)
+    net = check(
+        VectorWeights(
+            0.2 * np.eye(2), rng.normal(size=(2, 5)) / 9, rng.normal(size=(5, 2)), np.ones((5, 1)), np.ones(5)
+        )
+    )
+    h, found = 0.5, steps(net, everywhere(net, RELU))
+    eta = found.fastest
+    kappa = found.rate(eta)
+    decay = per_second(eta, kappa, h)
+    assert decay == pytest.approx(-float(found.measure) / h) and decay > 0.1
+    for share in (0.05, 0.3, 1.0):
+        dt = share * float(eta) * h
+        x, y, time = np.array([1.0, -2.0]), np.array([-1.0, 0.5]), 0.0
+        start = np.abs(x - y).max()
+        for _ in range(40):
+            u = rng.uniform(-1, 1, 1)
+            x, y = (
+                s + dt / h * (net.R @ s + net.A @ np.maximum(net.W @ s + net.W2 @ u + net.b, 0) - s) for s in (x, y)
+            )
+            time += dt
+            assert np.abs(x - y).max() <= start * np.exp(-decay * time) * (1 + 1e-12)
+
+
+def test_a_metric_and_a_box_prove_all_smaller_steps_too():
+    net = check(VectorWeights([[0.0]], [[0.5, -0.5]], [[1.0], [1.0]], np.zeros((2, 0)), [0.0, -0.5]))
+    proof = Proof([[Fraction(1)]], [[Fraction(1, 2), Fraction(1, 2)]])
+    assert all(
+        proves_metric(stepped(net, eta), RELU, proof, Fraction(99, 100)) for eta in (Fraction(1), Fraction(1, 3))
+    )
+    unit = Box(np.zeros(1), np.ones(1))
+    eta = Fraction(7, 4)  # everywhere 1 + N = 3/2 allows η < 4/3 alone; on the box no slope is below 0
+    assert largest_step(net, RELU) == Fraction(4, 3)
+    found = certify(net, RELU, unit, 0.99)
+    assert found.verdict == "certified"
+    assert proves_on_box(stepped(net, eta), RELU, unit, "x . .", 0.99)
+    for smaller in (Fraction(1, 8), Fraction(1)):
+        assert proves_on_box(stepped(net, smaller), RELU, unit, "x . .", 1 - smaller / eta * Fraction(1, 100))
+    assert not proves_on_box(stepped(net, Fraction(2)), RELU, unit, "x . .", 1)
+    with pytest.raises(CertifyError, match="float64"):
+        proves_range(stepped(net, eta), RELU, unit, ".")  # fractions are no integers over a power of two
+
+
+def test_bad_steps_prove_nothing():
+    net = check(VectorWeights([[0.0]], [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
+    for eta, kappa in ((Fraction(0), Fraction(1, 2)), (Fraction(-1), Fraction(1, 2)), (Fraction(1), Fraction(1))):
+        assert not proves(net, RELU, eta, kappa)
+    for eta, kappa, h in (
+        (Fraction(1), Fraction(1), 1.0),
+        (Fraction(1), Fraction(1, 2), 0.0),
+        (Fraction(0), Fraction(0), 1.0),
+    ):
+        with pytest.raises(CertifyError):
+            per_second(eta, kappa, h)
+    assert short(Fraction(1, 2**40)) < Fraction(1, 2**40) and short(Fraction(1, 2**40)) > 0

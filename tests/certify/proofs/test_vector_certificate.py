@@ -1,0 +1,443 @@
+"""Certificates of networks with a vector state: made, verified, forged."""
+
+import copy
+import itertools
+import json
+import time
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from certify.__main__ import main
+from certify.analysis.vector_assess import assess
+from certify.errors import CertifyError
+from certify.networks.shallow import ShallowWeights
+from certify.networks.vector import (
+    RELU,
+    Activation,
+    VectorNetwork,
+    VectorWeights,
+    activation,
+    check,
+    forward,
+    from_tensors,
+    of_shallow,
+)
+from certify.proofs import vector_certificate as certificates
+from certify.proofs import vector_exact
+from certify.proofs.certificate import _checksum, described, read, write
+from certify.proofs.exact import conditions, multipliers
+from certify.proofs.vector_exact import Proof, identity
+from certify.search.vector_lmi import smallest_rate
+from certify.training.conditions import tight
+
+
+def network(rng: np.random.Generator, q: int = 2, n: int = 4, two: bool = False, phi=RELU) -> VectorNetwork:
+    layer = {"V": rng.normal(size=(3, n)) / n, "c": rng.normal(size=3)} if two else {}
+    A = 0.3 * rng.normal(size=(q, 3 if two else n)) / n
+    weights = VectorWeights(0.3 * np.eye(q), A, rng.normal(size=(n, q)), rng.normal(size=(n, 2)), rng.normal(size=n))
+    return VectorNetwork("net.npz", check(weights._replace(**layer)), phi)
+
+
+def made(condition: str, net: VectorNetwork) -> dict:
+    proof = None
+    if condition in ("lmi", "tight"):
+        proof = smallest_rate(net.weights, net.activation, 2 if condition == "lmi" else 1).proof
+    found = certificates.make(net, condition, proof=proof)
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("two", [False, True])
+@pytest.mark.parametrize("phi", ["relu", "leaky:0.1", "tanh"])
+@pytest.mark.parametrize("condition", ["gershgorin", "lmi", "tight", "exact"])
+def test_a_certificate_is_valid_for_its_network_alone(condition, phi, two, tmp_path):
+    rng = np.random.default_rng(3)
+    net = network(rng, two=two, phi=activation(phi))
+    if condition == "gershgorin" and not two:
+        small = 0.2 * rng.uniform(-1, 1, (4, 2))
+        net = net._replace(weights=net.weights._replace(W=small))
+    if condition != "exact" and condition != "tight" and (phi != "relu" or (two and condition == "gershgorin")):
+        assert certificates.make(net, condition) is None
+        return
+    path = write(tmp_path / "made.json", made(condition, net))
+    content = read(path)
+    assert certificates.verify(content, net).valid
+    other = net._replace(weights=net.weights._replace(A=net.weights.A * 1.01))
+    assert not certificates.verify(content, other).valid
+    assert not certificates.verify(content, net._replace(activation=activation("leaky:0.5"))).valid
+
+
+def test_what_is_certified_holds_for_pairs_of_starts():
+    rng = np.random.default_rng(5)
+    for _ in range(20):
+        net = network(rng, q=3, n=6)
+        net = net._replace(weights=net.weights._replace(A=0.3 * net.weights.A))
+        found = certificates.make(net, "exact")
+        assert found is not None
+        x = rng.normal(size=(2, 50, 3))
+        u = rng.normal(size=(50, 2))
+        y = forward(net, x, u)
+        before, after = (np.abs(each[0] - each[1]).max(-1) for each in (x, y))
+        assert (after <= float(Fraction(found["contraction_rate"])) * before * (1 + 1e-12)).all()
+
+
+def test_no_certificate_where_the_rate_is_too_large():
+    net = network(np.random.default_rng(0))
+    wild = net._replace(weights=net.weights._replace(A=100 * net.weights.A))
+    assert certificates.make(wild, "exact") is None and certificates.make(wild, "gershgorin") is None
+    assert certificates.make(net, "exact", rate=Fraction(1, 100)) is None
+
+
+def test_a_singular_scaling_is_refused():
+    net = network(np.random.default_rng(0))
+    with pytest.raises(CertifyError, match="singular"):
+        certificates.make(net, "exact", scaling=[[Fraction(1)] * 2] * 2)
+    good = made("exact", net)
+    good["proof"]["scaling"] = [["1", "1"], ["1", "1"]]
+    good["sha256"] = _checksum(good)
+    assert not certificates.verify(good, net).valid
+
+
+@pytest.mark.parametrize("condition", ["gershgorin", "tight", "exact"])
+def test_a_changed_proof_with_a_right_checksum_is_refused_or_still_true(condition):
+    """A forger may compute the checksum anew: every entry of the proof is changed in turn."""
+    rng = np.random.default_rng(1)
+    net = network(rng)
+    net = net._replace(weights=net.weights._replace(W=0.1 * net.weights.W))
+    good = made(condition, net)
+    junk = ["-1", "0", "1/0", "1e9", "9" * 200, "x", None, 5, [], {}, ["1"], [["1"]], True, "¼", " 1", "1/3 "]
+    for key, value in good["proof"].items():
+        places = [(i, j) for i, row in enumerate(value) for j in range(len(row))] if isinstance(value, list) else [None]
+        for place in [None, *places]:
+            for wrong in junk:
+                forged = copy.deepcopy(good)
+                if place is None:
+                    forged["proof"][key] = wrong
+                else:
+                    forged["proof"][key][place[0]][place[1]] = wrong
+                forged["sha256"] = _checksum(forged)
+                found = certificates.verify(forged, net)
+                if found.valid:  # another multiplier, scaling or step may prove the same claim
+                    assert found.reason == forged["claim"] and isinstance(wrong, str)
+    for key in good:
+        for wrong in junk:
+            forged = {**copy.deepcopy(good), key: wrong}
+            if key != "sha256":
+                forged["sha256"] = _checksum(forged)
+            assert key in ("path", "versions") or not certificates.verify(forged, net).valid
+
+
+def test_a_smaller_rate_than_the_proved_one_is_refused():
+    net = network(np.random.default_rng(2))
+    good = made("exact", net)
+    for rate in ("1/100", "0", "-1", "2"):
+        forged = {**good, "rate": rate, "contraction_rate": rate}
+        forged["sha256"] = _checksum(forged)
+        assert not certificates.verify(forged, net).valid
+
+
+@pytest.mark.parametrize(("q", "n", "two"), [(6, 200, False), (3, 40, True)])
+def test_the_effort_of_verification_is_bounded(q, n, two):
+    """Numbers as long as they may be: LDLᵀ would take minutes, and is given up."""
+    rng = np.random.default_rng(2)
+    net = network(rng, q, n)
+    if two:
+        weights = net.weights._replace(V=rng.normal(size=(n, n)) / n, c=rng.normal(size=n))
+        net = net._replace(weights=weights)
+    draw = iter(int(x) for x in rng.integers(10**17, 10**18, 20_000))
+
+    def number() -> str:
+        return "/".join(f"{next(draw)}{next(draw)}{next(draw)}"[:58] for _ in range(2))
+
+    metric = [[number() if i == j else "0" for j in range(q)] for i in range(q)]
+    parts = {"metric": metric, "multipliers": [[number() for _ in range(n)] for _ in range(1 + two)]}
+    claims = certificates._claims(net.weights, net.activation, "tight", Fraction(1), parts)
+    began = time.perf_counter()
+    certificates.verify(described(claims, parts, "net.npz"), net)
+    assert time.perf_counter() - began < 30  # about 5 s on an idle machine
+
+
+@pytest.mark.parametrize("condition", ["exact", "box", "tight"])
+def test_a_check_that_would_take_long_is_refused_before(condition):
+    """T with numbers as long as they may be, and thousands of neurons."""
+    rng, q, n = np.random.default_rng(2), 6, 6000
+    net = network(rng, q, n)
+    draw = iter(int(x) for x in rng.integers(10**17, 10**18, 100))
+    T = [[f"{next(draw)}1/{next(draw)}7" for _ in range(q)] for _ in range(q)]
+    parts = {"norm": "inf", "scaling": T, "step": "1"}
+    if condition == "box":
+        box = [["0", "1"]] * (q + 2)
+        parts = {"norm": "inf", "scaling": T, "box": box, "tree": ".", "invariance_tree": None}
+    if condition == "tight":
+        parts = {"metric": [[str(int(i == j)) for j in range(q)] for i in range(q)], "multipliers": [["1"] * n]}
+    claims = certificates._claims(net.weights, net.activation, condition, Fraction(1), parts)
+    began = time.perf_counter()
+    found = certificates.verify(described(claims, parts, "net.npz"), net)
+    assert not found.valid and "would take longer than about 5 s" in found.reason
+    assert time.perf_counter() - began < 5
+    small = network(np.random.default_rng(2), q, 40)  # with a T as long, but a smaller network
+    if condition != "tight":
+        claims = certificates._claims(small.weights, small.activation, condition, Fraction(1), parts)
+        assert "longer" not in certificates.verify(described(claims, parts, "net.npz"), small).reason
+
+
+def test_all_smaller_steps_are_certified():
+    net = network(np.random.default_rng(4))
+    found = certificates.make(net, "exact", step=Fraction(5, 4))
+    assert found is not None and certificates.verify(found, net).valid and "0 < η ≤ 5/4" in found["claim"]
+    K = Fraction(found["contraction_rate"])
+    rng = np.random.default_rng(0)
+    x, u = rng.normal(size=(2, 200, 2)), rng.normal(size=(200, 2))
+    for eta in (0.05, 0.5, 1.0, 1.25):
+        y = x + eta * (forward(net, x, u) - x)
+        before, after = (np.abs(each[0] - each[1]).max(-1) for each in (x, y))
+        assert (after <= (1 - eta / 1.25 * (1 - float(K))) * before * (1 + 1e-12)).all()
+
+
+def test_the_command_certifies_writes_draws_and_verifies(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6), q=3, n=8)
+    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    np.savez("one.npz", a=[0.5, -0.2], w1=[1.0, 0.5], W2=[[0.0], [1.0]], b=[0.0, 0.1])
+    assert main(["net.npz", "one.npz", "--certificate", "proofs", "--plot", "map.png"]) == 0
+    printed = capsys.readouterr().out
+    assert "1 of 1 with a vector state certified contracting" in printed and "1 of 1 certified contracting" in printed
+    assert (tmp_path / "map.png").stat().st_size > 5000 and (tmp_path / "map-2.png").stat().st_size > 5000
+    proofs = sorted(map(str, tmp_path.glob("proofs/*.json")))
+    assert len(proofs) == 2 and main(["--verify", *proofs]) == 0
+    assert main(["net.npz", "one.npz", "--verify", *proofs]) == 0
+    assert main(["one.npz", "--verify", *proofs]) == 1
+    capsys.readouterr()
+    assert main(["net.npz", "one.npz", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [row.get("states") for row in rows] == [None, 3] and rows[1]["rates"]["exact"] < 1
+
+
+@pytest.mark.parametrize(
+    "n, two, said, count",
+    [(2, False, "all 4", 4), (3, True, "all 64", 64), (8, False, "all 256", 256), (9, False, "300 random", 300)],
+)
+def test_the_figure_draws_all_patterns_of_few_neurons_and_says_how_many(n, two, said, count):
+    pytest.importorskip("matplotlib")
+    from certify.display.vector_figures import contraction_figure, patterns
+
+    net = network(np.random.default_rng(8), n=n, two=two, phi=activation("leaky:1/4"))
+    drawn = [tuple(D) for D in patterns(net)]
+    assert {len(D) for D in drawn} == {net.neurons} and {slope for D in drawn for slope in D} == {0.25, 1.0}
+    assert len(drawn) == count and (count == 300 or len(set(drawn)) == 2**net.neurons)
+    axes = contraction_figure(net, {"norm": "inf", "rates": {"exact": 0.9}}, np.eye(2)).axes[1]
+    assert f"its images by {said} activation patterns" in [line.get_label() for line in axes.lines]
+    assert sum(line.get_alpha() is not None for line in axes.lines) == count  # the faint ones
+
+
+def test_the_command_takes_other_activations(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6))
+    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    assert main(["net.npz", "--activation", "leaky:0.2", "--certificate", "proofs"]) == 0
+    proof = str(next(tmp_path.glob("proofs/*.json")))
+    assert main(["--verify", proof]) == 0
+    assert main(["net.npz", "--activation", "relu", "--verify", proof]) == 1
+    assert "leaky:1/5" in capsys.readouterr().out
+    for wrong in ("gelu", "leaky", "leaky:2", "leaky:-1", "leaky:" + "1" * 100):
+        assert main(["net.npz", "--activation", wrong]) == 2
+        assert "activation" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["--condition", "simple"], "one state"),
+        (["--condition", "interval"], "one state"),
+        (["--input", "0,0"], "one state"),
+        (["--box", "0:1"], "expected 4"),
+        (["--box", "0:0,0:1,0:1,0:1"], "lo < hi"),
+        (["--lmi", "--solver", "NONE"], "not installed"),
+    ],
+)
+def test_options_that_do_not_fit_a_vector_state_are_refused(arguments, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6))
+    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    assert main(["net.npz", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error and len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"R": np.eye(3)},
+        {"A": np.ones((2, 3))},
+        {"b": np.full(4, np.nan)},
+        {"W": np.ones((4, 7)), "A": np.ones((7, 4)), "R": None},
+        {"V": np.ones((3, 4))},
+        {"c": np.ones(3)},
+        {"W2": np.ones(4)},
+        {"A": np.full((2, 4), 1e200)},
+        {"A": None},
+    ],
+)
+def test_damaged_weights_are_refused_in_one_sentence(changed, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    weights = {**network(np.random.default_rng(6)).weights._asdict(), **changed}
+    np.savez("net.npz", **{key: x for key, x in weights.items() if x is not None})
+    assert main(["net.npz"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: net.npz") and len(error.splitlines()) == 1
+
+
+def test_the_identity_scaling_is_the_default():
+    net = network(np.random.default_rng(8))
+    assert certificates.make(net, "exact") == certificates.make(net, "exact", scaling=identity(2))
+
+
+def test_one_state_is_a_special_case():
+    """The rate of a vector state with q = 1 and R = 0 is the closed form for one state, and so are the paper's."""
+    rng = np.random.default_rng(9)
+    for _ in range(50):
+        n = int(rng.integers(1, 8))
+        a, w1 = rng.normal(size=(2, n)) * rng.uniform(0.05, 1)
+        shallow = ShallowWeights(a, w1, rng.normal(size=(n, 2)), rng.normal(size=n))
+        found, weights = conditions(a, w1), of_shallow(shallow)
+        assert vector_exact.rate(weights, vector_exact.everywhere(weights, RELU)) == found["tight"].rate
+        margin, smallest = vector_exact.gershgorin(weights)
+        assert smallest == found["gershgorin"].rate and (margin > 0) == (found["gershgorin"].margin > 0)
+        kappa = found["tight"].rate * Fraction(101, 100)
+        proof = multipliers("tight", a, w1, kappa)
+        lam = [x * kappa * kappa for x in proof.multipliers]  # there a/κ, here κ² P
+        assert vector_exact.proves(weights, RELU, Proof([[Fraction(1)]], [lam]), kappa)
+
+
+def test_leaky_relu_with_a_skip_connection_has_the_closed_form_for_one_state():
+    rng = np.random.default_rng(10)
+    for _ in range(50):
+        n, leak, skip = int(rng.integers(1, 8)), float(rng.uniform(0, 0.9)), float(rng.normal())
+        a, w1 = rng.normal(size=(2, n))
+        weights = check(VectorWeights([[skip]], a[None], w1[:, None], np.zeros((n, 0)), np.zeros(n)))
+        phi = Activation("leaky", Fraction(leak))
+        exact = vector_exact.rate(weights, vector_exact.everywhere(weights, phi))
+        assert tight(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(
+            float(exact), rel=1e-12
+        )
+
+
+def test_steps_say_nothing_about_the_step_of_the_network(tmp_path, monkeypatch, capsys):
+    """A network that does not contract at its own step may contract at smaller ones; its verdict stays the same."""
+    monkeypatch.chdir(tmp_path)
+    np.savez("swings.npz", A=[[0.1]], W=[[1.0]], W2=[[0.0]], b=[0.0], R=[[-1.5]])
+    assert main(["swings.npz", "--steps", "--json", "--certificate", "proofs"]) == 1
+    row = json.loads(capsys.readouterr().out)[0]
+    assert row["rates"]["exact"] == 1.5 and not row["certified"]["exact"] and row["rate"] is None
+    assert Fraction(row["steps"]["largest"]) == Fraction(4, 5)
+    assert [path.name for path in tmp_path.glob("proofs/*")] == ["swings.steps.json"]
+    assert main(["--verify", "proofs/swings.steps.json"]) == 0
+
+
+def test_a_certificate_of_steps_is_written_beside_the_other(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez("one.npz", a=[0.5, -0.2], w1=[1.0, 0.5], W2=[[0.0], [1.0]], b=[0.0, 0.1])
+    assert main(["one.npz", "--json"]) == 0 and main(["one.npz", "--steps", "--json", "--certificate", "proofs"]) == 0
+    plain, stepped = (json.loads(text)[0] for text in capsys.readouterr().out.replace("]\n[", "]\0[").split("\0"))
+    assert plain["time_constant"] == pytest.approx(stepped["time_constant"], rel=1e-5)
+    assert {path.name for path in tmp_path.glob("proofs/*")} == {"one.exact.json", "one.steps.json"}
+
+
+def test_steps_too_long_to_write_are_left_out(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez("huge.npz", A=[[0.1]], W=[[1.0]], W2=[[0.0]], b=[0.0], R=[[-1e140]])
+    assert main(["huge.npz", "--steps"]) == 1
+    assert main(["huge.npz", "--dt", "1e308"]) == 2 and "--dt" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--condition", "gershgorin"], ["--condition", "lmi", "--activation", "tanh"]])
+def test_a_condition_for_other_networks_is_refused(arguments, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    net = network(np.random.default_rng(6), two=True)
+    np.savez("deep.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
+    assert main(["deep.npz", *arguments]) == 2 and "is for" in capsys.readouterr().err
+
+
+def test_weights_too_large_for_the_search_on_a_box_keep_their_other_verdicts(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    np.savez("huge.npz", A=1e100 * np.eye(2), W=1e-101 * np.eye(2), W2=np.zeros((2, 1)), b=np.zeros(2))
+    assert main(["huge.npz", "--box"]) == 0
+    assert "huge.npz: weights or box: found a value" in capsys.readouterr().out
+
+
+def test_two_layers_of_the_papers_matrix_count_twice():
+    """Slopes in [0, 2] in both layers: without a skip connection a quarter of the rate is claimed, and holds."""
+    rng = np.random.default_rng(12)
+    net = network(rng, two=True)
+    net = net._replace(weights=net.weights._replace(R=np.zeros((2, 2))))
+    found = made("lmi", net)
+    assert Fraction(found["contraction_rate"]) == Fraction(found["rate"]) / 4
+    P = np.array([[float(Fraction(x)) for x in row] for row in found["proof"]["metric"]])
+    root = np.linalg.cholesky(P).T
+    for _ in range(500):
+        first, second = rng.integers(0, 2, 4), rng.integers(0, 2, 3)
+        J = net.weights.A @ (second[:, None] * net.weights.V) @ (first[:, None] * net.weights.W)
+        size = np.linalg.norm(root @ J @ np.linalg.inv(root), 2)
+        assert size <= float(Fraction(found["contraction_rate"])) * (1 + 1e-9)
+
+
+def test_what_a_solver_finds_is_certified():
+    pytest.importorskip("cvxpy", reason="needs the extra lmi")
+    weights = check(VectorWeights(None, [[0.3, 0.2], [-0.1, 0.4]], np.eye(2), np.zeros((2, 1)), np.zeros(2)))
+    row, made = assess(VectorNetwork("a.npz", weights), solver="CLARABEL")
+    assert {"lmi", "tight"} <= made.keys() and row["rates"]["tight"] <= row["rates"]["lmi"] < 1
+    assert all(certificates.verify(made[name], VectorNetwork("a.npz", weights)).valid for name in ("lmi", "tight"))
+
+
+@pytest.mark.parametrize(("condition", "w"), [("gershgorin", 0.5), ("lmi", 1.0)])
+def test_one_layer_of_the_papers_matrix_claims_half_its_rate_and_no_less(condition, w):
+    """One state, where the slope between two points is known: any smaller claim is wrong."""
+    weights = check(VectorWeights(None, [[0.45]], [[w]], np.zeros((1, 0)), [0.0]))
+    net = VectorNetwork("net.npz", weights)
+    kappa = Fraction(9, 10) * Fraction(w) + Fraction(1, 1000)  # 2K and a little more
+    proof = smallest_rate(weights, RELU, 2).proof if condition == "lmi" else None
+    found = certificates.make(net, condition, rate=kappa, proof=proof)
+    claimed = Fraction(found["contraction_rate"])
+    x = np.array([[0.0], [1.0]])
+    slope = Fraction(float(np.diff(forward(net, x, np.zeros((2, 0))), axis=0)[0, 0]))
+    assert slope <= claimed == kappa / 2 < slope * Fraction(101, 100)
+    assert f"≤ {float(claimed):.6g} |x₁ − x₂|_P" in found["claim"]
+    skip = net._replace(weights=weights._replace(R=np.array([[0.2]]), A=np.array([[0.2]])))
+    rate, proof = Fraction(9, 10), smallest_rate(skip.weights, RELU, 2).proof if condition == "lmi" else None
+    with_skip = certificates.make(skip, condition, rate=rate, proof=proof)
+    assert Fraction(with_skip["contraction_rate"]) == rate  # R has no slope: nothing is halved
+
+
+@pytest.mark.parametrize("condition", ["gershgorin", "lmi"])
+def test_patterns_of_one_layer_stay_below_half_the_rate(condition):
+    rng = np.random.default_rng(13)
+    for _ in range(5):
+        net = network(rng)
+        A, W = rng.normal(size=(2, 4)), 0.3 * rng.uniform(-1, 1, (4, 2))
+        A *= 0.9 / float(vector_exact.gershgorin(check(net.weights._replace(R=np.zeros((2, 2)), A=A, W=W)))[1])
+        net = net._replace(weights=net.weights._replace(R=np.zeros((2, 2)), A=A, W=W))
+        found = made(condition, net)
+        bound = float(Fraction(found["contraction_rate"]))
+        root = np.linalg.cholesky([[float(Fraction(x)) for x in row] for row in found["proof"]["metric"]]).T
+        sizes = [
+            np.linalg.norm(root @ (A * slopes) @ W @ np.linalg.inv(root), 2)
+            for slopes in itertools.product((0.0, 1.0), repeat=4)
+        ]
+        assert max(sizes) <= bound * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("two", [False, True])
+def test_linear_layers_of_torch_are_the_same_network(two):
+    """The first layer's columns are x, then u; a bias of the last one would be an offset."""
+    net = network(np.random.default_rng(14), two=two)
+    weights = net.weights._replace(R=np.zeros((2, 2)))
+    tensors = {"0.weight": np.concatenate([weights.W, weights.W2], 1), "0.bias": weights.b}
+    tensors |= {"2.weight": weights.V, "2.bias": weights.c} if two else {}
+    (found,) = from_tensors({**tensors, "4.weight": weights.A, "4.bias": np.zeros(2)})
+    for given, expected in zip(found.weights, weights, strict=True):
+        np.testing.assert_array_equal(given, expected)
+    with pytest.raises(CertifyError, match="offset"):
+        from_tensors({**tensors, "4.weight": weights.A, "4.bias": np.ones(2)})

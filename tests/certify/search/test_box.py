@@ -1,0 +1,307 @@
+"""The rate on a box is that of the patterns that linear programs reach there; what is certified is so in rationals."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from certify.errors import CertifyError
+from certify.networks.shallow import ShallowWeights
+from certify.proofs.box_planes import planes, slope_at, value_at
+from certify.proofs.box_proof import proves, proves_range
+from certify.proofs.rounding import float_below
+from certify.search.box import box, certify, invariance, operating_box, rate
+from tests.support.networks import network, star
+
+
+def degenerate(seed: int) -> ShallowWeights:
+    """Small integers: hyperplanes through common points and on faces; some rows are repeated, some turned round."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(2, 9)), int(rng.integers(0, 3))
+    rows = rng.integers(-2, 3, (n, m + 2)).astype(float)
+    for i in range(1, n):
+        if rng.random() < 0.3:
+            rows[i] = rows[rng.integers(i)] * rng.choice([1.0, 2.0, -1.0, -0.5])
+    if rng.random() < 0.5:  # all through one dyadic point of the box
+        point = np.r_[rng.choice([0.0, 0.5, 1.0]), rng.choice([-1.0, 0.0, 0.5], m)]
+        rows[:, -1] = -rows[:, :-1] @ point
+    return ShallowWeights(rng.integers(-3, 4, n) / 8, rows[:, 0], rows[:, 1:-1], rows[:, -1])
+
+
+def cells(weights: ShallowWeights, over, matters: np.ndarray) -> list[tuple]:
+    """The sign patterns of some neurons that a linear program reaches in the box with a margin, sign by sign."""
+    H, c = np.c_[weights.w1, weights.W2][matters], weights.b[matters]
+    centre, radius = (over.lo + over.hi) / 2, (over.hi - over.lo) / 2
+    H, c = H * radius, H @ centre + c
+    size = np.abs(H).sum(1)
+    H, c = H / size[:, None], c / size
+
+    def reached(signs):
+        k, signs = len(signs), np.array(signs)
+        A, least = np.c_[-signs[:, None] * H[:k], np.ones(k)], signs * c[:k]
+        limits = [(-1, 1)] * H.shape[1] + [(None, 1)]
+        return linprog(np.r_[np.zeros(H.shape[1]), -1], A_ub=A, b_ub=least, bounds=limits).x[-1] > 1e-9
+
+    patterns: list[tuple] = [()]
+    for _ in c:
+        patterns = [(*signs, v) for signs in patterns for v in (-1.0, 1.0) if reached((*signs, v))]
+    return patterns
+
+
+def enumerated(weights: ShallowWeights, over) -> float:
+    s = weights.a * weights.w1
+    return max(abs(s[s != 0] @ (np.array(signs) > 0)) for signs in cells(weights, over, s != 0)) if s.any() else 0.0
+
+
+def agrees(weights: ShallowWeights) -> bool:
+    over = operating_box(weights.W2.shape[1])
+    truth = enumerated(weights, over)
+    found = rate(weights, over)
+    assert found.closed and found.lower == pytest.approx(truth, abs=1e-12)
+    assert found.upper == pytest.approx(truth, rel=1e-6, abs=1e-9) and found.lower <= found.upper
+    if found.lower:
+        y = np.r_[found.witness.x, found.witness.u]
+        assert (over.lo <= y).all() and (y <= over.hi).all()
+        assert float_below(abs(slope_at(weights, y))) == found.lower == abs(found.witness.slope)
+        assert (weights.a * weights.w1) @ found.witness.active == pytest.approx(found.witness.slope, abs=1e-14)
+    if truth:  # the decision, on both sides of the rate
+        above = certify(weights, over, rate=truth * (1 + 1e-6))
+        assert above.verdict == "certified" and proves(weights, over, above.tree, truth * (1 + 1e-6))
+        assert not proves(weights, over, above.tree, truth * (1 - 1e-9))
+        at = certify(weights, over, rate=np.nextafter(abs(found.witness.slope), 0))
+        assert at.verdict == "refuted" and abs(slope_at(weights, np.r_[at.witness.x, at.witness.u])) >= Fraction(
+            at.rate
+        )
+    return True
+
+
+def verdicts_against_samples(seeds, count: int) -> list[str]:
+    verdicts = []
+    for seed in seeds:
+        weights, over, rng = network(12, 4, seed), operating_box(4), np.random.default_rng(seed)
+        y = rng.uniform(over.lo, over.hi, (count, 5))
+        slopes = np.abs((y @ np.c_[weights.w1, weights.W2].T + weights.b > 0) @ (weights.a * weights.w1))
+        for share in (0.98, 1.0, 1.05):
+            found = certify(weights, over, rate=share * slopes.max())
+            verdicts.append(found.verdict)
+            assert found.verdict != "certified" or (slopes < found.rate).all()
+            assert found.lower <= found.upper and slopes.max() <= found.upper * (1 + 1e-12)
+    return verdicts
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_the_rate_of_a_degenerate_network_is_that_of_its_patterns(seed):
+    assert agrees(degenerate(seed))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_rate_of_a_random_network_is_that_of_its_patterns(seed):
+    assert agrees(network(3 + seed % 4, 1 + seed % 2, seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(15, 75))
+def test_the_rate_of_60_degenerate_networks_is_that_of_their_patterns(seed):
+    assert agrees(degenerate(seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(40))
+def test_the_rate_of_40_random_networks_is_that_of_their_patterns(seed):
+    assert agrees(network(2 + seed % 7, 1 + seed % 4, 100 + seed))
+
+
+def test_no_network_is_certified_where_sampled_slopes_refute():
+    assert {"certified", "refuted"} <= set(verdicts_against_samples(range(10), 20_000))
+
+
+@pytest.mark.slow
+def test_no_network_is_certified_where_1e5_sampled_slopes_refute():
+    assert {"certified", "refuted"} <= set(verdicts_against_samples(range(10, 60), 100_000))
+
+
+def test_neurons_on_one_hyperplane_count_once():
+    x, nothing = np.array([1.0, 1.0]), np.zeros((2, 0))
+    cancel = ShallowWeights(np.array([1.0, -1.0]), x, nothing, np.array([-0.5, -0.5]))
+    pair = ShallowWeights(np.array([0.9, -0.9]), np.array([1.0, -1.0]), nothing, np.array([-0.25, 0.25]))
+    third = ShallowWeights(np.array([1.0, -3.0]), np.array([3.0, 1.0]), nothing, np.array([-1.5, -0.5]))
+    assert rate(cancel, operating_box(0)).upper < 1e-12 and rate(cancel, operating_box(0)).witness is None
+    assert rate(third, operating_box(0)).upper < 1e-12
+    found = rate(pair, operating_box(0))
+    assert found.lower == 0.9 and found.upper == pytest.approx(0.9, rel=1e-12)
+    assert len(planes(pair, operating_box(0)).rows) == 1
+
+
+def test_a_cell_that_is_only_touched_does_not_count():
+    corner = ShallowWeights(np.array([2.0]), np.array([1.0]), np.array([[1.0]]), np.array([-2.0]))  # z = 0 at (1, 1)
+    assert rate(corner, operating_box(1)).upper < 1e-12
+    assert certify(corner, operating_box(1), rate=1e-9).verdict == "certified"
+    inside = corner._replace(b=np.array([-2.0 + 1e-9]))
+    assert rate(inside, operating_box(1)).lower == 2.0
+
+
+def test_a_fixed_input_is_folded_into_the_constant():
+    weights = network(8, 2, 3)
+    folded = weights._replace(W2=weights.W2[:, :1], b=weights.b + 0.3 * weights.W2[:, 1])
+    at, free = rate(weights, box("0:1,-1:1,0.3:0.3", 2)), rate(folded, operating_box(1))
+    assert at.closed and at.lower == pytest.approx(free.lower, abs=1e-15) and at.witness.u[1] == 0.3
+    one, c = np.ones(2), np.array([-0.5, -0.5])
+    meet = ShallowWeights(np.array([1.0, -1.0]), one, np.array([[1.0], [-1.0]]), c)  # one hyperplane, at u = 0 alone
+    assert rate(meet, box("0:1,0:0", 1)).upper < 1e-12 and rate(meet, box("0:1,-1e-9:0", 1)).lower == 1.0
+
+
+def test_one_neuron():
+    for b, expected in ((-0.5, 0.75), (0.5, 0.75), (-2.0, 0.0), (0.0, 0.75)):
+        weights = ShallowWeights(np.array([-0.75]), np.ones(1), np.zeros((1, 1)), np.array([b]))
+        found = rate(weights, operating_box(1))
+        assert found.lower == expected and found.upper == pytest.approx(expected, abs=1e-12) and found.closed
+        verdict = certify(weights, operating_box(1), rate=0.75)
+        assert verdict.verdict == ("refuted" if expected else "certified")
+
+
+def test_many_inputs_are_closed_and_proved():
+    weights, over = network(14, 9, 1), operating_box(9)
+    found = rate(weights, over)
+    assert found.closed and certify(weights, over, rate=found.lower).verdict == "refuted"
+    verdict = certify(weights, over, rate=found.upper * 1.0001)
+    assert verdict.verdict == "certified" and proves(weights, over, verdict.tree, verdict.rate)
+
+
+def test_a_search_that_is_stopped_gives_a_bracket():
+    weights, over = network(20, 4, 4), operating_box(4)
+    whole = rate(weights, over)
+    assert whole.closed
+    truth = whole.lower
+    for seconds in (0.0, 0.005):
+        found = rate(weights, over, seconds=seconds)
+        assert found.lower <= truth * (1 + 1e-12) and truth <= found.upper
+    assert not rate(weights, over, seconds=0.0).closed
+    verdict = certify(weights, over, rate=truth * 1.0001, seconds=0.0)
+    assert verdict.verdict == "unknown" and verdict.tree is None and verdict.lower <= truth <= verdict.upper
+
+
+def ends_of(weights: ShallowWeights, over) -> tuple[float, float]:
+    """The least and the greatest x⁺ on a box: those of the vertices of the cells."""
+    H = np.c_[weights.w1, weights.W2]
+    moves = H.any(1)
+    still, ends = float(weights.a[~moves] @ np.maximum(weights.b[~moves], 0)), []
+    for signs in cells(weights, over, moves):
+        on, signs = np.array(signs) > 0, np.array(signs)
+        slope, height = weights.a[moves][on] @ H[moves][on], weights.a[moves][on] @ weights.b[moves][on] + still
+        limits = dict(A_ub=-signs[:, None] * H[moves], b_ub=signs * weights.b[moves], bounds=np.c_[over.lo, over.hi])
+        ends += [side * linprog(side * slope, **limits).fun + height for side in (1, -1)]
+    return min(ends), max(ends)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_invariance_is_decided_as_by_the_vertices_of_the_cells(seed):
+    """Of the network, and of networks whose output is scaled and shifted to just inside and just beyond [0, 1]."""
+    weights = degenerate(seed) if seed % 2 else network(5, 1, seed)
+    over = operating_box(weights.W2.shape[1])
+    least, greatest = ends_of(weights, over)
+    drawn = [weights]
+    for below, above in ((1e-5, 1e-5), (-1e-5, 1e-5), (1e-5, -1e-5)):  # the room that is left at 0 and at 1
+        scale = (1 - below - above) / max(greatest - least, 1e-3)
+        a, w1, W2, b = weights
+        shift = np.array([below - scale * least])
+        drawn.append(ShallowWeights(np.r_[scale * a, shift], np.r_[w1, 0.0], np.r_[W2, 0 * W2[:1]], np.r_[b, 1.0]))
+    verdicts = []
+    for each in drawn:
+        low, high = ends_of(each, over)
+        verdict, tree, escape = invariance(each, over)
+        if low < -1e-9 or high > 1 + 1e-9:
+            assert verdict == "no" and not 0 <= value_at(each, escape) <= 1
+            assert (over.lo <= escape).all() and (escape <= over.hi).all() and tree is None
+        else:
+            assert verdict == "yes" and proves_range(each, over, tree)
+        verdicts.append(verdict)
+    assert greatest - least < 1e-3 or verdicts[1:] == ["yes", "no", "no"]
+
+
+def test_invariance_is_exact_at_its_edge():
+    one, nothing = np.ones(1), np.zeros((1, 0))
+    identity = ShallowWeights(one, one, nothing, 0 * one)
+    assert invariance(identity, operating_box(0)) == ("yes", ".", None)
+    assert certify(identity, operating_box(0)).verdict == "refuted"  # invariant, and no contraction
+    assert invariance(identity._replace(a=np.nextafter(one, 2)), operating_box(0))[0] == "no"
+    assert invariance(identity._replace(a=np.nextafter(one, 0)), operating_box(0))[0] == "yes"
+    assert not proves_range(identity._replace(a=np.nextafter(one, 2)), operating_box(0), ". ")
+    assert invariance(identity._replace(a=-one), box("-1:0", 0))[0] == "yes"
+    tent = ShallowWeights(np.array([2.0, -4.0]), np.ones(2), np.zeros((2, 0)), np.array([0.0, -0.5]))
+    verdict, tree, _ = invariance(tent, operating_box(0))  # on to [0, 1], its top in the middle
+    assert verdict == "yes" and tree == "x . ." and not proves_range(tent, operating_box(0), ".")
+    for other in ("x .", "z0 . .", "e0:1", "", "x . . ."):
+        assert not proves_range(tent, operating_box(0), other)
+    assert invariance(tent, operating_box(0), seconds=-1.0)[0] == "unknown"
+
+
+def test_the_operating_boxes():
+    assert operating_box(4).lo.tolist() == [0, 0, 0, -1, -1] and operating_box(4).hi.tolist() == [1] * 5
+    assert operating_box(2).lo.tolist() == [0, -1, -1]
+    given = box("0:1,0:1,0:1,-1:1,-1:1", 4)
+    assert all((x == y).all() for x, y in zip(given, operating_box(4), strict=True))
+    assert all((x == y).all() for x, y in zip(box([(0, 1)] * 3 + [(-1, 1)] * 2, 4), given, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ("1:0,0:1", "lo ≤ hi"),
+        ("0:1,2:1", "u1, expected lo ≤ hi"),
+        ("0:1", "found 1 intervals, expected 2"),
+        ("0:1,0:1,0:1", "found 3 intervals"),
+        ("0:inf,0:1", "finite"),
+        ("0:1,nan:1", "finite"),
+        ("0:1,a:b", "two numbers"),
+        ("0:1,1", "two numbers"),
+        ("0:1,0:1:2", "two numbers"),
+        ("", "found 1 intervals"),
+        ("0.5:0.5,0:1", "lo < hi"),
+        ([(0, 1), 3], "two numbers"),
+    ],
+)
+def test_a_bad_box_is_told_in_a_sentence(given, says):
+    with pytest.raises(CertifyError, match=says):
+        box(given, 1)
+
+
+def test_other_bad_input_is_told_in_a_sentence():
+    weights, over = star()
+    with pytest.raises(CertifyError, match=r"expected 1 \+ m = 2"):
+        rate(weights, operating_box(2))
+    with pytest.raises(CertifyError, match="NaN"):
+        rate(weights._replace(a=weights.a * np.nan), over)
+    with pytest.raises(CertifyError, match="one network"):
+        rate(ShallowWeights(*(np.stack([x, x]) for x in weights)), over)
+    with pytest.raises(CertifyError, match="size 1e\\+200"):
+        rate(weights._replace(a=weights.a + 1e200), over)
+    with pytest.raises(CertifyError, match="above 0"):
+        certify(weights, over, rate=0.0)
+
+
+def test_hyperplanes_through_one_point_are_decided():
+    weights = ShallowWeights(
+        np.array([0.75, 0.75, 0.75, -0.75]),
+        np.array([-3.0, -3.0, -2.0, -2.0]),
+        np.array([[1.0], [-3.0], [2.0], [-1.0]]),
+        np.array([1.5, 1.5, 1.0, 1.0]),
+    )
+    found = rate(weights, operating_box(1))
+    assert found.closed and found.lower == 4.5
+    for asked in (4.545, 4.5 * (1 + 1e-9)):
+        verdict = certify(weights, operating_box(1), asked)
+        assert verdict.verdict == "certified" and proves(weights, operating_box(1), verdict.tree, asked)
+        assert not proves(weights, operating_box(1), verdict.tree, 4.5)
+
+
+@pytest.mark.parametrize(("n", "m"), [(12, 1), (12, 2), (20, 4), (50, 2)])
+def test_a_network_without_biases_is_decided(n, m):
+    """All hyperplanes meet in the origin, with rows of 53 bits whose multipliers have to cancel exactly."""
+    rng = np.random.default_rng(0)
+    a, w1 = rng.normal(size=(2, n))
+    weights = ShallowWeights(a, w1, rng.normal(size=(n, m)), np.zeros(n))
+    found = rate(weights, operating_box(m), seconds=60)
+    assert found.closed
+    verdict = certify(weights, operating_box(m), found.lower * (1 + 1e-9), seconds=60)
+    assert verdict.verdict == "certified" and proves(weights, operating_box(m), verdict.tree, verdict.rate)

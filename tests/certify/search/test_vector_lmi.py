@@ -1,0 +1,248 @@
+"""The inequality of a vector state: its rates against closed forms and another program, and every proof exactly."""
+
+import itertools
+import math
+import subprocess
+import sys
+from fractions import Fraction
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from certify.errors import CertifyError
+from certify.networks.shallow import ShallowWeights
+from certify.networks.vector import RELU, VectorWeights, activation, check, of_shallow
+from certify.proofs import vector_exact as exact
+from certify.search.vector_balance import balance
+from certify.search.vector_lmi import certify, smallest_rate
+from tests.support import ROOT
+from tests.support.vector_networks import draw, spectral
+
+PHI = ("relu", "leaky:1/8", "tanh")
+NEAR = 2e-5  # relative distance of the proved rate from the smallest
+
+
+def slopes(weights, phi) -> np.ndarray:
+    """J of every choice of least and greatest slopes, in floats."""
+    ends = (float(phi.least), 1.0)
+    layers = [weights.W] if weights.V is None else [weights.W, weights.V]
+    found = [np.eye(len(weights.R))]
+    for X in layers:
+        chosen = list(itertools.product(ends, repeat=len(X)))
+        found = [np.array(d)[:, None] * (X @ J) for J in found for d in chosen]
+    return weights.R + weights.A @ np.array(found)
+
+
+def feasible(weights, phi, kappa) -> bool:
+    """Whether (3) holds at κ, written out for cvxpy, without any balancing or iteration."""
+    q, n = weights.A.shape
+    P, lam = cp.Variable((q, q), symmetric=True), cp.Variable(n)
+    L, alpha = cp.diag(lam), float(phi.least)
+    W, A, R = weights.W, weights.A, weights.R
+    M = cp.bmat(
+        [
+            [P, P @ R, P @ A],
+            [R.T @ P, kappa**2 * P + 2 * alpha * W.T @ L @ W, -(1 + alpha) * W.T @ L],
+            [A.T @ P, -(1 + alpha) * L @ W, 2 * L],
+        ]
+    )
+    t = cp.Variable()
+    problem = cp.Problem(cp.Maximize(t), [(M + M.T) / 2 >> t * np.eye(2 * q + n), cp.trace(P) == q])
+    problem.solve(solver="CLARABEL")
+    return t.value > 0
+
+
+def checked(weights, phi, found, most=1):
+    """A certified answer proves its κ, which is near the solver's rate."""
+    assert found.verdict == "certified"
+    assert exact.proves(weights, phi, found.proof, found.kappa, Fraction(most))
+    assert found.rate < found.kappa <= found.rate * (1 + NEAR)
+
+
+def test_one_state_has_the_exact_rate():
+    """max(P, N), at q = 1 also that of the ∞-norm, with a skip connection and leaky slopes, too."""
+    rng = np.random.default_rng(0)
+    for case in range(12):
+        weights, phi = draw(rng, 1, int(rng.integers(1, 9))), activation(PHI[case % 3])
+        found = smallest_rate(weights, phi)
+        checked(weights, phi, found)
+        K = float(exact.rate(weights, exact.everywhere(weights, phi)))
+        assert found.rate == pytest.approx(K, rel=1e-5) if K else found.rate < 0.01  # a κ is above 0
+    a, w1 = rng.standard_normal((2, 20))
+    weights = of_shallow(ShallowWeights(a, w1, np.zeros((20, 0)), np.zeros(20)))
+    K = exact.rate(weights, exact.everywhere(weights, RELU))
+    assert smallest_rate(weights, RELU).rate == pytest.approx(float(K), rel=1e-5)
+
+
+@pytest.mark.parametrize("q, n", [(2, 3), (3, 6), (2, 8)])
+def test_rate_is_the_limit_of_another_program(q, n):
+    rng = np.random.default_rng(q * n)
+    for name in PHI[:2]:
+        weights, phi = draw(rng, q, n), activation(name)
+        found = smallest_rate(weights, phi)
+        checked(weights, phi, found)
+        assert feasible(weights, phi, found.rate * 1.001) and not feasible(weights, phi, found.rate * 0.999)
+
+
+@pytest.mark.parametrize("cases", [12, pytest.param(300, marks=pytest.mark.slow)])
+def test_rate_lies_between_enumeration_and_is_proved(cases):
+    """In the norm of its P no pattern is above κ, and none has a spectral radius above the rate."""
+    rng, two = np.random.default_rng(cases), 0
+    for case in range(cases):
+        second = int(rng.integers(1, 5)) if case % 3 == 0 else 0
+        weights, phi = draw(rng, int(rng.integers(1, 5)), int(rng.integers(1, 6)), second), activation(PHI[case % 3])
+        found = smallest_rate(weights, phi)
+        checked(weights, phi, found)
+        J = slopes(weights, phi)
+        assert spectral(J, found.proof.metric) <= float(found.kappa) * (1 + 1e-9)
+        assert np.abs(np.linalg.eigvals(J)).max() <= float(found.kappa) * (1 + 1e-9)
+        two += second > 0
+    assert two
+
+
+@pytest.mark.parametrize("q", [1, 2, 3, 6])
+def test_the_papers_multipliers_double_the_rate(q):
+    """Slopes in [0, 2] are twice those in [0, 1], so that with R = 0 every J doubles."""
+    rng = np.random.default_rng(q)
+    weights = draw(rng, q, 6)
+    weights = weights._replace(R=0 * weights.R)
+    single, double = (smallest_rate(weights, RELU, most) for most in (1, 2))
+    checked(weights, RELU, single)
+    checked(weights, RELU, double, most=2)
+    assert double.rate == pytest.approx(2 * single.rate, rel=1e-5)
+
+
+def test_certify_agrees_with_the_smallest_rate():
+    rng = np.random.default_rng(8)
+    for _ in range(5):
+        weights = draw(rng, 2, 5)
+        rate = smallest_rate(weights, RELU).rate
+        above, below = certify(weights, RELU, rate * 1.01), certify(weights, RELU, rate * 0.9)
+        assert above.verdict == "certified" and above.kappa == Fraction(rate * 1.01)
+        assert exact.proves(weights, RELU, above.proof, above.kappa)
+        assert below.verdict in ("not certified", "unknown") and below.proof is None
+        assert certify(weights, RELU, Fraction(10**30)).verdict == "certified"
+
+
+def edge(name: str) -> VectorWeights:
+    weights = draw(np.random.default_rng(9), 3, 5, 3 if name.startswith("two") else 0)
+    A, W, R = (np.array(x) for x in (weights.A, weights.W, weights.R))
+    if "input" in name:
+        W[1] = 0
+    if "output" in name:
+        A[:, 0] = 0
+    if "row" in name:
+        A[2] = R[2] = 0
+    if "column" in name:
+        W[:, 0] = R[:, 0] = 0
+    if "no slope" in name:
+        A, R = 0 * A, 0 * R
+    if "unstable" in name:
+        R = R + 3 * np.eye(3)
+    if "rank one" in name:
+        W, A = np.outer(np.ones(len(W)), W[0]), np.outer(A[:, 0], np.ones(A.shape[1]))
+    if "Jordan" in name:
+        R = 0.9 * np.eye(3) + np.eye(3, k=1)
+        A = 0 * A
+    size = 1e80 if "huge" in name else 1e-80 if "tiny" in name else 1.0
+    gauge = 10.0 ** np.arange(-30, 30, 60 / len(W))[: len(W)] if "gauge" in name else np.ones(len(W))
+    if weights.V is None:
+        A = A / gauge
+    else:
+        weights = weights._replace(V=weights.V / gauge)
+    return weights._replace(A=A * size, W=gauge[:, None] * W, R=R * (0 if size != 1 else 1))
+
+
+@pytest.mark.parametrize("layers", ["one", "two"])
+@pytest.mark.parametrize(
+    "name",
+    ["input", "output", "input, output", "row", "column", "no slope", "unstable", "rank one", "huge", "tiny", "gauge"],
+)
+def test_degenerate_networks_are_proved(layers, name):
+    weights = edge(f"{layers}, {name}")
+    found = smallest_rate(weights, RELU)
+    checked(weights, RELU, found)
+    assert spectral(slopes(weights, RELU), found.proof.metric) <= float(found.kappa) * (1 + 1e-6)
+    if name == "unstable":
+        assert found.rate > 2
+
+
+def test_a_rate_that_no_metric_attains_is_approached():
+    """A Jordan block has its spectral radius as an infimum."""
+    weights = edge("one, Jordan")
+    found = smallest_rate(weights, RELU)
+    assert found.verdict == "certified" and exact.proves(weights, RELU, found.proof, found.kappa)
+    assert 0.9 < found.kappa < 1.0
+
+
+def test_balancing_is_undone_exactly():
+    """P and Λ of the balanced network prove the rate of the weights as given: both are the same inequality."""
+    weights = edge("one, gauge")
+    found = balance(weights)
+    assert all(math.frexp(x)[0] == 0.5 for c in (found.state, *found.neurons) for x in c)
+    T, C, s = np.diag(found.state), found.neurons[0], found.size
+    np.testing.assert_array_equal(found.layers[0], C[:, None] * weights.W / found.state)
+    np.testing.assert_array_equal(found.layers[1], T @ weights.A / C / s)
+    np.testing.assert_array_equal(found.R, T @ weights.R / found.state / s)
+    ratios = np.abs(found.layers[0]).max(1) / np.abs(found.layers[1]).max(0)
+    assert 0.2 < ratios.min() and ratios.max() < 5
+
+
+def test_proofs_are_short():
+    weights = draw(np.random.default_rng(10), 3, 8)
+    found = smallest_rate(weights, RELU)
+    numbers = [x for row in (*found.proof.metric, *found.proof.multipliers) for x in row]
+    assert max(x.numerator.bit_length() for x in numbers) < 40 and found.kappa.numerator.bit_length() <= 26
+
+
+def test_another_solver_agrees_and_a_failing_one_is_a_status():
+    weights = draw(np.random.default_rng(12), 2, 3)
+    found, other = smallest_rate(weights, RELU), smallest_rate(weights, RELU, solver="scs")
+    assert other.rate == pytest.approx(found.rate, rel=0.02)
+    if other.verdict == "certified":
+        assert exact.proves(weights, RELU, other.proof, other.kappa)
+
+
+def test_a_solver_that_answers_nonsense_proves_nothing(monkeypatch):
+    from certify.search.vector_lmi import Program
+
+    weights = draw(np.random.default_rng(13), 2, 3)
+    for answer in (None, np.full(7, np.nan), np.ones(7), -np.ones(7), np.zeros(7)):
+        monkeypatch.setattr(Program, "_by_clarabel", lambda self, kappa, answer=answer: (answer, "Nonsense"))
+        found = smallest_rate(weights, RELU)
+        assert found.status == "Nonsense"
+        if found.verdict == "certified":  # by chance P = Λ = 1 may do, for a large κ
+            assert exact.proves(weights, RELU, found.proof, found.kappa)
+        else:
+            assert found.verdict == "unknown" and found.proof is None and found.kappa is None
+        assert certify(weights, RELU, 1e-9).verdict != "certified"
+
+
+def test_bad_input_is_refused():
+    weights = draw(np.random.default_rng(14), 2, 3)
+    batch = VectorWeights(*(None if x is None else np.stack([x, x]) for x in weights))
+    for call, message in (
+        (lambda: smallest_rate(batch, RELU), "batch"),
+        (lambda: smallest_rate(weights, RELU, most=3), "most"),
+        (lambda: smallest_rate(weights._replace(W=weights.W[:2]), RELU), "shapes"),
+        (lambda: smallest_rate(weights._replace(A=weights.A * np.nan), RELU), "A"),
+        (lambda: smallest_rate(weights, RELU, solver="nothing"), "not installed"),
+        (lambda: smallest_rate(weights, RELU, solver="osqp"), "semidefinite"),
+        (lambda: certify(weights, RELU, -1.0), "rate"),
+        (lambda: certify(weights, RELU, math.nan), "rate"),
+    ):
+        with pytest.raises(CertifyError, match=message):
+            call()
+
+
+def test_neither_solver_nor_scipy_is_imported_with_the_module():
+    code = "import sys, certify.search.vector_lmi, certify.search.vector_scaling; print({'cvxpy', 'clarabel', 'scipy'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_the_largest_networks_of_two_layers():
+    weights = draw(np.random.default_rng(15), 2, 20, 20)
+    checked(weights, RELU, smallest_rate(weights, RELU))
+    assert check(weights).V.shape == (20, 20)

@@ -1,0 +1,288 @@
+"""The closed forms of the conditions, against what they stand for: patterns, matrices, equal networks, boxes."""
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import torch
+
+from certify.networks.shallow import ShallowWeights
+from certify.proofs import exact
+from certify.training.conditions import (
+    BEST_GAUGE,
+    CONDITIONS,
+    extreme_slopes,
+    fixed_signs,
+    gershgorin,
+    interval,
+    lmi,
+    rate,
+    simple,
+    tight,
+)
+from tests.support.placement import on_device
+
+EPS = torch.finfo(torch.float64).eps
+BOX = torch.tensor([0.0, -1, 0.25]).double(), torch.tensor([0.5, 1, 0.75]).double()
+
+
+def networks(*batch: int, n: int = 6, m: int = 2, seed: int = 0) -> ShallowWeights:
+    """Networks of spread sizes, some for which every condition holds and some for which none does."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn(*batch, *shape, generator=generator, dtype=torch.float64)
+
+    def spread(low, high):
+        return 10 ** (low + (high - low) * torch.rand(*batch, 1, generator=generator, dtype=torch.float64))
+
+    w1 = (2 * torch.rand(*batch, n, generator=generator, dtype=torch.float64) - 1) * spread(-0.7, 0.2)
+    return ShallowWeights(normal(n) * spread(-1.5, 1.2) / n, w1, normal(n, m), normal(n))
+
+
+def patterns(n: int) -> torch.Tensor:
+    """All activation patterns, (2ⁿ, n)."""
+    return torch.tensor(list(itertools.product([0.0, 1.0], repeat=n)), dtype=torch.float64)
+
+
+def results(weights: ShallowWeights) -> dict:
+    found = {name: condition(weights.a, weights.w1) for name, condition in CONDITIONS.items()}
+    return found | {"interval": interval(weights, *BOX)}
+
+
+def test_rate_is_the_largest_slope_over_all_patterns():
+    a, w1, *_ = networks(50)
+    slopes = (a * w1) @ patterns(6).mT
+    torch.testing.assert_close(rate(a, w1), slopes.abs().amax(-1), rtol=1e-13, atol=0)
+    torch.testing.assert_close(tight(a, w1).margin, 1 - slopes.abs().amax(-1), rtol=0, atol=1e-13)
+    P, N = extreme_slopes(a, w1)
+    torch.testing.assert_close(P, slopes.amax(-1), rtol=0, atol=1e-13)
+    torch.testing.assert_close(-N, slopes.amin(-1), rtol=0, atol=1e-13)
+
+
+def test_some_network_with_these_a_and_w1_has_the_slope_K():
+    """So no condition on (a, w₁) alone is weaker than `tight`: W₂ = 0, b = 1 where s_i adds to the rate, else −1."""
+    a, w1, *_ = networks(50, seed=1)
+    P, N = extreme_slopes(a, w1)
+    sign = torch.where(P >= N, 1.0, -1.0)[:, None]
+    b = torch.where(sign * a * w1 > 0, 1.0, -1.0)
+    x = 0.1 / w1.abs().amax(-1, keepdim=True)
+    ahead, behind = ((a * (w1 * y + b).relu()).sum(-1, keepdim=True) for y in (x, -x))
+    torch.testing.assert_close(((ahead - behind) / (2 * x)).abs()[:, 0], tight(a, w1).rate, rtol=1e-11, atol=0)
+
+
+def test_skip_term_is_the_largest_slope_over_all_patterns():
+    a, w1, *_ = networks(50, seed=2)
+    skip = torch.linspace(-2, 2, 50).double()
+    slopes = skip[:, None] + (a * w1) @ patterns(6).mT
+    torch.testing.assert_close(tight(a, w1, skip).rate, slopes.abs().amax(-1), rtol=1e-12, atol=1e-13)
+    assert tight(a, w1).rate.equal(tight(a, w1, skip=0.0).rate)
+
+
+def test_simple_is_sufficient_for_the_papers_matrix():
+    """Where `simple` holds, M of the paper is positive definite with p = 1, λ = 1/(n+1), and so `tight` holds."""
+    n = 3
+    a, w1, *_ = networks(3000, n=n, seed=3)
+    held = simple(a, w1).margin > 0
+    assert 300 < held.sum() < 2700
+    for ai, wi in zip(a[held].numpy(), w1[held].numpy(), strict=True):
+        lam = np.eye(n) / (n + 1)
+        M = np.block([[np.eye(2), np.vstack([-ai, -wi @ lam])], [np.column_stack([-ai, -lam @ wi]), lam]])
+        assert np.linalg.eigvalsh(M).min() > 0
+    assert (rate(a, w1)[held] < n / (4 * (n + 1))).all()
+
+
+def test_conditions_are_nested():
+    """simple ⇒ gershgorin ⇒ lmi ⇒ tight ⇒ interval, and their rates fall, on 2·10⁵ networks."""
+    holds = dict.fromkeys([*CONDITIONS, "interval"], 0)
+    for n, seed in itertools.product((1, 2, 5, 10, 20), range(4)):
+        weights = networks(10_000, n=n, seed=seed)
+        found = results(weights)
+        for weak, strong in itertools.pairwise(found):
+            assert not ((found[weak].margin > 0) & (found[strong].margin <= 0)).any(), (weak, strong)
+        for weak, strong in itertools.pairwise(CONDITIONS):
+            assert (found[weak].rate >= found[strong].rate).all(), (weak, strong)
+        rounding = 2 * n * EPS * (weights.a * weights.w1).abs().sum(-1)  # sums in another order
+        assert (found["interval"].rate <= found["tight"].rate + rounding).all()
+        for name, gauge in BEST_GAUGE.items():
+            best = gauge(weights.a, weights.w1)
+            assert not ((found[name].margin > 0) & (best.margin <= 0)).any()
+            assert not ((best.margin > 0) & (found["lmi"].margin <= 0)).any()
+        for name in holds:
+            holds[name] += int((found[name].margin > 0).sum())
+    counts = list(holds.values())
+    assert 30_000 < counts[0] and counts[-1] < 190_000
+    assert all(strong - weak > 5000 for weak, strong in itertools.pairwise(counts)), holds
+
+
+def test_largest_rates_that_can_be_certified():
+    """K below n/(4(n+1)) for `simple`, ½ for `gershgorin` and `lmi`, 1 for `tight`: never above, and nearly reached."""
+    for n in (1, 4, 20):
+        bounds = {"simple": n / (4 * (n + 1)), "gershgorin": 0.5, "lmi": 0.5, "tight": 1.0}
+        half = torch.full((n,), 0.5).double()
+        extremes = {"simple": half / (n + 1), "gershgorin": 2 * half / n, "lmi": 2 * half / n, "tight": 4 * half / n}
+        a, w1, *_ = networks(20_000, n=n, seed=4)
+        for name, bound in bounds.items():
+            held = CONDITIONS[name](a, w1).margin > 0
+            assert held.any() and (rate(a, w1)[held] < bound).all()
+            inside, outside = (CONDITIONS[name](extremes[name] * (1 + e), half) for e in (-1e-9, 1e-9))
+            assert inside.margin > 0 > outside.margin
+            assert abs(rate(extremes[name], half) - bound) < 1e-14
+
+
+def test_equal_networks_have_equal_lmi_and_tight():
+    a, w1, *_ = networks(200, seed=5)
+    c = 2.0 ** torch.arange(-9, 9, 3)
+    for condition in (lmi, tight):
+        for one, other in zip(condition(a, w1), condition(a / c, w1 * c), strict=True):
+            assert one.equal(other)
+
+
+@pytest.mark.parametrize("name", BEST_GAUGE)
+def test_best_gauge_is_the_best_of_the_equal_networks(name):
+    a, w1, *_ = networks(200, seed=6)
+    best, literal = BEST_GAUGE[name](a, w1), CONDITIONS[name]
+    c = 1 / (2 * w1.abs())
+    torch.testing.assert_close(literal(a / c, w1 * c).rate, best.rate, rtol=1e-13, atol=0)
+    generator = torch.Generator().manual_seed(0)
+    for size in (0.01, 0.1, 1.0):
+        for centre in (c, torch.ones(6)):
+            gauge = centre * (size * torch.randn(50, 200, 6, generator=generator, dtype=torch.float64)).exp()
+            assert (literal(a / gauge, w1 * gauge).rate >= best.rate * (1 - 1e-13)).all()
+    differ = (best.margin > 0) & (literal(a, w1).margin <= 0)
+    assert differ.any(), "the literal condition depends on the gauge"
+
+
+def corner_signs(weights: ShallowWeights) -> tuple[torch.Tensor, torch.Tensor]:
+    """Neurons that are on at every corner of the box, and off at every corner."""
+    corners = torch.tensor(list(itertools.product(*zip(*map(torch.Tensor.tolist, BOX), strict=True))))
+    z = torch.einsum("...n,c->...nc", weights.w1, corners[:, 0].double()) + weights.b[..., None]
+    z = z + weights.W2 @ corners[:, 1:].double().mT
+    return (z > 0).all(-1), (z < 0).all(-1)
+
+
+def test_interval_is_the_largest_slope_over_the_patterns_that_it_cannot_exclude():
+    weights = networks(200, seed=7)
+    on, off = corner_signs(weights)
+    for found, expected in zip(fixed_signs(weights, *BOX), (on, off), strict=True):
+        assert found.equal(expected) and 100 < found.sum() < 1100
+    d = patterns(6)[:, None]
+    d = torch.where(on, 1.0, torch.where(off, 0.0, d))
+    largest = (d * weights.a * weights.w1).sum(-1).abs().amax(0)
+    torch.testing.assert_close(interval(weights, *BOX).rate, largest, rtol=1e-12, atol=1e-13)
+
+
+def test_interval_is_never_below_a_slope_in_the_box():
+    weights = networks(200, seed=8)
+    lo, hi = BOX
+    v = lo + (hi - lo) * torch.rand(2000, 1, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    z = weights.w1 * v[..., :1] + torch.einsum("bnm,tom->tbn", weights.W2, v[..., 1:]) + weights.b
+    slopes = ((z > 0) * weights.a * weights.w1).sum(-1).abs().amax(0)
+    found = interval(weights, *BOX).rate
+    assert (slopes <= found + 1e-13).all() and (slopes < 0.99 * found).any() and (slopes > 0.999 * found).any()
+
+
+def test_a_sign_that_rounding_may_turn_is_not_fixed():
+    """At x = u = 1, z = 0.1 x + 0.2 u − 0.3 is zero, 5e-17, or 2e-17: floats cannot tell."""
+    one, point = torch.ones(1).double(), torch.ones(2).double()
+    for b in (-0.3, -(0.1 + 0.2)):
+        weights = ShallowWeights(one, 0.1 * one, 0.2 * one[:, None], b * one)
+        assert not any(sign.any() for sign in fixed_signs(weights, point, point))
+        assert interval(weights, point, point).rate == 0.1
+
+
+def test_margin_is_positive_where_the_rate_is_below_one():
+    for name, found in results(networks(20_000, seed=9)).items():
+        assert ((found.margin > 0) == (found.rate < 1)).all(), name
+        assert 1000 < (found.margin > 0).sum() < 19_000, name
+
+
+@pytest.mark.parametrize("name", ["simple", "gershgorin", "lmi", "tight"])
+def test_rate_is_that_at_which_the_condition_holds(name):
+    """With a/κ in place of a it holds for κ above the rate, and not below."""
+    a, w1, *_ = networks(2000, seed=10)
+    found = CONDITIONS[name](a, w1).rate
+    some = found.isfinite()
+    assert (found.isinf() == (w1.abs() >= 1).any(-1)).all() if name in BEST_GAUGE else some.all()
+    a, w1, found = a[some], w1[some], found[some, None]
+    assert (CONDITIONS[name](a / (found * (1 + 1e-9)), w1).margin > 0).all()
+    assert (CONDITIONS[name](a / (found * (1 - 1e-9)), w1).margin < 0).all()
+
+
+def test_rates_equal_the_exact_ones_to_rounding():
+    for n in (1, 2, 7, 30):
+        a, w1, *_ = networks(20, n=n, seed=11)
+        for k in range(20):
+            for name, expected in exact.conditions(a[k].numpy(), w1[k].numpy()).items():
+                found = CONDITIONS[name](a[k], w1[k])
+                rounding = 4 * (n + 4) * EPS
+                assert abs(Fraction(found.margin.item()) - expected.margin) <= rounding * (1 + abs(expected.margin))
+                if expected.rate is None:
+                    assert found.rate == torch.inf
+                else:
+                    assert abs(Fraction(found.rate.item()) - expected.rate) <= rounding * expected.rate
+
+
+def test_gradients():
+    weights = networks(3, seed=12)
+    a, w1 = (x.clone().requires_grad_() for x in (weights.a, 0.4 * weights.w1))
+    for condition in (*CONDITIONS.values(), *BEST_GAUGE.values()):
+        assert torch.autograd.gradcheck(condition, (a, w1))
+    skip = torch.tensor([0.3, -0.4, 0.1], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(tight, (a, w1, skip))
+    assert torch.autograd.gradcheck(lambda a, w1: interval(weights._replace(a=a, w1=w1), *BOX), (a, w1))
+
+
+def test_gradients_are_finite_where_no_rate_is():
+    a, w1 = torch.tensor([0.3, 0.0, -0.2, 0.1]), torch.tensor([1.0, 2.0, -1.0, 0.0])
+    for condition, field in itertools.product(CONDITIONS.values(), ("margin", "rate")):
+        leaves = a.clone().requires_grad_(), w1.clone().requires_grad_()
+        getattr(condition(*leaves), field).backward()
+        assert all(leaf.grad.isfinite().all() for leaf in leaves)
+
+
+@pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
+def test_batches_are_networks_one_by_one(batch):
+    weights = networks(*batch, seed=13)
+    found = results(weights)
+    for each in (*found.values(), *(gauge(weights.a, weights.w1) for gauge in BEST_GAUGE.values())):
+        assert each.margin.shape == each.rate.shape == batch
+    for index in np.ndindex(batch):
+        own = results(ShallowWeights(*(x[index] for x in weights)))
+        for name, each in own.items():
+            assert each.margin == found[name].margin[index] and each.rate == found[name].rate[index]
+
+
+def test_a_dead_neuron_fails_gershgorin_though_the_map_ignores_it():
+    a, w1 = torch.tensor([0.1, 0.0]), torch.tensor([0.2, 1.0])
+    for condition in (simple, gershgorin):
+        assert condition(a, w1).margin <= 0 and condition(a, w1).rate == torch.inf
+        assert condition(a[:1], w1[:1]).margin > 0
+    for condition in (lmi, tight, *BEST_GAUGE.values()):
+        assert condition(a, w1).margin > 0
+
+
+def test_each_condition_holds_for_a_network_of_one_neuron_for_which_the_one_before_does_not():
+    cases = {"gershgorin": (0.6, 0.5), "lmi": (10.0, 0.04), "tight": (0.9, 1.0)}
+    for (name, (a, w1)), before in zip(cases.items(), CONDITIONS, strict=False):
+        a, w1 = torch.tensor([a]), torch.tensor([w1])
+        assert CONDITIONS[name](a, w1).margin > 0 >= CONDITIONS[before](a, w1).margin
+
+
+def test_the_identity_holds_at_no_condition():
+    """a = w₁ = 1, b = 0 is x⁺ = x for x ≥ 0: K = 1 to the last bit, which a non-strict test would pass."""
+    one = torch.ones(1)
+    for condition in (*CONDITIONS.values(), *BEST_GAUGE.values()):
+        assert condition(one, one).margin <= 0
+    assert tight(one, one).margin == 0
+
+
+@pytest.mark.parametrize("batch", [(), (2, 3)])
+def test_conditions_stay_on_the_device_of_the_weights(batch):
+    """`meta` stands for an accelerator (`tests/estimators/test_devices.py`)."""
+    there, box = ShallowWeights(*(x.to("meta") for x in networks(*batch))), [x.to("meta") for x in BOX]
+    with on_device():
+        found = [each(there.a, there.w1) for each in (*CONDITIONS.values(), *BEST_GAUGE.values())]
+        found += [interval(there, *box), tight(there.a, there.w1, torch.full(batch, 0.5, device="meta"))]
+    assert all(x.is_meta and x.shape == batch and x.dtype == torch.float64 for each in found for x in each)

@@ -1,0 +1,262 @@
+"""Where machine code is kept, and what is done where it is damaged."""
+
+import errno
+import os
+import shutil
+from pathlib import Path
+from typing import IO
+
+import numba
+import numpy as np
+import pytest
+from numba.core import caching
+
+from tests.support import ROOT
+from tests.support.commands import python
+from usvlearn.core import jit as compiled
+from usvlearn.engine import dispatch
+
+PREPARE = """
+import numpy as np
+from usvlearn import rows as samples
+from usvlearn.core.jit import announced
+with announced(samples.__file__, "trial"):
+    ones = np.ones((2, 1))
+    rows = np.empty((1, 2, samples.ROW))
+    samples.prepare_all(*[ones] * 6, ones > 0, ones > 0, True, 100.0, rows)
+print(rows[0, 0, -1])
+"""
+
+
+def test_machine_code_is_kept_and_announced_once(tmp_path):
+    first = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
+    (folder,) = (tmp_path / "usvlearn").glob("kernels-*")
+    assert first.stdout == "3.0\n" and f"kept in {folder}" in first.stderr
+    assert first.stderr.startswith("usvlearn: compiling the trial, only once …")
+    kept = {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")}
+    assert kept
+    again = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path))
+    assert again.stdout == "3.0\n" and again.stderr == ""
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.nb*")} == kept
+
+
+def twice(x):
+    return 2 * x
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+def test_damaged_machine_code_is_said_and_compiled_anew(tmp_path, monkeypatch, capsys, suffix):
+    """Truncated, empty, garbage, one bit: whatever a power cut leaves."""
+    monkeypatch.setattr(compiled, "folder", lambda source: tmp_path)
+
+    def restarted():
+        compiled._say_damaged.cache_clear()
+        function = compiled.jit(twice, entry=True)
+        assert function(1.5) == 3.0
+        return function.stats.cache_hits, capsys.readouterr().err
+
+    assert not any(restarted()[0].values())
+    (path,) = tmp_path.rglob(f"*{suffix}")
+    good = path.read_bytes()
+    flipped = bytearray(good)
+    flipped[len(good) // 2] ^= 4
+    for bad in (good[:-1], good[: len(good) // 2], b"", np.random.default_rng(0).bytes(len(good)), bytes(flipped)):
+        path.write_bytes(bad)
+        hits, said = restarted()
+        assert not any(hits.values()) and said.count("is damaged; it is compiled anew") == 1
+        hits, said = restarted()
+        assert sum(hits.values()) == 1 and said == ""
+
+
+def test_a_home_that_cannot_be_written_to(tmp_path):
+    (tmp_path / "file").touch()
+    (tmp_path / "other").mkdir()
+    done = python(PREPARE, NUMBA_CACHE_DIR=str(tmp_path / "file"), TMPDIR=str(tmp_path / "other"))
+    assert done.stdout == "3.0\n" and list((tmp_path / "other").glob("usvlearn-*/kernels-*/**/*.nb*"))
+
+
+READ_ONLY = """
+import errno, tempfile
+real = tempfile.TemporaryFile
+def refuse(*arguments, dir=None, **options):
+    if str(dir).startswith({kept!r}):
+        raise OSError(errno.EROFS, "read-only")
+    return real(*arguments, dir=dir, **options)
+tempfile.TemporaryFile = refuse
+"""
+
+
+def test_machine_code_that_can_only_be_read_is_used(tmp_path):
+    """As on a disk that is mounted read-only, or where another user has made it."""
+    kept, other = tmp_path / "kept", tmp_path / "other"
+    other.mkdir()
+    python(PREPARE, NUMBA_CACHE_DIR=str(kept))
+    before = sorted(kept.rglob("*"))
+    for _ in range(2):  # the second time it is copied already
+        done = python(
+            READ_ONLY.format(kept=str(kept)) + PREPARE + "print(*samples.prepare_all.stats.cache_hits.values())",
+            NUMBA_CACHE_DIR=str(kept), TMPDIR=str(other),
+        )  # fmt: skip
+        assert done.stdout == "3.0\n1\n" and done.stderr == ""
+    assert sorted(kept.rglob("*")) == before and len(list(other.glob("usvlearn-*/*"))) == 1
+
+
+@pytest.fixture
+def copied(tmp_path, monkeypatch):
+    """A copy of the package's sources, and the folder that the kernels of runs have there."""
+    root = tmp_path / "copy" / "usvlearn"
+    shutil.copytree(ROOT / "usvlearn", root, ignore=shutil.ignore_patterns("__pycache__"))
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(compiled, "HERE", root)
+
+    def folder(source: str = "engine/dispatch.py"):
+        compiled.folder.cache_clear()
+        return compiled.folder(root / source)
+
+    yield root, folder
+    compiled.folder.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("source", "old", "new"),
+    [
+        ("signals.py", "PLAUSIBLE = 100.0", "PLAUSIBLE = 101.0"),  # a constant in machine code, in a file without @jit
+        ("family.py", "MOST = 1e-30, 1e30", "MOST = 1e-30, 1e31"),
+        ("estimators/aid/kernel.py", "def adapt(", "def adapt("),
+        (
+            "estimators/aid/state.py",
+            "    GAIN = POSITIVE\n    LEAK = POSITIVE",
+            "    LEAK = POSITIVE\n    GAIN = POSITIVE",
+        ),
+        ("estimators/baselines/persistence/kernel.py", "def coast", "def coast"),
+        ("estimators/__init__.py", '"least_squares",\n    "aid",', '"aid",\n    "least_squares",'),
+        ("engine/chains.py", "def chain(", "def chain("),
+        ("jit.py", '"nogil": True', '"nogil": False'),
+    ],
+)
+def test_each_state_of_the_sources_has_a_folder_of_its_own(copied, source, old, new):
+    root, folder = copied
+    before, path = folder(), root / source
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new) + "\n")
+    after = folder()
+    path.write_text(text)
+    assert after != before == folder()
+
+
+def test_files_that_are_not_in_machine_code_change_no_folder(copied):
+    root, folder = copied
+    before = folder()
+    for source in ("estimators/aid/layer.py", "online.py", "simulate/missions_kernel.py", "README.md"):
+        path = root / source
+        path.write_text(f"{path.read_text() if path.exists() else ''}\n# changed\n")
+    assert folder() == before
+
+
+def test_a_family_declared_in_another_file_is_in_the_folder(copied):
+    """A state.py without @jit, from which a kernel takes a constant, in any form of import."""
+    root, folder = copied
+    kernel = root / "estimators" / "aid" / "kernel.py"
+    forms = (
+        "from usvlearn.estimators.aid.trial import A",
+        "from usvlearn.estimators.aid import trial",
+        "import usvlearn.estimators.aid.trial as t",
+        "def f():\n    from usvlearn.estimators.aid.trial import (\n A)",
+    )
+    text = kernel.read_text()
+    for form in forms:
+        kernel.write_text(f"{text}\n{form}\n")
+        found = []
+        for value in (1, 2):
+            kernel.with_name("trial.py").write_text(f"A = {value}\n")
+            found.append(folder())
+        assert found[0] != found[1], form
+
+
+def test_the_kernels_know_all_families_and_no_layer():
+    found = {path.relative_to(compiled.HERE).as_posix() for path in compiled.sources(Path(dispatch.__file__))}
+    kernels = {path.relative_to(compiled.HERE).as_posix() for path in compiled.HERE.glob("estimators/**/*kernel.py")}
+    assert kernels | {"signals.py", "family.py", "rows.py", "arrays.py", "jit.py"} <= found
+    assert not any("layer" in name for name in found)
+
+
+def test_machine_code_that_a_full_disk_cannot_keep_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(compiled, "folder", lambda source: tmp_path)
+
+    def full(path: str, mode: str) -> IO:  # it can still be read
+        if "w" in mode:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return open(path, mode)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(caching, "open", full, raising=False)
+        assert compiled.jit(twice, entry=True)(1.5) == 3.0
+    assert capsys.readouterr().err.count("cannot be kept in") == 1
+    assert compiled.jit(twice, entry=True)(1.5) == 3.0
+    function = compiled.jit(twice, entry=True)
+    assert function(1.5) == 3.0 and sum(function.stats.cache_hits.values()) == 1
+
+
+TRIAL = """
+from usvlearn import jit
+@jit.jit
+def half(x):
+    return x / 2
+@jit.jit(entry=True)
+def add(x, y):
+    return half(x) + half(y)
+print(jit.Part is None, add(3.0, 4.0), half(5.0), half(7), len(add.overloads), half.py_func(3))
+"""
+
+
+def test_parts_are_compiled_within_their_callers_or_alone_where_numba_lacks_what_they_need(tmp_path):
+    """Either way Python can call a part, too."""
+    (tmp_path / "trial.py").write_text(TRIAL)
+    run = f"import sys; sys.path.append({str(tmp_path)!r}); import trial"
+    parted = python(run, NUMBA_CACHE_DIR=str(tmp_path / "parts")).stdout
+    assert parted == f"{numba.version_info.short > (0, 68)} 3.5 2.5 3.5 1 1.5\n"
+    plain = python(
+        f"import sys; sys.modules['usvlearn.core.parts'] = None; {run}", NUMBA_CACHE_DIR=str(tmp_path / "plain")
+    )
+    assert plain.stdout == "True 3.5 2.5 3.5 1 1.5\n"
+
+
+def test_a_numba_that_lacks_a_name_has_no_parts():
+    code = "from numba.core.codegen import JITCodeLibrary, CPUCodeLibrary\ndel CPUCodeLibrary._optimize_final_module\n"
+    assert python(f"{code}from usvlearn import jit\nprint(jit.Part)").stdout == "None\n"
+
+
+def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
+    done = python(WARM, NUMBA_CACHE_DIR=str(tmp_path))
+    assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"
+    said = done.stderr.splitlines()
+    assert [line.partition(",")[0] for line in said] == [
+        "usvlearn: compiling the alignment",
+        "usvlearn: compiling the simulator",
+        "usvlearn: compiling the kernels of single steps",
+        "usvlearn: compiling the kernels of forecasts",
+        "usvlearn: compiling the kernels of runs",
+        "usvlearn: compiling the kernels of free runs",
+    ]
+
+
+WARM = """
+import numpy as np, torch
+from usvlearn import AID, Ensemble, Online, Persistence, RLS, rollout
+from usvlearn.cli import warm
+from usvlearn.engine import dispatch, free_runs
+from usvlearn.evaluation.crossval import cross_validate
+from tests.support import random_samples
+def compiled():
+    entries = dispatch.run, dispatch.step_once, free_runs.assess, free_runs.prepared.__globals__["prepare_all"]
+    return [len(each.signatures) for each in entries]
+warm.warm()
+before = compiled()
+ensemble, samples = Ensemble({"aid": AID(28.0), "rls": RLS(), "persistence": Persistence()}), random_samples(20)
+with torch.no_grad():
+    rollout(ensemble, ensemble.init(), samples)
+    cross_validate(ensemble, ensemble.init((1,)), [samples])
+Online(ensemble)
+print(before, compiled())
+"""

@@ -1,0 +1,59 @@
+"""TensorBoard's files, read by TensorBoard."""
+
+import numpy as np
+from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
+
+from tests.support.boards import boards, texts, values
+from usvlearn.display import event_file as tensorboard
+from usvlearn.display.event_file import TensorBoardWriter
+
+
+def test_points_and_checksums_are_those_that_tensorboard_reads(tmp_path):
+    """Whatever the length of a tag, and beyond float32; a wrong checksum would end the reading."""
+    values = {"aid": 0.1, "é" * 200: np.nan, "rls": 1e300, "zero": 0.0, "x" * 130: -1.5}
+    with TensorBoardWriter(tmp_path) as board:
+        for step in (0, 750, 2**40):
+            board.scalars(values, step, "heron/aid")
+    (path,) = (tmp_path / "heron" / "aid").glob("events*")
+    found = {}
+    for event in EventFileLoader(str(path)).Load():
+        for point in event.summary.value:
+            (found[point.tag, event.step],) = point.tensor.float_val
+    with np.errstate(over="ignore"):
+        expected = {(name, step): np.float32(value)
+                    for name, value in values.items() for step in (0, 750, 2**40)}  # fmt: skip
+    assert found.keys() == expected.keys()
+    np.testing.assert_array_equal(list(found.values()), [expected[key] for key in found])
+
+
+def test_runs_keep_their_order_and_hold_no_files_open(tmp_path):
+    """TensorBoard gives colours by the times of the first events; later points never come before them."""
+    names = [f"boat/{chr(122 - k)}" for k in range(20)]
+    with TensorBoardWriter(tmp_path, names) as board:
+        for name in reversed(names):
+            board.scalars({"a": 1.0}, 5, name)
+        board.text("told", "*yes*", run="boat/a")
+    assert list(boards(tmp_path))[:20] == names
+    with TensorBoardWriter(tmp_path, names, {name: 4 for name in names}) as board:  # resumed
+        board.scalars({"a": 2.0}, 4, names[3])
+    read = boards(tmp_path)
+    assert list(read)[:20] == names
+    assert values(read[names[3]], "a") == [2.0] and values(read[names[4]], "a") == []
+    assert texts(read["boat/a"]) == {"told": "*yes*"}
+
+
+def test_descriptions_come_with_the_first_point_of_each_tag(tmp_path):
+    with TensorBoardWriter(tmp_path, about=lambda tag: f"about {tag}") as board:
+        board.scalars({"a": 1.0}, 0)
+        board.scalars({"a": 2.0, "b": 3.0}, 1)
+    (events,) = boards(tmp_path).values()
+    assert values(events, "a") == [1.0, 2.0] and values(events, "b") == [3.0]
+    assert {tag: events.SummaryMetadata(tag).summary_description for tag in "ab"} == {"a": "about a", "b": "about b"}
+
+
+def test_what_is_written_can_be_read_while_the_run_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr(tensorboard, "SECONDS", 0.0)
+    board = TensorBoardWriter(tmp_path)
+    board.scalars({"a": 1.0}, 0, "one")
+    assert values(boards(tmp_path)["one"], "a") == [1.0]
+    board.close()

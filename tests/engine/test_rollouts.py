@@ -1,0 +1,354 @@
+"""Who makes the steps, and what stands against the kernels; checkpoints by either."""
+
+import copy
+import json
+import os
+import pickle
+import threading
+
+import numpy as np
+import pytest
+import torch
+from torch.autograd import forward_ad
+
+from tests.support import ESTIMATORS, over, random_samples
+from tests.support.commands import python
+from tests.support.kernel_cases import difference, mission
+from usvlearn import (
+    AID,
+    RLS,
+    Average,
+    Bank,
+    Ensemble,
+    Forecasts,
+    Inputs,
+    Online,
+    Persistence,
+    Robust,
+    Sample,
+    SIFtRLS,
+    SurgeDynamics,
+    WithMemory,
+    rollout,
+)
+from usvlearn.core import checkpoint as store
+from usvlearn.core.samples import tree_map
+from usvlearn.engine.rollouts import choose
+from usvlearn.errors import ConfigError
+
+
+class OwnAID(AID):
+    """Whose steps may be others."""
+
+
+class OwnModel(SurgeDynamics):
+    """Likewise."""
+
+
+class OwnRule(Average):
+    """Likewise."""
+
+
+def chosen(estimator, samples=None, batch=(), dtype=torch.float64, backend="auto"):
+    samples = random_samples(2, *batch, dtype=dtype) if samples is None else samples
+    return choose(estimator, estimator.init(batch), samples, backend)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_the_kernels_where_no_gradient_is_asked_for(name):
+    estimator, samples = ESTIMATORS[name](), random_samples(3)
+    learnable = any(x.requires_grad for x in estimator.parameters())
+    assert (chosen(estimator) is None) == learnable
+    with torch.no_grad():
+        description = chosen(estimator)
+        assert json.loads(json.dumps(description)) == description
+        by = {b: rollout(estimator, estimator.init(), samples, backend=b)[1] for b in ("auto", "kernel")}
+        assert torch.equal(by["auto"], by["kernel"])
+        assert chosen(estimator, backend="torch") is None
+    estimator.requires_grad_(False)
+    assert chosen(estimator) is not None
+    by = [rollout(estimator, estimator.init(), samples, backend=b)[1] for b in ("auto", "torch")]
+    assert difference(*by) < 1e-9 and not by[0].requires_grad
+
+
+NO_KERNEL = "OBSTACLE, or a part of it, has no compiled kernel"
+OBSTACLES = {
+    "subclass": (lambda: OwnAID(), NO_KERNEL.replace("OBSTACLE", "OwnAID")),
+    "model": (lambda: RLS(OwnModel()), NO_KERNEL.replace("OBSTACLE", "RLS")),
+    "inner": (lambda: Robust(WithMemory(OwnAID())), NO_KERNEL.replace("OBSTACLE", "Robust")),
+    "twice": (lambda: Robust(Robust(AID())), NO_KERNEL.replace("OBSTACLE", "Robust")),
+    "member": (lambda: Ensemble({"a": AID(), "b": OwnAID()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
+    "bank": (lambda: Ensemble({"a": Bank(OwnAID(gain=[1.0, 2.0]), ["a", "b"])}), "Ensemble, or a part"),
+    "nested": (lambda: Ensemble({"a": Ensemble({"b": AID()})}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
+    "rule": (lambda: Ensemble({"a": AID()}, {"own": OwnRule()}), NO_KERNEL.replace("OBSTACLE", "Ensemble")),
+}
+
+
+@pytest.mark.parametrize("what", OBSTACLES)
+def test_torch_where_there_is_no_kernel(what):
+    make, reason = OBSTACLES[what]
+    with torch.no_grad():
+        estimator = make()
+        assert chosen(estimator) is None
+        assert rollout(estimator, estimator.init(), random_samples(3))[1].isfinite().all()
+        with pytest.raises(ConfigError, match=f"backend: found kernel, but {reason}.*use auto or torch"):
+            rollout(estimator, estimator.init(), random_samples(3), backend="kernel")
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script:DeprecationWarning")  # of torch's own forward mode
+def test_torch_where_a_derivative_is_asked_for():
+    aid, rest, samples = AID(), Persistence(), random_samples(3)
+    assert chosen(rest) is not None
+    with pytest.raises(ConfigError, match=r"a gradient is asked for \(inside torch.no_grad\(\) none is\)"):
+        chosen(aid, backend="kernel")
+    wanted = samples._replace(surge=samples.surge.requires_grad_())
+    assert chosen(rest, wanted) is None
+    assert torch.autograd.grad(rollout(rest, rest.init(), wanted)[1].sum(), wanted.surge)[0].tolist() == [1, 1, 0]
+    state = tree_map(lambda x: x.clone().requires_grad_(), rest.init())
+    assert choose(rest, state, random_samples(3), "auto") is None
+    with torch.no_grad():
+        assert choose(rest, state, wanted, "auto") is not None
+        assert rollout(rest, state, wanted, backend="kernel")[1].tolist() == [0.0, *wanted.surge[:2].tolist()]
+    plain = random_samples(3)
+    with torch.no_grad(), forward_ad.dual_level():
+        dual = plain._replace(surge=forward_ad.make_dual(plain.surge, torch.ones(3).double()))
+        with pytest.raises(ConfigError, match="a forward derivative is asked for"):
+            chosen(rest, dual, backend="kernel")
+        assert forward_ad.unpack_dual(rollout(rest, rest.init(), dual)[1]).tangent.tolist() == [0, 1, 1]
+
+
+def test_torch_where_torch_transforms():
+    rest, samples = Persistence(), random_samples(3)
+    speeds = torch.tensor([0.5, 1.5], dtype=torch.float64)
+
+    def predictions(surge, backend="auto"):
+        return rollout(rest, rest.init()._replace(surge=surge), samples, backend=backend)[1]
+
+    expected = torch.stack([predictions(speed, "torch") for speed in speeds])
+    assert torch.equal(torch.vmap(predictions)(speeds), expected)
+    assert torch.func.jvp(predictions, (speeds[0],), (speeds[1],))[1].tolist() == [1.5, 0, 0]
+    with pytest.raises(ConfigError, match="torch transforms this function"):
+        torch.vmap(lambda x: predictions(x, "kernel"))(speeds)
+    torch.compiler.reset()
+    assert torch.equal(torch.compile(predictions, backend="eager")(speeds[1]), expected[1])
+
+
+def test_other_devices_and_dtypes_are_torch_s():
+    half = Persistence().to(torch.float16)
+    assert chosen(half, dtype=torch.float16) is None
+    with pytest.raises(ConfigError, match=r"found kernel, but the numbers are torch\.float16"):
+        chosen(half, dtype=torch.float16, backend="kernel")
+    with pytest.raises(ConfigError, match="not all tensors are on the CPU"):
+        chosen(Persistence().to("meta"), backend="kernel")
+    with pytest.raises(ConfigError, match="backend: found 'numba', expected one of auto, torch, kernel"):
+        chosen(Persistence(), backend="numba")
+
+
+def test_without_numba_torch_makes_the_steps(monkeypatch):
+    real = __import__("importlib.util").util.find_spec
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, *rest: None if name == "numba" else real(name, *rest))
+    rest, samples = Persistence(), random_samples(3)
+    assert chosen(rest) is None and Online(rest).step(tree_map(lambda x: x[0], samples)) == 0.0
+    for ask in (lambda: chosen(rest, backend="kernel"), lambda: Online(rest, backend="kernel")):
+        with pytest.raises(ConfigError, match="numba is not installed"):
+            ask()
+
+
+def test_hyperparameters_that_do_not_fit_the_batch_are_refused():
+    aid, samples = AID(gain=torch.ones(5, 1)), random_samples(3, 5, 2)
+    state, narrow = aid.init((5, 2)), AID(gain=torch.ones(4, 1))
+    with torch.no_grad():
+        for backend in ("kernel", "torch"):
+            with pytest.raises((ValueError, RuntimeError)):
+                rollout(narrow, state, samples, backend=backend)
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+@over("batch", [(), (2,)])
+def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
+    """Names, shapes, dtypes and what is said of them; numbers to rounding. Either goes on from the other's."""
+    samples = mission(60, *batch, seed=7)
+    at = [tree_map(lambda x, k=k: x[k], samples) for k in range(60)]
+    boats = {backend: Online(ESTIMATORS[name](), batch, backend) for backend in ("kernel", "torch")}
+    for online in boats.values():
+        for sample in at[:30]:
+            online.step(sample)
+    paths = {
+        backend: online.save(tmp_path / f"{backend}.safetensors", boat="heron") for backend, online in boats.items()
+    }
+    contents = {backend: path.read_bytes() for backend, path in paths.items()}
+    headers = {b: json.loads(x[8 : 8 + int.from_bytes(x[:8], "little")]) for b, x in contents.items()}
+    facts = [json.loads(header.pop("__metadata__")["usvlearn"]) for header in headers.values()]
+    assert all(one.pop("sha256") for one in facts) and facts[0] == facts[1]
+    assert headers["kernel"] == headers["torch"] and len(contents["kernel"]) == len(contents["torch"])
+    loaded = [tree_map(torch.from_numpy, store.load(path)[0]) for path in paths.values()]
+    assert difference(*loaded) <= 1e-9
+    boats["kernel"].load(paths["torch"])
+    boats["torch"].load(paths["kernel"])
+    found = [torch.tensor([online.step(sample) for sample in at[30:40]]) if batch == () else
+             torch.stack([torch.from_numpy(online.step(sample)) for sample in at[30:40]])
+             for online in boats.values()]  # fmt: skip
+    assert difference(*found) <= 1e-9 and difference(*(online.state for online in boats.values())) <= 1e-9
+
+
+PLAIN = """
+import torch
+from tests.support import ESTIMATORS
+from tests.support.kernel_cases import difference, mission
+from usvlearn import Online, rollout
+from usvlearn.core.samples import tree_map
+torch.set_grad_enabled(False)
+for make in ESTIMATORS.values():
+    estimator, samples = make(), mission(8, 2, seed=1)
+    found, expected = (rollout(estimator, estimator.init((2,)), samples, backend=b) for b in ("kernel", "torch"))
+    assert max(difference(x, y) for x, y in zip(found[:2], expected[:2])) < 1e-9
+    one = tree_map(lambda x: x[0, 0], samples)
+    kernel, eager = (Online(estimator, backend=b).step(one) for b in ("kernel", "torch"))
+    assert abs(kernel - eager) < 1e-12
+print(len(ESTIMATORS))
+"""
+
+
+def test_plain_python_makes_the_same_steps():
+    """As a debugger sees them."""
+    assert python(PLAIN, NUMBA_DISABLE_JIT="1").stdout == f"{len(ESTIMATORS)}\n"
+
+
+def test_a_gradient_of_a_constant_is_asked_for_too():
+    aid = AID(28.0).requires_grad_(False)
+    aid.model.mass.requires_grad_(True)
+    assert rollout(aid, aid.init(), random_samples(3))[1].requires_grad
+
+
+def test_a_method_that_was_replaced_is_heard():
+    aid = AID(28.0)
+    aid.learn = lambda state, inputs, surge: (state, surge)
+    with torch.no_grad():
+        samples = random_samples(3)
+        assert torch.equal(rollout(aid, aid.init(), samples)[1], samples.surge)
+
+
+def test_no_lanes_are_no_steps():
+    aid = AID(28.0)
+    with torch.no_grad():
+        assert rollout(aid, aid.init((0,)), random_samples(4, 0))[1].shape == (4, 0)
+
+
+@pytest.mark.parametrize("make", [
+    lambda: AID(28.0), lambda: Ensemble({"aid": AID(28.0), "rls": RLS()}, forecasts=Forecasts((0.4, 1.0))),
+], ids=["aid", "forecasts"])  # fmt: skip
+def test_hyperparameters_are_mapped_over(make):
+    """vmap hands over parameters that no kernel can read."""
+
+    samples = random_samples(5)
+
+    class Errors(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.estimator = make()
+
+        def forward(self):
+            return rollout(self.estimator, self.estimator.init(), samples)[1]
+
+    module = Errors()
+    stacked = {name: torch.stack([x.detach(), x.detach() + 1]) for name, x in module.named_parameters()}
+    with torch.no_grad():
+        both = torch.vmap(lambda each: torch.func.functional_call(module, each, ()))(stacked)
+        torch.testing.assert_close(both[0], module(), rtol=1e-12, atol=1e-12)
+    assert not torch.equal(both[0], both[1])
+
+
+def test_results_and_samples_are_tensors_like_any():
+    aid, samples = AID(28.0), random_samples(5, 3)
+    with torch.no_grad():
+        expected = rollout(aid, aid.init((3,)), samples)[1]
+        assert expected.view(-1).shape == (15,)
+        negated = torch.complex(samples.surge, -samples.surge).conj().imag  # a view that only says that it is negated
+        assert torch.equal(rollout(aid, aid.init((3,)), samples._replace(surge=negated))[1], expected)
+
+
+@pytest.mark.parametrize("name", ["aid", "robust_memory", "rnn", "joint", "boa"])
+def test_one_number_fits_every_batch_by_either(name):
+    one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
+    lanes = Sample(Inputs(*(np.full(3, x) for x in one.inputs)), np.ones(3), np.ones(3, bool), np.ones(3, bool))
+    found, expected = Online(ESTIMATORS[name](), (3,), "torch"), Online(ESTIMATORS[name](), (3,), "kernel")
+    for _ in range(3):
+        assert difference(torch.from_numpy(found.step(one)), torch.from_numpy(expected.step(lanes))) < 1e-9
+    assert (
+        difference(torch.from_numpy(found.predict(one.inputs)), torch.from_numpy(expected.predict(lanes.inputs))) < 1e-9
+    )
+
+
+def test_a_forecast_by_torch_is_that_of_the_kernels():
+    boats = [Online(Ensemble({"aid": AID(28.0)}, forecasts=Forecasts((0.4,))), (2,), b) for b in ("torch", "kernel")]
+    one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
+    found, expected = ([boat.step(one), boat.forecast([[0.5, 0.4]] * 5, 0.1).surge][1] for boat in boats)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def copies(online: Online) -> list[Online]:
+    return [copy.copy(online), copy.deepcopy(online), pickle.loads(pickle.dumps(online))]
+
+
+def test_a_copy_of_a_boat_goes_its_own_way():
+    sample = Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)
+    boat, whole = (Online(SIFtRLS(SurgeDynamics(28.0))) for _ in range(2))
+    boat.step(sample), whole.step(sample)
+    before = boat.state
+    for other in copies(boat):
+        expected = [whole.step(sample._replace(surge=x)) for x in (1.1, 1.3)]
+        assert [other.step(sample._replace(surge=x)) for x in (1.1, 1.3)] == expected
+        assert torch.equal(other.state.theta, whole.state.theta) and torch.equal(boat.state.theta, before.theta)
+        whole.state = before
+
+
+FORKS = """
+import os, signal, sys, threading
+from usvlearn import AID, BOA, Ensemble, Inputs, Online, Persistence, Sample
+boat = Online(Ensemble({"aid": AID(28.0), "persistence": Persistence()}, {"boa": BOA()}))
+sample, done = Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True), False
+def learn():
+    while not done:
+        boat.step(sample)
+thread = threading.Thread(target=learn)
+thread.start()
+for _ in range(40):
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)  # ends a child that hangs
+        boat.step(sample), Online(AID(28.0)).step(sample)
+        os._exit(0)
+    if os.waitpid(child, 0)[1]:
+        done = True
+        sys.exit("a child did not get through")
+done = True
+thread.join()
+print("40 children went on")
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_fork_while_a_thread_learns_leaves_the_child_free_to_learn():
+    assert python(FORKS).stdout == "40 children went on\n"
+
+
+def test_a_boat_that_is_asked_while_it_learns():
+    """The kernels hold no GIL: what they work in is one thread's at a time."""
+    samples = mission(1500, seed=3, faults=False)
+    numbers = zip(*(x.tolist() for x in (*samples.inputs, *samples[1:])), strict=True)
+    rows = [Sample(Inputs(*row[:5]), *row[5:]) for row in numbers]
+    asked, alone = (Online(SIFtRLS(SurgeDynamics(28.0))) for _ in range(2))
+    done = threading.Event()
+
+    def ask() -> None:
+        while not done.is_set():
+            asked.predict(rows[5].inputs)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    try:
+        found = [asked.step(row) for row in rows]
+    finally:
+        done.set()
+        thread.join()
+    np.testing.assert_array_equal(found, [alone.step(row) for row in rows])

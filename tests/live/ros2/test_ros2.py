@@ -1,0 +1,339 @@
+"""The part of the ROS 2 node that needs no rclpy: topics, fields, stamps and what is published.
+
+`test_ros2_node.py` tries the same against a real rclpy.
+"""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from tests.support import over
+from tests.support.ros2 import NotedSession, health, like_rclpy, rclpy_class
+from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.live.ros2.inputs import NS, Messages, plan
+from usvlearn.live.ros2.outputs import CLASSES, UNKNOWN, Outputs, message_class
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.ros.message_fields import FIELDS, default_field, read_field
+from usvlearn.logs.formats.ros.rosbag import Rosbag
+
+rosbags = pytest.importorskip("rosbags.typesys", reason="needs the package rosbags")
+ODOMETRY, NUMBER = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64"
+START = 1_700_000_000
+
+
+def odometry(stamp: float, surge: float = 1.0, yaw: float = 0.0, rate: float = 0.0):
+    message = rclpy_class(ODOMETRY)()
+    message.header.stamp.sec, message.header.stamp.nanosec = int(stamp), round(stamp % 1 * NS)
+    message.twist.twist.linear.x, message.twist.twist.angular.z = surge, rate
+    message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    return message
+
+
+# fields
+
+
+def test_the_default_fields_are_those_of_the_types():
+    """Each is a field of the message, and the one that has the value."""
+    for kind, fields in FIELDS.items():
+        for part, field in fields.items():
+            message = rclpy_class(kind)()
+            assert math.isfinite(read_field(message, field, part)) or part == "heading", (kind, part)
+            assert default_field(kind, part) == field
+    message = odometry(0.0, surge=1.5, yaw=0.25, rate=-0.5)
+    assert read_field(message, default_field(ODOMETRY, "surge"), "") == 1.5
+    assert read_field(message, default_field(ODOMETRY, "yaw_rate"), "") == -0.5
+    assert read_field(message, default_field(ODOMETRY, "heading"), "") == pytest.approx(0.25)
+    assert default_field("std_msgs/msg/Float64", "command_left[1]") == default_field("a/msg/B", "surge") == "data"
+
+
+def test_fields_of_rclpy_are_read_as_those_of_a_bag():
+    """Arrays, norms, quaternions, octets; and an error names what there is."""
+    message = odometry(0.0, surge=3.0)
+    message.twist.twist.linear.y = 4.0
+    assert read_field(message, "twist.twist.linear.x, twist.twist.linear.y", "") == 5.0
+    assert read_field(message, "pose.covariance.35", "") == 0.0
+    array = rclpy_class("std_msgs/msg/Float64MultiArray")(data=[0.5, 0.25])
+    assert read_field(array, "data.1", "") == 0.25
+    for raw, number in ((b"5", 53.0), (b"\xfe", -2.0)):  # not the digit 5; with a sign, as from a bag
+        assert read_field(rclpy_class("std_msgs/msg/Byte")(data=raw), "data", "") == number
+    assert read_field(rclpy_class("std_msgs/msg/Bool")(data=True), "data", "") == 1.0
+    with pytest.raises(
+        LogFormatError, match=r"surge: no field 'speed' in 'twist.speed'. .*covariance, twist|twist, cov"
+    ):
+        read_field(message, "twist.speed", "surge")
+    with pytest.raises(LogFormatError, match=r"expected a number in 'header'\. The fields here are: stamp, frame_id"):
+        read_field(message, "header", "surge")
+    with pytest.raises(LogFormatError, match="It holds str"):
+        read_field(rclpy_class("std_msgs/msg/String")(data="fast"), "data", "surge")
+    with pytest.raises(LogFormatError, match="no field '9'"):
+        read_field(array, "data.9", "surge")
+
+
+# topics
+
+
+def chosen(sources, graph, current=None, namespace="/", remap=None):
+    resolve = lambda name: (remap or {}).get(name) or (name if name[0] == "/" else f"{namespace.rstrip('/')}/{name}")  # noqa: E731
+    return plan(sources, graph, lambda topic: graph.get(topic, []), resolve, namespace, current)
+
+
+def test_a_topic_is_chosen_by_name_pattern_namespace_and_remapping():
+    sources = {
+        "surge": Source("*odom"),
+        "command_left": Source("left"),
+        "command_right": Source("/x/right", field="data.1"),
+    }
+    graph = {"/a/odom": [ODOMETRY], "/b/odom": [ODOMETRY], "/a/left": [NUMBER], "/other": [NUMBER],
+             "/x/right": ["std_msgs/msg/Float64MultiArray"]}  # fmt: skip
+    found = chosen(sources, graph, namespace="/a")
+    assert found.topics == {"/a/odom": ODOMETRY, "/a/left": NUMBER, "/x/right": "std_msgs/msg/Float64MultiArray"}
+    assert found.fields == {"/a/odom": {"surge": "twist.twist.linear.x"}, "/a/left": {"command_left": "data"},
+                            "/x/right": {"command_right": "data.1"}}  # fmt: skip
+    assert found.problems == {}
+    found = chosen(sources, graph, remap={"left": "/other"})
+    assert found.topics == {"/other": NUMBER, "/x/right": "std_msgs/msg/Float64MultiArray"}
+    assert found.problems == {"surge": "/a/odom, /b/odom match *odom: set channels.surge.name to one of them"}
+
+
+def test_a_topic_that_is_subscribed_to_stays_until_its_type_changes():
+    sources = {"surge": Source("*odom")}
+    current = {"/a/odom": ODOMETRY}
+    assert chosen(sources, {}).problems == {"surge": "no topic below / matches *odom yet"}
+    assert chosen({"surge": Source("v")}, {}).problems == {"surge": "nobody publishes /v yet"}
+    gone = chosen(sources, {"/a/odom": []}, current)
+    assert gone.topics == current and gone.problems == {"surge": "nobody publishes /a/odom any more"}
+    other = chosen(sources, {"/a/odom": [ODOMETRY], "/b/odom": [ODOMETRY]}, current)  # another boat comes
+    assert other.topics == current and "match *odom" in other.problems["surge"]
+    both = chosen(sources, {"/a/odom": [NUMBER, ODOMETRY]}, current)
+    assert both.topics == current and "published as std_msgs/msg/Float64, too: only nav" in both.problems["surge"]
+    changed = chosen(sources, {"/a/odom": [NUMBER]}, current)
+    assert changed.topics == {"/a/odom": NUMBER} and changed.problems == {}
+    new = chosen(sources, {"/a/odom": [NUMBER, ODOMETRY]})
+    assert new.topics == {} and "let it have one type" in new.problems["surge"]
+
+
+def test_a_type_that_is_not_installed_is_refused_in_one_sentence():
+    for kind in ("heron_msgs/msg/Drive", "os/path/join", "../a/msg/B", "usvlearn/msg/B"):
+        with pytest.raises(ConfigError, match="not installed here: source the workspace"):
+            message_class(kind)
+
+
+# time
+
+
+FIELDS_OF = {"surge": "twist.twist.linear.x", "heading": "pose.pose.orientation"}
+
+
+def test_a_message_has_the_stamp_of_its_header_or_the_clock_of_its_receipt():
+    session = NotedSession()
+    messages = Messages(session)
+    messages.take("/odom", FIELDS_OF, odometry(START + 0.25, 1.5, 0.5), (START + 1) * NS)
+    assert session.pushed == [("surge", START + 0.25, 1.5), ("heading", START + 0.25, pytest.approx(0.5))]
+    messages.take("/left", {"command_left": "data"}, rclpy_class(NUMBER)(data=0.5), (START + 2) * NS)
+    assert session.pushed[-1] == ("command_left", START + 2, 0.5) and not messages.sentences()
+    messages.take("/odom", FIELDS_OF, odometry(0.0), int((START + 2.5) * NS))  # the stamp was never set
+    assert session.pushed[-1][1] == START + 2.5 and not messages.sentences()
+    for wrong in (START - 3600.0, START + 3600.0):  # a clock that is wrong by an hour
+        messages.take("/odom", FIELDS_OF, odometry(wrong), (START + 3) * NS)
+        assert session.pushed[-1][1] == START + 3
+        (sentence,) = messages.sentences()
+        assert "the time of receipt is used" in sentence and ("ahead of" in sentence) == (wrong > START)
+    messages.take("/odom", FIELDS_OF, odometry(START + 3.5), (START + 3) * NS)
+    assert session.pushed[-1][1] == START + 3.5 and not messages.sentences()
+    receive = Messages(session, clock="receive")
+    receive.take("/odom", FIELDS_OF, odometry(START), int((START + 0.5) * NS))
+    assert session.pushed[-1][1] == START + 0.5 and session.restarts == 0
+
+
+def test_a_clock_that_steps_back_begins_a_new_segment():
+    session = NotedSession()
+    real, simulated = Messages(session), Messages(session, simulated=True)
+    for second, restarts in ((10, 0), (9.5, 0), (9.0, 0), (10, 0), (8.9, 1), (8.95, 1), (3609.0, 1), (9.0, 2)):
+        real.notice(int((START + second) * NS))
+        assert session.restarts == restarts, second
+    session.restarts = 0
+    for second, restarts in ((0, 0), (5, 0), (4.999, 1), (9, 1), (0, 2), (0.1, 2)):
+        simulated.notice(int(second * NS))
+        assert session.restarts == restarts, second
+
+
+def test_simulated_time_is_obeyed_and_needs_a_clock():
+    session = NotedSession()
+    messages = Messages(session, simulated=True)
+    messages.take("/left", {"command_left": "data"}, rclpy_class(NUMBER)(data=0.5), 0)
+    assert session.dropped == [("command_left", "no_time")] and not session.pushed
+    assert any("nobody publishes /clock" in each for each in messages.sentences())
+    messages.take("/left", {"command_left": "data"}, rclpy_class(NUMBER)(data=0.5), 7 * NS)
+    messages.take("/odom", FIELDS_OF, odometry(12.5), 7 * NS)  # a clock that is published seldom, at a high speed
+    assert [stamp for _, stamp, _ in session.pushed] == [7.0, 12.5, 12.5] and not messages.sentences()
+    messages.take("/odom", FIELDS_OF, odometry(3600.0), NS)  # sent before the reset of the clock
+    assert session.restarts == 1 and session.pushed[-1][1] == 1.0
+
+
+@over("value", [math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324])
+def test_numbers_of_any_size_are_pushed(value):
+    session = NotedSession()
+    messages = Messages(session)
+    message = odometry(START, value)
+    message.twist.twist.linear.y = message.pose.pose.orientation.z = message.pose.pose.orientation.x = value
+    fields = {"surge": "twist.twist.linear.x", "ground_speed": "twist.twist.linear.x,twist.twist.linear.y",
+              "heading": "pose.pose.orientation"}  # fmt: skip
+    messages.take("/odom", fields, message, START * NS)
+    assert session.pushed[0][2] == value or math.isnan(value)
+    assert len(session.pushed) == 3 and not session.dropped
+
+
+def test_a_message_of_another_kind_is_counted_and_told():
+    session = NotedSession()
+    messages = Messages(session)
+    text, fields = rclpy_class("std_msgs/msg/String")(data="fast"), {"command_left": "data", "surge": "twist.linear.x"}
+    for _ in range(3):
+        messages.take("/left", fields, text, START * NS)
+    assert session.dropped == [("command_left", "wrong_type"), ("surge", "wrong_type")] * 3 and not session.pushed
+    assert len(messages.sentences()) == 2 and "command_left" in messages.sentences()[0]
+    messages.take("/left", {"command_left": "data"}, rclpy_class(NUMBER)(data=1.0), START * NS)
+    assert not messages.sentences() and session.numbers("command_left") == [1.0]
+
+
+# a ROS 1 bag
+
+
+def test_a_bag_of_ros_1_gives_what_its_messages_would_have_given_live(tmp_path):
+    """Written with rosbags; the live node's stamps, fields and defaults are those of the reader of bags."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store, rng = get_typestore(Stores.ROS1_NOETIC), np.random.default_rng(0)
+    types, path = store.types, tmp_path / "boat.bag"
+    vector, quaternion = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Quaternion"]
+    header, when = types["std_msgs/msg/Header"], types["builtin_interfaces/msg/Time"]
+
+    def head(stamp: int):
+        return header(seq=0, stamp=when(sec=stamp // NS, nanosec=stamp % NS), frame_id="")
+
+    def odom(stamp: int):
+        x, y, z, w = rng.normal(size=4)
+        pose = types["geometry_msgs/msg/Pose"](
+            position=types["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0), orientation=quaternion(x=x, y=y, z=z, w=w)
+        )
+        twist = types["geometry_msgs/msg/Twist"](
+            linear=vector(*rng.normal(size=3)), angular=vector(*rng.normal(size=3))
+        )
+        return types[ODOMETRY](
+            header=head(stamp), child_frame_id="base_link",
+            pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+            twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=np.zeros(36)),
+        )  # fmt: skip
+
+    with Writer(path) as bag:
+        connections = {}
+        for k in range(200):
+            received = START * NS + k * NS // 10 + int(rng.integers(1000))
+            late = {3: 2 * NS, 4: -2 * NS, 5: received}.get(k % 7, int(rng.integers(NS // 5)))  # also never set
+            messages = {
+                "/usv/odom": odom(received - late),
+                "/usv/left": types[NUMBER](data=float(rng.choice([0.5, math.nan, 1e308]))),
+                "/usv/thrust": types["std_msgs/msg/Float32MultiArray"](
+                    layout=types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0),
+                    data=rng.normal(size=3).astype(np.float32),
+                ),
+            }
+            for topic, message in messages.items():
+                if topic not in connections:
+                    connections[topic] = bag.add_connection(topic, message.__msgtype__, typestore=store)
+                data = store.serialize_ros1(message, message.__msgtype__)
+                bag.write(connections[topic], received, data)
+    sources = {
+        "command_left": Source("*left", span=2.0), "command_right": Source("/usv/thrust", field="data.2", zero=1.0),
+        "heading": Source("*odom", unit="enu_rad"), "yaw_rate": Source("*odom", unit="enu_rad/s"),
+        "surge": Source("usv/odom"), "ground_speed": Source("*odom", "twist.twist.linear.x, twist.twist.linear.y"),
+    }  # fmt: skip
+    expected, _ = Rosbag().read(path, sources)
+    session = NotedSession(sources)
+    messages = Messages(session)
+    with AnyReader([path]) as bag:
+        graph = {each.topic: [each.msgtype] for each in bag.connections}
+        found = chosen(sources, graph)
+        assert not found.problems
+        start = bag.start_time
+        for connection, received, data in bag.messages():
+            message = like_rclpy(bag.deserialize(data, connection.msgtype), store)
+            messages.take(connection.topic, found.fields[connection.topic], message, received)
+    assert session.restarts == 0
+    for part, channel in expected.items():
+        stamps, raw = np.array([(stamp, raw) for name, stamp, raw in session.pushed if name == part]).T
+        usable = np.isfinite(raw)
+        assert len(raw) == 200 and (usable.all() or part == "command_left")
+        np.testing.assert_array_equal(sources[part].convert(raw[usable]), channel.value)
+        np.testing.assert_allclose(stamps[usable] - start / NS, channel.time, atol=1e-6)  # a float near 1.7e9 s
+
+
+# what is published
+
+
+@pytest.fixture(scope="module")
+def out() -> Outputs:
+    return Outputs({name: rclpy_class(f"{package}/msg/{name}") for name, package in CLASSES.items()}, "hull")
+
+
+def test_a_speed_has_its_time_and_the_variance_of_its_interval(out):
+    message = out.speed(START + 0.125, np.float64(1.5), 1.5 - 0.329, 1.5 + 0.329)
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == (START, 125_000_000)
+    assert message.header.frame_id == "hull" and message.twist.twist.linear.x == 1.5
+    covariance = np.array(message.twist.covariance).reshape(6, 6)
+    assert covariance[0, 0] == pytest.approx(0.2**2, rel=1e-3)  # 1.645 standard deviations are 0.329 m/s
+    assert np.array_equal(np.diag(covariance)[1:], [UNKNOWN] * 5) and np.count_nonzero(covariance) == 6
+    for low, high in ((-math.inf, math.inf), (math.nan, math.nan), (-1e308, 1e308)):
+        assert out.speed(0.0, 1.0, low, high).twist.covariance[0] == UNKNOWN
+
+
+def test_stamps_of_any_size_fit_a_message(out):
+    for stamp in (0.0, -0.25, 1e300, -1e300, math.nan, math.inf, START + 0.9999999999):
+        message = out.time(stamp)
+        assert -(2**31) <= message.sec < 2**31 and 0 <= message.nanosec < NS
+    assert (out.time(-0.25).sec, out.time(-0.25).nanosec) == (-1, 750_000_000)
+
+
+def test_a_forecast_has_a_row_for_each_horizon(out):
+    if_held = {10.0: (1.0, 0.75, 1.25), 2.0: (0.5, 0.375, 0.625)}
+    message = out.forecast({10.0: (1.0, 0.5, 1.5), 2.0: (0.5, 0.25, 0.75)}, if_held)
+    assert message.data == [2.0, 0.5, 0.25, 0.75, 0.375, 0.625, 10.0, 1.0, 0.5, 1.5, 0.75, 1.25]
+    assert [(d.label, d.size, d.stride) for d in message.layout.dim] == [
+        ("horizon", 2, 12), ("horizon_s,surge,low,high,low_if_held,high_if_held", 6, 6)]  # fmt: skip
+    members = out.members({"aid": 1.0, "rls": 2.0})
+    assert members.data == [1.0, 2.0] and members.layout.dim[1].label == "aid,rls"
+
+
+def test_the_health_is_a_diagnostic_of_the_model_and_one_of_the_inputs(out):
+    levels = {}
+    for state in ("ok", "waiting", "compiling", "stale"):
+        message = out.diagnostics(START, "usvlearn", health(state=state), {}, [])
+        levels[state] = [each.level for each in message.status]
+    assert levels == {"ok": [b"\0"] * 2, "waiting": [b"\1"] * 2, "compiling": [b"\1"] * 2, "stale": [b"\2"] * 2}
+    told = health(
+        ages={"surge": 0.25, "heading": math.inf}, counts={"surge": {"stale": 3}}, warnings=("the disk is full",),
+        identified={"steady_speed_full": (2.5, 2.0, 3.0, "m/s")},
+        contraction={"rnn": {"contracting": True, "condition": "tight", "rate": 0.5, "equilibrium": None}},
+    )  # fmt: skip
+    message = out.diagnostics(START, "usvlearn", told, {"heading": "nobody publishes /imu yet"}, ["a note"])
+    model, inputs = message.status
+    assert (model.name, inputs.name) == ("usvlearn: model", "usvlearn: inputs") and message.header.stamp.sec == START
+    assert model.level == b"\0" and inputs.level == b"\1"
+    assert inputs.message == "heading: nobody publishes /imu yet; a note; the disk is full"
+    values = {pair.key: pair.value for status in message.status for pair in status.values}
+    assert values["surge age s"] == "0.25" and values["heading age s"] == "never" and values["surge stale"] == "3"
+    assert values["rnn condition"] == "tight" and values["rnn equilibrium"] == "unknown"
+    assert values["steady_speed_full"] == "2.5 m/s, 90 % interval 2 to 3"
+
+
+def test_parameters_are_json_without_nan(out):
+    told = health(
+        identified={"lag": (1.0, -math.inf, math.nan, "s")},
+        contraction={"rnn": {"contracting": False, "rate": math.inf}},
+    )
+    content = json.loads(out.parameters(START, told).data, parse_constant=pytest.fail)
+    assert content["identified"] == {"lag": {"value": 1.0, "low": None, "high": None, "unit": "s"}}
+    assert content["contraction"] == {"rnn": {"contracting": False, "rate": None}}

@@ -1,0 +1,357 @@
+"""The node against a real rclpy: what it subscribes to, what it publishes, and what faults do to it.
+
+Skipped without rclpy, which comes with ROS 2. `test_ros2.py` tries the rest without it.
+"""
+
+import importlib
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import pytest
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 80))
+
+from tests.support import ROOT
+from tests.support.ros2 import NotedSession, Peer, health
+from usvlearn.errors import ConfigError
+from usvlearn.live.node import Step
+from usvlearn.live.ros2 import ros2_launch
+from usvlearn.live.ros2.outputs import message_class
+from usvlearn.live.ros2.shell import Shell
+from usvlearn.logs.channels.channel import Source
+
+rclpy: Any = pytest.importorskip("rclpy", reason="needs rclpy: source a ROS 2")
+pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")  # of a parser that rclpy imports
+ODOMETRY, NUMBER, TEXT = "nav_msgs/msg/Odometry", "std_msgs/msg/Float64", "std_msgs/msg/String"
+DIAGNOSTICS, TABLE = "diagnostic_msgs/msg/DiagnosticArray", "std_msgs/msg/Float64MultiArray"
+SPEED = "geometry_msgs/msg/TwistWithCovarianceStamped"
+SOURCES = {
+    "command_left": Source("*thrusters/left"),
+    "command_right": Source("thrusters/right"),
+    "heading": Source("*odom", unit="enu_rad"),
+    "yaw_rate": Source("*odom", unit="enu_rad/s"),
+    "surge": Source("*odom", unit="m/s"),
+}
+PATIENCE = 20.0  # s, for what takes milliseconds on an idle computer
+
+
+class Sea(Peer):
+    """A peer, and a node under test with a session that notes what it gets."""
+
+    def __init__(self, sources: dict[str, Source] = SOURCES, parameters: Sequence[str] = (), **options: Any):
+        super().__init__("peer")
+        self.session, self.boat = NotedSession(dict(sources)), Peer("usvlearn", parameters)
+        self.shell = Shell(self.boat.node, self.session, **options)  # type: ignore[arg-type]
+        self.others: list[Peer] = []
+
+    def other(self) -> Peer:
+        """One more peer."""
+        self.others.append(Peer(f"other{len(self.others)}"))
+        return self.others[-1]
+
+    def until(
+        self, true: Callable[[], Any], also: Callable[[], Any] = lambda: None, patience: float = PATIENCE
+    ) -> bool:
+        """Spin until something is true; `also` is done again and again."""
+        end = time.monotonic() + patience
+        while time.monotonic() < end:
+            also()
+            for each in (self.boat, self):
+                each.executor.spin_once(timeout_sec=0.02)
+            if true():
+                return True
+        return False
+
+    def close(self) -> None:
+        for each in (*self.others, self.boat):
+            each.close()
+        super().close()
+
+
+@pytest.fixture
+def sea() -> Iterator[Callable[..., Sea]]:
+    made: list[Sea] = []
+
+    def make(**options: Any) -> Sea:
+        made.append(Sea(**options))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+
+
+def number(value: float) -> Any:
+    return message_class(NUMBER)(data=value)
+
+
+def odometry(sea: Sea, surge: float = 1.0, yaw: float = 0.0, rate: float = 0.0, ahead: float = 0.0) -> Any:
+    """Stamped with the node's clock, or some s ahead of it."""
+    message = message_class(ODOMETRY)()
+    message.header.stamp = (
+        sea.boat.node.get_clock().now() + rclpy.duration.Duration(nanoseconds=int(ahead * 1e9))
+    ).to_msg()
+    message.twist.twist.linear.x, message.twist.twist.angular.z = surge, rate
+    message.pose.pose.orientation.z, message.pose.pose.orientation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    return message
+
+
+# inputs
+
+
+def test_parts_come_from_one_message_with_its_stamp(sea):
+    at_sea = sea()
+    odom = at_sea.publisher("/boat/odom", ODOMETRY)
+    left = at_sea.publisher("/boat/thrusters/left", NUMBER)
+    sent = odometry(at_sea, 1.25, 0.5, -0.1)
+    assert at_sea.until(lambda: at_sea.session.numbers("surge"), lambda: odom.publish(sent))
+    pushed = {part: (stamp, raw) for part, stamp, raw in at_sea.session.pushed}
+    stamp = sent.header.stamp.sec + sent.header.stamp.nanosec * 1e-9
+    assert pushed["surge"] == pytest.approx((stamp, 1.25)) and pushed["yaw_rate"] == pytest.approx((stamp, -0.1))
+    assert pushed["heading"] == pytest.approx((stamp, 0.5))
+    now = at_sea.boat.node.get_clock().now().nanoseconds * 1e-9
+    assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.75)))
+    (found,) = {raw for part, _, raw in at_sea.session.pushed if part == "command_left"}
+    stamp = next(stamp for part, stamp, _ in at_sea.session.pushed if part == "command_left")
+    assert found == 0.75 and now <= stamp < now + PATIENCE
+
+
+@pytest.mark.parametrize("reliable", [True, False])
+@pytest.mark.parametrize("lasting", [True, False])
+def test_publishers_of_every_quality_of_service_are_heard(sea, reliable, lasting):
+    at_sea, qos = sea(), importlib.import_module("rclpy.qos")
+    profile = qos.QoSProfile(
+        depth=1,
+        reliability=qos.ReliabilityPolicy.RELIABLE if reliable else qos.ReliabilityPolicy.BEST_EFFORT,
+        durability=qos.DurabilityPolicy.TRANSIENT_LOCAL if lasting else qos.DurabilityPolicy.VOLATILE,
+    )
+    left = at_sea.publisher("/thrusters/left", NUMBER, profile)
+    assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.5)))
+
+
+def test_numbers_of_any_size_arrive_as_they_were_sent(sea):
+    at_sea = sea()
+    left = at_sea.publisher("/thrusters/left", NUMBER)
+    assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.5)))
+    before = len(at_sea.session.pushed)
+    for value in (math.nan, math.inf, -math.inf, 1e308, -5e-324):
+        left.publish(number(value))
+    assert at_sea.until(lambda: len(at_sea.session.numbers("command_left")) >= before + 5)
+    found = at_sea.session.numbers("command_left")[-5:]
+    assert math.isnan(found[0]) and found[1:] == [math.inf, -math.inf, 1e308, -5e-324]
+
+
+def test_text_in_place_of_a_number_is_counted_and_told(sea):
+    at_sea = sea()
+    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
+    left = at_sea.publisher("/thrusters/left", TEXT)
+    assert at_sea.until(
+        lambda: ("command_left", "wrong_type") in at_sea.session.dropped,
+        lambda: left.publish(message_class(TEXT)(data="half ahead")),
+    )
+    assert at_sea.until(lambda: any("expected a number in 'data'" in told(each, "inputs") for each in listened))
+    assert not at_sea.session.pushed
+
+
+def test_a_topic_that_comes_back_with_another_type_is_read_anew(sea):
+    at_sea = sea()
+    first = at_sea.publisher("/thrusters/left", TEXT)
+    assert at_sea.until(lambda: at_sea.session.dropped, lambda: first.publish(message_class(TEXT)(data="half ahead")))
+    at_sea.node.destroy_publisher(first)
+    second = at_sea.other().publisher("/thrusters/left", NUMBER)
+    assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: second.publish(number(0.25)))
+
+
+def test_a_second_type_on_a_topic_is_told_and_does_not_disturb(sea):
+    at_sea = sea()
+    listened = at_sea.listen("/usvlearn/health", DIAGNOSTICS)
+    left = at_sea.publisher("/thrusters/left", NUMBER)
+    assert at_sea.until(lambda: at_sea.session.numbers("command_left"), lambda: left.publish(number(0.25)))
+    other = at_sea.other().publisher("/thrusters/left", TEXT)
+
+    def both() -> None:
+        other.publish(message_class(TEXT)(data="astern"))
+        left.publish(number(0.5))
+
+    expected = "/thrusters/left is published as std_msgs/msg/String, too: only std_msgs/msg/Float64 is read"
+    assert at_sea.until(lambda: any(expected in told(each, "inputs") for each in listened), both)
+    assert at_sea.session.numbers("command_left")[-1] == 0.5 and not at_sea.session.dropped
+
+
+def test_a_publisher_that_restarts_is_heard_again(sea):
+    at_sea = sea()
+    for value in (0.25, 0.5, 0.75):
+        left = at_sea.publisher("/thrusters/left", NUMBER)
+        assert at_sea.until(lambda v=value: v in at_sea.session.numbers("command_left"),
+                            lambda p=left, v=value: p.publish(number(v)))  # fmt: skip
+        at_sea.node.destroy_publisher(left)
+    assert at_sea.until(lambda: "any more" in at_sea.shell._problems.get("command_left", ""))
+
+
+def test_a_type_that_is_not_installed_is_told(sea, monkeypatch):
+    at_sea = sea()
+    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
+    monkeypatch.setattr("usvlearn.live.ros2.shell.message_class", lambda kind: message_class("heron_msgs/msg/Drive"))
+    at_sea.publisher("/thrusters/left", NUMBER)
+    expected = "command_left: /thrusters/left: found messages of type heron_msgs/msg/Drive, which is not installed here"
+    assert at_sea.until(lambda: any(expected in told(each, "inputs") for each in listened))
+
+
+@pytest.mark.parametrize("name", ["left thruster", "1st", "/a//b"])
+def test_a_name_that_is_no_topic_is_refused(sea, name):
+    with pytest.raises(ConfigError, match=r"channels: found the topic '.*': topic name .*: name another"):
+        sea(sources={"surge": Source(name)})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["-p", "masss:=3.0"], "parameter masss: found no such parameter: did you mean mass?"),
+        (["-p", "mass:=heavy"], "parameter mass: found 'heavy', expected a number"),
+        (["-p", "mass:=28.0", "-p", "surge_max:=2.7", "-p", "channels.surge.unit:=furlong"], "found 'furlong'"),
+        (["-p", "mass"], "--ros-args: "),
+        (["--params-file", "missing.yaml"], "--ros-args: "),
+        ([], "found no parameter set, and no mass and top speed for a prior"),
+    ],
+)
+def test_what_a_user_mistypes_ends_the_command_with_a_sentence(tmp_path, arguments, sentence):
+    command = [sys.executable, "-m", "usvlearn", "live", "ros2", "node", "--ros-args", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 2 and last.startswith("error: ") and sentence in last
+    assert "Traceback" not in done.stderr
+
+
+# time
+
+
+def test_stamps_that_are_wrong_by_an_hour_are_replaced_by_the_time_of_receipt(sea):
+    at_sea = sea()
+    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
+    odom = at_sea.publisher("/odom", ODOMETRY)
+    assert at_sea.until(lambda: at_sea.session.numbers("surge"), lambda: odom.publish(odometry(at_sea)))
+    for ahead, word in ((3600.0, "ahead of"), (-3600.0, "behind")):
+        at_sea.session.pushed.clear()
+        listened.clear()
+        assert at_sea.until(
+            lambda w=word: any(f"3.6e+03 s {w} the node's clock" in told(each, "inputs") for each in listened),
+            lambda a=ahead: odom.publish(odometry(at_sea, ahead=a)),
+        )
+        now = at_sea.boat.node.get_clock().now().nanoseconds * 1e-9
+        assert all(abs(stamp - now) < PATIENCE for _, stamp, _ in at_sea.session.pushed)
+    assert at_sea.session.restarts == 0
+
+
+def test_simulated_time_is_obeyed_and_its_reset_begins_a_new_segment(sea):
+    at_sea = sea(parameters=["use_sim_time:=true"])
+    listened = at_sea.listen("/diagnostics", DIAGNOSTICS)
+    left = at_sea.publisher("/thrusters/left", NUMBER)
+    assert at_sea.until(
+        lambda: ("command_left", "no_time") in at_sea.session.dropped, lambda: left.publish(number(0.5))
+    )
+    assert at_sea.until(lambda: any("nobody publishes /clock" in told(each, "inputs") for each in listened))
+    clock = at_sea.publisher("/clock", "rosgraph_msgs/msg/Clock")
+    kind = message_class("rosgraph_msgs/msg/Clock")
+    for seconds, restarts in ((100, 0), (4000, 0), (400, 1), (2, 2)):  # ahead by an hour, back by an hour, a reset
+
+        def both(seconds: int = seconds) -> None:
+            message = kind()
+            message.clock.sec = seconds
+            clock.publish(message)
+            left.publish(number(float(seconds)))
+
+        assert at_sea.until(lambda s=seconds: ("command_left", float(s), float(s)) in at_sea.session.pushed, both)
+        assert at_sea.session.restarts == restarts
+
+
+# outputs
+
+
+STEP = Step(
+    1.7e9 + 0.5, 1.0, 1.5, 1.25, 1.75, 1.625, 1.5, 1.75, {10.0: (2.0, 1.0, 3.0)}, {10.0: (2.0, 1.5, 2.5)},
+    {"aid": 1.5}, ("left is lost",),
+)  # fmt: skip
+
+
+def test_a_plan_is_answered(sea):
+    at_sea = sea()
+    publisher, heard = at_sea.publisher("/usvlearn/plan", TEXT), at_sea.listen("/usvlearn/plan_forecast", TEXT)
+    plan = message_class(TEXT)(data="0,1,1")
+    assert at_sea.until(lambda: heard, lambda: publisher.publish(plan))
+    assert heard[0].data == "answer to 0,1,1"
+
+
+@pytest.mark.parametrize("reliable", [True, False])
+def test_what_is_known_is_published(sea, reliable):
+    at_sea, qos = sea(members=True), importlib.import_module("rclpy.qos")
+    policy = qos.ReliabilityPolicy.RELIABLE if reliable else qos.ReliabilityPolicy.BEST_EFFORT
+    profile = qos.QoSProfile(depth=10, reliability=policy)
+    kinds = {"surge_predicted": SPEED, "surge_next": SPEED, "forecast": TABLE, "members": TABLE, "alarm": TEXT}
+    heard = {name: at_sea.listen(f"/usvlearn/{name}", kind, profile) for name, kind in kinds.items()}
+    assert at_sea.until(lambda: all(heard.values()), lambda: at_sea.shell.publish([STEP]))
+    assert heard["surge_predicted"][0].twist.twist.linear.x == 1.5
+    assert heard["surge_predicted"][0].header.stamp.nanosec == 500_000_000
+    assert heard["surge_next"][0].header.stamp.nanosec == 750_000_000  # a step of 0.25 s later
+    assert heard["surge_next"][0].twist.covariance[0] == pytest.approx((0.125 / 1.645) ** 2, rel=1e-3)
+    assert list(heard["forecast"][0].data) == [10.0, 2.0, 1.0, 3.0, 1.5, 2.5] and list(heard["members"][0].data) == [
+        1.5
+    ]
+    assert heard["alarm"][0].data == "left is lost"
+    at_sea.until(lambda: False, patience=0.5)  # until all has arrived
+    for each in heard.values():
+        each.clear()
+    unknown = STEP._replace(speed=math.nan, forecasts={}, members={}, alarms=())
+    assert at_sea.until(lambda: len(heard["surge_next"]) > 5, lambda: at_sea.shell.publish([unknown]))
+    assert [name for name, each in heard.items() if each] == ["surge_next"]
+
+
+def test_parameters_and_the_last_alarm_reach_a_late_subscriber(sea):
+    at_sea, qos = sea(), importlib.import_module("rclpy.qos")
+    at_sea.session.health = health(identified={"lag": (0.5, 0.25, 0.75, "s")})
+    at_sea.shell.publish([STEP])
+    at_sea.shell.tick()
+    late = qos.QoSProfile(depth=1, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
+    alarms, parameters = (at_sea.listen(f"/usvlearn/{name}", TEXT, late) for name in ("alarm", "parameters"))
+    assert at_sea.until(lambda: alarms and parameters)
+    assert json.loads(parameters[-1].data)["identified"]["lag"] == {
+        "value": 0.5,
+        "low": 0.25,
+        "high": 0.75,
+        "unit": "s",
+    }
+
+
+def test_the_health_is_published_each_second_as_a_diagnostic(sea):
+    at_sea = sea()
+    own, all_of_them = at_sea.listen("/usvlearn/health", DIAGNOSTICS), at_sea.listen("/diagnostics", DIAGNOSTICS)
+    assert at_sea.until(lambda: len(own) > 1 and len(all_of_them) > 1)
+    assert [status.name for status in own[-1].status] == ["usvlearn: model", "usvlearn: inputs"]
+    assert "surge: no topic below / matches *odom yet" in told(own[-1], "inputs")
+    at_sea.session.health = health(state="stale", ages={"surge": 12.0})
+    assert at_sea.until(lambda: own[-1].status[0].level == b"\2")
+
+
+def test_launch_reads_the_launch_file():
+    launch = pytest.importorskip("launch", reason="needs launch and launch_ros: source a ROS 2")
+    pytest.importorskip("launch_ros.actions", reason="needs launch_ros: source a ROS 2")
+    declared = ros2_launch.generate_launch_description().entities[:-1]
+    assert [each.name for each in declared] == list(ros2_launch.ARGUMENTS)
+    context = launch.LaunchContext()
+    for each in declared:
+        each.visit(context)
+    (node,) = ros2_launch._nodes(context, importlib.import_module("launch.substitutions").LaunchConfiguration)
+    words = ["".join(part.perform(context) for part in word) for word in node.cmd[:4]]
+    assert words == ["usvlearn", "live", "ros2", "~/usvlearn"]
+
+
+def told(message: Any, name: str) -> str:
+    """What the status of a diagnostic says."""
+    return next(status.message for status in message.status if status.name.endswith(name))

@@ -1,0 +1,362 @@
+"""The data check: every mistake is found and named, and boats without one are left in peace."""
+
+import re
+
+import numpy as np
+import pytest
+from data_check import (
+    ALIGN,
+    CONFIGURED,
+    FAULTS,
+    MISTAKES,
+    TOP,
+    boats,
+    changed,
+    kinds,
+    late,
+    then,
+    times,
+    with_yaw_rate,
+)
+
+import usvlearn
+from tests.support import REAL_LOGS
+from usvlearn.cli.composition import recordings_of
+from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.logs.channels.channel import COMMANDS, SURGE, Channel, Recording
+from usvlearn.logs.checks.data_check import check_data, check_level, refuse
+from usvlearn.logs.checks.finding import NOTE, WARNING, Finding, override
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.simulate.autopilot import Autopilot
+from usvlearn.simulate.fleet import fleet
+from usvlearn.simulate.sensors import Sensors
+
+UNKNOWABLE = ("speed in m/s as knots",)  # without positions nothing fixes the scale of a slow speed
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return {plant: boats(plant, 0, 0.5) for plant in ("heron", "kingfisher", "wamv")}
+
+
+def warned(recordings, plant):
+    return kinds(recordings, plant, WARNING)
+
+
+@pytest.mark.parametrize("name", [name for name in MISTAKES if name not in UNKNOWABLE])
+def test_each_mistake_is_found_and_named(name, logs):
+    change, expected = MISTAKES[name]
+    for plant, recordings in logs.items():
+        found = kinds(changed(recordings, change), plant)
+        assert set(found) & set(expected), (plant, found)
+
+
+@pytest.mark.parametrize("plant", ["heron", "kingfisher", "otter"])
+def test_no_simulated_boat_without_a_mistake_is_warned_of(plant):
+    for seed in range(20):
+        assert warned(boats(plant, seed, 0.2), plant) == [], seed
+
+
+@pytest.mark.parametrize("fault", FAULTS[1:], ids=lambda fault: f"{fault.side} {fault.share} {fault.minute}")
+def test_a_dying_thruster_is_no_reversed_side(fault):
+    for plant in ("heron", "kingfisher", "vtec"):
+        for seed in range(3):
+            assert warned(boats(plant, seed, 0.25, fault), plant) == [], (plant, seed)
+
+
+def test_commands_that_are_posted_on_change_are_no_finding():
+    recordings = fleet(n=1, hours=0.3, sensors=Sensors(commands="on_change"))
+    assert kinds(recordings, "heron") == []
+
+
+@pytest.mark.parametrize("name", ["blueboat", "vtec", "dalian", "pearl"])
+def test_real_boats_as_configured(name):
+    if not (REAL_LOGS / name).is_dir():
+        pytest.skip(f"the logs of {name} are not here: they are not published with this project")
+    recordings, settings = recordings_of(name, {"data": {"path": str(REAL_LOGS / name)}})
+    recordings, surge_max = list(recordings), settings["vehicle"]["surge_max"]
+    aligned = align_fleet(recordings, **settings["align"])
+    found = check_data(recordings, aligned, settings["align"], surge_max, settings["data"]["channels"])
+    assert found == []
+    if name == "blueboat":  # its logs name the sides the other way round
+        left, right = COMMANDS
+        sides = [
+            one._replace(channels={**one.channels, left: one.channels[right], right: one.channels[left]})
+            for one in recordings
+        ]
+        told = check_data(sides, None, settings["align"], surge_max, settings["data"]["channels"])
+        assert [(each.kind, each.severity) for each in told] == [("sides swapped", WARNING)]
+
+
+def written(tmp_path, recordings) -> str:
+    """The channels as a table, each at its latest value."""
+    rows = ["time,left,right,heading,speed"]
+    for one in recordings:
+        at = np.arange(1.0, max(one.channels[SURGE].time) - 1, 0.1)
+        columns = []
+        for name in (*COMMANDS, "heading", SURGE):
+            place = np.argsort(one.channels[name].time, kind="stable")
+            time, value = one.channels[name].time[place], one.channels[name].value[place]
+            columns.append(value[np.maximum(np.searchsorted(time, at) - 1, 0)])
+        rows += [",".join(f"{x:.6f}" for x in row) for row in zip(at, *columns, strict=True)]
+    path = tmp_path / "heron.csv"
+    path.write_text("\n".join(rows))
+    return str(path)
+
+
+def settings_of(key: str) -> dict:
+    """The channels that overrides name."""
+    channels: dict = {}
+    for each in key.split():
+        path, _, value = each.partition("=")
+        _, _, channel, option = path.split(".")
+        number = value.lstrip("-").replace(".", "", 1).isdigit()
+        channels.setdefault(channel, {})[option] = float(value) if number else value
+    return channels
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        times(3.6, SURGE),
+        times(3600 / 1852, SURGE),
+        times(-1, "command_right"),
+        times(-1, *COMMANDS),
+        times(0.01, *COMMANDS),
+        times(100, *COMMANDS),
+        lambda log: {"heading": log["heading"]._replace(value=np.degrees(log["heading"].value))},
+    ],
+    ids=["km/h", "knots", "right reversed", "both reversed", "hundredths", "percent", "degrees"],
+)
+def test_the_named_key_corrects_the_mistake(change, tmp_path):
+    """Findings of a table are applied until none is left, as a user would."""
+    (recording,) = fleet(n=1, hours=0.2, mission_minutes=12.0, missions=["patrol"], seed=5, aborted_share=0.0)
+    path = written(tmp_path, changed([recording], change))
+    channels = {
+        "command_left": {"name": "left"}, "command_right": {"name": "right"}, "surge": {"name": "speed"},
+        "heading": {"name": "heading", "unit": "rad"},
+    }  # fmt: skip
+    told = []
+    for _ in range(4):
+        try:
+            logs = usvlearn.read(path, "csv", channels=channels, surge_max=2.74)
+        except LogFormatError as error:  # nothing could be aligned; the error has the keys
+            keys = [part.split(": set ")[1] for part in str(error).split("data check: ")[1].split("; ")]
+        else:
+            keys = [each.key for each in logs.findings]
+        if not keys:
+            break
+        told += keys
+        for key in keys:
+            for name, options in settings_of(key.split(" or ")[0]).items():
+                channels[name] = {**channels[name], **options}
+    assert told and not keys, (told, keys)
+
+
+def test_findings_say_the_number_and_the_key(logs):
+    wrong = changed(logs["heron"], late)
+    (finding,) = check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED)
+    assert finding.about == "commands, surge" and finding.severity == WARNING
+    assert "10" in finding.found and "behind the commands" in finding.found
+    assert finding.key.startswith("data.channels.command_left.delay=10")
+    assert "found speeds" in finding.sentence() and "set data.channels" in finding.sentence()
+
+
+def frozen(name, first, last, value=None):
+    """A channel that stays at its value between two times, s."""
+
+    def change(log):
+        channel = log[name]
+        within = (channel.time >= first) & (channel.time < last)
+        stays = channel.value[within][0] if value is None else value
+        return {name: channel._replace(value=np.where(within, stays, channel.value))}
+
+    return change
+
+
+@pytest.fixture(scope="module")
+def patrol():
+    return {plant: fleet(n=1, plant=plant, hours=0.25, mission_minutes=15.0, missions=["patrol"], seed=5,
+                         autopilot=Autopilot(lowest=-1.0), aborted_share=0.0)
+            for plant in ("heron", "vtec", "otter")}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [SURGE, "heading", "yaw_rate"])
+def test_a_channel_that_freezes_is_told_with_its_run_and_time(name, patrol):
+    for plant, recordings in patrol.items():
+        whole = changed(recordings, with_yaw_rate) if name == "yaw_rate" else recordings
+        (finding,) = (
+            each
+            for each in check_data(changed(whole, frozen(name, 300, 500)), None, ALIGN, TOP[plant], CONFIGURED)
+            if each.kind == "frozen"
+        )
+        assert (finding.about, finding.severity) == (name, WARNING)
+        first, last = (float(each) for each in re.findall(r"from (\d+) to (\d+) s", finding.found)[0])
+        assert abs(first - 300) < 3 and abs(last - 500) < 3 and recordings[0].run in finding.found
+
+
+def test_a_command_that_freezes_while_the_boat_turns_as_before_is_told(patrol):
+    for side in COMMANDS:
+        wrong = changed(patrol["heron"], frozen(side, 450, 900, 0.1))
+        found = check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED)
+        assert ("frozen", side) in [(each.kind, each.about) for each in found]
+
+
+def test_what_stays_equal_for_a_reason_is_not_frozen(patrol):
+    (log,) = patrol["heron"]
+    surge, heading = log.channels[SURGE], log.channels["heading"]
+    coarse = {SURGE: surge._replace(value=np.round(surge.value, 1)),
+              "heading": heading._replace(value=np.radians(np.round(np.degrees(heading.value))))}  # fmt: skip
+
+    def rest(log):  # the boat lies still, with thrusters that are off or idle
+        return {name: frozen(name, 400, 600, value)(log)[name]
+                for name, value in ((SURGE, 0.0), ("heading", None))}  # fmt: skip
+
+    def cruise(log):
+        return {name: frozen(name, 400, 600)(log)[name] for name in COMMANDS}
+
+    for change in (lambda log: coarse, rest, cruise, then(rest, cruise)):
+        found = check_data(changed([log], change), None, ALIGN, TOP["heron"], CONFIGURED)
+        assert "frozen" not in [each.kind for each in found], change
+
+
+def commands_before(seconds):
+    return lambda log: {name: log[name]._replace(time=log[name].time - seconds) for name in COMMANDS}
+
+
+@pytest.mark.parametrize("seconds", [4, 5, 10])
+def test_a_delay_of_seconds_is_told_with_its_key(seconds):
+    for plant in ("heron", "otter", "wamv"):
+        recordings = boats(plant, 0, 0.6)
+        for change, delay in (
+            (commands_before(seconds), seconds),  # a speed that comes late
+            (then(commands_before(seconds), set_delay(seconds)), None),  # the same, as configured
+        ):
+            found = check_data(changed(recordings, change), None, ALIGN, TOP[plant], CONFIGURED)
+            keys = [each.key for each in found if each.kind == "delay"]
+            if delay is None:
+                assert not keys, (plant, keys)
+            else:
+                (key,) = keys
+                told = float(key.split()[0].removeprefix("data.channels.command_left.delay="))
+                assert abs(told - delay) <= 1, (plant, key)
+
+
+def set_delay(seconds):
+    return lambda log: {name: log[name]._replace(delay=float(seconds)) for name in COMMANDS}
+
+
+def test_a_configured_delay_that_is_too_long_is_told():
+    found = check_data(changed(boats("heron", 0, 0.6), set_delay(5)), None, ALIGN, TOP["heron"], CONFIGURED)
+    (finding,) = [each for each in found if each.kind == "delay"]
+    assert finding.key.split()[0] in ("data.channels.command_left.delay=0", "data.channels.command_left.delay=1")
+
+
+@pytest.mark.parametrize("parts", [10, 100])
+def test_parts_of_a_degree_are_told_with_the_span(parts, logs):
+    wrong = changed(logs["heron"], times(parts, "heading"))
+    (finding,) = [each for each in check_data(wrong, None, ALIGN, TOP["heron"], CONFIGURED) if "unit" in each.kind]
+    assert finding.key == f"data.channels.heading.span={parts}"
+    radians = {**CONFIGURED, "heading": {"name": "heading", "unit": "rad"}}
+    wrong = changed(logs["heron"], times(parts * 180 / np.pi, "heading"))
+    (finding,) = [each for each in check_data(wrong, None, ALIGN, TOP["heron"], radians) if "unit" in each.kind]
+    assert finding.key == f"data.channels.heading.unit=deg data.channels.heading.span={parts}"
+
+
+def test_several_boats_are_checked_apart(logs):
+    wrong = [one._replace(boat="other") for one in changed(logs["heron"], times(-1, "command_left"))]
+    found = check_data([*logs["heron"], *wrong], None, ALIGN, TOP["heron"])
+    assert {each.boat for each in found} == {"other"}
+
+
+def test_a_copied_speed_rejected_and_stale_messages_and_a_clock_that_jumps_are_told(logs):
+    (recording, *_) = logs["heron"]
+
+    def found(**channels):
+        changed_ = recording._replace(channels={**recording.channels, **channels})
+        try:
+            aligned = align_fleet([changed_], **ALIGN)
+        except LogFormatError:
+            aligned = None
+        return {each.kind: each for each in check_data([changed_], aligned, ALIGN, TOP["heron"], CONFIGURED)}
+
+    surge, heading = recording.channels[SURGE], recording.channels["heading"]
+    place = np.arange(len(surge.time)) // 2 * 2
+    copied = surge._replace(value=surge.value[place] + np.random.default_rng(0).normal(0, 0.01, len(place))[place])
+    assert found(surge=copied)["repeats"].key == "data.channels.surge.period=0.4"
+    slow = heading._replace(time=heading.time[::20], value=heading.value[::20], order=heading.order[::20])
+    assert found(heading=slow)["stale"].key.startswith("data.channels.heading.window=")
+    rare = {name: recording.channels[name] for name in COMMANDS}
+    rare = {name: each._replace(**{key: getattr(each, key)[::40] for key in ("time", "value", "order")})
+            for name, each in rare.items()}  # fmt: skip
+    assert found(**rare)["stale"].key == "data.channels.command_right.held=true"  # and the left one
+    half = len(heading.time) // 2
+    back = heading._replace(time=heading.time - 100.0 * (np.arange(len(heading.time)) == half))
+    assert found(heading=back)["clock"].severity == NOTE
+    turning = recording.channels["heading"]
+    rate = Channel(turning.time, np.where(np.arange(len(turning.time)) % 3 == 0, 5.0, 0.0), turning.order)
+    assert found(yaw_rate=rate)["rejected"].key == "align.yaw_rate_max=5"
+
+
+def test_horizons_without_a_step_are_told(logs):
+    (finding,) = check_data(logs["heron"], None, ALIGN, TOP["heron"], horizons=(0.1, 0.4, 2.0))
+    assert (finding.kind, finding.severity) == ("horizons", NOTE)
+    assert "0.1 s" in finding.found and finding.key == "forecasts.horizons=[0.4,2]"
+
+
+def test_strict_lists_all_warnings_and_no_note():
+    found = [Finding("a", "surge", "x", "1", "2", "k=1"), Finding("b", "heading", "y", "3", "4", severity=NOTE)]
+    with pytest.raises(LogFormatError, match=r"check=strict: found 1 warning, expected none: \(1\) a, surge: found 1"):
+        refuse(found)
+    refuse(found[1:])
+
+
+def test_levels():
+    assert [check_level(each) for each in (None, "warn", "strict", "off", False)] == [
+        "warn",
+        "warn",
+        "strict",
+        "off",
+        "off",
+    ]
+    for wrong in ("of", True, 3):
+        with pytest.raises(ConfigError, match=r"check: found .*, expected one of warn, strict, off"):
+            check_level(wrong)
+
+
+def test_overrides_are_quoted_for_the_shell():
+    assert override("surge", {"name": "Speed (m/s)"}) == "'data.channels.surge.name=\"Speed (m/s)\"'"
+    assert override("command_left", {"span": [-400, 400.5], "held": True}) == (
+        "'data.channels.command_left.span=[-400,400.5]' data.channels.command_left.held=true"
+    )
+
+
+def values(rng, n):
+    kinds_ = (
+        lambda: np.zeros(n), lambda: np.full(n, np.nan), lambda: rng.normal(size=n) * 10.0 ** rng.integers(-300, 299),
+        lambda: rng.choice([0.0, np.nan, np.inf, -np.inf, 1e299], n), lambda: rng.integers(0, 2, n).astype(float),
+        lambda: np.cumsum(rng.normal(size=n)), lambda: rng.uniform(0, 360, n),
+    )  # fmt: skip
+    return kinds_[rng.integers(len(kinds_))]()
+
+
+def stamps(rng, n):
+    kinds_ = (
+        lambda: np.arange(n) * 0.1, lambda: rng.uniform(-1e9, 1e9, n), lambda: np.zeros(n),
+        lambda: np.arange(n) * 0.1 - 50.0 * (np.arange(n) > n / 2), lambda: np.arange(n) * 10.0 ** rng.integers(-6, 7),
+    )  # fmt: skip
+    return kinds_[rng.integers(len(kinds_))]()
+
+
+def test_no_numbers_stop_the_check():
+    """Warnings are errors here, too."""
+    others = ("yaw_rate", "north", "east", "latitude", "longitude")
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        channels = {}
+        for name in (*COMMANDS, "heading", SURGE, *others):
+            if name not in others or rng.random() < 0.5:
+                n = int(rng.choice([0, 1, 2, 5, 400])) if rng.random() < 0.3 else 600
+                channels[name] = Channel(stamps(rng, n), values(rng, n), np.arange(n))
+        for each in check_data([Recording("boat", "run", channels, {})], None, {}, 2.0):
+            assert each.severity in (WARNING, NOTE) and each.found and each.expected

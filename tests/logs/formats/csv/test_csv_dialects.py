@@ -1,0 +1,246 @@
+"""A table is read alike however a program wrote it, or refused in one sentence that names the option to set."""
+
+import math
+
+import numpy as np
+import pytest
+
+from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.logs.channels.channel import Source
+from usvlearn.logs.formats.csv.options import table_of
+from usvlearn.logs.formats.csv.table import Table
+
+TIME = 0.25 * np.arange(40)
+SPEED = (1.5 + np.sin(TIME)).round(3)
+YAW = (30 * TIME).round(2) - 90
+
+
+def rows(form="{t:.2f}{d}{v:.3f}{d}{psi:.2f}", delimiter=",", comma=False) -> str:
+    text = "".join(form.format(t=t, v=v, psi=psi, d="\0") + "\n" for t, v, psi in zip(TIME, SPEED, YAW, strict=True))
+    return (text.replace(".", ",") if comma else text).replace("\0", delimiter)
+
+
+def clock(t: float, form: str, sign: str) -> str:
+    """A date and time of 24 July 2025, 17:18:48.25, or some seconds later."""
+    seconds = 48.25 + t
+    hour, minute, second = 17, 18 + int(seconds // 60), seconds % 60
+    half = f"{hour - 12}:{minute:02}:{second:05.2f} PM"
+    return form.format(time=f"{hour}:{minute:02}:{second:05.2f}".replace(".", sign), half=half)
+
+
+def dated(form: str, delimiter: str, comma=False) -> str:
+    numbers = rows("{v:.3f}{d}{psi:.2f}", delimiter, comma).splitlines()
+    stamps = [clock(t, form, "," if comma else ".") for t in TIME]
+    return "".join(f"{stamp}{delimiter}{each}\n" for stamp, each in zip(stamps, numbers, strict=True))
+
+
+HEADER = "time,speed,yaw\n"
+SHAPES = {  # text, encoding, delimiter, decimal
+    "commas": (HEADER + rows(), "utf-8", ",", "."),
+    "semicolons": (HEADER.replace(",", ";") + rows(delimiter=";"), "utf-8", ";", "."),
+    "semicolons, decimal comma": (HEADER.replace(",", ";") + rows(delimiter=";", comma=True), "utf-8", ";", ","),
+    "tabs, decimal comma": (HEADER.replace(",", "\t") + rows(delimiter="\t", comma=True), "utf-8", "\t", ","),
+    "bars": (HEADER.replace(",", " | ") + rows(delimiter=" | "), "utf-8", "|", "."),
+    "spaces": ("  time   speed yaw\n" + rows("  {t:.2f}{d}{v:8.3f}{d} {psi:.2f}", " "), "utf-8", " ", "."),
+    "spaces, decimal comma": ("time speed yaw\n" + rows(delimiter=" ", comma=True), "utf-8", " ", ","),
+    "quoted decimal comma": (
+        HEADER + '"' + rows(delimiter='","', comma=True).replace("\n", '"\n"').removesuffix('"'), "utf-8", ",", ","),
+    "byte order mark": ("\ufeff" + HEADER + rows(), "utf-8", ",", "."),
+    "UTF-16": ("\ufeff" + HEADER.replace(",", "\t") + rows(delimiter="\t", comma=True), "utf-16-le", "\t", ","),
+    "lines of Windows": ((HEADER + rows()).replace("\n", "\r\n"), "utf-8", ",", "."),
+    "comments": ("# boat, 3\n% x\n// y\n" + HEADER + rows().replace("\n", "\n# note, 1, 2\n", 3), "utf-8", ",", "."),
+    "header in a comment": ("# " + HEADER + rows(), "utf-8", ",", "."),
+    "lines above": ("Logger 3.1\nBoat: heron, hull 2\n\nDate;24.07.2025\n" + HEADER + rows(), "utf-8", ",", "."),
+    "line of units": (HEADER + "s,m/s,deg\n" + rows(), "utf-8", ",", "."),
+    "line of units in brackets": (HEADER + "[s],(m/s),[°]\n" + rows(), "utf-8", ",", "."),
+    "units": ("time [s],speed (m/s),yaw_deg\n" + rows(), "utf-8", ",", "."),
+    "units in cp1252": (
+        "time;speed (m/s);yaw (°);Höhe\n" + rows(delimiter=";", comma=True).replace("\n", ";1\n"), "cp1252", ";", ","),
+    "text": ('time,speed,yaw,mode,note,by\n' + rows().replace("\n", ',AUTO,"calm, sunny",me\n'), "utf-8", ",", "."),
+    "delimiters at the end": (HEADER.replace("\n", ",\n") + rows(), "utf-8", ",", "."),
+    "header in a comment of spaces": ("%% run 3\n%  time speed  yaw\n" + rows(delimiter=" "), "utf-8", " ", "."),
+    "short years": (HEADER.replace(",", ";") + dated("24.07.25 {time}", ";", True), "utf-8", ";", ","),
+    "ISO 8601": (HEADER + dated("2025-07-24T{time}", ","), "utf-8", ",", "."),
+    "day first": (HEADER.replace(",", ";") + dated("24.07.2025 {time}", ";", True), "utf-8", ";", ","),
+    "day first, slashes": (HEADER + dated("24/07/2025 {time}", ","), "utf-8", ",", "."),
+    "month first": (HEADER + dated("7/24/2025 {half}", ","), "utf-8", ",", "."),
+    "time of day": (HEADER + dated("{time}", ","), "utf-8", ",", "."),
+}  # fmt: skip
+SOURCES = {"surge": Source("speed"), "heading": Source("yaw", unit="deg")}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_table_is_read_alike_however_it_is_written(tmp_path, name):
+    text, encoding, delimiter, decimal = SHAPES[name]
+    path = tmp_path / "a.csv"
+    path.write_bytes(text.encode(encoding))
+    table, unsure = table_of(path)
+    assert (table.delimiter, table.decimal, table.time_unit, unsure) == (delimiter, decimal, "s", [])
+    explicit = Table("time", delimiter=delimiter, decimal=decimal)
+    for reader in (Table("time"), table, explicit):
+        channels, dropped = reader.read(path, SOURCES)
+        np.testing.assert_allclose(channels["surge"].time, TIME, atol=1e-6)
+        np.testing.assert_array_equal(channels["surge"].value, SPEED)
+        np.testing.assert_allclose(channels["heading"].value, np.radians(YAW), rtol=1e-14)
+        assert dropped == {"surge": {}, "heading": {}}
+    series = {each.name: each for each in table.survey(path)}
+    speed = next(each for name, each in series.items() if name.startswith("speed"))
+    np.testing.assert_array_equal(speed.value, SPEED)
+    np.testing.assert_array_equal(speed.order, channels["surge"].order)
+    assert speed.unit == ("m/s" if "unit" in name else "") and "mode" not in series
+    assert (table.dates != "auto") == (name.startswith(("ISO", "day", "month", "short")))
+
+
+@pytest.mark.parametrize(
+    ("header", "units"),
+    [
+        ("time,Speed (m/s),Course [°],yaw_rate_deg_s,left", ["m/s", "deg", "deg/s", ""]),
+        ('time,"Speed, over ground (km/h)",heading_rad,r (rad/s),thrust_pct', ["km/h", "rad", "rad/s", "percent"]),
+        ("time,speed_kn,x (furlong),e_m,zero_", ["knots", "furlong", "m", ""]),
+    ],
+)
+def test_units_of_headers(tmp_path, header, units):
+    path = tmp_path / "a.csv"
+    path.write_text(header + "\n" + "".join(f"{k},1.5,2,3,4\n" for k in range(3)))
+    assert [each.unit for each in Table("time").survey(path)] == units
+
+
+def test_a_column_is_named_with_its_unit_or_without_where_that_is_unambiguous(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("Time (ms),Speed (m/s),Speed (kn),yaw_deg,Heading [deg]\n0,1,2,3,4\n100,1,2,3,5\n")
+    table = Table("Time", time_unit="ms")
+    for name, value in {"Speed (kn)": 2, "yaw": 3, "yaw_deg": 3, "Heading": 4, "Heading [deg]": 4}.items():
+        channels, _ = table.read(path, {"surge": Source(name)})
+        assert channels["surge"].value[0] == value and channels["surge"].time.tolist() == [0, 0.1]
+    with pytest.warns(UserWarning, match=r"declares 'Time \(ms\)' in ms.*set data.reader.time_unit=ms"):
+        Table("Time").read(path, {"surge": Source("yaw")})
+    with pytest.raises(LogFormatError, match=r"no channel 'Speed'.*Speed \(kn\), Speed \(m/s\)"):
+        table.read(path, {"surge": Source("Speed")})
+
+
+def test_a_date_and_a_time_in_two_columns_and_past_midnight(tmp_path):
+    path = tmp_path / "a.csv"
+    stamps = ["31.12.2025;23:59:59,5", "31.12.2025;23:59:59,9", "01.01.2026;00:00:00,3"]
+    path.write_text("Date;Time;v\n" + "".join(f"{stamp};{k}\n" for k, stamp in enumerate(stamps)))
+    table, unsure = table_of(path)
+    assert (table.time, table.dates, unsure) == ("Date+Time", "day_first", [])
+    for reader in (table, Table("Time")):
+        channels, _ = reader.read(path, {"surge": Source("v")})
+        np.testing.assert_allclose(channels["surge"].time, [0, 0.4, 0.8], atol=1e-6)
+
+
+@pytest.mark.parametrize("order", ["day_first", "month_first"])
+def test_the_order_of_a_date_is_found_from_the_whole_column_or_asked_for(tmp_path, order):
+    path = tmp_path / "a.csv"
+    form = "{day}/{month}/2025 0:00" if order == "day_first" else "{month}/{day}/2025 0:00"
+    body = [f"{form.format(day=day, month=7)},1\n" for day in range(10, 14)]
+    path.write_text("t,v\n" + "".join(body))
+    channels, _ = Table("t").read(path, {"surge": Source("v")})
+    np.testing.assert_array_equal(channels["surge"].time, 86400 * np.arange(4))
+    path.write_text("t,v\n" + "".join(body[:3]))
+    with pytest.raises(LogFormatError, match=r"set data.reader.dates to one of"):
+        Table("t").read(path, {"surge": Source("v")})
+    channels, _ = Table("t", dates=order).read(path, {"surge": Source("v")})
+    np.testing.assert_array_equal(channels["surge"].time, 86400 * np.arange(3))
+    assert any(each.startswith("dates: ") for each in table_of(path)[1])
+
+
+def test_separators_of_thousands_are_counted_or_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text('t,v\n0,"1,234.5"\n1,"1,234"\n2,7.5\n')
+    channels, dropped = Table("t").read(path, {"surge": Source("v")})
+    assert channels["surge"].value.tolist() == [7.5] and dropped["surge"] == {"not_a_number": 2}
+    path.write_text("t;v\n0;1.234,5\n1;1.234\n2;7,5\n")
+    channels, dropped = Table("t").read(path, {"surge": Source("v")})
+    assert channels["surge"].value.tolist() == [7.5] and dropped["surge"] == {"not_a_number": 2}
+    for text in ("t;v\n0;1,234\n1;2,345\n", "t;v;w\n0;1,5;1\n1;2;2.5\n"):
+        path.write_text(text)
+        with pytest.raises(LogFormatError, match=r"set data.reader.decimal"):
+            Table("t").read(path, {"surge": Source("v")})
+    path.write_text("t;v\n0;1,234\n1;2,345\n")
+    channels, _ = Table("t", decimal=",").read(path, {"surge": Source("v")})
+    assert channels["surge"].value.tolist() == [1.234, 2.345]
+
+
+def test_options_that_are_given_win(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_bytes("t;v (m/s);Höhe\n0;1;2\n;;\n# 1;2;3\n".encode("cp850"))
+    channels, dropped = Table("t", encoding="cp850", comment=None).read(path, {"surge": Source("Höhe")})
+    assert channels["surge"].value.tolist() == [2] and dropped["surge"] == {"empty": 1, "no_time": 1}
+    with pytest.raises(LogFormatError, match="'t'"):
+        Table("t", delimiter=",").read(path, {"surge": Source("v")})
+    for option, value in {"encoding": "utf-5", "dates": "dd.mm", "decimal": ";", "delimiter": '"'}.items():
+        with pytest.raises(ConfigError, match=f"data.reader.{option}"):
+            Table("t", **{option: value})
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "sure"),
+    [
+        ([0, 100, 200], "ms", True),
+        ([0, 0.1, 0.2], "s", True),
+        ([1721841528, 1721841529, 1721841530], "s", True),
+        ([1721841528000, 1721841528100, 1721841528200], "ms", True),
+        ([0, 20000, 40000], "us", True),
+        ([0, 5, 10], "s", False),
+    ],
+)
+def test_the_unit_of_stamps(tmp_path, values, unit, sure):
+    path = tmp_path / "a.csv"
+    path.write_text("index,time,v\n" + "".join(f"{k},{value},{math.pi}\n" for k, value in enumerate(values)))
+    table, unsure = table_of(path)
+    assert (table.time, table.time_unit, not unsure) == ("time", unit, sure)
+
+
+def test_a_table_without_stamps_or_without_a_header_is_refused(tmp_path):
+    path = tmp_path / "a.csv"
+    for text in ("v,w\n1,2\n0,3\n", "0,1,2\n1,2,3\n", "", "some text\nand more\n"):
+        path.write_text(text)
+        with pytest.raises(LogFormatError, match=r"column of stamps|none above the first numbers '0,1,2'"):
+            table_of(path)
+
+
+def test_times_of_a_day_as_numbers(tmp_path):
+    """Past a minute and an hour; read as seconds they would jump by 40 and 4040."""
+    rows = "".join(f"{h:02d}{m:02d}{s:02d}.5,{s}\n" for h, m in ((9, 58), (9, 59), (10, 0)) for s in range(60))
+    path = tmp_path / "a.csv"
+    path.write_text("time,speed\n" + rows)
+    table, unsure = table_of(path)
+    assert (table.time_unit, unsure) == ("hhmmss", [])
+    assert table.read(path, {"surge": Source("speed")})[0]["surge"].time.tolist() == list(range(180))
+    with pytest.warns(UserWarning, match="set data.reader.time_unit=hhmmss"):
+        Table("time").read(path, {"surge": Source("speed")})
+
+
+def test_a_column_that_rises_evenly_may_be_that_of_the_stamps(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("speed,millis\n" + "".join(f"{k % 7},{100 * k}\n" for k in range(50)))
+    table, unsure = table_of(path)
+    assert (table.time, table.time_unit) == ("millis", "ms")
+    assert unsure[0] == "time: found no column that is called so; 'millis' is the first one that rises evenly"
+
+
+def test_repeated_whole_seconds_are_spread(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("time,speed\n" + "".join(f"2025-07-24T17:18:{k // 10:02d},{k % 7}\n" for k in range(300)))
+    table, unsure = table_of(path)
+    assert (table.time, unsure) == ("time", [])
+    with pytest.warns(UserWarning, match="whole seconds, with 10 rows each: the rows of a second are spread evenly"):
+        channels, dropped = table.read(path, {"surge": Source("speed")})
+    assert channels["surge"].time == pytest.approx(np.arange(300) / 10) and dropped == {"surge": {}}
+
+
+def test_whole_seconds_that_hardly_repeat_are_left_as_they_are(tmp_path):
+    path = tmp_path / "a.csv"
+    for stamps in ([0, 1, 2, 2, 3, 4, 5], [0, 0.5, 0.5, 1, 1, 2, 2], [3, 3, 3]):
+        path.write_text("time,speed\n" + "".join(f"{stamp},1\n" for stamp in stamps))
+        channels, _ = Table("time").read(path, {"surge": Source("speed")})
+        assert channels["surge"].time.tolist() == [stamp - stamps[0] for stamp in stamps]
+
+
+@pytest.mark.parametrize(("rows", "found"), [("", "a header and no rows"), ("1,2\n", "a header and a single row")])
+def test_a_table_of_too_few_rows_is_told(tmp_path, rows, found):
+    path = tmp_path / "a.csv"
+    path.write_text("time,speed\n" + rows)
+    with pytest.raises(LogFormatError, match=f"two rows or more, found {found}"):
+        table_of(path)

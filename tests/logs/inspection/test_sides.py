@@ -1,0 +1,147 @@
+"""Sides and signs of commands: what is decided of boats with swapped and reversed commands, in short and long logs."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.support.exported import write_table
+from tests.support.traps import columns
+from tests.support.voyages import voyage
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.inspection.candidate import candidates
+from usvlearn.logs.inspection.inspected import inspect_logs
+from usvlearn.logs.inspection.proposal import propose
+
+TRAPS = {  # whether the columns have each other's name; signs of the left and the right command of the boat
+    "none": (False, 1, 1),
+    "swapped": (True, 1, 1),
+    "reversed": (False, -1, -1),
+    "swapped and reversed": (True, -1, -1),
+    "left reversed": (False, -1, 1),
+    "right reversed": (False, 1, -1),
+    "swapped, left reversed": (True, -1, 1),
+}
+NAMES = ("thrust_left", "thrust_right")
+
+
+def steady(minutes: float = 4.0, seed: int = 0) -> dict[str, np.ndarray]:
+    """A boat that holds its speed in a current that comes and goes: the speed falls as the throttle opens."""
+    rng, dt = np.random.default_rng(seed), 0.1
+    time = np.arange(0, 60 * minutes, dt)
+    wanted = np.repeat(rng.uniform(0, 2, len(time) // 400 + 1), 400).cumsum()[: len(time)] / 400
+    speed, rate, heading = np.empty((3, len(time)))
+    left, right = np.empty((2, len(time)))
+    v, r, psi, flow = 1.4, 0.0, wanted[0], 0.0
+    for k, goal in enumerate(wanted):
+        flow += dt * (-flow / 40) + 0.02 * math.sqrt(dt) * rng.normal()
+        throttle, turn = 0.55 + 1.5 * (1.4 - v), np.clip(0.6 * math.sin(goal - psi), -0.2, 0.2)
+        left[k], right[k], speed[k], rate[k], heading[k] = throttle + turn, throttle - turn, v, r, psi
+        v += dt * (2.5 * throttle - v + flow) / 2
+        r += dt * (0.3 * 2 * turn - r) / 0.5
+        psi += dt * r
+    north, east = (np.cumsum(speed * each(heading)) * dt for each in (np.cos, np.sin))
+    return {
+        "time": time,
+        "pwm_left": np.round(1500 + 400 * left),
+        "pwm_right": np.round(1500 + 400 * right),
+        "heading": np.degrees(heading) % 360,
+        "yaw_rate": rate + rng.normal(0, 0.005, len(time)),
+        "speed": speed + rng.normal(0, 0.002, len(time)),
+        "lat": 48.5 + np.degrees(north / 6371000),
+        "lon": 9.05 + np.degrees(east / 6371000 / math.cos(math.radians(48.5))),
+    }
+
+
+def concluded(table: dict[str, np.ndarray]):
+    time = table["time"]
+    series = [Series(name, None, time, value, np.arange(len(time))) for name, value in table.items() if name != "time"]
+    return propose(candidates(series), "CSV")
+
+
+def trapped(table: dict[str, np.ndarray], trap: str) -> dict[str, np.ndarray]:
+    swapped, left, right = TRAPS[trap]
+    own = {NAMES[0]: left * table[NAMES[0]], NAMES[1]: right * table[NAMES[1]]}
+    if swapped:
+        own = {NAMES[0]: own[NAMES[1]], NAMES[1]: own[NAMES[0]]}
+    return {**table, **own}
+
+
+def judged(found, trap: str) -> tuple[bool, bool, bool, bool]:
+    """Whether the sides are right, and the signs; and whether each is listed under Please check."""
+    swapped, *signs = TRAPS[trap]
+    names = NAMES[::-1] if swapped else NAMES
+    true = dict(zip(names, signs, strict=True))
+    own = [found.channels[name] for name in ("command_left", "command_right")]
+    unsure = {each.what for each in found.decisions if each.certainty == "unsure" and each.channel.startswith("comm")}
+    right = (
+        [each["name"] for each in own] == list(names),
+        all(math.copysign(1, each["span"]) == true[each["name"]] for each in own),
+    )
+    return *right, "series" in unsure, "sign" in unsure
+
+
+def test_a_boat_that_holds_its_speed_is_not_taken_for_reversed(tmp_path):
+    table = steady()
+    both = table["pwm_left"] + table["pwm_right"]
+    assert np.corrcoef(both, table["speed"])[0, 1] < -0.9
+    found = inspect_logs([str(write_table(tmp_path / "steady.csv", table))])
+    own = found.settings["data"]["channels"]
+    assert [own[f"command_{side}"]["name"] for side in ("left", "right")] == ["pwm_left", "pwm_right"]
+    assert min(own[f"command_{side}"]["span"] for side in ("left", "right")) > 0
+    reasons = [each.reason for each in found.decisions]
+    assert not any("nan" in each.replace(".", " ").split() or "reversed:" in each for each in reasons)
+    listed = [each for each in found.decisions if each.certainty == "unsure" and each.channel == "command_left"]
+    assert {"series", "sign"} & {each.what for each in listed} or own["command_left"]["span"] == 400
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+@pytest.mark.parametrize(("minutes", "kind"), [(3.0, "patrol"), (3.0, "station_keeping"), (20.0, "convoy")])
+def test_what_is_wrong_is_never_silent(trap, minutes, kind):
+    for seed, plant in ((31, "heron"), (32, "otter")):
+        sides, signs, sides_listed, signs_listed = judged(
+            concluded(trapped(columns(voyage(seed, plant, minutes, kind)), trap)), trap
+        )
+        assert sides or sides_listed
+        assert signs or signs_listed
+
+
+@pytest.mark.parametrize("trap", TRAPS)
+def test_a_long_log_tells_sides_and_signs(trap):
+    found = concluded(trapped(columns(voyage(33, "vtec", 20.0)), trap))
+    assert judged(found, trap)[:2] == (True, True)
+    overruled = TRAPS[trap][0], min(TRAPS[trap][1:]) < 0
+    assert judged(found, trap)[2:] == overruled  # listed where names, or habit, are overruled, and nowhere else
+
+
+@pytest.mark.parametrize("names", [("throttle", "steering"), ("throttle", "rudder"), ("tau_x", "tau_n")])
+@pytest.mark.parametrize("ahead", [1, -1])
+def test_a_throttle_of_both_sides_that_is_reversed_is_found_and_listed(names, ahead):
+    table = columns(voyage(34, "vtec", 10.0))
+    left, right = (table.pop(name) for name in NAMES)
+    found = concluded({**table, names[0]: ahead * (left + right) / 2, names[1]: (left - right) / 2})
+    for name, way in (("command_left", 1), ("command_right", -1)):
+        own = found.channels[name]
+        signs = own.get("weight", [math.copysign(1, np.max(own["span"]))])
+        assert signs == ([ahead] if names[1] == "rudder" else [ahead, way])
+    told = {each.certainty for each in found.decisions if each.what == "sign"}
+    assert (told == {"unsure"}) == (ahead < 0)
+    assert {each.value for each in found.decisions if each.what == "sign"} == {
+        "positive ahead" if ahead > 0 else "reversed"
+    }
+
+
+def test_a_reason_gives_the_signs_that_were_decided():
+    found = concluded(trapped(columns(voyage(33, "vtec", 20.0)), "swapped and reversed"))
+    (reason,) = {each.reason for each in found.decisions if each.what == "sign"}
+    told = [[float(part.split()[-2]) for part in side.split(",")] for side in reason.partition(": ")[2].split(";")]
+    assert np.sign(told).tolist() == [[-1, -1], [-1, 1]]
+    assert "likely" not in reason
+
+
+def test_a_latitude_on_a_straight_line_is_no_clock():
+    table = steady()
+    table["lat"] = 48.5 + 1.2e-5 * table["time"]
+    (found,) = (each for each in candidates([Series("lat", None, table["time"], table["lat"], np.arange(2400))]))
+    assert found.is_clock
+    assert concluded(table).channels["latitude"]["name"] == "lat"

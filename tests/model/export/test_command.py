@@ -1,0 +1,143 @@
+"""The command `usvlearn export`."""
+
+import dataclasses
+import sys
+import warnings
+
+import pytest
+
+from usvlearn import AID, Online
+from usvlearn.__main__ import main
+from usvlearn.cli import exporting
+from usvlearn.core import checkpoint
+from usvlearn.core.checkpoint import checkpoints
+from usvlearn.model.export.formats import FORMATS
+
+
+@pytest.fixture(autouse=True)
+def arguments_of_the_program(monkeypatch):
+    """Those of the tests again afterwards: the command sets its own."""
+    monkeypatch.setattr(sys, "argv", ["usvlearn"])
+
+
+def told(capsys, *arguments) -> str:
+    """The one sentence of an error."""
+    with pytest.raises(SystemExit) as ended:
+        main(["export", *map(str, arguments)])
+    assert ended.value.code == 2
+    error = capsys.readouterr().err
+    *others, said = error.splitlines()
+    assert said.startswith("error: ") and all("compiling" in each for each in others), error
+    return said
+
+
+def test_files_are_written_beside_the_run_and_named(run, capsys):
+    assert main(["export", str(run), "--to", "json,c"]) == 0
+    paths = capsys.readouterr().out.split()
+    assert paths == [str(run / "export" / name) for name in
+                     ("heron1.json", "heron1_surge.h", "heron2.json", "heron2_surge.h")]  # fmt: skip
+
+
+def test_a_set_and_a_folder_of_sets_are_one_boat(run, tmp_path, capsys):
+    folder = run / "checkpoints" / "heron2"
+    for given in (folder, checkpoints(folder)[-1]):
+        assert main(["export", str(given), "--to", "csv", "--out", str(tmp_path)]) == 0
+        assert capsys.readouterr().out.split() == [str(tmp_path / "heron2.csv")]
+
+
+def test_all_writes_every_format(run, tmp_path, capsys):
+    for name in ("mcap", "onnx"):
+        pytest.importorskip(name, reason=f"needs the package {name}")
+    assert main(["export", str(run), "--to", "all", "--boat", "heron1", "--out", str(tmp_path)]) == 0
+    assert len(capsys.readouterr().out.split()) == len(FORMATS)
+
+
+def test_all_leaves_out_what_is_not_there(run, tmp_path, capsys):
+    folder = run / "checkpoints" / "heron1"
+    alone = tmp_path / "alone.safetensors"
+    alone.write_bytes(checkpoints(folder)[-1].read_bytes())
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert main(["export", str(alone), "--to", "all"]) == 0
+    said = [str(each.message) for each in caught]
+    assert any("csv of heron1 is left out: " in each and "found no predictions" in each for each in said), said
+    made = capsys.readouterr().out.split()
+    assert str(tmp_path / "export" / "heron1.json") in made and not any(each.endswith(".csv") for each in made)
+
+
+def test_formats_are_named_one_by_one_or_together(run, tmp_path, capsys):
+    assert main(["export", str(run), "--boat", "heron1", "--to", "json", "--to", "c", "--out", str(tmp_path)]) == 0
+    assert len(capsys.readouterr().out.split()) == 2
+
+
+def test_a_relative_path_of_a_set_finds_its_run(run, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(run / "checkpoints" / "heron1")
+    assert main(["export", ".", "--to", "csv", "--out", str(tmp_path)]) == 0
+
+
+def test_boats_whose_files_would_have_one_name_are_not_mixed(run, tmp_path, capsys):
+    for name, boat in (("a b", "heron1"), ("A_b", "heron2")):
+        leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / boat)[-1])
+        checkpoint.save(
+            tmp_path / "checkpoints" / name / "00000_0000001.safetensors", leaves, **{**facts, "boat": name}
+        )
+    assert "found A_b and a b, whose files would have one name" in told(capsys, tmp_path, "--to", "json")
+    assert not (tmp_path / "export").exists()
+
+
+def test_a_long_name_is_cut(run, tmp_path, capsys):
+    leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / "heron1")[-1])
+    for k, name in enumerate(("x" * 5000, "\u65e5" * 300)):
+        path = checkpoint.save(tmp_path / f"{k}.safetensors", leaves, **{**facts, "boat": name})
+        assert main(["export", str(path), "--to", "json,c", "--out", str(tmp_path / f"out{k}")]) == 0
+        assert len(list((tmp_path / f"out{k}").iterdir())) == 2
+
+
+@pytest.mark.parametrize("package", ["mcap", "onnx"])
+def test_a_missing_package_names_the_extra_and_leaves_nothing(run, tmp_path, capsys, monkeypatch, package):
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setitem(sys.modules, f"{package}.writer", None)
+    assert "pip install 'usvlearn[export]'" in told(capsys, run, "--to", f"json,{package}", "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_input_is_told_in_one_sentence(run, tmp_path, capsys):
+    assert "did you mean json?" in told(capsys, run, "--to", "jsn")
+    assert "there is no such file or folder" in told(capsys, tmp_path / "none", "--to", "c")
+    assert f"give {run}" in told(capsys, run.parent, "--to", "c")
+    assert "expected one of heron1, heron2" in told(capsys, run, "--to", "c", "--boat", "anna")
+    (tmp_path / "text.safetensors").write_text("no set")
+    assert "text.safetensors" in told(capsys, tmp_path / "text.safetensors", "--to", "c")
+    alone = Online(AID(28.0)).save(tmp_path / "aid.safetensors")
+    assert "found no joint filter with read_every" in told(capsys, alone, "--to", "c")
+
+
+def test_predictions_need_the_run(run, tmp_path, capsys):
+    alone = tmp_path / "alone.safetensors"
+    alone.write_bytes(checkpoints(run / "checkpoints" / "heron1")[-1].read_bytes())
+    assert "found no predictions of heron1" in told(capsys, alone, "--to", "csv")
+
+
+def test_a_foreign_name_of_a_boat_leads_nowhere_else(run, tmp_path, capsys):
+    leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / "heron1")[-1])
+    path = checkpoint.save(tmp_path / "a.safetensors", leaves, **{**facts, "boat": "../../evil */ int x;"})
+    assert main(["export", str(path), "--to", "c,json,mat,casadi", "--out", str(tmp_path / "out")]) == 0
+    made = [each for each in tmp_path.rglob("*") if each.is_file() and each != path]
+    assert len(made) == 4 and all(each.parent == tmp_path / "out" for each in made)
+
+
+def test_a_filter_that_diverged_is_no_boat(run, tmp_path, capsys):
+    leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / "heron1")[-1])
+    broken = {name: leaf * float("nan") if name == "members.reader.mean" else leaf for name, leaf in leaves.items()}
+    path = checkpoint.save(tmp_path / "a.safetensors", broken, **facts)
+    assert "The filter has diverged" in told(capsys, path, "--to", "c")
+
+
+def test_a_boat_that_is_not_physical_is_written_by_force_only(run, boat, tmp_path, capsys, monkeypatch):
+    wrong = boat._replace(found=dataclasses.replace(boat.found, unphysical="It goes astern."))
+    monkeypatch.setattr(exporting, "read_boats", lambda *_: [wrong])
+    said = told(capsys, run, "--to", "json", "--out", tmp_path)
+    assert said == f"error: {boat.name}: It goes astern. To write it all the same, add --force."
+    assert not list(tmp_path.iterdir())
+    assert main(["export", str(run), "--to", "json", "--out", str(tmp_path), "--force"]) == 0
+    assert (tmp_path / f"{boat.name}.json").exists()

@@ -1,0 +1,151 @@
+"""The rehearsal is the joint filter's own recursion; the search keeps its bounds and finds a local optimum."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from usvlearn.core.rows import COS, DT, LEFT, RIGHT, SIN, YAW_RATE
+from usvlearn.core.samples import Inputs
+from usvlearn.errors import ConfigError
+from usvlearn.model.planning.course import QUARTER, Limits, lawn_mower, planned, steer
+from usvlearn.model.planning.exchange import SHARES, beyond, derived, log_width, search, wide
+from usvlearn.model.planning.rehearsal import Rehearsal
+
+STEP = 0.4
+SHORT = Limits(minutes=2.0)
+
+
+@pytest.fixture(scope="module")
+def rehearsal(boat):
+    return Rehearsal(boat.members, boat.leaves)
+
+
+@pytest.fixture(scope="module")
+def plan(rehearsal):
+    return search(rehearsal, SHORT, STEP, wide(rehearsal.found))
+
+
+def test_a_rehearsal_is_the_recursion_of_the_torch_filter_on_its_own_predictions(rehearsal, boat, reader):
+    rows = planned(np.array([1.0, 0.0, 0.5, 0.25]), np.array([0, 1, 3, 2]), Limits(minutes=1.0), STEP).rows
+    own = {key.partition(".")[2].partition(".")[2]: leaf for key, leaf in boat.leaves.items() if ".jointekf." in key}
+    state = type(reader.init())(**{name: torch.as_tensor(leaf) for name, leaf in own.items()})
+    noise, speeds = state.noise, []
+    with torch.no_grad():
+        state = reader.start(state, torch.zeros((), dtype=torch.float64))
+        for x in rows:
+            given = (x[LEFT], x[RIGHT], math.atan2(x[SIN], x[COS]), x[YAW_RATE], x[DT])
+            inputs = Inputs(*(torch.tensor(value, dtype=torch.float64) for value in given))
+            state = reader.learn(state, inputs, reader.predict(state, inputs)[1])[0]._replace(noise=noise)
+            speeds.append(float(state.mean[0]))
+    found = rehearsal(rows)
+    assert found.speed == pytest.approx(speeds, abs=1e-9)
+    parameters = state.covariance[4:, 4:].numpy()
+    assert not np.allclose(parameters, boat.found.covariance, rtol=0.1)
+    assert found.found.covariance / parameters == pytest.approx((found.found.covariance / parameters)[0, 0], rel=1e-6)
+
+
+def test_a_rehearsal_leaves_the_state_as_it_was(rehearsal, boat):
+    rows = lawn_mower(SHORT, 2.7, STEP).rows
+    first, second = rehearsal(rows), rehearsal(rows)
+    assert first.found.json() == second.found.json()
+    assert rehearsal.found.json() == boat.found.json()
+
+
+def test_parts_add_up_to_the_whole(rehearsal):
+    rows = lawn_mower(SHORT, 2.7, STEP).rows
+    parts = rehearsal.by_part(rows, np.array([100, len(rows)]))
+    assert np.concatenate([part.speed for part in parts]).tolist() == rehearsal(rows).speed.tolist()
+    assert parts[-1].found.json() == rehearsal(rows).found.json()
+
+
+def test_a_plan_is_better_than_a_lawn_mower_and_keeps_its_bounds(rehearsal, plan):
+    aims = wide(rehearsal.found)
+    mower = rehearsal(lawn_mower(SHORT, rehearsal.top_speed(1.0), STEP).rows)
+    assert log_width(plan.expected.found, aims) < log_width(mower.found, aims) - 0.1
+    assert log_width(plan.expected.found, aims) < log_width(rehearsal.found, aims) - 0.1
+    assert beyond(plan.path, SHORT).max() <= 0.01
+    for side in (plan.course.left, plan.course.right):
+        assert side.min() >= 0 and side.max() <= 1
+    assert abs(plan.course.yaw_rate).max() <= SHORT.turn_rate + 1e-9
+
+
+def test_no_change_of_one_segment_is_better(rehearsal, plan):
+    aims, best = wide(rehearsal.found), log_width(plan.expected.found, wide(rehearsal.found))
+    worse = 0
+    for k in range(SHORT.segments):
+        for throttles, quarters in [
+            *((np.where(np.arange(SHORT.segments) == k, share, plan.throttles), plan.quarters) for share in SHARES),
+            *((plan.throttles, np.where(np.arange(SHORT.segments) == k, q, plan.quarters)) for q in range(4)),
+        ]:
+            course = planned(throttles, quarters, SHORT, STEP)
+            other = rehearsal(course.rows)
+            if beyond(course.path(other.speed, rehearsal.current), SHORT).max() <= 0.01:
+                assert log_width(other.found, aims) >= best - 1e-12
+                worse += log_width(other.found, aims) > best
+    assert worse > 20
+
+
+def test_a_plan_depends_on_its_seed_alone(rehearsal, plan):
+    again = search(rehearsal, SHORT, STEP, wide(rehearsal.found))
+    assert again.throttles.tolist() == plan.throttles.tolist() and again.quarters.tolist() == plan.quarters.tolist()
+
+
+def test_a_boat_that_may_go_astern_is_planned_within_its_bounds(rehearsal):
+    limits = Limits(minutes=1.0, least=-0.5, most=0.5)
+    found = search(rehearsal, limits, STEP, wide(rehearsal.found))
+    sides = np.concatenate([found.course.left, found.course.right])
+    assert -0.5 <= sides.min() < 0 < sides.max() <= 0.5
+
+
+def test_a_boat_stays_in_a_small_area_in_a_current_that_would_carry_it_out(boat):
+    carried = Rehearsal(boat.members, boat.leaves)
+    carried.current = np.array([0.2, -0.15])
+    limits = Limits(minutes=2.0, area=20.0)  # the current alone goes 30 m
+    found = search(carried, limits, STEP, derived(carried.found))
+    assert beyond(found.path, limits).max() <= 0.01 and found.throttles.max() > 0
+
+
+def test_an_area_that_is_too_small_is_said_with_one_that_would_do(rehearsal):
+    with pytest.raises(
+        ConfigError, match=r"--area: found 10 m, and no course was found .* give an area of \d+ m, a shorter --segment"
+    ):
+        search(rehearsal, Limits(minutes=1.0, area=10.0, least=0.3, segment=15.0), STEP, derived(rehearsal.found))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"minutes": 0.0}, "--minutes"),
+        ({"minutes": -3.0}, "--minutes"),
+        ({"minutes": math.nan}, "--minutes"),
+        ({"minutes": 0.2}, "--minutes: found 0.2, expected 1 or more"),
+        ({"minutes": 60.0}, "--minutes: found 60, expected 15 or less"),
+        ({"segment": 0.5}, "--segment: found 0.5, expected 2 s or more"),
+        ({"area": 0.0}, "--area"),
+        ({"most": 0.0}, "thrust and drag show only where the commands change"),
+        ({"most": 0.5, "least": 0.45}, "found commands from 0.45 to 0.5, expected a range of 0.1"),
+        ({"most": 1.5}, "--command-max: found 1.5"),
+        ({"least": -2.0}, "--command-min: found -2.0"),
+    ],
+)
+def test_limits_that_leave_nothing_to_sail_are_said(given, said):
+    with pytest.raises(ConfigError, match="--") as error:
+        Limits(**given)
+    assert said in str(error.value) and len(str(error.value).splitlines()) == 1
+
+
+def test_turns_take_the_time_of_the_yaw_rate_and_steer_with_both_sides():
+    course = steer(np.full(100, 0.5), np.full(100, QUARTER), Limits(), STEP)
+    turning = np.flatnonzero(course.yaw_rate)
+    assert len(turning) == math.ceil(QUARTER / (Limits().turn_rate * STEP))
+    assert (course.left - course.right)[turning] == pytest.approx(0.7)
+    assert course.heading[-1] == pytest.approx(QUARTER)
+    assert not (course.left - course.right)[turning[-1] + 1 :].any()
+
+
+def test_a_path_is_the_integral_of_the_speed_and_the_current():
+    course = steer(np.full(100, 0.5), np.full(100, math.pi / 2), Limits(heading=math.pi / 2), STEP)
+    path = course.path(np.full(100, 2.0), np.array([0.1, 0.0]))
+    assert path[-1] == pytest.approx([0.1 * 40, 2.0 * 40])

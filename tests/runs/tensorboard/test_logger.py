@@ -1,0 +1,303 @@
+"""What TensorBoard shows of a replay: runs, tags, units, steps, figures, text, and the row of the HPARAMS page."""
+
+import time
+
+import numpy as np
+import pytest
+
+from tests.support.boards import boards, steps, tags, texts, values
+from tests.support.commands import hparams
+from tests.support.configured import configured
+from tests.support.recordings import recording
+from tests.support.runs import model
+from usvlearn import AID, Bank, Ensemble, Persistence
+from usvlearn.cli.settings import ensemble_of, instantiate
+from usvlearn.core.samples import PLAUSIBLE, masks
+from usvlearn.display.figures import KNOWN, SEVEN
+from usvlearn.errors import ConfigError
+from usvlearn.evaluation.free_simulation import free_errors
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.runs.published import BEGIN, Position
+from usvlearn.runs.replay import replay
+from usvlearn.runs.run_folder import RunFolder
+from usvlearn.runs.tensorboard.board_tags import MAE, in_order, label, result_tag, results_of, what_differs
+from usvlearn.runs.tensorboard.drawing import LEAST_FIGURES
+from usvlearn.runs.tensorboard.logger import FAR, TensorBoardLogger
+from usvlearn.simulate.truth import quantities_of
+
+MOST_TAGS = 60  # of a boat
+SETTINGS = configured("data.hours=0.1", "data.mission_minutes=2", "data.sensors.surge_hz=5")
+TEN = "10 s ahead"
+
+
+def log(folder, fleet, ensemble, stop=None, resume=None, **more):
+    """Replay into a run's folder, up to so many chunks; returns the results, or None if it was stopped."""
+    run = RunFolder(folder, fleet, {"configuration": SETTINGS}, ensemble.names, ensemble.forecasts)
+    start = run.begin(ensemble.init((len(fleet.boats),)), resume)
+    logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble, start.position, **more)
+    with run, logger:
+        for k, chunk in enumerate(replay(ensemble, fleet, start.state, start.position, 50, 150)):
+            if k == stop:
+                return None
+            run.save(chunk)
+            logger.show(chunk)
+        found = run.finish(ensemble, time.perf_counter() - 60.0)
+        logger.finish(SETTINGS, found, run.published, ["rnn: fine"])
+    return found
+
+
+@pytest.fixture(scope="module")
+def fleet():
+    return align_fleet(instantiate(SETTINGS["data"]), **SETTINGS["align"])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory, fleet):
+    """A replay of two simulated boats by the default ensemble, and its results."""
+    folder = tmp_path_factory.mktemp("whole")
+    truth = quantities_of([SETTINGS["data"]], SETTINGS["vehicle"]["mass"])
+    differs = {"estimators.rnn.neurons": "4"}
+    found = log(
+        folder, fleet, ensemble_of(SETTINGS), truth=truth, differs=differs, texts={"command": "python train.py"}
+    )
+    return boards(folder / "tensorboard" / "rnn.neurons=4"), found, folder
+
+
+def test_every_boat_has_a_run_per_estimator_and_the_seven_have_the_seven_colours(whole, fleet):
+    read, found, _ = whole
+    estimators = set(found["boats"]["heron1"])
+    for boat in fleet.boats:
+        own = {run.partition("/")[2] for run in read if run.startswith(f"{boat}/")}
+        assert own == estimators | {"identified", "identified low", "identified high", "truth"}
+    order = list(read)
+    colours = list(SEVEN.values())
+    for place, run in enumerate(order):
+        name = run.rpartition("/")[2]
+        if name in (each for names in SEVEN for each in names):
+            assert colours[place % 7] == KNOWN[name], run
+    assert {run.partition("/")[2] for run in order if run.startswith("fleet/")} == estimators
+    assert order[-1] == "results"
+
+
+def test_a_boat_has_few_tags_with_units_and_descriptions(whole, fleet):
+    read, _, _ = whole
+    for boat in fleet.boats:
+        own = {tag for run, events in read.items() if run.startswith(f"{boat}/") for tag in tags(events)}
+        assert 35 <= len(own | tags(read["results"])) <= MOST_TAGS
+        assert {tag.partition("/")[0] for tag in own} == {
+            "1 overview", "2 identified", "3 weights", "4 contraction", "5 data", "6 diagnostics", "7 figures",
+        }  # fmt: skip
+        assert {
+            f"1 overview/{kind}, {ahead}" for kind in ("skill", "coverage of 90 %") for ahead in ("next step", TEN)
+        } < own
+        assert {
+            "1 overview/MAE, next step (m/s)",
+            f"1 overview/MAE, {TEN} (m/s)",
+            "1 overview/thruster alarms so far",
+        } < own
+        assert {"2 identified/thrust_full_left (N)", "3 weights/weight of ensemble", f"3 weights/weight {TEN}"} < own
+        assert "4 contraction/margin tight (> 0)" in own and "4 contraction/rate K (a step)" in own
+    about = read["heron1/aid"].SummaryMetadata(f"1 overview/{MAE}").summary_description
+    assert "750 steps" in about
+
+
+def test_steps_are_seconds_on_the_water_and_increase(whole, fleet):
+    read, _, _ = whole
+    for lane, boat in enumerate(fleet.boats):
+        total = sum(run.time[run.lengths[lane] - 1, lane] for run in fleet.runs if run.lengths[lane])
+        for run, events in read.items():
+            if run.startswith(f"{boat}/"):
+                for tag in events.Tags()["scalars"]:
+                    at = steps(events, tag)
+                    assert all(np.diff(at) > 0) and total - 15 <= at[-1] <= total + len(fleet.runs), (run, tag)
+    assert len(steps(read["heron1/aid"], f"1 overview/{MAE}")) >= 3
+
+
+def test_the_last_points_are_the_errors_of_the_last_steps(fleet, tmp_path):
+    """Of fewer steps than the window: the rolling errors are those of the whole log."""
+    short = fleet._replace(runs=fleet.runs[:2])
+    ensemble = ensemble_of(SETTINGS)
+    found = log(tmp_path, short, ensemble)
+    read = boards(tmp_path / "tensorboard")
+    for boat in fleet.boats:
+        for name, row in found["boats"][boat].items():
+            events = read[f"{boat}/{name}"]
+            assert values(events, f"1 overview/{MAE}")[-1] == pytest.approx(row["mae"], rel=1e-5)
+            assert values(events, "1 overview/skill, next step")[-1] == pytest.approx(row["skill"], rel=1e-4, abs=1e-6)
+        for name, rows in found["forecast"][boat].items():
+            if rows["10"]["mae"] is not None:
+                assert values(read[f"{boat}/{name}"], f"1 overview/MAE, {TEN} (m/s)")[-1] == pytest.approx(
+                    rows["10"]["mae"]
+                )
+        own = values(read[f"{boat}/ensemble"], "1 overview/coverage of 90 %, next step")
+        assert own[-1] == pytest.approx(found["boats"][boat]["ensemble"]["coverage"])
+    means = [values(read[f"{boat}/aid"], f"1 overview/{MAE}")[-1] for boat in fleet.boats]
+    assert values(read["fleet/aid"], f"1 overview/{MAE}")[-1] == pytest.approx(np.mean(means))
+
+
+def test_data_and_rejected_messages_are_counted(whole, fleet):
+    read, _, _ = whole
+    for lane, boat in enumerate(fleet.boats):
+        steps_, measured = (
+            sum(x)
+            for x in zip(*((run.lengths[lane], run.samples.measured[:, lane].sum()) for run in fleet.runs), strict=True)
+        )
+        events = read[f"{boat}/ensemble"]
+        assert values(events, "5 data/measured speed (share)")[-1] == pytest.approx(measured / steps_)
+        lost = sum(causes.get("lost", 0) for causes in fleet.rejected[boat].values())
+        assert values(events, "5 data/rejected, lost (messages)") == [lost]
+        assert f"lost {fleet.rejected[boat]['surge']['lost']}" in texts(read["results"])["run/data"]
+
+
+def test_identified_quantities_have_bands_and_truth_beside_them(whole):
+    read, found, _ = whole
+    row = found["identified"]["heron2"]["steady_speed_half"]
+    assert max(abs(row[end] - row["value"]) for end in ("low", "high")) <= FAR * row["value"]
+    for run, key in {"identified": "value", "identified low": "low", "identified high": "high"}.items():
+        assert values(read[f"heron2/{run}"], "2 identified/steady_speed_half (m/s)")[-1] == pytest.approx(row[key])
+    assert len(set(values(read["heron2/truth"], "2 identified/steady_speed_half (m/s)"))) == 1
+
+
+def test_figures_and_text(whole, fleet):
+    read, _, _ = whole
+    images = {(run, tag) for run, events in read.items() for tag in events.Tags()["images"]}
+    assert {("heron1/ensemble", "7 figures/runs"), ("heron2/ensemble", "7 figures/runs")} <= images
+    assert ("heron1/ensemble", "7 figures/identified curves") in images and len(images) == LEAST_FIGURES
+    shown = texts(read["results"])
+    assert shown["run/command"] == "python train.py" and "rnn: fine" in shown["run/networks"]
+
+
+def test_a_run_has_one_row_on_the_hparams_page_and_a_job_of_a_sweep_none(whole, tmp_path, fleet):
+    _, found, folder = whole
+    rows = hparams(folder / "tensorboard" / "rnn.neurons=4")
+    assert list(rows) == ["results"]
+    settings, numbers = rows["results"]
+    assert settings["estimators.rnn.neurons"] == 4.0 and settings["boats"] == 2.0
+    mae = np.mean([row["ensemble"]["mae"] for row in found["boats"].values()])
+    assert (
+        numbers["8 results/1 MAE (m/s)"] == pytest.approx(mae)
+        and next(x for tag, x in numbers.items() if tag.endswith(" seconds")) >= 60
+    )
+    log(tmp_path, fleet, model(), alone=False)
+    assert hparams(tmp_path / "tensorboard") == {}
+    assert not any(events.Tags()["images"] for events in boards(tmp_path / "tensorboard").values())
+
+
+def test_log_all_writes_every_number_and_figure(tmp_path, fleet):
+    ensemble = ensemble_of(SETTINGS)
+    log(tmp_path, fleet, ensemble, log="all")
+    read = boards(tmp_path / "tensorboard")
+    assert "9 all/drag_quadratic" in tags(read["heron1/aid"]) and "9 all/covariance_trace" in tags(read["heron1/arx"])
+    assert "9 all/drag_linear (kg/s)" in tags(read["heron1/identified"])
+    assert "9 all/weight 30 s ahead" in tags(read["heron1/joint"])
+    figures = read["heron2/ensemble"]
+    assert len(figures.Images("7 figures/prediction")) == sum(run.lengths[1] > 0 for run in fleet.runs)
+    assert {"forecast", "free run", "thrusters"} <= {tag.partition("/")[2] for tag in figures.Tags()["images"]}
+    with pytest.raises(ConfigError, match="log: found 'al', expected one of main, all"):
+        TensorBoardLogger(tmp_path, fleet, ensemble, log="al")
+
+
+@pytest.mark.parametrize("stop", [2, 3, 5, 8])  # the first before any parameter set
+def test_a_resumed_run_has_every_point_once(tmp_path, fleet, stop):
+    """Points after the last parameter set are written again; TensorBoard keeps those that were written last."""
+    log(tmp_path / "whole", fleet, model())
+    log(tmp_path / "run", fleet, model(), stop=stop)
+    log(tmp_path / "run", fleet, model(), resume="latest")
+    expected, found = (boards(tmp_path / name / "tensorboard") for name in ("whole", "run"))
+    assert list(found) == list(expected)
+    for run, events in expected.items():
+        for tag in events.Tags()["scalars"]:
+            at = steps(found[run], tag)
+            assert at == sorted(set(at)), (run, tag)
+            assert at[-1] == steps(events, tag)[-1]
+        assert len(found[run].Tags()["tensors"]) == len(events.Tags()["tensors"])
+    assert texts(found["results"])["run/data"] == texts(expected["results"])["run/data"]
+
+
+def test_a_boat_without_measured_speed_is_drawn_without_errors(tmp_path, fleet):
+    blind = list(fleet.runs)
+    for k, run in enumerate(blind):
+        samples = run.samples._replace(measured=run.samples.measured & np.array([True, False]))
+        blind[k] = run._replace(samples=samples)
+    assert not any(masks(run.samples, PLAUSIBLE).learns[:, 1].any() for run in blind)
+    with np.errstate(all="raise"):
+        log(tmp_path, fleet._replace(runs=tuple(blind)), ensemble_of(SETTINGS), log="all")
+    read = boards(tmp_path / "tensorboard")
+    assert f"1 overview/{MAE}" not in tags(read["heron2/aid"]) and f"1 overview/{MAE}" in tags(read["fleet/aid"])
+    assert values(read["heron2/ensemble"], "5 data/measured speed (share)")[-1] == 0
+
+
+def test_awkward_names_have_folders_of_their_own(tmp_path):
+    """A boat that is called like the means of the fleet, and members of a bank."""
+    boats = align_fleet([recording(name, "one", 30.0) for name in ("fleet", "a:b", "a?b")])
+    members = {"aid": Bank(AID(28.0, gain=[0.1, 3.0]), ["slow /..", "fast"]), "persistence": Persistence()}
+    log(tmp_path, boats, Ensemble(members))
+    read = boards(tmp_path / "tensorboard")
+    assert {run.partition("/")[0] for run in read} == {"fleet", "fleet_", "a_b", "a_b_", "results"}
+    assert {run.partition("/")[2] for run in read if run.startswith("a_b_/")} == {
+        "aid_slow _",
+        "aid_fast",
+        "persistence",
+        "average",
+    }
+
+
+def test_other_estimators_take_the_places_of_missing_ones():
+    order = in_order({"a": ["mine", "arx", "aid", "persistence"], "b": ["arx", "aid", "persistence", "other"]})
+    assert order == ["a/persistence", "a/aid", "a/mine", "a/arx", "b/persistence", "b/aid", "b/other", "b/arx"]
+
+
+def test_the_free_run_is_that_of_the_results(tmp_path, fleet, monkeypatch):
+    """The figure simulates the last run as `free_errors` does, from the parameters before it."""
+    from usvlearn.runs.tensorboard import drawing
+
+    drawn = []
+    monkeypatch.setattr(drawing, "free_figure", lambda *arguments: drawn.append(arguments))
+    ensemble = ensemble_of(SETTINGS)
+    states = {chunk.end: chunk.state for chunk in replay(ensemble, fleet, ensemble.init((2,)), BEGIN, 50, 150)}
+    log(tmp_path, fleet, ensemble, log="all")
+    last = len(fleet.runs) - 1
+    state = states[Position(last - 1, len(fleet.runs[last - 1].time))]
+    expected = free_errors(ensemble, state, fleet, last).mae(fleet.boats, ensemble.names)
+    for boat, (_, surge, predictions, names, _) in zip(fleet.boats, drawn, strict=True):
+        for k, name in enumerate(names):
+            assert np.nanmean(np.abs(predictions[:, k] - surge)) == pytest.approx(expected[boat][name])
+
+
+def test_a_run_is_named_after_how_it_learns_not_after_its_data():
+    channels = ["surge.name=speed", "command_left.name=pwm_l", "command_left.zero=1500", "command_right.span=-400"]
+    csv = ["data=csv", "data.path=log.csv", "data.reader.time=t", *(f"data.channels.{each}" for each in channels)]
+    beside = [
+        "vehicle.mass=20",
+        "vehicle.surge_max=3",
+        "data.n=8",
+        "data.hours=1",
+        "+data.extra=1",
+        "hydra/launcher=slurm",
+    ]
+    neurons = "estimators.rnn.neurons=20"
+    assert label(what_differs([*csv, *beside, "sweep=rnn_size", "sweep.lanes=auto", neurons])) == "rnn.neurons=20"
+    assert label(what_differs(["data.path={anna: logs/anna, bert: logs/bert}", neurons])) == "rnn.neurons=20"
+    tree = "estimators.mine={_target_: a/b, gain: [1/2, 3]}"
+    assert what_differs([tree, "database=x", "data.seed=3"]) == {
+        "estimators.mine": "{_target_: a/b, gain: [1/2, 3]}",
+        "database": "x",
+        "data.seed": "3",
+    }
+
+
+def test_figures_rise_in_steps_and_every_boat_has_one(whole):
+    """Their steps are distinct within a tag, after all points of the boat."""
+    read, _, _ = whole
+    for run, events in read.items():
+        for tag in events.Tags()["images"]:
+            found = [image.step for image in events.Images(tag)]
+            points = [point.step for each in events.Tags()["scalars"] for point in events.Scalars(each)]
+            assert found == sorted(set(found)) and found[0] > max(points), (run, tag)
+
+
+def test_results_of_several_runs_have_one_column_each():
+    without = {"boats": {"heron": {"rnn": {"mae": 0.1, "skill": 0.5}}}, "seconds": 3.0}
+    whole = without | {"free": {"heron": {"rnn": 0.2}}, "network": {"heron": {"rnn": {"rate": 0.9}}}}
+    tags = [{result_tag(title) for title in results_of(each, "rnn")} for each in (without, whole)]
+    assert tags[0] < tags[1] and len({tag.split()[1] for tag in tags[1]}) == len(tags[1])

@@ -1,0 +1,98 @@
+"""Searching with Optuna: it goes on where it broke off, and processes share a budget."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from tests.support.commands import ENVIRONMENT, command
+from tests.support.configured import TWO_BOATS, replayed, request
+from usvlearn.errors import ConfigError, MissingExtraError
+from usvlearn.sweeps.tuning import search
+from usvlearn.sweeps.tuning.lanes import Objective
+
+
+def searched(fleet, folder, evaluations, asked=None, **options):
+    asked = asked or request("search=aid")
+    objective = Objective(asked.build, fleet)
+    return search.search(objective, asked.parameters, evaluations, folder, {"ranges": asked.ranges}, **options)
+
+
+def test_a_search_that_broke_off_goes_on_to_the_count(fleet, tmp_path):
+    asked, work = request("search=aid"), []
+
+    def breaks(done: float) -> None:
+        work.append(done)
+        if sum(work) > 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        search.search(Objective(asked.build, fleet, breaks), asked.parameters, 10, tmp_path,
+                      {"ranges": asked.ranges}, batch=4)  # fmt: skip
+    found, used = searched(fleet, tmp_path, 10, batch=4)
+    assert used == 10 and len(found) == 11 and found[0].setting == {"gain": 1.0}
+    again, used = searched(fleet, tmp_path, 10)
+    assert again == found and used == 10
+    more, used = searched(fleet, tmp_path, 13)
+    assert more[:11] == found and used == 13
+    assert all(0.01 <= each.setting["gain"] <= 100 for each in more)
+    np.testing.assert_allclose(more[-1].maes, replayed(fleet, asked.build(more[-1].setting)), rtol=1e-12)
+    with pytest.raises(ConfigError, match="another hydra"):
+        searched(fleet, tmp_path, 13, request("search=aid", "tuning.ranges.aid.gain=[0.1,1]"))
+
+
+def test_a_journal_that_names_code_is_refused(fleet, tmp_path):
+    searched(fleet, tmp_path, 2, batch=2)
+    journal = tmp_path / "optuna.log"
+    text = journal.read_text()
+    journal.write_text(text.replace('{"gain":', '{"_target_":'))
+    assert journal.read_text() != text
+    with pytest.raises(ConfigError, match=r"optuna\.log: found the setting '_target_'"):
+        searched(fleet, tmp_path, 2)
+
+
+def test_what_a_killed_process_left_is_given_back(fleet, tmp_path):
+    """And what a living one has in hand is waited for."""
+    import optuna
+
+    searched(fleet, tmp_path, 2, batch=2)
+    storage = optuna.storages.JournalStorage(optuna.storages.journal.JournalFileBackend(str(tmp_path / "optuna.log")))
+    study = optuna.load_study(study_name=search.STUDY, storage=storage)
+    left = study.ask()
+    left.set_user_attr("worker", 99)
+    sign = tmp_path / "workers" / "99"
+    sign.touch()
+    os.utime(sign, (time.time() - search.STALE + 1,) * 2)  # alive for a second more
+    began = time.monotonic()
+    _, used = searched(fleet, tmp_path, 4, batch=2)
+    assert used == 4 and time.monotonic() - began > 0.7
+    assert study.trials[left.number].state.name == "FAIL"
+
+
+@pytest.mark.slow
+def test_two_processes_share_the_budget(tmp_path):
+    arguments = command(*TWO_BOATS, "search=aid", "tuning.evaluations=24", "tuning.trials=2", "hydra.run.dir=run")
+    both = [subprocess.Popen(arguments, cwd=tmp_path, env=ENVIRONMENT, stdout=subprocess.DEVNULL) for _ in range(2)]
+    assert [process.wait(120) for process in both] == [0, 0]
+    found = json.loads((tmp_path / "run" / "tuning.json").read_text())
+    assert found["evaluations"] == 24 and len(found["evaluated"]) == 25
+    assert len({each["setting"]["gain"] for each in found["evaluated"][1:]}) > 20  # not twice the same random start
+    assert sorted(path.name for path in (tmp_path / "run" / "workers").iterdir()) == ["0", "1"]
+
+
+def test_without_optuna_the_extra_is_named(fleet, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    with pytest.raises(MissingExtraError, match=r"usvlearn\[tune\]"):
+        searched(fleet, tmp_path, 2)
+
+
+def test_a_line_that_a_full_disk_left_unfinished_is_cut_off(fleet, tmp_path):
+    found, _ = searched(fleet, tmp_path, 2, batch=2)
+    journal = tmp_path / "optuna.log"
+    journal.write_bytes(journal.read_bytes() + b'{"op_code":8,"worker_id":"')
+    more, used = searched(fleet, tmp_path, 4, batch=2)
+    assert used == 4 and more[:3] == found

@@ -1,0 +1,81 @@
+"""Grids, gradients and cross-validation keep to the device of the estimator; `meta` stands for an accelerator.
+
+Values that are read there are 1, so that each method runs to its end (`tests/support/placement.py`).
+"""
+
+import pytest
+import torch
+
+from tests.support import random_samples
+from tests.support.configured import request
+from tests.support.placement import read_as_ones
+from usvlearn import AID, BOA, RLS, RNN, Ensemble, RecursiveWeights
+from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.evaluation.crossval import cross_validate
+from usvlearn.evaluation.measure import Measure
+from usvlearn.sweeps.tuning.backprop import fit, run_lanes
+from usvlearn.sweeps.tuning.grid import grid
+from usvlearn.sweeps.tuning.lanes import Objective, lane_errors
+from usvlearn.sweeps.tuning.sensitivities import descend
+
+
+@pytest.fixture
+def short(fleet):
+    """Two missions of 24 s."""
+    cut = [run._replace(time=run.time[:60], samples=tree_map(lambda x: x[:60], run.samples)) for run in fleet.runs[:2]]
+    return fleet._replace(runs=tuple(cut))
+
+
+@pytest.fixture
+def meta():
+    """The builder of a member, there, and its tuned hyperparameters."""
+
+    def made(member, *overrides):
+        asked = request(f"learn={member}", *overrides)
+        return (lambda values: asked.build(values).to("meta")), asked.parameters
+
+    return made
+
+
+@pytest.mark.parametrize("measure", [Measure(""), Measure("", "forecast", 2.0), Measure("", "free")])
+def test_errors_of_lanes_are_on_the_device_of_the_estimator(short, measure):
+    with read_as_ones():
+        found = lane_errors(AID(28.0, gain=[[0.1], [1.0], [10.0]]).to("meta"), short, (3,), measure=measure)
+    assert found.errors.is_meta and found.errors.shape == found.steps.shape == (2, 3, 2)
+    assert found.steps.is_meta and found.mae.is_meta
+    assert {leaf.device.type for _, leaf in named_leaves(found.state)} == {"meta"}
+
+
+def test_lanes_of_runs_are_on_the_device_of_the_hyperparameters(fleet):
+    here, there = (run_lanes(fleet, torch.zeros((), dtype=torch.float64, device=x)) for x in ("cpu", "meta"))
+    expected = dict(named_leaves(here))
+    for name, leaf in named_leaves(there):
+        assert leaf.is_meta and (leaf.shape, leaf.dtype) == (expected[name].shape, expected[name].dtype), name
+
+
+def test_a_grid_runs_on_the_device_of_its_estimators(short, meta):
+    build, parameters = meta("aid")
+    with read_as_ones():
+        assert [each.mae for each in grid(Objective(build, short), parameters, 3, 1)[0]] == [1.0] * 3
+
+
+@pytest.mark.parametrize("member, overrides", [("sift_map", []), ("rnn", ["+tuning.ranges.rnn.initial=[-3,3]"])])
+def test_backpropagation_runs_on_the_device_of_the_estimator(short, meta, member, overrides, tmp_path):
+    build, parameters = meta(member, *overrides, "tuning.window=20")
+    with read_as_ones():
+        found = fit(Objective(build, short), parameters, 4, 20, folder=tmp_path)
+    assert found.used == 4 and len(found.curve) == 3
+
+
+def test_the_exact_gradient_runs_on_the_device_of_the_estimator(short, meta):
+    build, parameters = meta("aid")
+    with read_as_ones():
+        assert descend(Objective(build, short), parameters, 6).used >= 3
+
+
+def test_cross_validation_runs_on_the_device_of_the_sets():
+    members = {"aid": AID(28.0), "rls": RLS(), "rnn": RNN(4)}
+    ensemble = Ensemble(members, {"weighted": RecursiveWeights(), "boa": BOA()}).to("meta")
+    with read_as_ones(), torch.no_grad():
+        found = cross_validate(ensemble, ensemble.init((3,)), [random_samples(5), random_samples(4)])
+    assert found.mae.shape == (3, 2, 7)

@@ -1,0 +1,277 @@
+"""A parameter set on disk: one safetensors file, whose header also contains the metadata and a checksum over both.
+
+It is written to a temporary file, flushed to the disk and renamed, so that a reader sees a complete file or none. torch
+is not imported, because small computers on boats do not have it.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import itertools
+import json
+import os
+import platform
+import re
+import reprlib
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from usvlearn.core.samples import named_leaves, rebuild, sort_of
+from usvlearn.errors import CheckpointError
+
+SCHEMA = 2  # schema 1 had another square root of the covariance of least squares
+SUFFIX = ".safetensors"
+RENAMED = {"members.rls.": "members.sift_map."}  # since version 0.1
+KEY = "usvlearn"  # of the metadata in the safetensors header
+LISTED = 8  # folders in an error
+QUOTED = 400  # characters of an error that quotes the file
+HOST = hashlib.sha256(platform.node().encode()).hexdigest()[:8]  # in the names of temporary files
+LEFT = re.compile(rf"\..+\.{HOST}-(\d{{1,19}})-\d+\.tmp")
+_COUNT, _WRITING = itertools.count(), set[str]()  # of this process's temporary files
+
+
+def save(path: str | Path, state: Any, **metadata: Any) -> Path:
+    """Write a state with its metadata, atomically and durably.
+
+    Args:
+        path: of the file; its folder is made. An existing file is replaced only by a complete one.
+        state: a tree of arrays or tensors.
+        **metadata: JSON values: estimator, configuration, boat, run, time …
+
+    Returns:
+        The path.
+
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = save(folder + "/a.safetensors", {"theta": np.ones(2)}, boat="heron")
+    ...     state, metadata = load(path)
+    >>> state["theta"], metadata["boat"]
+    (array([1., 1.]), 'heron')
+    """
+    path = Path(path)
+    leaves = {name: as_array(leaf) for name, leaf in named_leaves(state)}
+    facts = {"schema": SCHEMA, **metadata}
+    facts["sha256"] = _digest(leaves, facts)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomically(path, save_tensors(leaves, {KEY: json.dumps(facts)}))
+    return path
+
+
+def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read a parameter set: arrays by dotted name, and the metadata.
+
+    Raises:
+        CheckpointError: no such file, not a checkpoint, another schema, or a checksum that does not fit.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not path.is_file():  # reading a device or a pipe would never end
+            raise OSError(errno.EINVAL, "it is no file")
+        content = path.read_bytes()
+    except (OSError, MemoryError) as error:
+        cause = getattr(error, "strerror", "it is larger than the memory")
+        raise CheckpointError(f"{path}: cannot be read ({cause}): give the path of a checkpoint") from error
+    try:
+        leaves = load_tensors(content)
+        header = json.loads(content[8 : 8 + int.from_bytes(content[:8], "little")])
+        facts = json.loads(header["__metadata__"][KEY])
+        if not isinstance(facts, dict):
+            raise TypeError(f"its metadata are {reprlib.repr(facts)}, expected a dictionary")
+        stated = facts.pop("sha256", None)
+        found = _digest(leaves, facts)
+    except (SafetensorError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
+        raise CheckpointError(
+            f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:QUOTED]}): use the set saved before it"
+        ) from error
+    if facts.get("schema") != SCHEMA:
+        raise CheckpointError(
+            f"{path}: has the schema {reprlib.repr(facts.get('schema'))}, this version reads {SCHEMA}: "
+            "read it with the version of usvlearn that wrote it"
+        )
+    if stated != found:
+        raise CheckpointError(f"{path}: is damaged (its checksum does not fit): use the set saved before it")
+    return leaves, facts
+
+
+def verify(path: str | Path) -> None:
+    """Raise a CheckpointError unless the file is complete, has this schema, and its checksum fits."""
+    load(path)
+
+
+def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
+    """Read a parameter set into the structure of `template`, a state of the estimator that will continue from it.
+
+    Args:
+        path: of the checkpoint.
+        template: a state whose leaves give names, shapes and dtypes; NumPy or torch.
+        estimator: name that the metadata must carry.
+
+    Raises:
+        CheckpointError: as `load`, or it belongs to another estimator or has other leaves or shapes.
+    """
+    leaves, facts = load(path)
+    found = facts.get("estimator")
+    if estimator is not None and found != estimator:
+        raise CheckpointError(
+            f"{path}: belongs to the estimator {reprlib.repr(found)}, expected {estimator!r}: "
+            f"give a checkpoint of {estimator}"
+        )
+    wanted = dict(named_leaves(template))
+    leaves = _with_names_of_today(leaves, wanted)
+    for kind, names in (
+        ("lacks", wanted.keys() - leaves.keys()),
+        ("has in addition", leaves.keys() - wanted.keys()),
+    ):
+        if names:
+            raise CheckpointError(
+                f"{path}: does not fit this estimator, it {kind} {', '.join(sorted(names)[:5])}: "
+                "use the configuration that it was saved with"
+            )
+    for name, leaf in wanted.items():
+        if tuple(leaf.shape) != leaves[name].shape:
+            raise CheckpointError(
+                f"{path}: {name} has the shape {leaves[name].shape}, expected {tuple(leaf.shape)}: "
+                "use the configuration that it was saved with"
+            )
+        if sort_of(leaf.dtype) != sort_of(leaves[name].dtype):
+            raise CheckpointError(
+                f"{path}: {name} is {leaves[name].dtype}, expected {leaf.dtype}: use the set saved before it"
+            )
+    return rebuild(template, {name: _like(leaf, leaves[name]) for name, leaf in wanted.items()}), facts
+
+
+def _with_names_of_today(leaves: dict[str, np.ndarray], wanted: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Leaves with the names of today's default ensemble, where the file has those of version 0.1."""
+
+    def only(names: Mapping[str, Any], own: str, other: str) -> bool:
+        return any(name.startswith(own) for name in names) and not any(name.startswith(other) for name in names)
+
+    for before, now in RENAMED.items():
+        if only(leaves, before, now) and only(wanted, now, before):
+            leaves = {now + name.removeprefix(before) if name.startswith(before) else name: leaf
+                      for name, leaf in leaves.items()}  # fmt: skip
+    return leaves
+
+
+def checkpoints(folder: str | Path) -> list[Path]:
+    """The parameter sets in a folder, oldest first (sorted by name, which increases)."""
+    return sorted(Path(folder).glob(f"*{SUFFIX}"))
+
+
+def restore_newest(folder: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
+    """Restore the newest readable parameter set of a folder; unreadable ones are skipped with a warning.
+
+    Raises:
+        CheckpointError: none can be read.
+    """
+    return newest(folder, lambda path: restore(path, template, estimator))
+
+
+def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
+    """The result of `read` for the newest parameter set of a folder for which it raises no CheckpointError.
+
+    Without sets of its own, the folder may be a run's: that of its only boat is read.
+    """
+    paths = checkpoints(folder)
+    if not paths and (boats := sorted({path.parent for path in Path(folder).glob(f"*/*/*{SUFFIX}")})):
+        if len(boats) > 1:
+            raise CheckpointError(f"{folder}: holds the parameter sets of several boats: give {_either(boats)}")
+        paths = checkpoints(boats[0])
+    for path in reversed(paths):
+        try:
+            return read(path)
+        except CheckpointError as error:
+            warnings.warn(f"{error}; trying the one before", stacklevel=3)
+    raise CheckpointError(f"{folder}: none of its {len(paths)} checkpoints can be read: give another folder")
+
+
+def _either(paths: Sequence[Path]) -> str:
+    shown = [str(path) for path in paths[:LISTED]]
+    return " or ".join(shown) + (f", or one of {len(paths) - LISTED} more" if len(paths) > LISTED else "")
+
+
+def write_atomically(path: Path, content: bytes) -> None:
+    """Write a file so that a kill at any moment leaves the complete old file or the complete new one.
+
+    Several processes may write it at the same time: each writes its own temporary file, and the last one's remains.
+    Temporary files of writers that were killed are removed from the folder.
+    """
+    _sweep(path.parent)
+    temporary = path.with_name(f".{path.name}.{HOST}-{os.getpid()}-{next(_COUNT)}.tmp")
+    _WRITING.add(temporary.name)
+    try:
+        with open(temporary, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        if hasattr(os, "O_DIRECTORY"):
+            folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+    except OSError as error:
+        error.filename = str(path)  # a write to a full disk names no file
+        raise
+    finally:
+        temporary.unlink(missing_ok=True)
+        _WRITING.discard(temporary.name)
+
+
+def _sweep(folder: Path) -> None:
+    """Remove the temporary files of writers of this machine that no longer run, if that is permitted."""
+    with suppress(OSError):
+        for name in os.listdir(folder):
+            if (found := LEFT.fullmatch(name)) and name not in _WRITING and not _runs_elsewhere(int(found[1])):
+                (folder / name).unlink(missing_ok=True)
+
+
+def _runs_elsewhere(process: int) -> bool:
+    """Whether another process of this machine has this number, as far as that can be found out."""
+    if process == os.getpid():
+        return False
+    try:
+        if os.name == "posix":
+            os.kill(process, 0)
+        return True
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+
+
+def as_array(leaf: Any) -> np.ndarray:
+    """An array from an array or a tensor, contiguous.
+
+    >>> as_array(np.ones((2, 2)).T).flags.c_contiguous
+    True
+    """
+    array = leaf if isinstance(leaf, np.ndarray) else leaf.detach().cpu().numpy()
+    return np.ascontiguousarray(array).reshape(array.shape)
+
+
+def _like(leaf: Any, array: np.ndarray) -> Any:
+    if isinstance(leaf, np.ndarray):
+        return array.astype(leaf.dtype)
+    import torch
+
+    return torch.from_numpy(array.copy()).to(dtype=leaf.dtype, device=leaf.device)
+
+
+def _digest(leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> str:
+    total = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for name in sorted(leaves):
+        array = leaves[name]
+        total.update(f"{name} {array.dtype.str} {array.shape}".encode())
+        total.update(array.tobytes())
+    return total.hexdigest()

@@ -1,0 +1,265 @@
+"""What a family of estimators declares, once: the leaves of its state, its numbers, its choices, and what is legal.
+
+The layer reads the names, the kernel the places, the engine both, and `engine.check` the ranges. A family is an
+estimator, a wrapper, a rule, or another part of an ensemble. It declares in its `state.py`
+
+    class Number(Numbers):          numbers, by name; each has its legal range
+        GAIN = POSITIVE
+    class Vector(Vectors):          several numbers of one name, as many as the size says
+        SPREAD = NOT_NEGATIVE
+    class Choice(Choices):          one of several allowed values
+        FEEDBACK = FEEDBACK
+    FAMILY = Family(("aid",), lambda p: AIDState(theta=leaf(p), surge=leaf()), Number, Choice, Vector)
+    AT = FAMILY.at                  an AIDState that holds places
+
+`engine.program` writes a row of integers for each part: the places of its leaves, numbers and vectors, and its choices.
+A kernel receives this row as `node`, and the state `s` and the numbers `q` of one lane:
+
+    numbers = q[node[Node.NUMBERS] :]
+    numbers[Number.GAIN], s[node[AT.surge]], q[node[Vector.SPREAD] + i], node[Choice.FEEDBACK]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from itertools import count
+from math import inf
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from usvlearn.core.samples import named_leaves
+
+S = TypeVar("S")
+
+LEAST, MOST = 1e-30, 1e30  # of a positive number: its inverse is finite in float32, and its eighth power in float64
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers from `least` to `most`, both included; NaN is outside.
+
+    Attributes:
+        diagonal: the least number on the diagonal of a square matrix.
+        sleeps: whether NaN, infinity, and numbers beyond ±1e30 are legal too.
+    """
+
+    least: float
+    most: float
+    diagonal: float = -inf
+    sleeps: bool = False
+
+    def wrong(self, array: np.ndarray) -> np.ndarray:
+        """The numbers that are not legal, `(count,)`.
+
+        >>> POSITIVE.wrong(np.array([1.0, 0.0, np.nan]))
+        array([ 0., nan])
+        """
+        legal = (array >= self.least) & (array <= self.most)
+        if self.diagonal > -inf:
+            legal &= (array >= self.diagonal) | ~np.eye(array.shape[-1], dtype=bool)
+        if self.sleeps:
+            legal |= ~(np.abs(array) <= MOST)
+        return array[~legal]
+
+    def __str__(self) -> str:
+        ends = f"{self.least:.9g} … {self.most:.9g}"
+        return ends if self.diagonal == -inf else f"{ends}, and {self.diagonal:.9g} or more on the diagonal"
+
+    def asleep(self) -> Range:
+        """This range, and the values of a member that has diverged (it sleeps)."""
+        return replace(self, sleeps=True)
+
+
+FINITE = Range(-MOST, MOST)
+NOT_NEGATIVE = Range(0.0, MOST)
+POSITIVE = Range(LEAST, MOST)
+MODEST = Range(1e-12, 1e12)  # the scale of parameters: a mass, kg, or the inverse of a speed
+POSITIVE_OR_INFINITE = Range(LEAST, inf)
+UNIT = Range(0.0, 1.0)
+FACTOR = Range(LEAST, 1.0)
+BELOW_ONE = Range(0.0, 1 - 2.0**-24)  # in float32, too
+AT_MOST_TEN = Range(0.0, 10.0)  # the exponent of a factor that is applied at every step
+WEIGHT = Range(0.0, 1.001)  # a share, with room for rounding
+TRIANGLE = Range(-MOST, MOST, diagonal=LEAST)  # the Cholesky factor of a covariance
+ANY = Range(-inf, inf, sleeps=True)
+
+
+class Node(IntEnum):
+    """The first places in the row of a part; those that the part declares follow."""
+
+    FAMILY = 0  # index in the list of families
+    KIND = 1  # index in its family's kinds
+    SIZE = 2
+    NUMBERS = 3  # place of the first number
+    BEGIN = 4  # place of the estimator's state, which `Robust` restores where it refuses a sample,
+    END = 5  # and the place behind it
+    MEMORY = 6  # the row of the wrapper; −1 without
+    ROBUST = 7
+    OUTER = 8  # whether `Robust` is around `WithMemory`
+
+
+CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 40  # where each begins in a row, and the row's length
+FEEDBACK = ("measured", "estimate")  # the speed from which the next step departs
+ESTIMATE = FEEDBACK.index("estimate")
+
+
+@dataclass(frozen=True)
+class Field:
+    """A leaf of a state."""
+
+    shape: tuple[int, ...]  # without the batch
+    legal: Range = FINITE
+    flag: bool = False  # whether it is bool
+
+
+def leaf(*shape: int, legal: Range = FINITE, flag: bool = False) -> Any:
+    """A `Field`, typed so that it can stand for a tensor in a state.
+
+    >>> leaf(3, legal=UNIT).shape
+    (3,)
+    """
+    return Field(shape, legal, flag)
+
+
+class Named(IntEnum):
+    """Members are numbered in the order of their declaration. A specification has their names in lower case."""
+
+    @property
+    def key(self) -> str:
+        return self.name.lower()
+
+    @classmethod
+    def _member(cls, first: int, end: float) -> Any:
+        place = first + len(cls.__members__)
+        if place >= end:
+            raise TypeError(f"{cls.__module__}.{cls.__name__}: found more than {end - first} members: widen the table")
+        member = int.__new__(cls, place)
+        member._value_ = place
+        return member
+
+
+class Numbers(Named):
+    """Named numbers with their legal range; a value is an offset from the part's first number.
+
+    >>> class Number(Numbers):
+    ...     GAIN = POSITIVE
+    ...     SHARE = UNIT
+    >>> [(each.key, int(each), str(each.legal)) for each in Number]
+    [('gain', 0, '1e-30 … 1e+30'), ('share', 1, '0 … 1')]
+    """
+
+    legal: Range
+
+    def __new__(cls, legal: Range) -> Any:
+        member = cls._member(0, inf)
+        member.legal = legal
+        return member
+
+
+class Vectors(Named):
+    """Named vectors with their legal range and their length, which is the size unless stated.
+
+    A value is the place in a row that holds the place of the vector's first number.
+    """
+
+    legal: Range
+    length: Callable[[Any], int]
+
+    def __new__(cls, legal: Range, length: Callable[[Any], int] = lambda size: size) -> Any:
+        member = cls._member(VECTORS, LEAVES)
+        member.legal, member.length = legal, length
+        return member
+
+
+@dataclass(frozen=True)
+class Each:
+    """One choice for each parameter; the choices are stored among the numbers."""
+
+    allowed: tuple[Any, ...]
+
+
+class Choices(Named):
+    """Named choices with what is allowed: some values, the whole numbers of a `Range`, or `Each`.
+
+    A value is the place in a row that holds the choice: the index of the chosen value, or the whole number itself,
+    or, for `Each`, the place of the first.
+    """
+
+    allowed: tuple[Any, ...]
+
+    def __new__(cls, *allowed: Any) -> Any:
+        member = cls._member(CHOICES, VECTORS)
+        member.allowed = allowed
+        return member
+
+    @property
+    def whole(self) -> Range | None:
+        """The range of the whole numbers that are allowed, or None."""
+        return self.allowed[0] if isinstance(self.allowed[0], Range) else None
+
+    @property
+    def each(self) -> tuple[Any, ...] | None:
+        """The values that are allowed for each of an `Each`, or None."""
+        return self.allowed[0].allowed if isinstance(self.allowed[0], Each) else None
+
+
+@dataclass(frozen=True)
+class Family(Generic[S]):
+    """What a family declares.
+
+    Attributes:
+        kinds: its names in specifications.
+        state: from the size (of forecasts a tuple), and then the values of `lengths`, a state of `Field`s.
+        numbers, choices, vectors: its other declarations.
+        size: the legal sizes, or a function from its entries in a specification to its size.
+        optional: choices that a specification has all or none of.
+        lengths: choices, whole numbers, that also size the state; one that a specification lacks counts as 0.
+        work: from the size, the length of the work array that its kernel needs.
+        heading: from its entries, whether it needs the heading.
+        remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
+        frozen: the leaves, by dotted name, that a free run needs: those that `free_step` reads or changes; None: all.
+
+    >>> from usvlearn.estimators.aid.state import FAMILY
+    >>> FAMILY.at.surge - FAMILY.at.theta, list(FAMILY.leaves(9))
+    (1, ['theta', 'surge'])
+    """
+
+    kinds: tuple[str, ...]
+    state: Callable[..., S]
+    numbers: type[Numbers] = Numbers
+    choices: type[Choices] = Choices
+    vectors: type[Vectors] = Vectors
+    size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)
+    optional: tuple[Choices, ...] = ()
+    lengths: tuple[Choices, ...] = ()
+    work: Callable[[int], int] = lambda size: 0
+    heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
+    remembers: Callable[[Mapping[str, Any]], bool] = lambda own: False
+    frozen: tuple[str, ...] | None = None
+
+    @property
+    def at(self) -> S:
+        """A state that holds, for each leaf, the place in a row that holds the leaf's place."""
+        return _counted(self.state(1, *(1 for _ in self.lengths)), count(LEAVES))
+
+    def leaves(self, size: Any, prefix: str = "", own: Mapping[str, Any] | None = None) -> dict[str, Field]:
+        """The leaves of its state by dotted name, in its order; `own` is its entries in a specification."""
+        lengths = ((own or {}).get(choice.key, 0) for choice in self.lengths)
+        return {prefix + name: each for name, each in named_leaves(self.state(size, *lengths))}
+
+    def chosen(self, own: Mapping[str, Any]) -> list[Choices]:
+        """The choices that a specification must state."""
+        stated = any(choice.key in own for choice in self.optional)
+        return [choice for choice in self.choices if stated or choice not in self.optional]
+
+
+def _counted(tree: Any, places: Iterator[int]) -> Any:
+    """A tree of fields as a tree of places; a part without leaves is an empty tuple."""
+    if isinstance(tree, Field):
+        if (place := next(places)) >= WIDTH:
+            raise TypeError(f"found more than {WIDTH - LEAVES} leaves: widen the table")
+        return place
+    return type(tree)(*(_counted(each, places) for each in tree)) if isinstance(tree, tuple) else ()

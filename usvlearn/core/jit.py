@@ -1,0 +1,296 @@
+"""How functions are compiled by numba, and where the machine code is kept.
+
+Numba checks one source file to decide whether cached machine code is current. But machine code also contains the
+functions that this file calls and the constants that it imports. So the cache is a folder whose name is a hash of the
+file and of all files of this package that it imports, directly or not. Each cached file ends with its sha256, because a
+power cut or a bad disk can damage it, and damaged machine code must not run.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import io
+import os
+import shutil
+import stat
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, ParamSpec, Protocol, TypeVar, overload
+
+import numba
+from llvmlite.binding import get_host_cpu_name
+from numba.core import config, types
+from numba.core.caching import IndexDataCacheFile
+from numba.core.typing import arraydecl
+
+try:
+    from usvlearn.core.parts import Part
+except (ImportError, AttributeError):  # a version of numba with other internals
+    Part = None  # type: ignore[assignment, misc]  # no type says "this class, or None"
+
+P = ParamSpec("P")
+R = TypeVar("R", covariant=True)
+
+NUMBA: Any = config  # numba's options, which it makes as it is imported, so that no checker sees their names
+HERE = Path(__file__).parent
+DIGEST = hashlib.sha256().digest_size
+
+if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a number, but not as an index
+    _index_type = arraydecl.get_array_index_type
+
+    def _as_integer(index: Any) -> Any:
+        if isinstance(index, types.BaseTuple):
+            parts: Any = index  # its type has no iterator for a checker
+            return types.BaseTuple.from_types([_as_integer(each) for each in parts])
+        return index.dtype if isinstance(index, types.IntEnumMember) else index
+
+    arraydecl.get_array_index_type = lambda array, index: _index_type(array, _as_integer(index))
+
+
+@cache
+def folder(source: Path) -> Path:
+    """Where the machine code of a source file's functions is kept: under `NUMBA_CACHE_DIR`, or the user's cache."""
+    machine = numba.__version__, sys.implementation.cache_tag, get_host_cpu_name(), str(source)
+    digest = hashlib.sha256("\n".join(machine).encode())
+    for path in sorted(sources(source)):
+        digest.update(path.read_bytes())
+    name = f"kernels-{digest.hexdigest()[:12]}"
+    try:
+        base = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:  # no home
+        return _temporary() / name
+    found = Path(base) / "usvlearn" / name
+    try:
+        found.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=found):
+            return found
+    except OSError:
+        return _copied(found, _temporary() / name)
+
+
+def _copied(found: Path, own: Path) -> Path:
+    """A folder of this user with the machine code of one that cannot be written to; numba would not use that one."""
+    with suppress(OSError):
+        if found.is_dir() and not own.exists():
+            part = tempfile.mkdtemp(dir=own.parent)
+            shutil.copytree(found, part, dirs_exist_ok=True)
+            os.rename(part, own)
+    return own
+
+
+def sources(path: Path) -> set[Path]:
+    """A source file, and those of this package that it imports, directly or not: all that is in its machine code."""
+    found: set[Path] = set()
+    ahead = [path]
+    while ahead:
+        if (path := ahead.pop()) not in found:
+            found.add(path)
+            ahead += _imported(path)
+    return found
+
+
+def _imported(path: Path) -> Iterator[Path]:
+    """The files of this package that a source file imports."""
+    for names in _import_names(path.read_bytes()):
+        places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
+        files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
+        yield from [file for file in files if file.is_file()][:1]
+        if f"{HERE.name}.estimators.COMPILED" in names:  # the kernels of this list are imported by name
+            yield from (HERE / "estimators").rglob("kernel.py")
+
+
+@cache
+def _import_names(content: bytes) -> tuple[tuple[str, ...], ...]:
+    """For each import of a source, the names that may be a module, the longest first. Each content is parsed once."""
+    found: list[tuple[str, ...]] = []
+    for node in ast.walk(ast.parse(content)):
+        if isinstance(node, ast.Import):
+            found += [(each.name,) for each in node.names]
+        elif isinstance(
+            node, ast.ImportFrom
+        ):  # `from usvlearn.engine import dispatch` names a module, others a name in one
+            found += [(f"{node.module}.{each.name}", str(node.module)) for each in node.names]
+    return tuple(found)
+
+
+@cache
+def _temporary() -> Path:
+    """A temporary folder that only this user can write to, because the code in it is run."""
+    user = os.getuid() if hasattr(os, "getuid") else 0
+    own = Path(tempfile.gettempdir()) / f"usvlearn-{user}"
+    try:
+        own.mkdir(mode=0o700, exist_ok=True)
+        state = own.lstat()
+        if stat.S_ISDIR(state.st_mode) and (not user or state.st_uid == user) and not state.st_mode & 0o022:
+            return own
+    except OSError:
+        pass
+    return Path(tempfile.mkdtemp(prefix="usvlearn-"))
+
+
+class Compiled(Protocol[P, R]):
+    """A compiled function, which Python calls as the function that it was made from."""
+
+    py_func: Callable[..., Any]
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        """The function's value."""
+        ...
+
+    def disable_compile(self, val: bool = True) -> None:
+        """Allow no other types of arguments than those that it was compiled for."""
+
+
+@overload
+def jit(
+    function: Callable[P, R], *, entry: bool = ..., inline: bool = ..., reorder: bool = ..., memory: bool = ...
+) -> Compiled[P, R]: ...
+@overload
+def jit(
+    *, entry: bool = ..., inline: bool = ..., reorder: bool = ..., memory: bool = ...
+) -> Callable[[Callable[P, R]], Compiled[P, R]]: ...
+
+
+def jit(
+    function: Callable[..., Any] | None = None,
+    *,
+    entry: bool = False,
+    inline: bool = False,
+    reorder: bool = False,
+    memory: bool = False,
+) -> Any:
+    """Compile a function when it is first called; without the GIL, and with division as NumPy's.
+
+    Args:
+        function: of numbers and arrays.
+        entry: whether Python calls it. What only compiled functions call has no machine code of its own (`parts`).
+        inline: whether it is always inlined: passing arrays costs some ns in each call.
+        reorder: whether the compiler may reorder sums, which vectorises long ones.
+        memory: whether it may make arrays. Without, references to arrays are not counted, which would take longer than
+            most operations here.
+    """
+    if function is None:
+        return partial(jit, entry=entry, inline=inline, reorder=reorder, memory=memory)
+    fastmath = {"contract", "reassoc"} if reorder else {"contract"}
+    options = {"nogil": True, "error_model": "numpy", "fastmath": not memory and fastmath, "_nrt": memory}
+    options |= {"no_cfunc_wrapper": True, "forceinline": inline}
+    alone = partial(_alone, options=options)
+    return alone(function) if entry or Part is None or NUMBA.DISABLE_JIT else Part(function, options, alone)
+
+
+def _alone(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    """A function that Python can call, with its machine code cached."""
+    before, NUMBA.CACHE_DIR = NUMBA.CACHE_DIR, str(folder(Path(function.__code__.co_filename)))
+    try:
+        compiled = numba.njit(cache=True, **options)(function)
+    finally:
+        NUMBA.CACHE_DIR = before
+    if (kept := getattr(compiled, "_cache", None)) is not None:  # None under NUMBA_DISABLE_JIT
+        kept._cache_file = CheckedFiles(kept._cache_file)
+    return compiled
+
+
+class CheckedFiles(IndexDataCacheFile):
+    """Numba's cache files of one function, each with its sha256 at the end; a damaged one is removed and recompiled.
+
+    Args:
+        plain: numba's own.
+    """
+
+    def __init__(self, plain: IndexDataCacheFile):
+        vars(self).update(vars(plain))
+
+    def load(self, key: object) -> object:
+        """The cached code of a key; None where there is none, or it is damaged."""
+        index = Path(self._index_path)
+        if not index.exists():
+            return None
+        if whole(index):
+            if (name := self._load_index().get(key)) is None:
+                return None
+            if whole(Path(self._data_path(name))):
+                return self._load_data(name)
+        index.unlink(missing_ok=True)  # without it numba asks for no other file
+        _say_damaged(index.parent)
+        return None
+
+    def save(self, key: object, data: object) -> None:
+        """Cache compiled code; where the disk is full, say so, and continue without."""
+        try:
+            super().save(key, data)
+        except OSError as error:
+            _say_unkept(Path(self._index_path).parent, error.strerror)
+
+    @contextmanager
+    def _open_for_write(self, filepath: str) -> Iterator[io.BytesIO]:
+        with super()._open_for_write(filepath) as file:
+            content = io.BytesIO()
+            yield content
+            file.write(content.getvalue() + hashlib.sha256(content.getvalue()).digest())
+
+
+def whole(path: Path) -> bool:
+    """Whether a file ends with the sha256 of all before."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return False
+    return hashlib.sha256(content[:-DIGEST]).digest() == content[-DIGEST:]
+
+
+@cache
+def _say_damaged(folder: Path) -> None:
+    print(f"usvlearn: compiled code in {folder} is damaged; it is compiled anew, in a minute or so", file=sys.stderr)
+
+
+@cache
+def _say_unkept(folder: Path, cause: str) -> None:
+    print(
+        f"usvlearn: compiled code cannot be kept in {folder} ({cause}); the next start compiles it anew",
+        file=sys.stderr,
+    )
+
+
+@contextmanager
+def announced(source: str, what: str) -> Iterator[None]:
+    """Report on stderr the first compilation of a source file's functions on this machine, and its duration.
+
+    On a terminal the seconds are counted while it lasts.
+    """
+    mark = folder(Path(source)) / what.replace(" ", "-")
+    if NUMBA.DISABLE_JIT or mark.exists():
+        yield
+        return
+    text, began, ended = f"usvlearn: compiling the {what}, only once …", time.perf_counter(), threading.Event()
+    print(text, end="", file=sys.stderr, flush=True)
+    terminal = sys.stderr.isatty()
+
+    def count() -> None:
+        while not ended.wait(1.0):
+            print(f"\r{text} {time.perf_counter() - began:.0f} s", end="", file=sys.stderr, flush=True)
+
+    counter = threading.Thread(target=count, daemon=True)
+    if terminal:
+        counter.start()
+    try:
+        yield
+    except BaseException:
+        ended.set()
+        print(file=sys.stderr)  # end the line before the error is printed
+        raise
+    ended.set()
+    if terminal:
+        counter.join()
+    taken, kept = f" {time.perf_counter() - began:.0f} s", f"kept in {mark.parent}"
+    print(f"\r{text}{taken}\n  {kept}" if terminal else f"{taken}; {kept}", file=sys.stderr)
+    try:
+        mark.touch()
+    except OSError:
+        pass

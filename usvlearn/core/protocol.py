@@ -1,0 +1,192 @@
+"""The online-step protocol: state in, state out; predict before you learn."""
+
+from __future__ import annotations
+
+import abc
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple, final
+
+import torch
+from torch import Tensor, nn
+
+from usvlearn.core.family import Family, Numbers, Vectors
+from usvlearn.core.hyper import numbers
+from usvlearn.core.samples import PLAUSIBLE, Inputs, Sample, masks, tree_map, where
+from usvlearn.errors import ConfigError
+
+State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
+
+
+class Estimator(nn.Module, abc.ABC):
+    """Predicts the surge speed one step ahead and learns from what was then measured.
+
+    Three kinds of number: what is identified online lives in the *state* and is never written to `self`; what is
+    tuned is a *hyperparameter* (`Positive`, `UnitInterval`), learnable by gradient and broadcast against the batch;
+    what is known is a *constant* (a buffer). Every method is pure, so one object serves any batch of vehicles.
+
+    A new estimator defines `init`, `predict` and `update`, `start` if its state remembers a speed, and `monitor` if
+    it has diagnostics.
+
+    Attributes:
+        surge_limit: a measured speed at or beyond it, m/s, counts as missing.
+        frozen: the leaves of the state, by dotted name, that a free run needs; None: all of them.
+    """
+
+    surge_limit: float = PLAUSIBLE
+    frozen: tuple[str, ...] | None = None
+
+    @abc.abstractmethod
+    def init(self, batch: Sequence[int] = ()) -> State:
+        """The state before the first sample, leaves `(*batch, ...)`."""
+
+    @abc.abstractmethod
+    def predict(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
+        """Time update: the state one step on, without learning, and the predicted surge, m/s, `(*batch,)`."""
+
+    @abc.abstractmethod
+    def update(self, state: State, inputs: Inputs, surge: Tensor) -> State:
+        """Measurement update by `surge`, m/s, from the state that was given to `predict`."""
+
+    def start(self, state: State, surge: Tensor) -> State:
+        """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
+        return state
+
+    def free_step(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
+        """One step of a free run: as `predict`, but only the leaves `frozen` of the state need to be right."""
+        return self.predict(state, inputs)
+
+    def inflate_covariance(self, state: State, factor: Tensor) -> State:
+        """The state with its covariance times `factor`; unchanged by default, for estimators without a covariance."""
+        return state
+
+    def learn(self, state: State, inputs: Inputs, surge: Tensor) -> tuple[State, Tensor]:
+        """A step on which nothing is masked: `update`'s state and `predict`'s surge.
+
+        An estimator whose `update` computes the prediction anyway overrides this, with the same result.
+        """
+        return self.update(state, inputs, surge), self.predict(state, inputs)[1]
+
+    def spec(self) -> dict[str, Any] | None:
+        """The specification by which the engine makes these steps in compiled code (`describe`), or None.
+
+        It is not inherited, since a subclass may change the steps: a subclass without its own runs in torch.
+        """
+        return None
+
+    def monitor(self, state: State) -> dict[str, Tensor]:
+        """Diagnostics of a state by name, such as physical parameters and margins; `(*batch,)` each."""
+        return {}
+
+    @final  # type: ignore[misc]  # torch declares `forward` as an attribute, and every module defines it so
+    def forward(self, state: State, sample: Sample) -> tuple[State, Tensor]:
+        """Learn where measured, coast where not, hold where stale, take the speed where a segment starts.
+
+        Returns the next state and the predicted surge, m/s, `(*batch,)`: NaN where no step was made.
+        """
+        return advance(self, state, clean(sample, self.surge_limit), EVERY)
+
+
+def check_estimator(name: str, value: Any) -> Estimator:
+    """Return `value` if it is an estimator, else raise a ConfigError."""
+    if not isinstance(value, Estimator):
+        raise ConfigError(f"{name}: found {value!r}, expected an estimator")
+    return value
+
+
+class Step(NamedTuple):
+    """A sample whose masked values were replaced, and its masks. Leaves are `(*batch,)`."""
+
+    inputs: Inputs  # 0 where no step is made
+    surge: Tensor  # m/s, 0 where it is not known
+    steps: Tensor  # bool: predict
+    learns: Tensor  # bool: and learn
+    starts: Tensor  # bool: take the speed
+
+
+class Kinds(NamedTuple):
+    """Which of the four cases occur in at least one lane of a step."""
+
+    learns: bool
+    coasts: bool
+    starts: bool
+    holds: bool
+
+
+EVERY = Kinds(True, True, True, True)
+
+
+def clean(sample: Sample, surge_limit: float = PLAUSIBLE) -> Step:
+    """Replace masked values before they are used, because a NaN would reach the gradients.
+
+    `usvlearn.core.samples.masks` decides which values are masked.
+    """
+    steps, learns, starts, known = masks(sample, surge_limit)
+    inputs = Inputs(*(torch.where(steps, x, 0.0) for x in sample.inputs))
+    return Step(inputs, torch.where(known, sample.surge, 0.0), steps, learns, starts)
+
+
+def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tuple[State, Tensor]:
+    """`Estimator.forward` of a clean sample; cases that occur in no lane are skipped."""
+    if some == Kinds(learns=True, coasts=False, starts=False, holds=False):
+        return estimator.learn(state, step.inputs, step.surge)
+    # Each state replaces those before it in the lanes of its mask; the first has no mask.
+    layers: list[tuple[Tensor | None, State]] = [(None, state)] if some.holds or not any(some) else []
+    if some.starts:
+        layers.append((step.starts, estimator.start(state, step.surge)))
+    surge = torch.full_like(step.surge, math.nan)
+    if some.learns or some.coasts:
+        coasted, predicted = estimator.predict(state, step.inputs)
+        surge = torch.where(step.steps, predicted, math.nan)
+        if some.coasts:
+            layers.append((step.steps, coasted))
+        if some.learns:
+            target = torch.where(step.learns, step.surge, predicted.detach())
+            layers.append((step.learns, estimator.update(state, step.inputs, target)))
+    (_, result), *above = layers
+    for mask, tree in above:
+        result = tree_map(lambda new, old, mask=mask: where(mask, new, old), tree, result)
+    return result, surge
+
+
+def spec_of(part: Any) -> dict[str, Any] | None:
+    """The `spec()` of an estimator, or of a part of one; None where its class defines none, or a method was replaced.
+
+    >>> from usvlearn import Persistence
+    >>> spec_of(Persistence())["kind"]
+    'persistence'
+    """
+    changed = vars(part).keys() & {"predict", "update", "learn", "start", "inflate_covariance", "combine", "forward"}
+    return part.spec() if "spec" in vars(type(part)) and not changed else None
+
+
+def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
+    """A specification: the values of everything that a family declares, read from attributes of the same names.
+
+    Args:
+        family: of the part.
+        part: an estimator.
+        own: values that are not attributes of the part, and `kind` and `size`.
+
+    >>> from usvlearn import Persistence
+    >>> from usvlearn.estimators.baselines.persistence.state import FAMILY
+    >>> describe(FAMILY, Persistence())
+    {'kind': 'persistence', 'size': 0, 'numbers': {}}
+    """
+    found = {"kind": own.get("kind", family.kinds[0]), "size": own.get("size", 0)}
+    for choice in family.choices:
+        if choice not in family.optional:
+            found[choice.key] = own[choice.key] if choice.key in own else getattr(part, choice.key)
+    found["numbers"] = numbers_of(family.numbers, part, **own)
+    return found | ({"vectors": numbers_of(family.vectors, part, **own)} if len(family.vectors) else {})
+
+
+def numbers_of(declared: type[Numbers] | type[Vectors], part: Any, **own: Any) -> dict[str, Any]:
+    """The declared numbers as JSON values, from attributes of a part or from `own`.
+
+    >>> from usvlearn import AID
+    >>> from usvlearn.estimators.wrappers.memory.state import Number
+    >>> numbers_of(Number, AID(), surge_dot_max=2)
+    {'surge_dot_max': 2.0}
+    """
+    return numbers(**{each.key: own[each.key] if each.key in own else getattr(part, each.key) for each in declared})

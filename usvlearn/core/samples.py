@@ -1,0 +1,254 @@
+"""The types that all packages share: what an estimator sees; and functions over the leaves of a state.
+
+Only numpy is imported: the same types contain NumPy arrays (logs, a boat without torch) or torch tensors (estimators).
+A *tree* is an array or tensor, a NamedTuple of trees, or a dict of trees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from numbers import Integral, Real
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ShapeError
+
+Array = Any  # numpy.ndarray or torch.Tensor
+
+
+class Inputs(NamedTuple):
+    """Everything that a prediction may use. Leaves are `(*batch,)`."""
+
+    command_left: Array  # xi_L in force over the step, share of full scale, -1 ... 1
+    command_right: Array  # xi_R, likewise
+    heading: Array  # rad, 0 north, clockwise
+    yaw_rate: Array  # rad/s
+    dt: Array  # s since the previous step; 0 starts a segment (see `Sample`)
+
+
+PLAUSIBLE = 100.0  # m/s; a speed at or beyond it counts as bad data. The next line is the same for the inputs
+PLAUSIBLE_INPUTS = Inputs(command_left=100.0, command_right=100.0, heading=1e6, yaw_rate=100.0, dt=1e4)
+
+
+class Sample(NamedTuple):
+    """One aligned time step. Leaves are `(*batch,)`, or `(time, *batch)` for a run.
+
+    `measured` implies `fresh`. A sample whose `inputs.dt` is 0 makes no step: it starts a segment (the start of a run,
+    the end of an outage), and its speed is the one from which the next step departs.
+    """
+
+    inputs: Inputs
+    surge: Array  # measured forward speed at the end of the step, m/s; NaN where there was none
+    fresh: Array  # bool: every input arrived inside its staleness window
+    measured: Array  # bool: `fresh`, and the speed arrived inside its window
+
+
+class VectorSample(NamedTuple):
+    """One aligned time step of several components of the velocity: surge, sway and yaw rate, or some of them.
+
+    The components come last, after the axes of the other leaves. A sample whose `inputs.dt` is 0 starts a segment, as
+    of `Sample`. `inputs.yaw_rate` is not used where the yaw rate is a component.
+    """
+
+    inputs: Inputs
+    velocity: Array  # (..., components) at the end of the step, m/s, m/s, rad/s; NaN where there was none
+    fresh: Array  # bool: every input arrived inside its staleness window
+    measured: Array  # (..., components) bool: and the component did
+
+
+UNITS = {  # of a run's time, and of all fields of its samples
+    "time": "s", "command_left": "share of full scale", "command_right": "share of full scale",
+    "heading": "rad, 0 north, clockwise", "yaw_rate": "rad/s", "dt": "s", "surge": "m/s", "fresh": "bool",
+    "measured": "bool",
+}  # fmt: skip
+
+
+class Masks(NamedTuple):
+    """What each sample is used for. Leaves are bool, `(*batch,)`."""
+
+    steps: Array  # a step is made, and its speed predicted
+    learns: Array  # and learned from; these are the steps that count in every error and score
+    starts: Array  # a segment is opened at the measured speed
+    known: Array  # the speed is a number below the limit
+
+
+def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
+    """Decide which steps are made, learned from and scored; NumPy arrays and tensors alike.
+
+    An input that is not finite or not plausible makes no step. A speed counts as missing where it is not finite, or
+    reaches the limit.
+
+    Args:
+        sample: leaves `(*batch,)`, or `(time, *batch)`.
+        surge_limit: m/s; `Estimator.surge_limit`.
+
+    The compiled twin is `usvlearn.core.rows.prepare`.
+
+    >>> one, dt = np.ones(3), np.array([0.4, 0.4, 0.0])
+    >>> sample = Sample(Inputs(one, one, one, one, dt), np.array([1.0, 1e6, 1.0]), one > 0, one > 0)
+    >>> masks(sample).learns, masks(sample).starts
+    (array([ True, False, False]), array([False, False,  True]))
+    """
+    known, dt = abs(sample.surge) < surge_limit, sample.inputs.dt
+    steps = sample.fresh & (dt > 0)
+    for x, limit in zip(sample.inputs, PLAUSIBLE_INPUTS, strict=True):
+        steps = steps & (abs(x) < limit)
+    return Masks(steps, steps & sample.measured & known, (dt == 0) & known, known)
+
+
+class Run(NamedTuple):
+    """A mission of one boat, or of a fleet with one lane per boat, on the grid of `dt`."""
+
+    time: np.ndarray  # (time, boats) s since each log's first step; NaN where padded
+    samples: Sample  # leaves (time, *batch)
+    names: tuple[str, ...]  # the run's name per boat; "" for a boat that had no such run
+    lengths: tuple[int, ...]  # steps per boat; the steps after them are padding, never fresh
+    position: np.ndarray | None = None  # (time, boats, 2) m north and east of the first; NaN where unknown
+
+
+class Fleet(NamedTuple):
+    """All runs of all boats, in the order in which they are replayed."""
+
+    boats: tuple[str, ...]
+    runs: tuple[Run, ...]  # samples are (time, boats)
+    rejected: dict[str, dict[str, dict[str, int]]]  # boat -> channel -> cause -> count
+
+    def steps_before(self, run: int, step: int = 0) -> int:
+        """Steps of all earlier runs, and of the run with this index before `step`."""
+        return sum(len(one.time) for one in self.runs[:run]) + step
+
+    @property
+    def steps(self) -> int:
+        """Steps of all runs together; each run counts its longest boat."""
+        return self.steps_before(len(self.runs))
+
+
+def check_inputs(inputs: Inputs, batch: tuple[int, ...] = ()) -> None:
+    """Raise unless all fields are numbers, or arrays or tensors of numbers that fit the batch.
+
+    Raises:
+        TypeError: a field is something else.
+        ShapeError: a field has another shape; one number fits every batch, with any number of axes.
+
+    >>> check_inputs(Inputs(0.5, "0.5", 0.0, 0.0, 0.4))
+    Traceback (most recent call last):
+    TypeError: command_right: found '0.5', expected a number
+    """
+    for name, value in zip(Inputs._fields, inputs, strict=True):
+        _check_field(name, value, "biuf", "a number", batch)
+
+
+def check_sample(sample: Sample, batch: tuple[int, ...] = ()) -> None:
+    """Check the inputs and the speed as `check_inputs` does, and that `fresh` and `measured` are bools or integers.
+
+    >>> check_sample(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, fresh="false", measured=True))
+    Traceback (most recent call last):
+    TypeError: fresh: found 'false', expected True or False
+    """
+    check_inputs(sample.inputs, batch)
+    _check_field("surge", sample.surge, "biuf", "a number (NaN where there is none)", batch)
+    for name in ("fresh", "measured"):
+        _check_field(name, getattr(sample, name), "biu", "True or False", batch)
+
+
+def one_number(value: Any) -> Any:
+    """The Python number or bool in an array, a list or a tensor of one element; other values unchanged."""
+    if isinstance(value, list | tuple):
+        value = np.asarray(value)
+    return value.item() if hasattr(value, "item") and np.prod(np.shape(value)) == 1 else value
+
+
+def _check_field(name: str, value: Any, kinds: str, expected: str, batch: tuple[int, ...]) -> None:
+    if _kind(value) not in kinds:
+        raise TypeError(f"{name}: found {value!r:.80}, expected {expected}")
+    shape = np.shape(value)
+    if np.prod(shape) == 1:
+        return
+    fits = all(own in (1, wide) for own, wide in zip(reversed(shape), reversed(batch), strict=False))
+    if len(shape) > len(batch) or not fits:
+        raise ShapeError(f"{name}: found the shape {tuple(shape)}, expected one number or the batch {batch}")
+
+
+def _kind(value: Any) -> str:
+    """NumPy's `dtype.kind` of a value; "O" if it is neither a number nor an array or tensor of numbers."""
+    if isinstance(value, bool):
+        return "b"
+    if isinstance(value, Integral):
+        return "i" if abs(int(value)) < 10**300 else "O"  # beyond any float
+    if isinstance(value, Real):
+        return "f"
+    if isinstance(value, np.ma.MaskedArray):
+        return "O"  # a masked value is not a number
+    if isinstance(value, list | tuple):
+        kinds = {_kind(each) for each in value}
+        return "i" if kinds <= set("biu") else "f" if kinds <= set("biuf") else "O"
+    dtype = getattr(value, "dtype", None)
+    if isinstance(dtype, np.dtype):
+        return dtype.kind
+    return {"bool": "b", "int": "i", "uint": "u", "float": "f", "bfloat": "f"}.get(sort_of(dtype), "O")
+
+
+def sort_of(dtype: Any) -> str:
+    """The name of a dtype of NumPy or torch without its size.
+
+    >>> sort_of(np.dtype(np.float32)), sort_of(np.dtype(bool))
+    ('float', 'bool')
+    """
+    return str(dtype).removeprefix("torch.").rstrip("0123456789")
+
+
+def tree_map(f: Callable[..., Any], *trees: Any) -> Any:
+    """Apply `f` to corresponding leaves of equally structured trees.
+
+    >>> tree_map(lambda x, y: x + y, {"a": 1, "b": 2}, {"a": 10, "b": 20})
+    {'a': 11, 'b': 22}
+    """
+    first = trees[0]
+    if isinstance(first, dict):
+        return {key: tree_map(f, *(tree[key] for tree in trees)) for key in first}
+    if isinstance(first, tuple):
+        return type(first)(*(tree_map(f, *children) for children in zip(*trees, strict=True)))
+    return f(*trees)
+
+
+def named_leaves(tree: Any, name: str = "") -> Iterator[tuple[str, Array]]:
+    """Yield every leaf with its dotted path.
+
+    >>> dict(named_leaves({"aid": {"theta": 1}, "surge": 2}))
+    {'aid.theta': 1, 'surge': 2}
+    """
+    if isinstance(tree, dict):
+        items: Iterable[tuple[str, Any]] = tree.items()
+    elif isinstance(tree, tuple):
+        items = tree._asdict().items()  # type: ignore[attr-defined]  # a NamedTuple, of which there is no common class
+    else:
+        yield name, tree
+        return
+    for key, child in items:
+        yield from named_leaves(child, f"{name}.{key}" if name else key)
+
+
+def rebuild(template: Any, leaves: dict[str, Array], name: str = "") -> Any:
+    """The inverse of `named_leaves`: a tree shaped like `template` from leaves by dotted path.
+
+    >>> rebuild({"aid": {"theta": 0}, "surge": 0}, {"aid.theta": 1, "surge": 2})
+    {'aid': {'theta': 1}, 'surge': 2}
+    """
+    names = iter([path for path, _ in named_leaves(template, name)])
+    return tree_map(lambda _: leaves[next(names)], template)
+
+
+def where(mask: Array, new: Array, old: Array) -> Array:
+    """`new` where `mask`, else `old`; `mask` is `(*batch,)`, the others are `(*batch, ...)`.
+
+    >>> where(np.array([True, False]), np.ones((2, 3)), np.zeros((2, 3)))
+    array([[1., 1., 1.],
+           [0., 0., 0.]])
+    """
+    if new is old:
+        return old
+    mask = mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim))
+    if isinstance(mask, np.ndarray):
+        return np.where(mask, new, old)
+    return new.where(mask, old)

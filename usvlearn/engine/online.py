@@ -1,0 +1,248 @@
+"""Online: an estimator together with the state of one vehicle, or of a batch, for use in a program.
+
+torch is not imported: `Online.open` continues from a checkpoint with compiled code alone, on a small computer.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from usvlearn.core import checkpoint
+from usvlearn.core.plans import Forecast, plan_inputs
+from usvlearn.core.samples import Inputs, Sample, named_leaves
+from usvlearn.errors import CheckpointError, ConfigError
+
+if TYPE_CHECKING:
+    from usvlearn.core.protocol import Estimator
+    from usvlearn.estimators.joint.reading import Identified
+
+
+class Online:
+    """Keeps a state and learns one sample at a time, without gradients.
+
+    Args:
+        estimator: any `Estimator`; its hyperparameters are read now, so later changes have no effect.
+        batch: `()` for one vehicle.
+        backend: "kernel", "torch", or "auto", as of `rollout`.
+
+    Attributes:
+        state: a copy of the estimator's state; it can be set. After `open` it is a dict of arrays by dotted name.
+        names: of the predictions in the state's leaf `predictions`, where the estimator is an ensemble.
+        description: how the estimator is built (`Estimator.spec`); None if it has no compiled code.
+        setup: how messages become samples (`usvlearn.logs.setup.Setup.json`), which `save` writes; None if unknown.
+
+    Raises:
+        ConfigError: `backend="kernel"` for an estimator that has none.
+
+    >>> from usvlearn import AID
+    >>> online = Online(AID(mass=28.0))
+    >>> inputs = Inputs(command_left=0.5, command_right=0.5, heading=0.0, yaw_rate=0.0, dt=0.4)
+    >>> for speed in (0.1, 0.2, 0.3):
+    ...     predicted = online.step(Sample(inputs, surge=speed, fresh=True, measured=True))
+    >>> 0.2 < online.predict(inputs) < 0.5
+    True
+    """
+
+    def __init__(self, estimator: Estimator, batch: Sequence[int] = (), backend: str = "auto"):
+        from usvlearn.core.protocol import spec_of
+        from usvlearn.engine.rollouts import Stepper, live
+
+        self._template: Stepper | None = Stepper(estimator, batch)  # torch's steps, and the shape of the state
+        self._name, self.description = type(estimator).__name__, spec_of(estimator)
+        self._live = live(estimator, self._template.state, backend) or self._template
+        self.setup: Mapping[str, Any] | None = None
+
+    @classmethod
+    def open(cls, path: str | Path) -> Online:
+        """Continue from a checkpoint with compiled code, without torch.
+
+        Args:
+            path: a parameter set; or a folder of them, or the run's folder if it has one boat: the newest readable one.
+
+        Raises:
+            CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
+        """
+        return cls.of(*(checkpoint.newest(path, read_set) if Path(path).is_dir() else read_set(Path(path))))
+
+    @classmethod
+    def of(cls, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Online:
+        """Continue, without torch, from what `read_set` has read.
+
+        Args:
+            leaves: of the state, arrays by dotted name.
+            facts: metadata: "estimator", its name; "kernel", its description; perhaps "setup".
+        """
+        from usvlearn.engine.single_steps import Live
+
+        self = cls.__new__(cls)
+        self._template, self._name, self.description = None, facts["estimator"], facts["kernel"]
+        self._live = Live(self.description, leaves)
+        self._live.current = False  # it may have been saved long ago
+        self.setup = facts.get("setup")
+        return self
+
+    def __copy__(self) -> Online:  # a shallow copy would let two boats learn into one state
+        return copy.deepcopy(self)
+
+    @property
+    def state(self) -> Any:
+        leaves = self._live.leaves
+        return leaves if self._template is None else self._template.tree(leaves)
+
+    @state.setter
+    def state(self, state: Any) -> None:
+        self._live.leaves = {name: checkpoint.as_array(leaf) for name, leaf in named_leaves(state)}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        if self._template is not None or self.description is None:
+            return getattr(getattr(self._template, "estimator", None), "names", ())
+        return (*self.description.get("columns", ()), *self.description.get("rules", ()))
+
+    def predict(self, inputs: Inputs) -> float | np.ndarray:
+        """The predicted surge at the end of the step, m/s; nothing is learned."""
+        return self._live.predict(inputs)
+
+    def step(self, sample: Sample) -> float | np.ndarray:
+        """Predict, then learn from one sample (numbers, arrays or tensors); returns the prediction, m/s.
+
+        Raises:
+            TypeError: a field is no number, or `fresh` or `measured` is neither a bool nor an integer; the state
+                is unchanged.
+            ShapeError: a field is neither one number nor of the batch's shape; the state is unchanged.
+        """
+        return self._live.step(sample)
+
+    def leaf(self, name: str) -> np.ndarray:
+        """A copy of one leaf of the state, `(*batch, …)`; KeyError if there is none.
+
+        Args:
+            name: dotted, such as "members.aid.theta".
+        """
+        return self._live.leaf(name)
+
+    def published(self) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+        """What each member and rule of an ensemble predicted in the last step, and the half-width of its 90 % interval.
+
+        NaN where a member made no prediction; a half-width is infinite before ten measurements.
+
+        Raises:
+            ConfigError: the estimator is no ensemble.
+
+        >>> from usvlearn import AID, Ensemble, Online
+        >>> list(Online(Ensemble({"aid": AID(mass=28.0)})).published())
+        ['aid', 'average']
+        """
+        self._need_names("published")
+        return self._by_name(self._live.published())
+
+    def foresee(self, inputs: Inputs) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+        """What each would predict of a step with these inputs, likewise; nothing is learned.
+
+        >>> from usvlearn import AID, Ensemble, Online
+        >>> online = Online(Ensemble({"aid": AID(mass=28.0)}))
+        >>> surge, halfwidth = online.foresee(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"]
+        """
+        self._need_names("foresee")
+        return self._by_name(self._live.foresee(inputs))
+
+    def _need_names(self, name: str) -> None:
+        if not self.names:
+            raise ConfigError(f"{name}: found the estimator {self._name}, expected an ensemble: use step and predict")
+
+    def _by_name(self, pair: tuple[np.ndarray, np.ndarray]) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+        surge, width = (np.moveaxis(each, -1, 0) for each in pair)
+        values = zip(surge.tolist(), width.tolist(), strict=True) if surge.ndim == 1 else zip(surge, width, strict=True)
+        return dict(zip(self.names, values, strict=True))
+
+    def forecast(self, commands: Any, headings: Any, yaw_rates: Any = None, dt: float = 0.4) -> Forecast:
+        """The speeds of the next steps under a plan, with intervals; nothing is learned, and the state stays.
+
+        Args:
+            commands: shares of full scale, −1 … 1, of left and right, `(time, 2)`, or `(time, *batch, 2)`.
+            headings: rad, at the beginning of each step: one number, `(time,)`, or `(time, *batch)`.
+            yaw_rates: rad/s, likewise; those of the headings by default.
+            dt: length of a step, s.
+
+        Raises:
+            ConfigError: a number is outside its legal range, or the estimator makes no forecasts.
+            ShapeError: the arrays do not fit each other.
+
+        >>> from usvlearn import AID, Ensemble, Forecasts, Online
+        >>> online = Online(Ensemble({"aid": AID(mass=28.0)}, forecasts=Forecasts()))
+        >>> found = online.forecast([[0.5, 0.5]] * 75, headings=0.0)
+        >>> found.surge.shape, float(found.high[-1])  # no interval before the first measurements
+        ((75,), inf)
+        """
+        inputs = plan_inputs(commands, headings, yaw_rates, dt, self._live.batch)
+        surge, width = self._live.forecast(inputs)
+        time = float(dt) * np.arange(1, len(surge) + 1)
+        return Forecast(time, surge, surge - width, surge + width)
+
+    def identified(self) -> Identified | list[Identified]:
+        """Physical quantities with 90 % intervals; of a batch a list, one entry for each boat.
+
+        Raises:
+            ConfigError: no member is a joint filter with `read_every`.
+
+        >>> from usvlearn import JointEKF
+        >>> Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()["steady_speed_full"].unit
+        'm/s'
+        """
+        from usvlearn.engine.identified import identified, members_of
+
+        batch = self._live.batch
+        leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
+        if self.description is not None:
+            members = members_of(self.description)
+        else:  # an ensemble that runs in torch; its reader alone is described
+            from usvlearn.core.protocol import spec_of
+
+            ensemble: Any = getattr(self._template, "estimator", None)
+            name = getattr(ensemble, "reader", None)
+            members = {} if name is None else {name: spec_of(ensemble.members[name])}
+        found = identified(members, leaves)
+        return found if batch else found[0]
+
+    def save(self, path: str | Path, **metadata: Any) -> Path:
+        """Save the state and the description of the estimator; see `usvlearn.core.checkpoint.save`."""
+        own = {"estimator": self._name, "kernel": self.description}
+        facts = own | ({} if self.setup is None else {"setup": self.setup}) | metadata
+        return checkpoint.save(path, self.state, **facts)
+
+    def load(self, path: str | Path) -> dict[str, Any]:
+        """Continue from a saved state (the newest readable one if `path` is a folder); returns its metadata."""
+        restore = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
+        self.state, metadata = restore(path, self.state, self._name)
+        self.setup = metadata.get("setup", self.setup)
+        return metadata
+
+
+def read_set(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The leaves and the metadata of a parameter set from which compiled code can continue.
+
+    Raises:
+        CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
+    """
+    from usvlearn.engine.check import check, wrong
+
+    leaves, facts = checkpoint.load(path)
+    torch = "Online(ESTIMATOR).load(path), with torch"
+    if facts.get("kernel") is None:
+        raise CheckpointError(
+            f"{path}: does not say how its estimator is built, or it has no compiled code: use {torch}"
+        )
+    try:
+        if not isinstance(name := facts.get("estimator"), str):
+            raise wrong("estimator", name, "the name of an estimator")
+        check(facts["kernel"], leaves)
+    except CheckpointError as error:
+        raise CheckpointError(
+            f"{path}: {str(error)[: checkpoint.QUOTED]}: use the set saved before it, or {torch}"
+        ) from error
+    return leaves, facts

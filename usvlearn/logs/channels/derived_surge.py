@@ -1,0 +1,159 @@
+"""The surge of a log that has no forward speed, from what it has, the first of these pairs:
+
+    velocity_north, velocity_east     v = v_n cos ψ + v_e sin ψ                       (the filter of an autopilot)
+    ground_speed, course              v = V cos(χ − ψ)                                (a GPS receiver)
+    latitude, longitude               v_n, v_e by a Kalman filter from the positions, then as above
+    north, east                       likewise
+
+ψ is the last heading that was logged before. The filter uses past positions only. For each axis it has the state
+x = (p, ṗ), driven by white acceleration of density q over the time h between two positions:
+
+    p ← p + ṗ h,   P ← F P Fᵀ + q [h³/3  h²/2; h²/2  h],   F = [1  h; 0  1]
+    x ← x + P Hᵀ (z − p)/(P_pp + r),                        H = (1  0)
+
+The variance r of a position is a running mean of squared differences between a position and the parabola through the
+three before it, divided by the sum of the squared weights; for equal steps the weights are 1, −3, 3, −1. Such a speed
+lags behind by some tenths of a second. It is over ground, as a GPS's is. See `docs/theory.md`, section 25.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Container, Mapping
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.channels.channel import COURSES, DEGREES, METRES, VELOCITIES, Channel
+from usvlearn.logs.channels.positions import local
+
+PAIRS = (VELOCITIES, COURSES, DEGREES, METRES)
+LIVE_PAIRS = (VELOCITIES, COURSES)  # from which `LiveSurge` computes it
+PAIRS_TOLD = "both of " + ", or of ".join(" and ".join(pair) for pair in PAIRS)
+HEADING_AGE = 1.0  # s, of the last heading, at most
+TOGETHER = 0.02  # s, between the stamps of the two numbers of a pair, at most
+
+
+def pair_of(channels: Container[str]) -> tuple[str, str] | None:
+    """The pair from which the surge is computed; None if there is none.
+
+    >>> pair_of({"latitude", "longitude", "course"})
+    ('latitude', 'longitude')
+    """
+    return next((pair for pair in PAIRS if all(name in channels for name in pair)), None)
+
+
+def derived_surge(where: str, channels: Mapping[str, Channel]) -> tuple[Channel, dict[str, int]]:
+    """The surge from the first pair that is logged, and the counts of what could not be used, by cause.
+
+    Args:
+        where: of the log, for the error.
+        channels: the heading and a pair, in SI units; the surge has the window and period of the pair's first channel.
+
+    Raises:
+        LogFormatError: the numbers of the pair are never logged together, or there is no heading beside them.
+
+    >>> t = np.arange(0, 5, 0.2)
+    >>> heading = Channel(t, np.full(25, np.pi / 2), np.arange(25))
+    >>> north, east = Channel(t, 0 * t, np.arange(25)), Channel(t, 1.5 * t, np.arange(25))
+    >>> surge, _ = derived_surge("a.csv", {"heading": heading, "north": north, "east": east})
+    >>> float(surge.value[-1].round(6))
+    1.5
+    """
+    pair = pair_of(channels)
+    assert pair is not None
+    one, other = (channels[name] for name in pair)
+    time, order, x, y = _together(one, other)
+    dropped = {"alone": len(one.time) + len(other.time) - 2 * len(time)}
+    heading, known = _heading_at(order, time, channels["heading"])
+    dropped["no_heading"] = int((~known).sum())
+    if pair == COURSES:
+        surge, given = x * np.cos(y - heading), known
+    else:
+        if pair != VELOCITIES:
+            x, y = filtered(time, *(local(x, y) if pair == DEGREES else (x, y)))
+        surge = x * np.cos(heading) + y * np.sin(heading)
+        given = known & np.isfinite(surge)
+    dropped["unsure"] = int((known & ~given).sum())
+    if not given.any():
+        causes = ", ".join(f"{count} {cause}" for cause, count in dropped.items() if count)
+        raise LogFormatError(
+            f"{where}: found no speed in {pair[0]} and {pair[1]} ({causes or 'no message'}): expected both in one row "
+            "or message, and a heading beside them: correct data.channels"
+        )
+    surge_channel = one._replace(time=time[given], value=surge[given], order=order[given])
+    return surge_channel, {cause: count for cause, count in dropped.items() if count}
+
+
+def _together(one: Channel, other: Channel) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, places and both values of two channels, where they stand at one place, or were posted together."""
+    common, mine, others = np.intersect1d(one.order, other.order, return_indices=True)
+    if len(common) < 0.5 * min(len(one.order), len(other.order)):  # posted apart, as on a MOOSDB
+        mine = np.arange(len(one.order))
+        others = np.searchsorted(other.order, one.order)
+        others = np.clip(others, 0, len(other.order) - 1)
+        before = np.maximum(others - 1, 0)
+        nearer = np.abs(other.time[before] - one.time) <= np.abs(other.time[others] - one.time)
+        others = np.where(nearer, before, others)
+        close = np.abs(other.time[others] - one.time) <= TOGETHER
+        mine, others = mine[close], others[close]
+    order = np.maximum(one.order[mine], other.order[others])
+    return np.maximum(one.time[mine], other.time[others]), order, one.value[mine], other.value[others]
+
+
+def _heading_at(order: np.ndarray, time: np.ndarray, heading: Channel) -> tuple[np.ndarray, np.ndarray]:
+    """The last heading at each place of the log, and whether it is recent or held."""
+    last = np.searchsorted(heading.order, order, side="right") - 1
+    age = time - heading.time[np.maximum(last, 0)]
+    known = (last >= 0) & (heading.held | ((age <= HEADING_AGE) & (age >= -HEADING_AGE)))
+    return heading.value[np.maximum(last, 0)], known
+
+
+def filtered(time: np.ndarray, north: np.ndarray, east: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Velocities north and east, m/s, `(n,)`, from positions in m; NaN where they are not sure yet, and at copies.
+
+    Args:
+        time, north, east: `(n,)`, in the order of the log.
+    """
+    from usvlearn.logs.channels.position_kernel import velocities  # numba takes a moment to import
+
+    found = velocities(*(np.ascontiguousarray(x, dtype=np.float64) for x in (time, north, east)))
+    return found[0], found[1]
+
+
+class LiveSurge:
+    """The surge from messages that come one by one: velocities, or ground speed and course, and the last heading.
+
+    Two values belong together if their stamps are at most `TOGETHER` apart.
+
+    Args:
+        pair: the names of both channels, of `LIVE_PAIRS`.
+        held: whether an old heading stays in force.
+
+    >>> live = LiveSurge(VELOCITIES, held=False)
+    >>> live.push("heading", 0.0, np.pi / 2), live.push("velocity_north", 0.1, 0.0)
+    (None, None)
+    >>> live.push("velocity_east", 0.1, 1.5)
+    1.5
+    """
+
+    def __init__(self, pair: tuple[str, str], held: bool):
+        self.pair, self._held = pair, held
+        self._last: dict[str, tuple[float, float]] = {}
+
+    def push(self, channel: str, time: float, value: float) -> float | None:
+        """The surge after a message, m/s; None if it does not complete a pair, or if no recent heading is known.
+
+        Args:
+            channel: "heading", or one of the pair.
+            time, value: s and SI units, finite.
+        """
+        self._last[channel] = time, value
+        if channel not in self.pair or len(self._last) < 3:
+            return None
+        (since, x), (other, y), (then, heading) = (self._last[name] for name in (*self.pair, "heading"))
+        if abs(since - other) > TOGETHER or not (self._held or abs(time - then) <= HEADING_AGE):
+            return None
+        if self.pair == COURSES:
+            return x * math.cos(y - heading)
+        return x * math.cos(heading) + y * math.sin(heading)

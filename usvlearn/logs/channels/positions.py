@@ -1,0 +1,83 @@
+"""Positions of a log in metres, for tracks and for the speed of a log that has none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from usvlearn.logs.channels.channel import DEGREES, METRES, Channel
+
+EQUATOR, FLATTENING = 6378137.0, 1 / 298.257223563  # m; of the ellipsoid WGS 84
+GAP = 5.0  # s between two positions, over which none is interpolated
+
+
+def local(latitude: np.ndarray, longitude: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Metres north and east of the first position, on the tangent plane of the ellipsoid there.
+
+    Args:
+        latitude, longitude: `(n,)`, rad.
+
+    >>> [x.round(1).tolist() for x in local(np.radians([60.0, 60.001]), np.radians([179.9995, -179.9995]))]
+    [[0.0, 111.4], [0.0, 55.8]]
+    """
+    squared = FLATTENING * (2 - FLATTENING)
+    bent = 1 - squared * math.sin(latitude[0]) ** 2
+    meridian, normal = EQUATOR * (1 - squared) / bent**1.5, EQUATOR / math.sqrt(bent)
+    turned = np.remainder(longitude - longitude[0] + math.pi, 2 * math.pi) - math.pi
+    return meridian * (latitude - latitude[0]), normal * math.cos(latitude[0]) * turned
+
+
+def in_metres(
+    latitude: tuple[np.ndarray, np.ndarray], longitude: tuple[np.ndarray, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The times of the latitudes, s, and metres north and east of the first position, `(n,)`, as of `local`.
+
+    Args:
+        latitude, longitude: times and values, s and rad; the longitudes are interpolated at the times of the others.
+    """
+    time, value = latitude
+    others, turned = longitude
+    return time, *local(value, np.interp(time, others, np.unwrap(turned)))
+
+
+def track(channels: Mapping[str, Channel], time: np.ndarray) -> np.ndarray | None:
+    """Positions at some times, interpolated between those of the log, m north and east; None if it has none.
+
+    Args:
+        channels: of a recording, in SI units.
+        time: `(n,)`, s since the log's start.
+
+    Returns:
+        `(n, 2)`, relative to the first position; NaN before it, after the last one and in gaps of more than `GAP`.
+
+    >>> at = np.array([0.0, 1.0])
+    >>> north, east = Channel(at, np.array([5.0, 6.0]), np.arange(2)), Channel(at, np.array([0.0, 2.0]), np.arange(2))
+    >>> track({"north": north, "east": east}, np.array([0.5, 9.0])).tolist()
+    [[0.5, 1.0], [nan, nan]]
+    """
+    pair = next((pair for pair in (DEGREES, METRES) if all(name in channels for name in pair)), None)
+    if pair is None:
+        return None
+    found = np.full((len(time), 2), np.nan)
+    parts = [_sorted(channels[name]) for name in pair]
+    if any(len(stamps) == 0 for stamps, _ in parts):
+        return found
+    if pair == DEGREES:
+        stamps, *metres = in_metres(*parts)
+        parts = [(stamps, each) for each in metres]
+    for column, (stamps, value) in enumerate(parts):
+        after = np.searchsorted(stamps, time)
+        inside = (after > 0) & (after < len(stamps))
+        k = np.clip(after, 1, max(1, len(stamps) - 1))
+        near = inside & (stamps[k % len(stamps)] - stamps[k - 1] <= GAP)
+        found[near, column] = np.interp(time[near], stamps, value - value[0])
+    found[np.isnan(found).any(1)] = np.nan
+    return found
+
+
+def _sorted(channel: Channel) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps that rise, and their values."""
+    stamps, first = np.unique(channel.time, return_index=True)
+    return stamps, channel.value[first]

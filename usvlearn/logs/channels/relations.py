@@ -1,0 +1,321 @@
+"""How two channels of a log hang together: slope, correlation and lag, each with its certainty.
+
+A series is a pair (time, value), s and SI units, in any order, with gaps, NaN and stamps of its own. Two series x and y
+are compared by their means over bins of equal length; a bin in which one of them has a gap is left out. At a lag of k
+bins, over the n bins in which both are known,
+
+    r(k) = Σ x_i y_(i+k) / √(Σ x_i² Σ y_(i+k)²),    both less their means                                 (1)
+    slope = sign(r) √(Σ y² / Σ x²)                                                                         (2)
+    error = √(Σ_k ρ_x(k) ρ_y(k) / n)                                                                       (3)
+
+(2) is the geometric mean of the slopes of y on x and of x on y, since both are noisy; with errors in one of them alone
+the true slope is within a factor of |r|. (3) is the standard deviation of r between two unrelated series of
+autocorrelations ρ (Bartlett 1946): neighbouring values depend on each other, so that an hour may be few samples.
+`Relation.certainty` is r/error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.logs.channels.bins import OUTAGE, Series, bin_edges, bin_means, bin_rates, cleaned, clipped
+
+FEWEST = 12  # bins, below which nothing is concluded
+FAST = 0.3  # share of the greatest speed from which a ratio of speeds is taken
+FEW_LAGS = 64  # that are summed one by one; more by Fourier transforms
+REACH = 60.0  # s, lags of an autocorrelation that are summed
+NO_LAG = (0.0, 0.0)
+
+
+class Relation(NamedTuple):
+    """How a series y follows a series x; NaN where there is too little evidence."""
+
+    slope: float  # dy/dx by (2), in their units
+    correlation: float  # by (1), at the lag where its size is greatest
+    error: float  # by (3): of the correlation, if the two were unrelated
+    lag: float  # s, by which y follows x
+    seconds: float  # in which both are known
+
+    @property
+    def certainty(self) -> float:
+        """The correlation in standard errors; beyond ±4 it is no chance."""
+        return self.correlation / self.error if self.error > 0 else math.nan
+
+
+class Offset(NamedTuple):
+    """By how much one angle differs from another, or from its mirror image."""
+
+    offset: float  # rad: one - sign * other, the circular mean
+    concentration: float  # length of the mean vector: 1 if the difference is constant, 0 if it is random
+    sign: float  # -1: the two angles count in opposite directions
+    rival: float  # concentration with the other sign; near the first one, the sign is not known
+    seconds: float
+
+
+NOTHING = Relation(math.nan, math.nan, math.nan, math.nan, 0.0)
+
+
+def in_series(runs: Iterable[Mapping[str, Series]]) -> dict[str, Series]:
+    """Runs one behind the other, each channel as one series; `OUTAGE` seconds lie between two runs.
+
+    >>> one = {"surge": (np.array([5.0, 6.0]), np.array([1.0, 2.0]))}
+    >>> time, value = in_series([one, one])["surge"]
+    >>> time.tolist(), value.tolist()
+    ([0.0, 1.0, 31.0, 32.0], [1.0, 2.0, 1.0, 2.0])
+    """
+    parts: dict[str, list[Series]] = {}
+    end = 0.0
+    for run in runs:
+        kept = {name: series for name, given in run.items() if len((series := cleaned(given))[0])}
+        first = min((time[0] for time, _ in kept.values()), default=0.0)
+        last = max((time[-1] for time, _ in kept.values()), default=0.0)
+        for name, (time, value) in kept.items():
+            parts.setdefault(name, []).append((time - first + end, value))
+        end += last - first + OUTAGE
+    return {name: (np.concatenate([t for t, _ in s]), np.concatenate([v for _, v in s])) for name, s in parts.items()}
+
+
+def heading_rate(heading: Series) -> Series:
+    """The rate of turn between two headings, rad/s, at the time between them.
+
+    A jump by more than half the range of all headings is taken as a wrap and left out. The unit of the heading need
+    not be known for that.
+
+    >>> time, rate = heading_rate((np.arange(5.0), np.array([6.0, 6.2, 0.1, 0.3, 0.5])))
+    >>> rate.round(2).tolist()
+    [0.2, 0.2, 0.2]
+    """
+    time, angle = cleaned(heading)
+    turned, passed = np.diff(angle), np.diff(time)
+    kept = (np.abs(turned) <= np.ptp(angle) / 2) & (passed > 0) if len(angle) else passed > 0
+    return (time[:-1] + passed / 2)[kept], turned[kept] / passed[kept]
+
+
+def rate_slope(
+    heading: Series, yaw_rate: Series, lags: tuple[float, float] = (-2.0, 2.0), step: float = 0.5
+) -> Relation:
+    """The yaw rate against the derivative of the heading: 1 where both have the same unit and sense.
+
+    A slope of 57 means rad/s read where the heading is in degrees, or the reverse; a negative one a reversed sense.
+
+    >>> time = np.arange(0, 300, 0.2)
+    >>> rate = 0.3 * np.sin(0.2 * time) + 0.1 * np.sin(0.05 * time)
+    >>> found = rate_slope((time, np.cumsum(rate) * 0.2 % 6.2832), (time, np.degrees(-rate)))
+    >>> round(found.slope), round(found.correlation, 2)
+    (-57, -1.0)
+    """
+    edges = bin_edges(step, heading, yaw_rate)
+    rate, turned = clipped(bin_means(yaw_rate, edges)), clipped(bin_rates(heading, edges, wraps=True))
+    return relate(turned, rate, step, lags)
+
+
+def side_sign(
+    left: Series, right: Series, yaw_rate: Series, lags: tuple[float, float] = (0.0, 5.0), step: float = 0.5
+) -> Relation:
+    """The yaw rate against the difference of the commands, left − right.
+
+    A stronger left thruster turns the bow to starboard, which is a positive yaw rate. A negative correlation means that
+    the sides are swapped, or that both are reversed. Values of commands are held until the next one.
+
+    >>> time = np.arange(0, 300, 0.25)
+    >>> turn = np.random.default_rng(0).normal(0, 0.2, 60).repeat(20)
+    >>> bool(side_sign((time, 0.5 - turn), (time, 0.5 + turn), (time, 0.4 * turn)).certainty < -4)
+    True
+    """
+    edges = bin_edges(step, yaw_rate)
+    return relate(
+        bin_means(left, edges, held=True) - bin_means(right, edges, held=True),
+        clipped(bin_means(yaw_rate, edges)),
+        step,
+        lags,
+    )
+
+
+def each_side(
+    left: Series, right: Series, response: Series, lags: tuple[float, float] = (0.0, 5.0), step: float = 0.5
+) -> tuple[Relation, Relation]:
+    """The yaw rate, or the speed, against the command of each side, at an equal command of the other one.
+
+    The relation is that of what is left of both after regression on the other side (partial correlation). A yaw rate
+    rises with the left command and falls with the right one; a speed rises with both.
+
+    >>> rng, time = np.random.default_rng(0), np.arange(0, 300, 0.25)
+    >>> left, right = (np.repeat(rng.uniform(0, 1, 60), 20) for _ in range(2))
+    >>> reversed_left = each_side((time, -left), (time, right), (time, left - right))
+    >>> [bool(abs(each.certainty) > 4) for each in reversed_left], [round(each.slope, 1) for each in reversed_left]
+    ([True, True], [-1.0, -1.0])
+    """
+    edges = bin_edges(step, response)
+    sides = bin_means(left, edges, held=True), bin_means(right, edges, held=True)
+    return relate_sides(*sides, clipped(bin_means(response, edges)), step, lags)
+
+
+def speed_on_thrust(
+    left: Series, right: Series, speed: Series, lags: tuple[float, float] = (0.0, 20.0), step: float = 0.5
+) -> Relation:
+    """The speed against the mean of both commands, and the lag that fits best: delays and the boat's inertia.
+
+    >>> time = np.arange(0, 900, 0.25)
+    >>> thrust = np.random.default_rng(0).uniform(0, 1, 45).repeat(80)
+    >>> found = speed_on_thrust((time, thrust), (time, thrust), (time + 100, thrust), lags=(-150, 150))
+    >>> round(found.lag)
+    100
+    """
+    edges = bin_edges(step, speed)
+    both = bin_means(left, edges, held=True) + bin_means(right, edges, held=True)
+    return relate(both / 2, clipped(bin_means(speed, edges)), step, lags)
+
+
+def speed_on_positions(north: Series, east: Series, speed: Series, step: float = 5.0) -> Relation:
+    """The size of the speed against the rate of position; the slope is the median of their ratio.
+
+    1.94 is a speed in knots read as m/s, 3.6 one in km/h, 0.514 one in m/s read as knots.
+
+    >>> time = np.arange(0, 600, 0.2)
+    >>> true = 1 + 0.5 * np.sin(0.05 * time)
+    >>> place = (time, np.cumsum(true) * 0.2)
+    >>> round(speed_on_positions(place, (time, 0 * time), (time, true / 0.5144)).slope, 2)
+    1.94
+    """
+    edges = bin_edges(step, north, east, speed)
+    moved = [bin_rates(series, edges) for series in (north, east)]
+    rate, size = clipped(np.hypot(*moved)), clipped(np.abs(bin_means(speed, edges)))
+    found = relate(rate, size, step, NO_LAG)
+    known = np.isfinite(rate) & np.isfinite(size)
+    if not found.seconds or not (fast := known & (rate > FAST * np.max(rate[known], initial=0.0))).any():
+        return found
+    return found._replace(slope=float(np.median(size[fast] / rate[fast])))
+
+
+def angle_offset(one: Series, other: Series, step: float = 1.0) -> Offset:
+    """By how much a heading differs from another one, or from the course over ground, rad.
+
+    Both are compared where they are known; give the course only where the boat moves.
+
+    >>> time = np.arange(0.0, 100.0)
+    >>> found = angle_offset((time, np.pi / 2 - 0.1 * time), (time, 0.1 * time))
+    >>> round(found.offset, 2), round(found.concentration, 2), found.sign
+    (1.57, 1.0, -1.0)
+    """
+    edges = bin_edges(step, one, other)
+    first, second = (bin_means((time, np.exp(1j * angle)), edges) for time, angle in map(cleaned, (one, other)))
+    with np.errstate(invalid="ignore"):
+        first, second = first / np.abs(first), second / np.abs(second)
+    known = np.isfinite(first) & np.isfinite(second)
+    if known.sum() < FEWEST:
+        return Offset(math.nan, math.nan, math.nan, math.nan, 0.0)
+    first, second = first[known], second[known]
+    along, against = np.mean(first * second.conj()), np.mean(first * second)
+    mean, sign, rival = (along, 1.0, against) if abs(along) >= abs(against) else (against, -1.0, along)
+    return Offset(float(np.angle(mean)), float(abs(mean)), sign, float(abs(rival)), float(step * known.sum()))
+
+
+def _residual(values: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """What is left of a series after linear regression on another one."""
+    known = np.isfinite(values) & np.isfinite(beside)
+    if known.sum() < FEWEST:
+        return np.full_like(values, np.nan)
+    x, y = beside - beside[known].mean(), values - values[known].mean()
+    spread = x[known] @ x[known]
+    return y - (x[known] @ y[known] / spread if spread > 0 else 0.0) * x
+
+
+def _fit(left: np.ndarray, right: np.ndarray, response: np.ndarray, lag: float, step: float) -> float:
+    """The share of the response that both sides together explain at a lag of 0 or more, s."""
+    shift = round(lag / step)
+    size = len(response) - shift
+    rows = np.stack([left[:size], right[:size], response[shift:]])
+    rows = rows[:, np.isfinite(rows).all(0)]
+    if rows.shape[1] < FEWEST:
+        return 0.0
+    rows = rows - rows.mean(1, keepdims=True)
+    left_over = rows[2] - np.linalg.lstsq(rows[:2].T, rows[2], rcond=None)[0] @ rows[:2]
+    return 1 - float(left_over @ left_over) / max(float(rows[2] @ rows[2]), 1e-300)
+
+
+def relate(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, float]) -> Relation:
+    """Equations (1) to (3) for means over the same bins, at the lag within `lags`, s, where |r| is greatest.
+
+    Args:
+        x, y: `(bins,)`, NaN where unknown.
+        step: length of a bin, s.
+        lags: least and greatest, s.
+    """
+    known_x, known_y = np.isfinite(x), np.isfinite(y)
+    if min(known_x.sum(), known_y.sum()) < FEWEST:
+        return NOTHING
+    x, y = np.where(known_x, x - x[known_x].mean(), 0.0), np.where(known_y, y - y[known_y].mean(), 0.0)
+    scale_x, scale_y = (math.sqrt(float(each @ each) / known.sum()) for each, known in ((x, known_x), (y, known_y)))
+    if not (scale_x > 1e-9 and scale_y > 1e-9):
+        return NOTHING
+    x, y = x / scale_x, y / scale_y
+    low, high = math.floor(lags[0] / step), math.ceil(lags[1] / step)
+    n, sx, sxx, sy, syy, sxy = _sums(np.stack([known_x, x, x * x]), np.stack([known_y, y, y * y]), low, high)
+    counts = np.maximum(n, 1)
+    within_x, within_y = np.maximum(sxx - sx**2 / counts, 0), np.maximum(syy - sy**2 / counts, 0)
+    spread = np.sqrt(within_x * within_y)
+    usable = (n >= max(FEWEST, n.max() / 2)) & (spread > 1e-9 * counts)
+    if not usable.any():
+        return NOTHING
+    r = np.where(usable, (sxy - sx * sy / counts) / np.where(usable, spread, 1.0), 0.0)
+    at = int(np.argmax(np.abs(r)))
+    slope = math.copysign(math.sqrt(within_y[at] / within_x[at]) * scale_y / scale_x, r[at])
+    error = math.sqrt(_dependence(x, y, step) / n[at])
+    return Relation(float(slope), float(r[at]), error, float((low + at) * step), float(n[at] * step))
+
+
+def relate_sides(
+    left: np.ndarray, right: np.ndarray, response: np.ndarray, step: float, lags: tuple[float, float]
+) -> tuple[Relation, Relation]:
+    """`each_side` for means over the same bins, `(bins,)`, NaN where unknown."""
+    found = [relate(side, response, step, lags) for side in (left, right)]
+    best = max(
+        (each.lag for each in found if each.seconds),
+        key=lambda lag: _fit(left, right, response, lag, step),
+        default=0.0,
+    )
+    shift = round(best / step)
+    if shift > 0:
+        response = np.concatenate([response[shift:], np.full(shift, np.nan)])
+    one, other = (
+        relate(_residual(side, beside), _residual(response, beside), step, NO_LAG)._replace(lag=best)
+        for side, beside in ((left, right), (right, left))
+    )
+    return one, other
+
+
+def _sums(of_x: np.ndarray, of_y: np.ndarray, low: int, high: int) -> np.ndarray:
+    """Sums over the bins known in both, at each lag: their number, x, x², y, y² and xy, `(6, lags)`.
+
+    Args:
+        of_x, of_y: what is known (0 or 1), the values, 0 where unknown, and their squares, `(3, bins)`.
+        low, high: lags, bins.
+    """
+    bins = of_x.shape[1]
+    if high - low < FEW_LAGS:
+        sums = np.zeros((6, high - low + 1))
+        for k, lag in enumerate(range(low, high + 1)):
+            size = bins - abs(lag)
+            if size > 0:
+                product = of_x[:, max(-lag, 0) :][:, :size] @ of_y[:, max(lag, 0) :][:, :size].T
+                sums[:, k] = product[[0, 1, 2, 0, 0, 1], [0, 0, 0, 1, 2, 1]]
+        return sums
+    size = 2 ** math.ceil(math.log2(bins + max(abs(low), abs(high)) + 1))
+    spectra_x, spectra_y = np.fft.rfft(of_x, size).conj(), np.fft.rfft(of_y, size)
+    products = spectra_x[[0, 1, 2, 0, 0, 1]] * spectra_y[[0, 0, 0, 1, 2, 1]]
+    sums = np.fft.irfft(products, size)[:, np.arange(low, high + 1) % size]
+    sums[0] = np.round(sums[0])
+    return sums
+
+
+def _dependence(x: np.ndarray, y: np.ndarray, step: float) -> float:
+    """Σ_k ρ_x(k) ρ_y(k) of (3), 1 or more; those at lags beyond `REACH` are noise, and left out."""
+    reach = max(1, min(len(x) // 4, round(REACH / step)))
+    size = 2 ** math.ceil(math.log2(len(x) + reach + 1))
+    auto_x, auto_y = np.fft.irfft(np.abs(np.fft.rfft(np.stack([x, y]), size)) ** 2, size)[:, :reach]
+    rho = auto_x / auto_x[0] * (auto_y / auto_y[0])
+    return max(1.0, float(2 * rho.sum() - rho[0]))

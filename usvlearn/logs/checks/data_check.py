@@ -1,0 +1,99 @@
+"""The check of the data before a run: is what was read likely to be what the configuration says that it is?
+
+Wrong units, reversed sides and delays do not stop a run: it prints plausible numbers. Each check compares channels with
+each other and with physics, on all runs of a boat together (`usvlearn.logs.channels.relations`), and yields a finding with the
+setting that corrects it. The thresholds stand beside the checks: `scales`, `thrusters`, `response`, `frozen` and
+`delivery` of `usvlearn.logs.checks`; `docs/benchmarks/data_check.md` has their rates of false alarms and misses.
+
+A check that lacks its evidence is silent: a boat that never turns has no sides to be compared.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from usvlearn.core.samples import Fleet
+from usvlearn.errors import LogFormatError, check_choice
+from usvlearn.logs.channels.channel import Recording
+from usvlearn.logs.checks import delivery, frozen, response, scales, thrusters
+from usvlearn.logs.checks.evidence import Evidence
+from usvlearn.logs.checks.finding import WARNING, Finding
+
+CHECKS: tuple[Callable[[Evidence], Iterator[Finding]], ...] = (
+    scales.zeros, scales.rest, scales.speed_scale, scales.command_scale, scales.heading_unit,
+    scales.heading_sense, scales.yaw_rate,
+    thrusters.sides, thrusters.delay, thrusters.excitation, response.short_delay, frozen.frozen,
+    delivery.rejected, delivery.stale, delivery.copies, delivery.clock, delivery.horizons,
+)  # fmt: skip
+# kind of a finding -> kinds that follow from it, and are left out beside it
+CONSEQUENCES = {
+    **dict.fromkeys(("speed unit", "speed scale", "heading unit", "yaw rate unit"), ("rejected", "stale")),
+    "command scale": ("rejected", "stale", "excitation"),
+    "constant": ("thrust",),
+    "side reversed": ("thrust",),
+    "delay": ("stale",),
+    "frozen": ("delay",),
+}
+LEVELS = ("warn", "strict", "off")
+
+
+def check_level(level: Any) -> str:
+    """What is done with findings: "warn", "strict" or "off"; settings of older runs do not say.
+
+    YAML reads a bare `off` as false.
+
+    Raises:
+        ConfigError: it is none of them.
+
+    >>> check_level(None), check_level(False)
+    ('warn', 'off')
+    """
+    return check_choice("check", "warn" if level is None else "off" if level is False else level, LEVELS)
+
+
+def check_data(
+    recordings: Iterable[Recording],
+    fleet: Fleet | None,
+    align: Mapping[str, Any],
+    surge_max: float = math.inf,
+    channels: Mapping[str, Any] | None = None,
+    horizons: Sequence[float] = (),
+) -> list[Finding]:
+    """All findings about some recordings, warnings first.
+
+    Args:
+        recordings: of one or several boats.
+        fleet: the same, aligned; None if they could not be aligned.
+        align: options of `usvlearn.logs.alignment.align.Aligner`.
+        surge_max: the boats' top speed, m/s; infinite where it is not known.
+        channels: `data.channels` of the configuration, for the overrides that are proposed.
+        horizons: of the forecasts, s.
+
+    >>> from usvlearn.simulate.fleet import fleet
+    >>> log = fleet(n=1, hours=0.2)[0]
+    >>> check_data([log], None, {}, surge_max=2.74)
+    []
+    >>> heading = log.channels["heading"]
+    >>> wrong = log._replace(channels={**log.channels, "heading": heading._replace(value=heading.value / 57.3)})
+    >>> [(each.kind, each.key) for each in check_data([wrong], None, {}, 2.74, {"heading": {"unit": "deg"}})]
+    [('heading unit', 'data.channels.heading.unit=rad')]
+    """
+    boats: dict[str, list[Recording]] = {}
+    for one in recordings:
+        boats.setdefault(one.boat, []).append(one)
+    evidence = [Evidence(boat, own, fleet, align, surge_max, channels or {}, horizons) for boat, own in boats.items()]
+    found = [finding for each in evidence for check in CHECKS for finding in check(each)]
+    causes = {(each.boat, kind) for each in found for kind in CONSEQUENCES.get(each.kind, ())}
+    own = [each for each in dict.fromkeys(found) if (each.boat, each.kind) not in causes]
+    return sorted(own, key=lambda each: each.severity != WARNING)
+
+
+def refuse(findings: Sequence[Finding]) -> None:
+    """Raise one LogFormatError that lists all warnings, if there are any."""
+    wrong = [finding.sentence() for finding in findings if finding.severity == WARNING]
+    if wrong:
+        listed = "; ".join(f"({k}) {each}" for k, each in enumerate(wrong, 1))
+        count = f"{len(wrong)} warning{'s' * (len(wrong) > 1)}"
+        raise LogFormatError(f"check=strict: found {count}, expected none: {listed}; or check=warn")

@@ -1,0 +1,236 @@
+"""A log that a program holds as arrays: NumPy arrays, lists, a dictionary of them, or a table such as pandas makes.
+
+A value that is NaN means that the channel had no message at that time.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Mapping, MutableMapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, did_you_mean
+from usvlearn.logs.channels.channel import (
+    AUTO,
+    AUXILIARY,
+    CHANNELS,
+    REQUIRED,
+    SURGE,
+    Channel,
+    Recording,
+    Source,
+    build_channel,
+    match_name,
+)
+from usvlearn.logs.channels.copies import settle_period
+from usvlearn.logs.channels.derived_surge import PAIRS_TOLD, pair_of
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.csv.stamps import spread
+from usvlearn.logs.formats.csv.table import TIME_UNITS
+from usvlearn.logs.read import recording_of, sources_of
+
+TIME, BOAT = "time", "boat"
+NAMES = (TIME, *CHANNELS, *AUXILIARY)
+FASTEST, SLOWEST = 1e-3, 5.0  # s, between stamps that are taken for a log of a boat
+FALLING = 0.5  # share of the stamps that are earlier than the one before, at most
+
+
+def arrays_among(given: Any, settings: MutableMapping[str, Any]) -> dict[str, Any] | None:
+    """The arrays among the arguments of `usvlearn.read`, by name; None if it was given a path, or nothing.
+
+    Args:
+        given: the first argument: a path, boat -> path, a dictionary of arrays, or a table with columns.
+        settings: the keywords; those that are arrays are taken out.
+    """
+    found = {name: settings.pop(name) for name in NAMES if name in settings}
+    if isinstance(given, str | os.PathLike):
+        if found:
+            raise ConfigError(f"{', '.join(found)}: found values beside a path, expected either of them")
+        return None
+    if hasattr(given, "columns") and hasattr(given, "__getitem__"):
+        table = {str(name): given[name] for name in given.columns}
+        index = getattr(given, "index", None)
+        if TIME not in table and TIME not in found and getattr(index, "name", None) == TIME:
+            table[TIME] = index
+    elif isinstance(given, Mapping) and not all(isinstance(each, str | os.PathLike) for each in given.values()):
+        table = {str(name): each for name, each in given.items()}
+    elif given is None or isinstance(given, Mapping):
+        table = {}
+    else:
+        raise ConfigError(
+            f"path: found {described(given)}, expected a path, a pattern, a dictionary of boat: path, or arrays by "
+            "name (time=…, surge=…)"
+        )
+    if isinstance(column := found.get(TIME), str):
+        if column not in table:
+            raise ConfigError(f"time: found {column!r}, expected a column{did_you_mean(column, table)}")
+        found[TIME] = table.pop(column)
+    return {name: each for name, each in (table | found).items() if each is not None} or None
+
+
+def described(value: Any) -> str:
+    """What a value is, in words: never its numbers."""
+    kind = type(value).__name__
+    shape = getattr(value, "shape", None)
+    return f"{kind} of shape {tuple(shape)}" if isinstance(shape, tuple) else kind
+
+
+def channels_of_arrays(
+    columns: Mapping[str, Any], channels: Mapping[str, Mapping[str, Any] | None] | None, units: Mapping[str, str] | None
+) -> tuple[Arrays, dict[str, dict[str, Any]]]:
+    """Arrays as a log, and the description of its channels, as of `usvlearn.logs.read.read_recordings`.
+
+    Args:
+        columns: name -> values; `time` among them.
+        channels: channel -> keys of `Source`, where they differ from its own name, SI units and automatic windows.
+        units: channel, or `time` -> unit.
+
+    Raises:
+        ConfigError: an array is missing, of another length, or holds something else than numbers.
+    """
+    units, own = dict(units or {}), {name: dict(keys or {}) for name, keys in (channels or {}).items()}
+    for name in units:
+        if name not in NAMES:
+            raise ConfigError(f"units: found {name!r}, expected one of {', '.join(NAMES)}{did_you_mean(name, NAMES)}")
+    unit = units.get(TIME, "s")
+    if unit not in TIME_UNITS:
+        raise ConfigError(f"units.time: found {unit!r}, expected one of {', '.join(TIME_UNITS)}")
+    log = Arrays.of(columns, TIME_UNITS[unit])
+    wanted = {name: own.get(name, {}) for name in NAMES[1:] if own.get(name, {}).get("name") or name in log.columns}
+    wanted = {name: keys for name, keys in wanted.items() if keys.get("name", name) is not None}
+    if missing := [name for name in REQUIRED if name not in wanted and (name != SURGE or pair_of(wanted) is None)]:
+        more = f", or {PAIRS_TOLD}" if SURGE in missing else ""
+        raise ConfigError(
+            f"{missing[0]}: found no such array among {', '.join(list(columns)[:20])}, expected {', '.join(REQUIRED)}"
+            f"{more}: give it by this name, or name its column in channels"
+        )
+    found: dict[str, dict[str, Any]] = {name: {"name": None} for name in NAMES[1:]}
+    found |= {name: keys for name, keys in own.items() if name not in NAMES}  # named in an error
+    for name, keys in wanted.items():
+        period = {"period": AUTO} if name == SURGE else {}
+        found[name] = {"name": name, "unit": units.get(name, "1"), "window": AUTO, **period, **keys}
+    return log, found
+
+
+def read_arrays(log: Arrays, channels: Mapping[str, Mapping[str, Any]], boat: str | None) -> list[Recording]:
+    """The recording of arrays, as a list of one."""
+    name = BOAT if boat is None else str(boat)
+    return settle_period(name, [recording_of(Path("arrays"), log, sources_of(channels), name, "arrays")])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Arrays:
+    """Reads channels from arrays.
+
+    Args:
+        time: (n,) s since the first stamp, NaN where there is none.
+        columns: name -> (n,) numbers, NaN where there is none.
+    """
+
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray]
+
+    suffixes: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any], unit: float) -> Arrays:
+        """From what a person gives; `unit` of a number of `time`, s. Columns of other than numbers are left out.
+
+        Raises:
+            ConfigError: there is no time, or an array of a channel's name is not one of numbers of its length.
+        """
+        if TIME not in given:
+            raise ConfigError(f"time: found no such array among {', '.join(list(given)[:20])}, expected stamps, s")
+        time, origin = _stamps(given[TIME], unit)
+        columns = {}
+        steps = np.diff(time[np.isfinite(time)])
+        if len(steps) and (steps < 0).mean() > FALLING:
+            raise ConfigError("time: found stamps that fall, expected ones that rise: sort all arrays by time")
+        if len(steps) and (step := float(np.median(steps))) > SLOWEST:
+            likely = [name for name, size in TIME_UNITS.items() if FASTEST <= step / unit * size <= SLOWEST]
+            hint = f"units={{'time': {likely[0]!r}}}" if likely else "units={'time': …}"
+            raise ConfigError(
+                f"time: found stamps {step:.3g} s apart, expected {SLOWEST:g} s at most: if they count something else "
+                f"than seconds, give {hint}"
+            )
+        for name, values in given.items():
+            if name == TIME:
+                continue
+            try:
+                column = _numbers(name, values)
+                if len(column) != len(time):
+                    raise ConfigError(f"{name}: found {len(column)} values, expected {len(time)}, one for each of time")
+                columns[name] = column
+            except ConfigError:
+                if name in NAMES:
+                    raise
+        spread_time, rate = spread(time, origin)
+        if rate:
+            warnings.warn(
+                f"arrays: the stamps are whole seconds, with {rate:.3g} values each: the values of a second are spread "
+                "evenly within it",
+                stacklevel=5,
+            )
+        return cls(spread_time, columns)
+
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+        """The channels, and the counts of values that are none: channel -> cause -> count."""
+        channels, dropped = {}, {}
+        for channel, source in sources.items():
+            values = self.columns[match_name(source.name, self.columns, f"channels.{channel}.name")]
+            channels[channel], dropped[channel] = build_channel(
+                channel, source, self.time, values, np.arange(1, len(values) + 1), np.isnan(values), f"{values[0]}"
+            )
+        return channels, dropped
+
+    def survey(self, path: Path) -> list[Series]:
+        """All columns."""
+        order = np.arange(1, len(self.time) + 1)
+        return [Series(name, None, self.time, values, order) for name, values in self.columns.items()]
+
+
+def _stamps(given: Any, unit: float) -> tuple[np.ndarray, float]:
+    """Seconds since the first stamp, and that one, s; of date-times, durations, or numbers of so many seconds."""
+    found = _array(TIME, given)
+    if found.dtype.kind == "O" and len(found) and hasattr(found[0], "timestamp"):  # with a zone, or of datetime
+        given, unit = np.asarray([each.timestamp() for each in found]), 1.0
+    if found.dtype.kind in "mM":
+        readable, unit = ~np.isnat(found), 1e-9
+        found = found.astype(f"{found.dtype.kind}8[ns]").astype(np.int64)
+    else:
+        found = _numbers(TIME, given)
+        readable = np.isfinite(found)
+    if not readable.any():
+        raise ConfigError(f"time: found {len(found)} values and no finite one, expected stamps")
+    first = found[readable][0]
+    return np.where(readable, found - first, np.nan) * unit, float(first) * unit
+
+
+def _numbers(name: str, given: Any) -> np.ndarray:
+    """Values as float64."""
+    found = _array(name, given)
+    if found.dtype.kind == "O" and hasattr(given, "to_numpy"):  # a nullable column of pandas
+        try:
+            found = given.to_numpy(dtype=np.float64, na_value=np.nan)
+        except (TypeError, ValueError):
+            pass
+    if found.dtype.kind not in "fiu":
+        what = {"U": "text", "S": "text", "b": "booleans", "c": "complex numbers", "O": "objects"}.get(found.dtype.kind)
+        raise ConfigError(f"{name}: found {what or found.dtype}, expected numbers: convert it with .astype(float)")
+    return found.astype(np.float64)
+
+
+def _array(name: str, given: Any) -> np.ndarray:
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            found = np.ma.filled(given.astype(np.float64), np.nan) if np.ma.isMaskedArray(given) else np.asarray(given)
+    except (TypeError, ValueError, RuntimeError):
+        raise ConfigError(f"{name}: found {described(given)}, expected an array of numbers") from None
+    if found.ndim != 1:
+        raise ConfigError(f"{name}: found an array of shape {found.shape}, expected one dimension: (time,)")
+    return found

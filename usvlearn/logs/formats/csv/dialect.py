@@ -1,0 +1,293 @@
+"""How a table of text is written, found from its first lines: encoding, delimiter, comments, header, decimal sign.
+
+Each choice is the same for the same file. Where the file does not tell, the choice comes with a doubt, in words.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from usvlearn.errors import LogFormatError
+
+AUTO = "auto"
+HEAD = 1 << 18  # bytes that are looked at
+LINES = 1000  # and lines
+DELIMITERS = (",", ";", "\t", "|", " ")
+COMMENTS = ("#", "%", "//")
+NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?|nan|[+-]?inf", re.IGNORECASE)
+CLOCK = r"\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(\s*[AP]\.?M\.?)?"
+STAMP = re.compile(
+    rf"\d{{1,4}}[-./]\d{{1,2}}[-./]\d{{1,4}}([ T]+{CLOCK}\s*(Z|[+-]\d\d:?\d\d)?)?|{CLOCK}", re.IGNORECASE
+)
+COMMA = re.compile(r"[+-]?\d*(\.\d{3})*,\d+([eE][+-]?\d+)?")  # a decimal comma, perhaps with points at thousands
+POINT = re.compile(
+    r"[+-]?\d*(,\d{3})*\.\d+([eE][+-]?\d+)?|[+-]?\d{1,3}(,\d{3}){2,}"
+)  # a decimal point, or commas at thousands
+EITHER = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}")  # one of both
+GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(\.\d{3})+")  # points at thousands beside decimal commas, else a decimal point
+
+UNIT_NAMES = {
+    "1": ("1", "-"),
+    "percent": ("%", "percent", "pct", "prozent", "pourcent", "procent", "prosent", "porcentaje"),
+    "m/s": ("m/s", "m/sec", "mps", "m_s", "ms-1", "m s-1", "ms^-1"),
+    "cm/s": ("cm/s", "cm_s"),
+    "mm/s": ("mm/s", "mm_s"),
+    "km/h": ("km/h", "kmh", "kph", "kmph", "km_h", "km/t", "km/u"),
+    "knots": ("kn", "kt", "kts", "knot", "knots", "knoten", "nœuds", "noeuds", "nœud", "noeud", "nudos", "nodi", "nós",
+              "knopen", "knop", "knob"),
+    "deg": ("deg", "degs", "degree", "degrees", "°", "grad", "degré", "degrés", "degres", "grados", "gradi", "graus",
+            "graden", "grader"),
+    "rad": ("rad", "rads", "radian", "radians"),
+    "deg/s": ("deg/s", "deg/sec", "°/s", "dps", "deg_s", "degps"),
+    "rad/s": ("rad/s", "rad/sec", "rad_s", "radps"),
+    "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunden", "secondes", "segundos", "secondi", "seconden",
+          "sekunder"),
+    "ms": ("ms", "msec", "millis", "milliseconds"),
+    "us": ("us", "µs", "μs", "usec", "micros", "microseconds"),
+    "ns": ("ns", "nsec", "nanos", "nanoseconds"),
+    "m": ("m", "metre", "metres", "meter", "meters"),
+    "N·m": ("n·m", "n m", "n*m", "n.m", "nm"),
+}  # fmt: skip
+UNIT_OF = {alias: unit for unit, aliases in UNIT_NAMES.items() for alias in aliases}
+BRACKETED = re.compile(r"(.*\S)\s*(?:\(([^()]*)\)|\[([^\[\]]*)\])")
+
+
+class Dialect(NamedTuple):
+    """How a table is written."""
+
+    encoding: str
+    delimiter: str
+    comment: tuple[str, ...]  # what begins a line that is skipped
+    decimal: str
+    names: list[str]  # cells of the header
+    units: list[str]  # of the columns, "" where none is declared
+    body: int  # lines up to the end of the header
+    sample: list[list[str]]  # the first rows of cells, as many as the header has
+    doubts: dict[str, str]  # option that was not decidable -> what was found
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """The name of a column without its unit, and the unit, in the words of `UNITS` where it is one of them.
+
+    >>> [split_unit(name) for name in ("Speed (km/h)", "yaw [°]", "heading_deg", "yaw_rate_rad_s", "thr_left")]
+    [('Speed', 'km/h'), ('yaw', 'deg'), ('heading', 'deg'), ('yaw_rate', 'rad/s'), ('thr_left', '')]
+    """
+    if found := BRACKETED.fullmatch(name):
+        unit = (found[2] or found[3] or "").strip()
+        return found[1], UNIT_OF.get(unit.lower(), unit)
+    parts = name.split("_")
+    for count in (2, 1):
+        unit = "_".join(parts[-count:]).lower()
+        if len(parts) > count and unit in UNIT_OF and unit != "1" and all(parts):
+            return "_".join(parts[:-count]), UNIT_OF[unit]
+    return name, ""
+
+
+def find_dialect(path: Path, time: str, encoding: str, delimiter: str, comment: str | None, decimal: str) -> Dialect:
+    """How a file is written; every option is as given, or found if it is "auto".
+
+    Args:
+        path: the file.
+        time: name of a column that the header has, or "auto".
+        encoding, delimiter, comment, decimal: as those of `usvlearn.logs.formats.csv.table.Table`.
+
+    Raises:
+        LogFormatError: the file holds binary data.
+    """
+    with path.open("rb") as file:
+        start = file.read(HEAD)
+    if encoding == AUTO:
+        encoding = _encoding(path, start)
+    try:
+        text = codecs.getincrementaldecoder(encoding)(errors=errors_of(encoding)).decode(start)
+    except UnicodeError as error:
+        raise not_text(path, encoding) from error
+    lines = re.split(r"\r\n|\r|\n", text)[:LINES]
+    prefixes = _comments(lines) if comment == AUTO else (comment,) if comment else ()
+    layouts = [_layout(lines, each, prefixes, time) for each in (DELIMITERS if delimiter == AUTO else delimiter)]
+    best = max(layouts, key=lambda each: each.score)
+    header = best.rows[best.header] if best.header is not None else []
+    names = clean(header)
+    if not any(names[best.width :]):  # a delimiter ends the header, but no row
+        names = names[: best.width or None]
+    units, body = [split_unit(name)[1] for name in names], 0 if best.header is None else best.header + 1
+    below = next((k for k in range(body, len(lines)) if lines[k].strip()), None)
+    if names and below is not None and _are_units(best.rows[below], len(names)):
+        below_names = [*best.rows[below], *[""] * len(names)]
+        units = [unit or _unit(cell) for unit, cell in zip(units, below_names, strict=False)]
+        body = below + 1
+    skip = [bool(prefixes) and line.lstrip().startswith(prefixes) for line in lines]
+    rows = [row for row, remark in zip(best.rows[body:], skip[body:], strict=True) if not remark]
+    rows = [row for row in rows if len(row) >= max(2, len(names)) and any(map(is_value, row))]
+    doubts = {}
+    if decimal == AUTO:
+        decimal, doubt = find_decimal(cell.strip() for row in rows for cell in row)
+        doubts = {"decimal": doubt} if doubt else {}
+    return Dialect(encoding, best.delimiter, prefixes, decimal, names, units, body, rows, doubts)
+
+
+def no_header(path: Path, dialect: Dialect) -> LogFormatError:
+    """The error for a table of numbers without names of columns."""
+    first = dialect.delimiter.join(dialect.sample[0])[:60]
+    return LogFormatError(
+        f"{path}: expected a header, a line with the names of the columns, found none above the first numbers "
+        f"{first!r}: add such a line"
+    )
+
+
+def not_text(path: Path, encoding: str) -> LogFormatError:
+    """The error for a file that is not in the encoding that is declared."""
+    return LogFormatError(f"{path}: expected text in {encoding}, found other data: set data.reader.encoding")
+
+
+def errors_of(encoding: str) -> str:
+    """How bytes that are no text are read: kept apart, where the encoding can, so that their cell is no number."""
+    return "surrogateescape" if codecs.lookup(encoding).name in ("utf-8", "utf-8-sig", "ascii") else "replace"
+
+
+def find_decimal(cells: Iterator[str] | Sequence[str]) -> tuple[str, str]:
+    """The decimal sign of the numbers among cells, and a doubt, or "".
+
+    >>> find_decimal(["0,5", "1.234,5"]), find_decimal(["1,234.5", "1"]), find_decimal(["1,234"])[1]
+    ((',', ''), ('.', ''), "'1,234', which may be 1.234 or 1234")
+    """
+    comma = point = either = grouped = ""
+    for cell in cells:
+        if EITHER.fullmatch(cell):
+            either = either or cell
+        elif "," in cell and COMMA.fullmatch(cell):
+            comma = comma or cell
+        elif GROUPED.fullmatch(cell):
+            grouped = grouped or cell
+        elif POINT.fullmatch(cell):
+            point = point or cell
+    if comma and point:
+        return ".", f"{comma!r} and {point!r}"
+    if either and not (comma or point or grouped):
+        return ".", f"{either!r}, which may be {either.replace(',', '.')} or {either.replace(',', '')}"
+    return ("," if comma else "."), ""
+
+
+class _Layout(NamedTuple):
+    """A head of a file as cells, by one delimiter."""
+
+    delimiter: str
+    rows: list[list[str]]
+    width: int  # of the rows of numbers
+    header: int | None  # its line
+    score: tuple[bool, int, float, int]  # the greatest is the best
+
+
+def _layout(lines: list[str], delimiter: str, comment: tuple[str, ...], time: str) -> _Layout:
+    remarks = [bool(comment) and line.lstrip().startswith(comment) for line in lines]
+    bare = [line.lstrip("#%/ ") if remark else line for line, remark in zip(lines, remarks, strict=True)]
+    rows = [_cells(line, delimiter) for line in bare]
+    filled = [sum(1 for cell in row if cell.strip()) for row in rows]
+    values = [0 if remark else sum(map(is_value, row)) for row, remark in zip(rows, remarks, strict=True)]
+    widths = Counter(len(row) for row, count in zip(rows, values, strict=True) if count and len(row) > 1)
+    width = max(widths, key=lambda each: (widths[each], each), default=0)
+    shares = [
+        (count / all_) if len(row) == width else 0.0
+        for row, count, all_, remark in zip(rows, values, filled, remarks, strict=True)
+        if all_ and not remark
+    ]
+    header, named = _header(rows, remarks, values, width, time)
+    fits = 0 if header is None else _fits(rows[header], width)
+    score = (named, fits, sum(shares) / max(1, len(shares)), width)
+    return _Layout(delimiter, rows, width, header, score)
+
+
+def _header(
+    rows: list[list[str]], remarks: list[bool], values: list[int], width: int, time: str
+) -> tuple[int | None, bool]:
+    """The line of the header, and whether it has the column of the stamps; else it is the one above the numbers."""
+    named = [place for place, row in enumerate(rows) if len(row) > 1 and _has(row, time)]
+    if named:
+        return max(named, key=lambda place: (_fits(rows[place], width), not remarks[place], -place)), True
+    first = next((k for k, row in enumerate(rows) if values[k] and len(row) == width), len(rows))
+    above = [k for k in range(first) if not values[k] and len(rows[k]) > 1 and _fits(rows[k], width)]
+    candidates = [k for k in above if not remarks[k]] or above or [k for k in range(first) if rows[k]][:1]
+    if len(candidates) > 1 and _are_units(rows[candidates[-1]], len(rows[candidates[-2]])):
+        return candidates[-2], False
+    return (candidates[-1] if candidates else None), False
+
+
+def _has(row: list[str], time: str) -> bool:
+    names = clean(row)
+    bare = {split_unit(name)[0] for name in names}
+    return time != AUTO and (time in names or all(each in names or each in bare for each in time.split("+")))
+
+
+def _fits(row: list[str], width: int) -> int:
+    """2 if a header belongs to rows of so many cells, 1 if a delimiter may end one of both, else 0."""
+    if len(row) == width or len(_trimmed(row)) == width:
+        return 2
+    return int(len(row) > 1 and abs(len(row) - width) == 1)
+
+
+def clean(header: list[str]) -> list[str]:
+    """The names of a header; it may be a comment."""
+    names = [name.strip() for name in header]
+    return [name.lstrip("#%/ ") for name in names[:1]] + names[1:]
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    try:
+        return next(csv.reader([" ".join(line.split()) if delimiter == " " else line], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def is_value(cell: str) -> bool:
+    """Whether a cell holds a number or a stamp.
+
+    >>> [cell for cell in ("-0,5", "1e-3", "24.07.2025 17:18", "17:18:48.2", "m/s", "") if is_value(cell)]
+    ['-0,5', '1e-3', '24.07.2025 17:18', '17:18:48.2']
+    """
+    cell = cell.strip()
+    return bool(NUMBER.fullmatch(cell) or STAMP.fullmatch(cell))
+
+
+def _trimmed(row: list[str]) -> list[str]:
+    """A row without empty cells at its end."""
+    return row[: max((k + 1 for k, cell in enumerate(row) if cell.strip()), default=0)]
+
+
+def _unit(cell: str) -> str:
+    found = cell.strip().strip("()[]# ").strip()
+    return UNIT_OF.get(found.lower(), found)
+
+
+def _are_units(row: list[str], width: int) -> bool:
+    """Whether a row below the header declares units: at least half of its cells are known ones, or in brackets."""
+    cells = [cell.strip() for cell in row if cell.strip() not in ("", "1", "-")]
+    if not cells or not width - 1 <= len(row) <= width + 1 or any(map(is_value, cells)):
+        return False
+    return 2 * sum(_unit(cell) in UNIT_NAMES or cell[0] + cell[-1] in ("()", "[]") for cell in cells) >= len(cells)
+
+
+def _comments(lines: list[str]) -> tuple[str, ...]:
+    """The signs at the start of some lines, but of at most half of them, as an identifier of rows could be."""
+    filled = [line.lstrip() for line in lines if line.strip()]
+    counts = {sign: sum(line.startswith(sign) for line in filled) for sign in COMMENTS}
+    return tuple(sign for sign, count in counts.items() if 2 * count <= max(len(filled), 8))
+
+
+def _encoding(path: Path, start: bytes) -> str:
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    if any(b"\0" in line.strip(b"\0") for line in start[:4096].splitlines()):  # a lost write leaves a line of zeros
+        raise LogFormatError(
+            f"{path}: expected a CSV file in UTF-8, found binary data: choose the data option that fits this file"
+        )
+    if start.isascii():
+        return "utf-8-sig"
+    text = codecs.getincrementaldecoder("utf-8")(errors="surrogateescape").decode(start)
+    damaged = sum("\udc80" <= sign <= "\udcff" for sign in text)
+    return "cp1252" if damaged > sum(sign > "\x7f" for sign in text) - damaged else "utf-8-sig"

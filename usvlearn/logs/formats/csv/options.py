@@ -1,0 +1,189 @@
+"""The options with which a table is to be read, found from its first rows before anybody has named a column."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.channels.channel import QUOTED
+from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
+from usvlearn.logs.formats.csv.stamps import OFTEN, Stamps, parse_cells, rows_a_second
+from usvlearn.logs.formats.csv.table import CLOCK, TIME_UNITS, TOPICS, Table
+from usvlearn.logs.formats.csv.topics import tables_of
+
+NAMED = {
+    "time", "timestamp", "t", "stamp", "datetime", "date_time", "date time", "date/time", "utc", "zeit", "zeitstempel",
+    "uhrzeit", "temps", "heure", "horodatage", "tiempo", "hora", "tempo", "ora", "tid", "tidsstempel", "tijd",
+    "tijdstempel", "czas", "aika", "aikaleima",
+}  # fmt: skip
+PARTS = ("time", "stamp", "zeit")  # of a name that may be one of stamps
+RISING = 0.95  # share of the steps of a column of stamps that are not negative
+ADVANCING = 0.2  # share of them that are positive
+EVEN, FEWEST = -1, 9  # rank of a column that is known only by its even steps, and the least number of these
+READABLE = 0.9  # share of its cells that are stamps
+EPOCHS = {"s": (3e8, 5e9), "ms": (3e11, 5e12), "us": (3e14, 5e15), "ns": (3e17, 5e18)}  # from 1979 to 2128
+SHORTEST, LONGEST = 0.005, 5.0  # s, usual time between two rows
+
+
+class _Candidate(NamedTuple):
+    rank: int
+    name: str
+    kind: str
+    unit: str  # that the header declares
+    values: np.ndarray  # since the first
+    first: float  # number
+
+
+def table_of(path: Path) -> tuple[Table, list[str]]:
+    """A reader for one table, with its options as found, and a sentence for each unsure one that begins with its key.
+
+    The option `comment` stays "auto". Of a folder of topics, an option that differs between its tables does, too.
+
+    Args:
+        path: the table, or a folder whose tables are topics of one run.
+
+    Raises:
+        LogFormatError: the file is no table with a header, or no column can be one of stamps.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "a.csv"
+    ...     _ = path.write_text("Zeit;Speed (kn)\\n" + "".join(f"24.07.2025 17:18:4{k},5;{k},2\\n" for k in range(9)))
+    ...     table, unsure = table_of(path)
+    >>> table.time, table.delimiter, table.decimal, table.dates, unsure
+    ('Zeit', ';', ',', 'day_first', [])
+    """
+    if path.is_dir():
+        return _table_of_topics(path)
+    dialect = find_dialect(path, AUTO, AUTO, AUTO, AUTO, AUTO)
+    if not dialect.names and dialect.sample:
+        raise no_header(path, dialect)
+    unsure = [f"decimal: found {doubt}; '.' is assumed" for doubt in dialect.doubts.values()]
+    if (count := len(dialect.sample)) < 2:
+        found = "a header and no rows" if not count else "a header and a single row"
+        raise LogFormatError(
+            f"{path}: expected a table with a header, a column of stamps and two rows or more, found {found}: "
+            "leave it out"
+        )
+    candidates = sorted(_candidates(dialect), key=lambda each: -each.rank)
+    if not candidates:
+        listing = ", ".join(repr(name[:QUOTED]) for name in dialect.names[:40]) or "(none)"
+        raise LogFormatError(
+            f"{path}: expected a table with a header and a column of stamps that rise, found the columns {listing}: "
+            "name the column of the stamps in data.reader.time"
+        )
+    best = candidates[0]
+    if best.rank < 0:
+        unsure.append(f"time: found no column that is called so; {best.name!r} is the first one that rises evenly")
+    elif not _advances(best.values):
+        unsure.append(f"time: found {best.name!r}, whose stamps repeat, as whole seconds do at a higher rate")
+    rivals = [each.name for each in candidates[1:] if each.rank == best.rank >= 0]
+    if rivals:
+        unsure.append(f"time: found {best.name!r}, but the stamps may also be {' or '.join(map(repr, rivals[:3]))}")
+    unit, unclear = _time_unit(best)
+    table = Table(best.name, unit, dialect.delimiter, dialect.decimal, dialect.encoding)
+    kind, doubt = table.stamp_kind(path)
+    if doubt:
+        unsure.append(f"dates: found {doubt}; {kind} is assumed")
+    if kind == CLOCK:
+        return replace(table, time_unit=CLOCK), unsure
+    if unclear:
+        unsure.append(f"time_unit: {unclear}")
+    return (table if kind in ("number", "time") else replace(table, dates=kind)), unsure
+
+
+def _table_of_topics(folder: Path) -> tuple[Table, list[str]]:
+    found: list[Table] = []
+    unsure: dict[str, None] = {}
+    failed: LogFormatError | None = None
+    for file in tables_of(Table(AUTO), folder):
+        try:
+            table, doubts = table_of(file)
+        except LogFormatError as error:
+            failed = failed or error
+            continue
+        found.append(table)
+        unsure |= dict.fromkeys(doubts)
+    if not found:
+        raise failed or LogFormatError(f"{folder}: expected tables, found none: give another folder")
+    options = {name: {getattr(each, name) for each in found} for name in ("delimiter", "decimal", "encoding", "dates")}
+    same = {name: values.pop() for name, values in options.items() if len(values) == 1}
+    stamps = {(each.time, each.time_unit) for each in found}
+    time, unit = stamps.pop() if len(stamps) == 1 else (AUTO, "s")
+    return Table(time, unit, files=TOPICS, **same), list(unsure)
+
+
+def _candidates(dialect: Dialect) -> list[_Candidate]:
+    """The columns that may be stamps; a column of dates goes with one of times."""
+    found, days = [], []
+    for place, name in enumerate(dialect.names):
+        if not name or dialect.names.count(name) > 1:
+            continue
+        cells = [row[place] for row in dialect.sample]
+        time, kind, _ = _stamps(cells, dialect.decimal)
+        if time is None or np.isfinite(time).mean() < READABLE:
+            continue
+        bare, unit = split_unit(name)[0].lower(), dialect.units[place]
+        if kind not in ("number", "time") and not any(":" in cell for cell in cells):
+            days.append(name)
+            continue
+        rising = np.diff(time[np.isfinite(time)])
+        if not len(rising) or (rising >= 0).mean() < RISING or not (rising > 0).any():
+            continue
+        part = any(part in bare for part in PARTS)
+        rank = 4 * (kind != "number") + 3 * (bare in NAMED) + 2 * part + (unit in TIME_UNITS)
+        rank = rank if rank and (_advances(time) or kind != "number") else EVEN if _is_even(rising) else 0
+        if rank:
+            found.append(_Candidate(rank, name, kind, unit, time, _first(cells, dialect.decimal)))
+    return [
+        each._replace(name=f"{days[0]}+{each.name}", rank=each.rank + 4) if each.kind == "time" and days else each
+        for each in found
+    ]
+
+
+def _advances(stamps: np.ndarray) -> bool:
+    """Whether enough of the steps are no repetitions, or they repeat as whole seconds do."""
+    known = stamps[np.isfinite(stamps)]
+    return bool((np.diff(known) > 0).mean() >= ADVANCING) or rows_a_second(known) >= OFTEN
+
+
+def _is_even(steps: np.ndarray) -> bool:
+    """Whether a column rises at an even rate, as stamps do whatever they are called."""
+    usual = float(np.median(steps))
+    return len(steps) >= FEWEST and usual > 0 and bool((np.abs(steps - usual) <= 0.5 * usual).mean() >= RISING)
+
+
+def _stamps(cells: list[str], decimal: str) -> tuple[np.ndarray | None, str, str]:
+    stamps = Stamps()
+    stamps.add(cells, decimal)
+    return stamps.seconds(AUTO)
+
+
+def _first(cells: list[str], decimal: str) -> float:
+    """The first number of a column; NaN if there is none."""
+    numbers = parse_cells(cells, decimal)
+    return next(iter(numbers[np.isfinite(numbers)].tolist()), np.nan)
+
+
+def _time_unit(stamps: _Candidate) -> tuple[str, str]:
+    """The unit of the stamps, and a doubt or ""."""
+    if stamps.kind != "number":
+        return "s", ""
+    if stamps.unit in TIME_UNITS:
+        return stamps.unit, ""
+    steps = np.diff(stamps.values[np.isfinite(stamps.values)])
+    step = float(np.median(steps[steps > 0]))
+    usual = [unit for unit, factor in TIME_UNITS.items() if SHORTEST <= factor * step <= LONGEST]
+    for unit in usual:
+        if EPOCHS[unit][0] <= stamps.first <= EPOCHS[unit][1]:
+            return unit, ""
+    if not usual:
+        return "s", f"found steps of {step:g} without a unit; s is assumed"
+    fractions = (np.abs(steps - np.round(steps)) > 1e-9).any()
+    if len(usual) == 1 or (fractions and usual[0] == "s"):
+        return usual[0], ""
+    return usual[0], f"found steps of {step:g}, which may be {' or '.join(usual)}; {usual[0]} is assumed"

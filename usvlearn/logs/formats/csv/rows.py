@@ -1,0 +1,146 @@
+"""The rows of a table below its header: stamps, and numbers of some columns, parsed block by block."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from itertools import chain, compress, islice
+from operator import itemgetter
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.formats.csv.dialect import Dialect, errors_of, not_text
+from usvlearn.logs.formats.csv.stamps import Stamps, parse_cells
+
+BLOCK = 200  # rows that are parsed at a time; so many fit the processor's cache
+PART = 1 << 16  # characters that are read at a time
+
+
+class Column:
+    """The numbers of a column, block by block."""
+
+    def __init__(self) -> None:
+        self._values: list[np.ndarray] = []
+        self._empty: list[np.ndarray] = []
+        self.first = ""  # cell
+
+    def add(self, cells: Sequence[str], decimal: str) -> None:
+        self.first = self.first if self._values else cells[0]
+        values = parse_cells(cells, decimal)
+        empty = np.zeros(len(cells), bool)
+        for place in np.flatnonzero(np.isnan(values)).tolist():
+            empty[place] = not cells[place].strip()
+        self._values.append(values)
+        self._empty.append(empty)
+
+    @property
+    def values(self) -> np.ndarray:  # (rows,) float64, NaN where there is no number
+        self._values = [np.concatenate(self._values)]
+        return self._values[0]
+
+    @property
+    def empty(self) -> np.ndarray:  # (rows,) bool, cells without text
+        self._empty = [np.concatenate(self._empty)]
+        return self._empty[0]
+
+
+class Rows:
+    """All complete rows of a file.
+
+    Args:
+        path: the file.
+        dialect: how it is written.
+        stamps: the columns of the stamps, one or two.
+        columns: the columns of numbers.
+
+    Attributes:
+        stamps: their cells.
+        columns: name -> numbers.
+        order: lines of the complete rows, `(rows,)` int64.
+        torn: number of incomplete rows.
+        first_stamp: its text.
+    """
+
+    def __init__(self, path: Path, dialect: Dialect, stamps: list[str], columns: list[str]):
+        self.stamps, self.first_stamp, self.torn = Stamps(), "", 0
+        self.columns = {name: Column() for name in columns}
+        width, orders, first_torn = len(dialect.names), [], ""
+        wanted = itemgetter(*(dialect.names.index(name) for name in (*stamps, *columns)), 0)  # the last is spare
+        with path.open(encoding=dialect.encoding, errors=errors_of(dialect.encoding), newline="") as file:
+            lines = _Lines(file, dialect)
+            reader = csv.reader(chain.from_iterable(lines), delimiter=dialect.delimiter)
+            given = 0
+            try:
+                while rows := list(islice(reader, BLOCK)):
+                    order = lines.places(given + _ends(rows, reader.line_num - given))
+                    given = reader.line_num
+                    if set(map(len, rows)) != {width}:
+                        whole = np.array([len(row) == width or bool(row[width:]) > any(row[width:]) for row in rows])
+                        if lost := [k for k in np.flatnonzero(~whole).tolist() if rows[k]]:
+                            first_torn = first_torn or f", found {len(rows[lost[0]])} in line {order[lost[0]]}"
+                            self.torn += len(lost)
+                        rows, order = list(compress(rows, whole)), order[whole]
+                    if rows:
+                        orders.append(order)
+                        self._add(list(zip(*map(wanted, rows), strict=True)), len(stamps), dialect.decimal)
+            except csv.Error as error:
+                raise LogFormatError(
+                    f"{path}, line {lines.places(np.array([reader.line_num]))[0]}: expected cells separated by "
+                    f"{dialect.delimiter!r}, found a {error}: fix or remove that line"
+                ) from error
+            except UnicodeError as error:
+                raise not_text(path, dialect.encoding) from error
+        if not orders:
+            raise LogFormatError(
+                f"{path}: expected rows of {width} cells, as many as the header has"
+                f"{first_torn or ', found nothing below the header'}: fix the header, or leave this log out"
+            )
+        self.order = np.concatenate(orders)
+
+    def _add(self, cells: list[tuple[str, ...]], stamps: int, decimal: str) -> None:
+        """Take a block, column by column; the first ones hold the stamps."""
+        stamp = cells[0] if stamps == 1 else [" ".join(each) for each in zip(*cells[:stamps], strict=True)]
+        self.first_stamp = self.first_stamp or stamp[0]
+        self.stamps.add(stamp, decimal)
+        for column, each in zip(self.columns.values(), cells[stamps:], strict=False):
+            column.add(each, decimal)
+
+
+class _Lines:
+    """The lines below the header that are no comments, in lists; and their places in the file."""
+
+    def __init__(self, file: TextIO, dialect: Dialect):
+        self._file, self._dialect = file, dialect
+        self._from, self._skipped = [0], [dialect.body]  # after so many lines given, so many lines were skipped
+
+    def __iter__(self) -> Iterator[list[str]]:
+        for _ in range(self._dialect.body):
+            next(self._file, "")
+        comment, given = self._dialect.comment, 0
+        while lines := self._file.readlines(PART):
+            text = "".join(lines) if comment else ""
+            if any(sign in text for sign in comment):
+                kept: list[str] = []
+                for line in lines:
+                    if line.lstrip().startswith(comment):
+                        self._from.append(given + len(kept))
+                        self._skipped.append(self._skipped[-1] + 1)
+                    else:
+                        kept.append(line)
+                lines = kept
+            given += len(lines)
+            yield [" ".join(line.split()) for line in lines] if self._dialect.delimiter == " " else lines
+
+    def places(self, given: np.ndarray) -> np.ndarray:
+        """The places in the file, from 1, of lines that were given, from 1."""
+        return given + np.array(self._skipped)[np.searchsorted(self._from, given, side="left") - 1]
+
+
+def _ends(rows: list[list[str]], lines: int) -> np.ndarray:
+    """The last lines of rows, from 1; a cell in quotes may have several lines."""
+    if lines == len(rows):
+        return np.arange(1, lines + 1)
+    return np.cumsum([1 + sum(len(cell.splitlines()) - 1 for cell in row if "\n" in cell) for row in rows])

@@ -1,0 +1,229 @@
+"""The stamps of a table: numbers, date-times in the order year-month-day, day-month-year or month-day-year, or times.
+
+A column has one kind of stamps: the one that most of its cells have. Other cells are unreadable.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import date, datetime
+
+import numpy as np
+
+from usvlearn.logs.channels.channel import parse_numbers
+
+ORDERS = ("year_first", "day_first", "month_first")
+NUMBER, YEAR_FIRST, OTHER_DATE, CLOCK, UNREADABLE = range(5)
+SWAPPED = str.maketrans(",.", ".,")
+DAY = 86400.0  # s
+MIDNIGHT = datetime(1970, 1, 1)
+EPOCH = MIDNIGHT.toordinal()
+OFTEN, FEW = 1.25, 4  # rows of one whole second, from which they are no duplicates; and the least number of rows
+CERTAIN = 0.99  # share of the telling dates that agree
+TIME = r"(\d{1,2}):(\d\d)(?::(\d\d)(?:[.,](\d+))?)?\s*(?:([AaPp])\.?[Mm]\.?)?"
+ONLY_TIME = re.compile(rf"\s*{TIME}\s*")
+DATE_TIME = re.compile(rf"\s*(\d{{1,2}})([-./])(\d{{1,2}})\2(\d{{4}}|\d\d)(?:[ T,;]+{TIME})?\s*(Z|[+-]\d\d:?\d\d)?\s*")
+
+
+def parse_cells(cells: Sequence[str], decimal: str) -> np.ndarray:
+    """Cells as float64, NaN where a cell is not a number with this decimal sign.
+
+    >>> parse_cells(["1,5", "1.5", "1.234,5"], ",")
+    array([1.5, nan, nan])
+    """
+    return parse_numbers(cells if decimal == "." else [cell.translate(SWAPPED) for cell in cells])
+
+
+class Stamps:
+    """Takes the cells of the stamps block by block, and converts them when all are known.
+
+    >>> stamps = Stamps()
+    >>> stamps.add(["24.07.2025 17:18:48,2", "24.07.2025 17:18:48,7", "?"])
+    >>> stamps.seconds("auto")
+    (array([0. , 0.5, nan]), 'day_first', '')
+    """
+
+    def __init__(self) -> None:
+        self._kinds: list[np.ndarray] = []
+        self._values: list[np.ndarray] = []  # number, s since 1970, or s since midnight
+        self._dates: list[np.ndarray] = []  # (n, 3) first, second, year; of OTHER_DATE
+        self._dotted = False  # dates are written with points
+        self.origin = 0.0  # the first readable stamp, as a number, or in s since 1970 or midnight; of `seconds`
+
+    def add(self, cells: Sequence[str], decimal: str = ".") -> None:
+        """Take the next cells."""
+        values = parse_cells(cells, decimal)
+        kinds = np.where(np.isfinite(values), np.int8(NUMBER), np.int8(UNREADABLE))
+        dates = np.zeros((len(cells), 3), np.int16)
+        texts = np.flatnonzero(kinds == UNREADABLE)
+        values[texts] = [_iso(cells[place]) for place in texts.tolist()]
+        kinds[texts[np.isfinite(values[texts])]] = YEAR_FIRST
+        if len(texts := np.flatnonzero(kinds == UNREADABLE)):
+            found = zip(*[self._text(cells[place]) for place in texts.tolist()], strict=True)
+            kinds[texts], values[texts], dates[texts] = (list(each) for each in found)
+        self._kinds.append(kinds)
+        self._values.append(values)
+        self._dates.append(dates if (kinds == OTHER_DATE).any() else np.broadcast_to(np.int16(0), dates.shape))
+
+    def _text(self, cell: str) -> tuple[int, float, tuple[int, int, int]]:
+        """Kind, value and date of a cell that is no number and not in ISO 8601."""
+        none = (0, 0, 0)
+        if found := ONLY_TIME.fullmatch(cell):
+            return CLOCK, _seconds(*found.groups()), none
+        if found := DATE_TIME.fullmatch(cell):
+            first, sign, second, year, *clock, zone = found.groups()
+            self._dotted |= sign == "."
+            seconds = _seconds(*clock) - _offset(zone) if clock[0] else 0.0
+            return OTHER_DATE, seconds, (int(first), int(second), int(year) + 2000 * (len(year) == 2))
+        return UNREADABLE, np.nan, none
+
+    def clock_numbers(self) -> bool:
+        """Whether the stamps are times of a day written as a number, HHMMSS or HHMMSS.s.
+
+        They never have 60 to 99 as minutes or seconds, and a minute goes on by 41 after its 59th second.
+
+        >>> stamps = Stamps()
+        >>> stamps.add([f"{minute:04d}{second:02d}" for minute in (959, 1000) for second in range(60)])
+        >>> stamps.clock_numbers()
+        True
+        """
+        kinds, values = np.concatenate(self._kinds), np.concatenate(self._values)
+        values = values[(kinds == NUMBER) & np.isfinite(values)]
+        if len(values) < 2 or np.isnan(_of_number(values)).any():
+            return False
+        full = np.flatnonzero(np.diff(values // 100))
+        return bool(
+            len(full) and (values[full] % 100 >= 50).mean() > 0.8 and (values[full + 1] % 100 < 10).mean() > 0.8
+        )
+
+    def seconds(self, order: str, clock: bool = False) -> tuple[np.ndarray | None, str, str]:
+        """Stamps as seconds since the first readable one; numbers in their unit; None if none is readable.
+
+        Args:
+            order: of a date, one of `ORDERS` or "auto".
+            clock: whether numbers are times of a day, HHMMSS.
+
+        Returns:
+            the stamps, the kind ("number", "time" or one of `ORDERS`), and a doubt about the order, or "".
+        """
+        kinds, values = np.concatenate(self._kinds), np.concatenate(self._values)
+        values = np.where(np.isfinite(values), values, np.nan)
+        counts = np.bincount(kinds[np.isfinite(values)], minlength=5)[:UNREADABLE]
+        if not counts.any():
+            return None, "", ""
+        kind, doubt = int(counts.argmax()), ""
+        values[kinds != kind] = np.nan
+        if kind == NUMBER and clock:
+            kind, values = CLOCK, _of_number(values)
+        name = ("number", "year_first", order, "time")[kind]
+        if kind == OTHER_DATE:
+            dates = np.concatenate(self._dates)
+            if order not in ORDERS[1:]:
+                name, doubt = self._order(dates[np.isfinite(values)])
+                doubt = doubt if order == "auto" else "dates that do not begin with the year"
+            values += DAY * _days(dates, name)
+        readable = np.flatnonzero(np.isfinite(values))
+        if not len(readable):
+            return None, name, doubt
+        if kind == CLOCK:  # past midnight they begin anew
+            values[readable] = np.unwrap(values[readable], period=DAY)
+        self.origin = float(values[readable[0]])
+        return values - self.origin, name, doubt
+
+    def _order(self, dates: np.ndarray) -> tuple[str, str]:
+        """The order of day and month, from all dates."""
+        first, second = (dates[:, :2] > 12).sum(0)
+        if first or second:
+            share = max(first, second) / (first + second)
+            found = "day_first" if first >= second else "month_first"
+            return found, "" if share >= CERTAIN else "dates of which some have no month in either order"
+        if self._dotted or len(np.unique(dates, axis=0)) == 1:  # on a single day, either order gives the same times
+            return "day_first", ""
+        one, other = (dates[place].tolist() for place in (0, -1))
+        shown = " to ".join(f"{a}/{b}/{year}" for a, b, year in (one, other))
+        return "day_first", f"dates from {shown}, which may have the day or the month first"
+
+
+def spread(time: np.ndarray, origin: float) -> tuple[np.ndarray, float]:
+    """Stamps of whole seconds that repeat, spread: row k of the n rows of a second is k/n s later.
+
+    The rate of rows is taken as even within each second, so a row may be up to a second off. It needs all rows of a
+    second, as only a log has them.
+
+    Args:
+        time: (n,) s, NaN where it is unreadable.
+        origin: s, of the time 0.
+
+    Returns:
+        the stamps, and the mean number of rows of a second, or 0 where nothing was changed.
+
+    >>> spread(np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0, 2.0]), 5.0)
+    (array([0.  , 0.5 , 1.  , 1.25, 1.5 , 1.75, 2.  ]), 2.3333333333333335)
+    """
+    readable = np.flatnonzero(np.isfinite(time))
+    rate = rows_a_second(time[readable] + origin)
+    if rate < OFTEN:
+        return time, 0.0
+    begins = np.flatnonzero(np.append(True, np.diff(time[readable]) != 0))
+    counts = np.diff(np.append(begins, len(readable)))
+    place = np.arange(len(readable)) - np.repeat(begins, counts)
+    found = time.copy()
+    found[readable] += place / np.repeat(counts, counts)
+    return found, rate
+
+
+def rows_a_second(stamps: np.ndarray) -> float:
+    """The mean number of rows with one stamp, where all stamps are whole seconds; else 0."""
+    if len(stamps) < FEW or (stamps != np.floor(stamps)).any():
+        return 0.0
+    changes = int((np.diff(stamps) != 0).sum())
+    return len(stamps) / (changes + 1) if changes else 0.0
+
+
+def _iso(cell: str) -> float:
+    """Seconds since 1970 of an ISO 8601 date-time; NaN if it is none."""
+    try:
+        stamp = datetime.fromisoformat(cell.strip().replace("/", "-"))
+    except ValueError:
+        return np.nan
+    return stamp.timestamp() if stamp.tzinfo else (stamp - MIDNIGHT).total_seconds()
+
+
+def _seconds(hour: str, minute: str, second: str | None, fraction: str | None, half: str | None) -> float:
+    """Seconds since midnight; NaN if there is no such time."""
+    hours = int(hour)
+    if half:
+        if not 1 <= hours <= 12:
+            return np.nan
+        hours = hours % 12 + 12 * (half in "Pp")
+    if hours > 24 or int(minute) > 59 or int(second or 0) > 60:
+        return np.nan
+    return 3600.0 * hours + 60 * int(minute) + int(second or 0) + float(f"0.{(fraction or '0')[:18]}")
+
+
+def _of_number(values: np.ndarray) -> np.ndarray:
+    """Seconds since midnight of numbers HHMMSS; NaN where there is no such time."""
+    hours, minutes, seconds = values // 10000, values // 100 % 100, values % 100
+    known = (hours >= 0) & (hours < 24) & (minutes < 60) & (seconds < 60)
+    return np.where(known, 3600 * hours + 60 * minutes + seconds, np.nan)
+
+
+def _offset(zone: str | None) -> float:
+    """Of a zone such as +02:00, s."""
+    if zone in (None, "Z"):
+        return 0.0
+    return (1 if zone[0] == "+" else -1) * (3600.0 * int(zone[1:3]) + 60 * int(zone[-2:]))
+
+
+def _days(dates: np.ndarray, order: str) -> np.ndarray:
+    """Days since 1970 of dates; NaN where there is no such day."""
+    distinct, places = np.unique(dates, axis=0, return_inverse=True)
+    days = np.full(len(distinct), np.nan)
+    for place, (first, second, year) in enumerate(distinct.tolist()):
+        day, month = (first, second) if order == "day_first" else (second, first)
+        try:
+            days[place] = date(year, month, day).toordinal() - EPOCH
+        except ValueError:
+            pass
+    return days[places.reshape(-1)]

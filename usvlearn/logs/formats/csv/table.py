@@ -1,0 +1,352 @@
+"""Tables of text (`.csv`, `.tsv`): a header line, then one row per time step."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, LogFormatError, check_choice
+from usvlearn.logs.channels.channel import QUOTED, Channel, Source, build_channel, match_name, matching
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.csv.dialect import AUTO, Dialect, find_dialect, no_header, split_unit
+from usvlearn.logs.formats.csv.quaternions import Quaternion, Yaw, quaternions, yaw_of
+from usvlearn.logs.formats.csv.rows import Column, Rows
+from usvlearn.logs.formats.csv.stamps import ORDERS, spread
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+CLOCK = "hhmmss"  # in place of a unit: times of a day as numbers
+RUNS, TOPICS = "runs", "topics"  # what the tables of a folder are
+ROTATION, ROS = "quaternion", "geometry_msgs"  # kinds of series
+ROS_COLUMN = re.compile(r"(^|[./])(linear|angular|angular_velocity|linear_acceleration)[./][xyz]$")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Reads a CSV file. `Source.name` is a column, with its unit as in `Speed (m/s)`, or without.
+
+    Lines above the header are skipped, and a line below it that holds units. A row with more or fewer cells than the
+    header (a torn write) is dropped and counted as `torn_row`. In a file with decimal commas a number with a point is
+    counted as `not_a_number`, as is one with separators of thousands.
+
+    Args:
+        time: column of the stamps: numbers, date-times such as `2025-07-24 17:18:48.207`, or times of a day, which go
+            on past midnight; `Date+Time` joins two columns. A date-time without a zone is taken as UTC.
+        time_unit: unit of stamps that are numbers: s, ms, us or ns; or hhmmss, for times of a day such as 091500.25.
+        delimiter: what separates the cells; a space stands for any number of spaces and tabs.
+        decimal: sign of the numbers, `.` or `,`.
+        encoding: of the text, as Python names it.
+        comment: what a line begins with that is skipped; null: no line is.
+        dates: order of date-times: year_first, day_first or month_first.
+        files: what the tables of a folder are: `runs`, each of them a run, or `topics`, which together are one run and
+            are joined by time. Then a name is FILE.COLUMN, or the column alone, where one file has it. `auto`: runs,
+            if one of them has all columns that are named, or if all have the same columns.
+
+    The last six are "auto" by default: found from the file, the same for the same file. So can `time` be, with its
+    unit. Where stamps are whole seconds and repeat, the rows of a second are spread evenly within it
+    (`usvlearn.logs.formats.csv.stamps.spread`).
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "a.csv"
+    ...     _ = path.write_text("stamp;Speed (m/s)\\n5000;1,2\\n5100;\\n5200;1,3\\n")
+    ...     channels, dropped = Table("stamp", time_unit="ms").read(path, {"surge": Source("Speed")})
+    >>> channels["surge"].time, channels["surge"].value, dropped
+    (array([0. , 0.2]), array([1.2, 1.3]), {'surge': {'empty': 1}})
+    """
+
+    time: str
+    time_unit: str = "s"
+    delimiter: str = AUTO
+    decimal: str = AUTO
+    encoding: str = AUTO
+    comment: str | None = AUTO
+    dates: str = AUTO
+    files: str = AUTO
+
+    suffixes: ClassVar[tuple[str, ...]] = (".csv", ".tsv")
+
+    def __post_init__(self):
+        check_choice("data.reader.time_unit", self.time_unit, (*TIME_UNITS, CLOCK))
+        if self.delimiter != AUTO and (len(self.delimiter) != 1 or self.delimiter in '\r\n"'):
+            raise ConfigError(f"data.reader.delimiter: found {self.delimiter!r}, expected one character, or {AUTO}")
+        check_choice("data.reader.decimal", self.decimal, (".", ",", AUTO))
+        check_choice("data.reader.dates", self.dates, (*ORDERS, AUTO))
+        check_choice("data.reader.files", self.files, (RUNS, TOPICS, AUTO))
+        try:
+            if self.encoding != AUTO:
+                "".encode(self.encoding)
+        except LookupError:
+            raise ConfigError(
+                f"data.reader.encoding: found {self.encoding!r}, expected one such as utf-8, cp1252, or {AUTO}"
+            ) from None
+
+    def read(self, path: Path, sources: dict[str, Source]) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+        """The channels of a table, and the counts of unusable cells: channel -> cause -> count.
+
+        Args:
+            path: the file, or a folder of tables of one run.
+            sources: channel -> where it is found.
+
+        Raises:
+            LogFormatError: the file is no table, or lacks a column, or does not tell how it is written.
+        """
+        if path.is_dir():
+            from usvlearn.logs.formats.csv.topics import read_topics
+
+            return read_topics(self, path, sources)
+        opened = self.open(path)
+        names = {
+            channel: opened.match(source.name, f"{path}: data.channels.{channel}.name")
+            for channel, source in sources.items()
+        }
+        columns = opened.columns(list(names.values()))
+        return channels_of({path: columns}, {path: columns.order}, {
+            channel: Place(path, name, sources[channel]) for channel, name in names.items()
+        })  # fmt: skip
+
+    def survey(self, path: Path) -> list[Series]:
+        """All columns with numbers in at least half of their filled cells, and the yaw in place of each quaternion.
+
+        Args:
+            path: the file, or a folder of tables of one run.
+
+        Raises:
+            LogFormatError: as for `read`.
+        """
+        if path.is_dir():
+            from usvlearn.logs.formats.csv.topics import survey_topics
+
+            return survey_topics(self, path)
+        return self.open(path).survey()[0]
+
+    def is_log(self, folder: Path, files: Sequence[Path], names: Sequence[str]) -> bool:
+        """Whether the tables of a folder are one log, in which there are columns of these names."""
+        from usvlearn.logs.formats.csv.topics import are_topics
+
+        return are_topics(self, files, names)
+
+    def open(self, path: Path) -> Opened:
+        """A file whose columns are known."""
+        if self.time == AUTO:
+            from usvlearn.logs.formats.csv.options import table_of
+
+            return replace(table_of(path)[0], files=self.files).open(path)
+        dialect = self._dialect(path)
+        return Opened(path, self, dialect, self._stamp_columns(path, dialect))
+
+    def stamp_kind(self, path: Path) -> tuple[str, str]:
+        """What the stamps are (number, hhmmss, time or one of `ORDERS`), and a doubt about it, or ""."""
+        dialect = self._dialect(path)
+        rows = Rows(path, dialect, self._stamp_columns(path, dialect), [])
+        _, kind, doubt = rows.stamps.seconds(self.dates)
+        return CLOCK if kind == "number" and rows.stamps.clock_numbers() else kind or "number", doubt
+
+    def _dialect(self, path: Path) -> Dialect:
+        """How a file is written, by the options given and by what is found."""
+        found = find_dialect(path, self.time, self.encoding, self.delimiter, self.comment, self.decimal)
+        if "decimal" in found.doubts:
+            raise LogFormatError(
+                f"{path}: expected to find the decimal sign from the numbers, found {found.doubts['decimal']}: set "
+                "data.reader.decimal"
+            )
+        if not found.names and found.sample:
+            raise no_header(path, found)
+        return found
+
+    def _stamp_columns(self, path: Path, dialect: Dialect) -> list[str]:
+        """The columns of the stamps: one, or a date and a time."""
+        names = [name for name in dialect.names if name]
+        parts = [self.time] if self.time in names else [part.strip() for part in self.time.split("+", 1)]
+        bare = [split_unit(name)[0] for name in names]
+        for place, part in enumerate(parts):
+            if part not in names and bare.count(part) == 1:
+                parts[place] = names[bare.index(part)]
+            elif part not in names:
+                raise LogFormatError(_no_time_column(path, part, names, dialect.delimiter))
+        return parts
+
+    def seconds(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
+        """Stamps as seconds since the first readable one, and that one, s since 1970, midnight or a start."""
+        time, origin = self._as_written(path, dialect, stamps, rows)
+        spread_time, rate = spread(time, origin)
+        if rate:
+            warnings.warn(
+                f"{path}: the stamps {self.time!r} are whole seconds, with {rate:.3g} rows each: the rows of a second "
+                "are spread evenly within it",
+                stacklevel=5,
+            )
+        return spread_time, origin
+
+    def _as_written(self, path: Path, dialect: Dialect, stamps: list[str], rows: Rows) -> tuple[np.ndarray, float]:
+        time, kind, doubt = rows.stamps.seconds(self.dates, self.time_unit == CLOCK)
+        if time is None:
+            raise LogFormatError(
+                f"{path}, line {rows.order[0]}: expected a number or a date-time in the time column "
+                f"{self.time!r}, found {rows.first_stamp[:QUOTED]!r}: name the column of the stamps in data.reader.time"
+            )
+        if doubt:
+            raise LogFormatError(
+                f"{path}: expected to find the order of day, month and year from the column {self.time!r}, found "
+                f"{doubt}: set data.reader.dates to one of {', '.join(ORDERS)}"
+            )
+        if kind != "number":
+            return time, rows.stamps.origin
+        if self.time_unit == "s" and rows.stamps.clock_numbers():
+            warnings.warn(
+                f"{path}: the numbers of {self.time!r} are times of a day, such as {rows.first_stamp[:QUOTED]!r}, but "
+                f"they are read as seconds: set data.reader.time_unit={CLOCK}",
+                stacklevel=6,
+            )
+        declared = dialect.units[dialect.names.index(stamps[0])]
+        if declared in TIME_UNITS and declared != self.time_unit:
+            warnings.warn(
+                f"{path}: the header declares {stamps[0][:QUOTED]!r} in {declared}, but it is read in {self.time_unit}"
+                f": set data.reader.time_unit={declared}",
+                stacklevel=6,
+            )
+        factor = TIME_UNITS[self.time_unit]
+        return time * factor, rows.stamps.origin * factor
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A table whose header was read.
+
+    Attributes:
+        path: the file.
+        table: its reader.
+        dialect: how it is written.
+        stamps: the columns of its stamps, one or two.
+    """
+
+    path: Path
+    table: Table
+    dialect: Dialect
+    stamps: list[str]
+
+    @cached_property
+    def quaternions(self) -> dict[str, Quaternion]:
+        """Name of an orientation -> its columns."""
+        return quaternions(self.dialect.names)
+
+    @cached_property
+    def names(self) -> list[str]:
+        """What a `Source` can name: the columns without those of the stamps, and the orientations."""
+        return [name for name in self.dialect.names if name and name not in self.stamps] + list(self.quaternions)
+
+    def find(self, pattern: str) -> list[str]:
+        """The columns that a `Source` may mean, with or without their unit."""
+        bare = Counter(split_unit(name)[0] for name in self.names)
+        if pattern not in self.names and bare[pattern] == 1:
+            return [next(name for name in self.names if split_unit(name)[0] == pattern)]
+        return matching(pattern, dict.fromkeys(self.names))
+
+    def match(self, pattern: str, where: str) -> str:
+        """The column that a `Source` names.
+
+        Raises:
+            LogFormatError: there is none, or there are several.
+        """
+        found = self.find(pattern)
+        return found[0] if len(found) == 1 else match_name(pattern, self.names, where)
+
+    def columns(self, names: Sequence[str]) -> Columns:
+        """Numbers of columns, with the yaw of orientations."""
+        rotations = {name: self.quaternions[name] for name in names if name in self.quaternions}
+        plain = [name for name in names if name not in rotations]
+        wanted = list(dict.fromkeys([*plain, *(part for each in rotations.values() for part in each.columns)]))
+        every = self.dialect.names
+        if twice := [name for name in (*self.stamps, *wanted) if every.count(name) > 1]:
+            raise LogFormatError(
+                f"{self.path}: has several columns {twice[0][:QUOTED]!r}, expected one: rename all but one"
+            )
+        rows = Rows(self.path, self.dialect, self.stamps, wanted)
+        time, origin = self.table.seconds(self.path, self.dialect, self.stamps, rows)
+        found: dict[str, Column | Yaw] = dict(rows.columns)
+        for name, each in rotations.items():
+            parts = [rows.columns[part] for part in each.columns]
+            found[name] = yaw_of([part.values for part in parts], [part.empty for part in parts])
+        return Columns(time, origin, rows.order, found, rows.torn)
+
+    def survey(self) -> tuple[list[Series], float]:
+        """All series of numbers, quaternions by their yaw alone; and the first stamp, as of `Columns.origin`."""
+        every = self.dialect.names
+        parts = {name for each in self.quaternions.values() for name in each.columns}
+        if twice := list(dict.fromkeys(name for name in self.names if name and every.count(name) > 1)):
+            warnings.warn(
+                f"{self.path}: several columns are called {', '.join(repr(name[:QUOTED]) for name in twice[:3])}, and "
+                "none of them is taken: give them different names",
+                stacklevel=3,
+            )
+        columns = self.columns([name for name in self.names if every.count(name) < 2 and name not in parts])
+        readable, series = np.isfinite(columns.time), []
+        for name in (each for each in list(columns.found) if each not in parts):
+            column = columns.found.pop(name)
+            known = np.isfinite(column.values)
+            if known.any() and 2 * known.sum() >= (~column.empty).sum():
+                rotation = self.quaternions.get(name)
+                unit = rotation.unit if rotation else self.dialect.units[every.index(name)]
+                kind = ROTATION if rotation else ROS if ROS_COLUMN.search(name) else ""
+                series.append(
+                    Series(
+                        name, None, columns.time[readable], column.values[readable], columns.order[readable], unit, kind
+                    )
+                )
+        return series, columns.origin
+
+
+class Columns(NamedTuple):
+    """The numbers of some columns of a table."""
+
+    time: np.ndarray  # (rows,) float64, s since the first readable stamp, NaN where it is unreadable
+    origin: float  # that stamp, s since 1970, midnight or a start
+    order: np.ndarray  # (rows,) int64, lines
+    found: dict[str, Column | Yaw]
+    torn: int  # incomplete rows
+
+
+class Place(NamedTuple):
+    """Where a channel is, in one of several tables."""
+
+    path: Path
+    name: str  # of the column
+    source: Source
+
+
+def channels_of(
+    tables: Mapping[Path, Columns], orders: Mapping[Path, np.ndarray], places: Mapping[str, Place]
+) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+    """The channels, and the counts of unusable cells, from tables whose times count from one start.
+
+    Args:
+        tables: the columns of each file.
+        orders: the places of their rows in the log.
+        places: channel -> where it is.
+    """
+    channels, dropped = {}, {}
+    for channel, (path, name, source) in places.items():
+        table, column = tables[path], tables[path].found[name]
+        channels[channel], causes = build_channel(
+            f"{path}: {channel}", source, table.time, column.values, orders[path], column.empty, column.first or None
+        )
+        if isinstance(column, Yaw) and column.bad:
+            others = causes.pop("not_a_number", 0) - column.bad
+            causes = {**causes, "no_rotation": column.bad} | ({"not_a_number": others} if others > 0 else {})
+        dropped[channel] = {**causes, "torn_row": table.torn} if table.torn else causes
+    return channels, dropped
+
+
+def _no_time_column(path: Path, time: str, names: list[str], delimiter: str) -> str:
+    listing = ", ".join(repr(name[:QUOTED]) for name in names[:40]) + (", ..." if len(names) > 40 else "")
+    message = f"{path}: expected a time column {time!r}, found the columns {listing or '(none)'}: "
+    if len(names) < 2:
+        return message + f"set data.reader.delimiter if {delimiter!r} does not separate its cells"
+    return message + "name one of them in data.reader.time"

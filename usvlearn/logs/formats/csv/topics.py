@@ -1,0 +1,241 @@
+"""Tables of one folder that are the topics of one run: each file has some of its channels, and time joins them.
+
+`rostopic echo -p`, `ulog2csv` and other programs write a table for each topic. A column is then FILE.COLUMN:
+`odom.field.twist.twist.linear.x` is the column `field.twist.twist.linear.x` of `odom.csv`. The column alone is enough
+where only one file has it. All stamps must be of one clock.
+
+A folder of tables may also hold one run each. These rules tell them apart, the first that applies:
+
+1. If one file has all channels, each file is a run.
+2. If all files have the same columns, each is a run, unless they have fewer than three: that is too few for a run.
+3. Else the files are topics of one run.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError, printable
+from usvlearn.logs.channels.channel import Channel, Source, match_name
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.csv.dialect import AUTO
+
+if TYPE_CHECKING:
+    from usvlearn.logs.formats.csv.table import Opened, Table
+
+ALIKE = 0.5  # share of all columns that two files have both, from which they are of one kind
+FEWEST = 3  # columns of a run: a command, a heading and a speed
+MISSING = 3e8  # s, above which a stamp is a date
+
+
+def are_topics(table: Table, files: Sequence[Path], names: Sequence[str]) -> bool:
+    """Whether the tables of a folder are topics of one run in which there are columns of these names."""
+    from usvlearn.logs.formats.csv.table import TOPICS
+
+    if table.files != AUTO:
+        return table.files == TOPICS
+    if len(files) < 2:
+        return False
+    columns = []
+    for file in files:
+        try:
+            opened = _opened(table, file)
+        except LogFormatError:
+            continue
+        if all(opened.find(name) for name in names):
+            return False
+        columns.append(opened.names)
+    return several_kinds(columns)
+
+
+def several_kinds(columns: Sequence[Sequence[str]]) -> bool:
+    """Whether tables with these columns are topics, and not runs: by rule 2 of this module.
+
+    >>> several_kinds([["L", "R"], ["psi", "v"]]), several_kinds([["L", "R", "v"], ["L", "R", "v", "psi"]])
+    (True, False)
+    """
+    sets = [set(each) for each in columns]
+    if len(sets) < 2:
+        return False
+    largest = max(sets, key=len)
+    return len(largest) < FEWEST or any(len(each & largest) < ALIKE * len(each | largest) for each in sets)
+
+
+def tables_of(table: Table, folder: Path) -> list[Path]:
+    """The tables that lie in a folder."""
+    return sorted(each for each in folder.iterdir() if each.suffix.lower() in table.suffixes and each.is_file())
+
+
+def open_topics(table: Table, folder: Path) -> dict[str, Opened]:
+    """Name of a topic, which is that of its file -> its table. Files that are no tables are left out.
+
+    A file without the column that `time` names has its stamps found.
+
+    Raises:
+        LogFormatError: no file can be read; the message is that of the first.
+    """
+    files = tables_of(table, folder)
+    stems = [file.stem for file in files]
+    found, unread = {}, []
+    for file, stem in zip(files, stems, strict=True):
+        try:
+            found[stem if stems.count(stem) == 1 else file.name] = _opened(table, file)
+        except LogFormatError as error:
+            unread.append(error)
+    if not found:
+        raise unread[0] if unread else LogFormatError(f"{folder}: expected tables, found none: give another folder")
+    for each in unread:
+        warnings.warn(f"table left out: {each}", stacklevel=6)
+    return found
+
+
+def _opened(table: Table, file: Path) -> Opened:
+    if file.stat().st_size == 0:
+        raise LogFormatError(f"{file}: expected a table, found an empty file: remove it")
+    try:
+        return table.open(file)
+    except LogFormatError:
+        if table.time == AUTO:
+            raise
+        return replace(table, time=AUTO).open(file)
+
+
+def read_topics(
+    table: Table, folder: Path, sources: dict[str, Source]
+) -> tuple[dict[str, Channel], dict[str, dict[str, int]]]:
+    """The channels of a run whose topics are tables; as `usvlearn.logs.formats.csv.table.Table.read`.
+
+    Raises:
+        LogFormatError: a column is in no table or in several, or the stamps of two tables do not overlap.
+    """
+    from usvlearn.logs.formats.csv.table import Place, channels_of
+
+    topics = open_topics(table, folder)
+    places = {}
+    for channel, source in sources.items():
+        topic, column = locate(source.name, topics, f"{folder}: data.channels.{channel}.name")
+        places[channel] = topic, Place(topics[topic].path, column, source)
+    used = {topic: topics[topic] for topic in topics if any(topic == each for each, _ in places.values())}
+    columns = {
+        topic: each.columns([place.name for name, place in places.values() if name == topic])
+        for topic, each in used.items()
+    }
+    spans = {topic: Span.of(each.time, each.origin) for topic, each in columns.items()}
+    late, early = max(spans, key=lambda topic: spans[topic].begin), min(spans, key=lambda topic: spans[topic].end)
+    if spans[late].begin >= spans[early].end:
+        raise apart(folder, {name: spans[name] for name in (early, late)})
+    start = min(each.begin for each in spans.values())
+    joined = {
+        used[topic].path: each._replace(time=each.time + (each.origin - start)) for topic, each in columns.items()
+    }
+    orders = _interleaved([each.time for each in joined.values()])
+    return channels_of(
+        joined, dict(zip(joined, orders, strict=True)), {channel: place for channel, (_, place) in places.items()}
+    )
+
+
+def survey_topics(table: Table, folder: Path) -> list[Series]:
+    """All series of a run whose topics are tables, as FILE.COLUMN; those of another time or clock are left out."""
+    surveyed: dict[str, tuple[list[Series], float]] = {}
+    for topic, opened in open_topics(table, folder).items():
+        try:
+            series, origin = opened.survey()
+        except LogFormatError as error:
+            warnings.warn(f"table left out: {error}", stacklevel=4)
+            continue
+        if series:
+            surveyed[topic] = series, origin
+    spans = {topic: Span.of(series[0].time, origin) for topic, (series, origin) in surveyed.items()}
+    if not spans:
+        raise LogFormatError(f"{folder}: expected tables of one run, found no numbers in them: give another folder")
+    together = _largest(spans)
+    if len(spans) > 1 and len(together) < 2:
+        raise apart(folder, spans)
+    for topic in sorted(spans.keys() - together):
+        warnings.warn(f"table left out: {apart(folder, {topic: spans[topic], **_one(spans, together)})}", stacklevel=4)
+    start = min(spans[topic].begin for topic in together)
+    return [
+        each._replace(name=f"{topic}.{each.name}", time=each.time + (surveyed[topic][1] - start))
+        for topic in surveyed
+        if topic in together
+        for each in surveyed[topic][0]
+    ]
+
+
+class Span(NamedTuple):
+    """The first and the last stamp of a table, s."""
+
+    begin: float
+    end: float
+
+    @classmethod
+    def of(cls, time: np.ndarray, origin: float) -> Span:
+        known = time[np.isfinite(time)] + origin
+        return cls(float(known.min()), float(known.max()))
+
+    def __str__(self) -> str:
+        if self.begin > MISSING:
+            return " to ".join(f"{datetime.fromtimestamp(min(each, 2e11), UTC):%Y-%m-%d %H:%M:%S}" for each in self)
+        return f"{self.begin:.6g} to {self.end:.6g} s"
+
+
+def _largest(spans: dict[str, Span]) -> set[str]:
+    """The most tables whose times overlap that of one of them; of equal numbers those of the longest."""
+    near = {
+        topic: {other for other, each in spans.items() if each.begin <= own.end and own.begin <= each.end}
+        for topic, own in spans.items()
+    }
+    return max(near.items(), key=lambda item: (len(item[1]), spans[item[0]].end - spans[item[0]].begin))[1]
+
+
+def _one(spans: dict[str, Span], names: Iterable[str]) -> dict[str, Span]:
+    """The longest of some tables."""
+    longest = max(sorted(names), key=lambda name: spans[name].end - spans[name].begin)
+    return {longest: spans[longest]}
+
+
+def apart(folder: Path, spans: dict[str, Span]) -> LogFormatError:
+    """The error for tables whose times do not overlap."""
+    (one, first), (other, second) = list(spans.items())[:2]
+    return LogFormatError(
+        f"{folder}: expected tables of one run, whose times overlap, found {one} from {first} and {other} from "
+        f"{second}: their clocks differ, or they are of several runs: write the stamps of one clock, or give each run "
+        "a folder of its own"
+    )
+
+
+def locate(pattern: str, topics: dict[str, Opened], where: str) -> tuple[str, str]:
+    """The topic and the column that a `Source` names.
+
+    Raises:
+        LogFormatError: there is none, or there are several.
+    """
+    for topic, opened in topics.items():
+        if pattern.startswith(f"{topic}.") and len(found := opened.find(pattern[len(topic) + 1 :])) == 1:
+            return topic, found[0]
+    alone = [(topic, name) for topic, opened in topics.items() for name in opened.find(pattern)]
+    if len(alone) == 1:
+        return alone[0]
+    if alone:
+        listed = ", ".join(f"{topic}.{name}" for topic, name in alone[:8])
+        raise LogFormatError(
+            f"{where}: the column {printable(pattern)!r} is in several tables: name one of {printable(listed)}"
+        )
+    every = {f"{topic}.{name}": (topic, name) for topic, opened in topics.items() for name in opened.names}
+    return every[match_name(pattern, every, where)]
+
+
+def _interleaved(times: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The places in the log of the rows of several tables: by time, and each table in its own order."""
+    keys = [np.maximum.accumulate(np.where(np.isfinite(time), time, -np.inf)) for time in times]
+    table = np.repeat(np.arange(len(times)), [len(time) for time in times])
+    order = np.empty(len(table), np.int64)
+    order[np.lexsort((np.arange(len(table)), table, np.concatenate(keys)))] = np.arange(1, len(table) + 1)
+    return np.split(order, np.cumsum([len(time) for time in times])[:-1])

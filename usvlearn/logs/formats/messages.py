@@ -1,0 +1,266 @@
+"""A binary log of messages with named fields, as `dataflash` and `tlog` find them: its names and its numbers."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError, did_you_mean, printable
+from usvlearn.logs.channels.channel import LISTED, Channel, Source, build_channel, match_name
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.ardupilot.servos import FUNCTIONS, Servos
+
+NAME = re.compile(r"(.+?)(?:\[(\d{1,3})\])?(?:@([^@]*))?")  # NAME, NAME[instance], NAME@sender, NAME[instance]@sender
+DISARMED = "drop", "keep"  # what a reader may do with servo outputs while the vehicle is disarmed
+SHORT = 300  # bytes; less than that at the end of a log is the message that was being written
+
+
+class Field(NamedTuple):
+    """Where a number stands in a message."""
+
+    offset: int  # bytes from the start of the payload
+    dtype: str  # of numpy
+    divisor: float = 1.0  # value = number / divisor
+    unit: str = ""
+
+
+class Messages(NamedTuple):
+    """All messages of one layout, in the order of the log."""
+
+    fields: dict[str, Field]
+    starts: np.ndarray  # (n,) int64, bytes from the start of the file to the payload
+    lengths: np.ndarray  # (n,) uint8, bytes of the payload
+    time: np.ndarray  # (n,) float64, s since the log's start
+    order: np.ndarray  # (n,) int64, number of the message in the log
+
+    def take(self, rows: np.ndarray) -> Messages:
+        """Some of them."""
+        return self._replace(
+            starts=self.starts[rows], lengths=self.lengths[rows], time=self.time[rows], order=self.order[rows]
+        )
+
+    def column(self, data: np.ndarray, name: str) -> np.ndarray:
+        """A field, `(n,)`, as its type; `data` is the file."""
+        from usvlearn.logs.formats.ardupilot.binary_kernel import gather
+
+        where = self.fields[name]
+        kind = np.dtype(where.dtype)
+        return gather(data, self.starts, self.lengths, where.offset, kind.itemsize).view(kind)[:, 0]
+
+    def numbers(self, data: np.ndarray, name: str) -> np.ndarray:
+        """A field in its unit, `(n,)` float64."""
+        with np.errstate(all="ignore"):  # damaged numbers may be anything
+            return self.column(data, name).astype(np.float64) / self.fields[name].divisor
+
+    def split(self, data: np.ndarray, name: str | None) -> Iterator[tuple[int | None, Messages]]:
+        """The messages of each value of a field that numbers equal sensors; None: all, with no number."""
+        if name is None:
+            yield None, self
+            return
+        numbers = self.column(data, name)
+        for number in np.unique(numbers).tolist():
+            yield number, self.take(numbers == number)
+
+    def names(self) -> list[str]:
+        """The fields that are numbers."""
+        return [name for name, where in self.fields.items() if np.dtype(where.dtype).kind != "S"]
+
+
+class Key(NamedTuple):
+    """What identifies messages of one kind in a log."""
+
+    name: str
+    instance: int | None = None  # of several equal sensors
+    sender: str = ""  # system.component, where several may send
+
+    def __str__(self) -> str:
+        number = "" if self.instance is None else f"[{self.instance}]"
+        return f"{self.name}{number}" + (f"@{self.sender}" if self.sender else "")
+
+
+class Vehicle(NamedTuple):
+    """What a log says about the sender of commands."""
+
+    parameters: Mapping[str, float] = MappingProxyType({})
+    changes: np.ndarray = np.array([-1])  # (k,) from which messages on
+    armed: np.ndarray = np.array([True])  # (k,) it was armed or not
+
+
+@dataclass(frozen=True)
+class MessageLog:
+    """A log whose messages have been found.
+
+    Args:
+        path: the log.
+        data: its bytes.
+        messages: all of them, those of one key in one or several layouts.
+        servos: the names of the servos' outputs.
+        vehicles: sender -> what is known about it.
+        preferred: the senders that a name without one means, where they send it.
+    """
+
+    path: Path
+    data: np.ndarray  # (bytes,) uint8
+    messages: dict[Key, list[Messages]]
+    servos: Servos
+    vehicles: dict[str, Vehicle] = field(default_factory=dict)
+    preferred: Sequence[str] = ("",)
+
+    def channels(self, sources: dict[str, Source], keep_disarmed: bool):
+        """The channels, and the counts of unusable values: see a reader's `read`."""
+        channels: dict[str, Channel] = {}
+        dropped: dict[str, dict[str, int]] = {}
+        for channel, source in sources.items():
+            where = f"{self.path}: data.channels.{channel}"
+            key = self.find(source.name, f"{where}.name")
+            time, raw, order = self.values(key, source.field, f"{where}.field")
+            disarmed = 0
+            if key.name in self.servos.outputs and not keep_disarmed:
+                usable = self.armed(key.sender, order)
+                disarmed = int((~usable).sum())
+                self._check_disarmed(where, source, disarmed, len(raw))
+                time, raw, order = time[usable], raw[usable], order[usable]
+            channels[channel], dropped[channel] = build_channel(f"{self.path}: {channel}", source, time, raw, order)
+            if disarmed:
+                dropped[channel]["disarmed"] = disarmed
+        return channels, dropped
+
+    def _check_disarmed(self, where: str, source: Source, disarmed: int, total: int) -> None:
+        if disarmed and source.held:
+            raise LogFormatError(
+                f"{where}.held: found true, expected false, because the last command before disarming would stay in "
+                "force: set it to false, or data.reader.disarmed=keep"
+            )
+        if disarmed and disarmed == total:
+            raise LogFormatError(
+                f"{where}.name: found no {source.name} while the vehicle was armed, {total} while it was not: leave "
+                "this log out, or set data.reader.disarmed=keep"
+            )
+
+    def armed(self, sender: str, order: np.ndarray) -> np.ndarray:
+        """Whether a vehicle was armed at these messages, `(n,)` bool."""
+        vehicle = self.vehicles.get(sender, Vehicle())
+        return vehicle.armed[np.searchsorted(vehicle.changes, order, side="right") - 1]
+
+    def find(self, name: str, where: str) -> Key:
+        """The messages that a `Source.name` means.
+
+        Raises:
+            LogFormatError: none, or those of several senders.
+        """
+        parts = NAME.fullmatch(name)
+        plain, number, sender = parts.groups() if parts else (name, None, None)
+        plain = match_name(plain, {key.name for key in self.messages}, where)
+        senders = self._senders(plain, sender)
+        if len(senders) > 1:
+            listed = " or ".join(f"{plain}@{each}" for each in senders[:LISTED])
+            raise LogFormatError(f"{where}: {plain!r} comes from {len(senders)} senders: name {listed}")
+        keys = [key for key in self.messages if key.name == plain]
+        found = [key for key in keys if key.sender in senders and (number is None or key.instance == int(number))]
+        if not found:
+            listed = ", ".join(map(str, keys[:LISTED]))
+            raise LogFormatError(f"{where}: no channel {name!r}. The log has: {listed}: name one of them")
+        return min(found, key=lambda key: key.instance or 0)
+
+    def _senders(self, name: str, pattern: str | None = None) -> list[str]:
+        """Who sends messages of this name: those of the pattern, or else the preferred ones, or else all."""
+        found = list(dict.fromkeys(key.sender for key in self.messages if key.name == name))
+        if pattern is not None:
+            return [each for each in found if fnmatchcase(each, pattern)]
+        return [each for each in found if each in self.preferred] or found
+
+    def values(self, key: Key, name: str | None, where: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Times in s, values and places in the log of a `Source.field`, each `(n,)`.
+
+        Raises:
+            LogFormatError: there is no such field, or no servo of that function.
+        """
+        if key.name in self.servos.outputs and name in FUNCTIONS:
+            parameters = self.vehicles.get(key.sender, Vehicle()).parameters
+            number = self.servos.find(name, parameters, where)
+            column = self.servos.column(number, self._fields(key))
+            if column is None:
+                raise LogFormatError(
+                    f"{where}: the {name.replace('_', ' ')} is servo {number}, which {key} does not hold: name another "
+                    f"of {', '.join(self.servos.outputs)}, or the servo's own column"
+                )
+            limits = self.servos.limits(number, parameters, where)
+            time, pwm, order = self._joined(key, [column])
+            return time, limits.share(pwm), order
+        names = [each.strip() for each in (name or "").split(",")]
+        for each in names:
+            if each not in self._fields(key):
+                raise LogFormatError(self._no_field(key, each, where))
+        return self._joined(key, names)
+
+    def _fields(self, key: Key) -> list[str]:
+        return list(dict.fromkeys(name for part in self.messages[key] for name in part.names()))
+
+    def _no_field(self, key: Key, name: str, where: str) -> str:
+        fields = self._fields(key)
+        found = f"no field {name[:LISTED]!r}{did_you_mean(name, fields)}." if name else "no field is named."
+        return f"{where}: {found} The fields of {key} are: {', '.join(fields)}; name one of them"
+
+    def _joined(self, key: Key, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One field, or the norm of several, of all layouts that have them, in the order of the log."""
+        parts = [part for part in self.messages[key] if set(names) <= set(part.names())]
+        values = []
+        for part in parts:
+            columns = [part.numbers(self.data, name) for name in names]
+            with np.errstate(all="ignore"):
+                values.append(columns[0] if len(columns) == 1 else np.hypot.reduce(columns))
+        if len(parts) == 1:
+            return parts[0].time, values[0], parts[0].order
+        if not parts:
+            return np.empty(0), np.empty(0), np.empty(0, np.int64)
+        order = np.concatenate([part.order for part in parts])
+        place = np.argsort(order, kind="stable")
+        return np.concatenate([part.time for part in parts])[place], np.concatenate(values)[place], order[place]
+
+    def survey(self, left_out: Iterable[str]) -> list[Series]:
+        """All numbers, except those of some messages; see `usvlearn.logs.channels.series`."""
+        found = []
+        for key in sorted(self.messages, key=lambda key: min(part.order[0] for part in self.messages[key])):
+            if key.name in left_out:
+                continue
+            plain = key._replace(sender="") if self._senders(key.name) == [key.sender] else key
+            units = {name: where.unit for part in self.messages[key] for name, where in part.fields.items()}
+            for name in self._fields(key):
+                found.append(Series(str(plain), name, *self.values(key, name, str(self.path)), units[name], key.sender))
+            for name in FUNCTIONS if key.name in self.servos.outputs else ():
+                try:
+                    values = self.values(key, name, f"{self.path}: {name}")
+                except LogFormatError:  # no servo has this function
+                    continue
+                found.append(Series(str(plain), name, *values, "1", key.sender))
+        return found
+
+
+def warn_of_damage(path: Path, data: np.ndarray, skipped: np.ndarray, what: str) -> None:
+    """Warn if a log holds bytes that belong to no message.
+
+    The last message, which was being written when the power went, does not count, nor does an end of equal bytes.
+
+    Args:
+        path, data: the log.
+        skipped: bytes between messages, number of such gaps, end of the last message; see `binary_kernel`.
+        what: the name of the format.
+    """
+    count, gaps, end = (int(each) for each in skipped[:3])
+    tail = data[end + SHORT :]
+    if (tail != tail[:1]).any():
+        count, gaps = count + len(data) - end, gaps + 1
+    if gaps:
+        warnings.warn(
+            f"{printable(str(path))}: the log is damaged: skipped {count} of {len(data)} bytes, in {gaps} places, "
+            f"which are no {what} message",
+            stacklevel=4,
+        )

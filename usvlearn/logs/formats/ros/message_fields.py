@@ -1,0 +1,203 @@
+"""The numbers and the stamp of a ROS message, from a bag or from rclpy: a number at a dotted path, or all of them.
+
+Messages from a bag are dataclasses of the package rosbags; those of rclpy name their fields by a method.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.channels.series import ELEMENTS, Series
+from usvlearn.logs.formats.ros.rosbag_types import NOTHING
+
+PATHS = 256  # of one topic, at most
+DEEPEST = 10  # messages within each other
+CLOCK_LIMIT = 1.0  # s; a header's stamp further from the receipt comes from a clock that was never set
+CLOCKS = ("header", "receive")  # where a message's time is taken from
+_ODOMETRY = {"surge": "twist.twist.linear.x", "yaw_rate": "twist.twist.angular.z", "heading": "pose.pose.orientation"}
+_TWIST = {"surge": "twist.linear.x", "yaw_rate": "twist.angular.z"}
+FIELDS: dict[str, dict[str, str]] = {  # type of message -> channel -> its field, where none is named
+    "nav_msgs/msg/Odometry": _ODOMETRY,
+    "geometry_msgs/msg/TwistWithCovarianceStamped": {name: _ODOMETRY[name] for name in _TWIST},
+    "geometry_msgs/msg/TwistStamped": _TWIST,
+    "geometry_msgs/msg/Twist": {name: field.removeprefix("twist.") for name, field in _TWIST.items()},
+    "geometry_msgs/msg/PoseStamped": {"heading": "pose.orientation"},
+    "geometry_msgs/msg/PoseWithCovarianceStamped": {"heading": _ODOMETRY["heading"]},
+    "sensor_msgs/msg/Imu": {"heading": "orientation", "yaw_rate": "angular_velocity.z"},
+}
+
+
+def default_field(kind: str, part: str) -> str:
+    """The field of a channel in a type of message, where the configuration names none; `data` of a type not known.
+
+    Args:
+        kind: type of the message, such as `nav_msgs/msg/Odometry`.
+        part: a channel, or one of several sources of a command, such as `command_left[0]`.
+
+    >>> default_field("nav_msgs/msg/Odometry", "surge"), default_field("std_msgs/msg/Float64", "command_left[0]")
+    ('twist.twist.linear.x', 'data')
+    """
+    return FIELDS.get(kind, {}).get(part.partition("[")[0], "data")
+
+
+def stamp_of(message: Any, received: int, clock: str = "header", limit: float = CLOCK_LIMIT) -> int:
+    """The time of a message, ns: the stamp of its header, or its receipt.
+
+    Args:
+        message: of any type.
+        received: time of its receipt, ns.
+        clock: one of `CLOCKS`. With `header`, a message without a stamp has the time of its receipt, and so has one
+            whose stamp is 0, or further than `limit` from it.
+        limit: s.
+
+    >>> from types import SimpleNamespace as Message
+    >>> message = Message(header=Message(stamp=Message(sec=3, nanosec=500_000_000)))
+    >>> stamp_of(message, 4 * 10**9), stamp_of(message, 9 * 10**9), stamp_of(message, 4 * 10**9, clock="receive")
+    (3500000000, 9000000000, 4000000000)
+    """
+    stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
+    if clock == "receive" or not hasattr(stamp, "nanosec"):
+        return received
+    time = stamp.sec * 10**9 + stamp.nanosec
+    return time if time and abs(time - received) <= limit * 1e9 else received
+
+
+def read_field(message, field: str, where: str) -> float:
+    """The number at a dotted path, or the norm of several."""
+    if "," not in field:
+        return _read_one(message, field.strip(), where)
+    return math.hypot(*(_read_one(message, part.strip(), where) for part in field.split(",")))
+
+
+def _read_one(message, field: str, where: str) -> float:
+    value: Any = message
+    for step in field.split("."):
+        if step.isdigit() and hasattr(value, "__len__") and int(step) < len(value):
+            value = value[int(step)]
+        elif step in _fields(value):
+            value = getattr(value, step)
+        else:
+            raise LogFormatError(f"{where}: no field {step!r} in {field!r}. {_listing(value)}")
+    if all(hasattr(value, axis) for axis in "xyzw"):
+        return yaw(value.x, value.y, value.z, value.w)
+    try:
+        return float(_byte(value) if isinstance(value, bytes) and len(value) == 1 else value)
+    except (TypeError, ValueError):
+        raise LogFormatError(f"{where}: expected a number in {field!r}. {_listing(value)}") from None
+
+
+def _byte(value: bytes) -> int:
+    """The number in rclpy's bytes of a field of type `byte`; rosbags reads it with a sign, as ROS 1 does."""
+    return int.from_bytes(value, signed=True)
+
+
+def _listing(value) -> str:
+    names = _fields(value)
+    if not names and not is_dataclass(value):
+        return f"It holds {type(value).__name__} {str(value)[:40]!r}: name a field that is a number"
+    shown = ", ".join(name for name in names if not name.startswith("__"))
+    return f"The fields here are: {shown or 'none'}; name one of them"
+
+
+def _fields(value: Any) -> tuple[str, ...]:
+    """The names of a message's fields; none of what is no message."""
+    return _fields_of(value.__class__)
+
+
+@lru_cache(maxsize=256)
+def _fields_of(kind: type) -> tuple[str, ...]:
+    if is_dataclass(kind):
+        return tuple(item.name for item in fields(kind))
+    listed = getattr(kind, "get_fields_and_field_types", None)  # of rclpy
+    return () if listed is None else tuple(listed())
+
+
+def yaw(x: float, y: float, z: float, w: float) -> float:
+    """Yaw of a quaternion of any length, rad, counter-clockwise about z; NaN for the zero quaternion.
+
+    psi = atan2(2 (w z + x y), w^2 + x^2 - y^2 - z^2)
+
+    >>> round(yaw(0.0, 0.0, 2.0, 2.0), 6)
+    1.570796
+    """
+    if not (x or y or z or w):
+        return math.nan
+    return math.atan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def numbers(message: Any, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
+    """The dotted path and the value of each number in a message; a quaternion gives its yaw, too.
+
+    Headers, stamps, text, and arrays of more than `ELEMENTS` elements are left out.
+
+    >>> from dataclasses import make_dataclass
+    >>> vector = make_dataclass("Vector", ["x", "y"])(1.0, 2.0)
+    >>> message = make_dataclass("Message", ["linear", "name", "thrust"])(vector, "a", np.array([0.5, 0.25]))
+    >>> list(numbers(message))
+    [('linear.x', 1.0), ('linear.y', 2.0), ('thrust.0', 0.5), ('thrust.1', 0.25)]
+    """
+    inner: list[tuple[Any, Any]] = []
+    if hasattr(message, "__dataclass_fields__"):
+        if prefix and all(hasattr(message, axis) for axis in "xyzw"):
+            yield prefix, yaw(message.x, message.y, message.z, message.w)
+        inner = [(name, getattr(message, name)) for name in _names(message.__class__)]
+    elif isinstance(message, np.ndarray | list):
+        inner = list(enumerate(message)) if len(message) <= ELEMENTS else []
+    for name, value in inner:
+        path = f"{prefix}.{name}" if prefix else str(name)
+        if isinstance(value, float | int | np.number | np.bool_):
+            yield path, float(value)
+        elif depth < DEEPEST:
+            yield from numbers(value, path, depth + 1)
+
+
+@lru_cache(maxsize=256)
+def _names(kind: type) -> tuple[str, ...]:
+    """The fields of a type of message that may hold numbers; none of a stamp."""
+    names = tuple(item.name for item in fields(kind) if not str(item.type).startswith("ClassVar"))  # a constant
+    return () if names == ("sec", "nanosec") else tuple(name for name in names if name not in ("header", NOTHING))
+
+
+class Collected:
+    """The numbers of all messages of one topic.
+
+    Args:
+        topic: its name.
+        kind: type of its messages.
+    """
+
+    def __init__(self, topic: str, kind: str):
+        self._topic, self._kind = topic, kind
+        self._time, self._order = array("d"), array("q")
+        self._values: dict[str, array] = {}  # path -> one value a message, as far as one was found
+
+    def add(self, time: float, order: int, message: Any) -> None:
+        """Take a message received, or stamped, at a time in s."""
+        count = len(self._time)
+        for path, value in numbers(message):
+            found = self._values.get(path)
+            if found is None:
+                if len(self._values) == PATHS:
+                    continue
+                found = self._values[path] = array("d")
+            found.extend([math.nan] * (count - len(found)))
+            found.append(value)
+        self._time.append(time)
+        self._order.append(order)
+
+    def series(self) -> Iterator[Series]:
+        """One of each path."""
+        time, order = np.array(self._time), np.array(self._order, np.int64)
+        for path, found in self._values.items():
+            value = np.full(len(time), np.nan)
+            value[: len(found)] = found
+            unit = "enu_rad" if f"{path}.w" in self._values else ""  # REP 103: from east, counter-clockwise
+            yield Series(self._topic, path, time, value, order, unit, self._kind)

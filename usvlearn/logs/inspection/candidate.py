@@ -1,0 +1,151 @@
+"""One series of a log as a candidate for a channel: its numbers, and what they show by themselves."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.formats.csv.table import ROTATION
+from usvlearn.logs.inspection.vocabulary import unit_word
+
+EVIDENCE_HZ = 10.0  # values a second that relations look at
+WRAP = 0.1  # by how much a jump of a heading may differ from a full turn
+TURNS = {"deg": 360.0, "rad": 2 * math.pi}
+ANGLES = {"deg", "rad", "enu_rad", "enu_deg"}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Candidate:
+    """A series, its finite values, and statistics.
+
+    Args:
+        name, field, kind: as in `Series`.
+        unit: as the log declares it, or as the name tells; "" where neither does.
+        time, value: `(n,)`, finite, in the order of the log.
+        missing: values that are no numbers.
+    """
+
+    name: str
+    field: str | None
+    unit: str
+    kind: str
+    time: np.ndarray
+    value: np.ndarray
+    missing: int = 0
+
+    @property
+    def label(self) -> str:
+        """What a person calls it."""
+        if self.kind == ROTATION:
+            return f"{self.name} {ROTATION}"
+        return self.name if self.field in (None, "data") else f"{self.name} {self.field}"
+
+    @cached_property
+    def intervals(self) -> np.ndarray:
+        """Times between two values, s, without those of the same stamp."""
+        found = np.diff(np.sort(self.time))
+        return found[found > 1e-6]
+
+    @cached_property
+    def interval(self) -> float:
+        """The median time between two values, s; NaN of a single value."""
+        return float(np.median(self.intervals)) if len(self.intervals) else math.nan
+
+    @cached_property
+    def slow(self) -> float:
+        """The 98th percentile of the times between two values, s, without outages of more than 20 median intervals."""
+        usual = self.intervals[self.intervals < 20 * self.interval]
+        return float(np.quantile(usual, 0.98)) if len(usual) else math.nan
+
+    @cached_property
+    def gaps(self) -> int:
+        """Silences of more than 5 median intervals and 1 s, within a log."""
+        return int(((self.intervals > max(5 * self.interval, 1.0)) & (self.intervals < 900)).sum())
+
+    @cached_property
+    def backwards(self) -> int:
+        """Stamps that are older than the one before."""
+        return int((np.diff(self.time) < 0).sum())
+
+    @cached_property
+    def repeats(self) -> float:
+        """Share of the values that equal the one before."""
+        return float((np.diff(self.value) == 0).mean()) if len(self.value) > 1 else 0.0
+
+    @cached_property
+    def extent(self) -> tuple[float, float]:
+        """The least and the greatest value, without the outermost 0.1 % at each end."""
+        if not len(self.value):
+            return math.nan, math.nan
+        low, high = np.quantile(self.value, [0.001, 0.999], method="nearest")
+        return float(low), float(high)
+
+    @property
+    def size(self) -> float:
+        """The greatest size of a value, without outliers."""
+        return max(map(abs, self.extent))
+
+    @property
+    def varies(self) -> bool:
+        return len(self.value) > 3 and self.extent[1] > self.extent[0]
+
+    @cached_property
+    def is_clock(self) -> bool:
+        """Whether it only rises, at an even rate: a stamp or a counter."""
+        if len(self.value) < 10:
+            return False
+        steps = np.diff(self.value)
+        rising = steps[steps > 0]
+        return len(rising) > 0.95 * len(steps) and bool(np.corrcoef(self.time[1:], np.cumsum(steps))[0, 1] > 0.999)
+
+    @cached_property
+    def wraps(self) -> str:
+        """The unit in which it jumps by full turns, "deg" or "rad"; "" if it does not.
+
+        >>> time = np.arange(0.0, 100.0)
+        >>> Candidate("a", None, "", "", time, (7.0 * time + 5) % 360).wraps
+        'deg'
+        """
+        jumps = np.abs(np.diff(self.value))
+        for unit, turn in TURNS.items():
+            large = jumps > 0.6 * turn
+            if large.any() and (jumps[large] < turn * 1.02).all() and np.median(jumps[large]) > turn * (1 - 2 * WRAP):
+                if np.ptp(self.value) <= turn * 1.02 and np.ptp(self.value) > 0.8 * turn:
+                    return unit
+        return ""
+
+    @cached_property
+    def evidence(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and values, at most `EVIDENCE_HZ` of them a second, for relations."""
+        place = np.floor(self.time * EVIDENCE_HZ)
+        kept = np.append(True, place[1:] != place[:-1])
+        return self.time[kept], self.value[kept]
+
+    def scaled(self, factor: float, offset: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """The evidence in other units."""
+        time, value = self.evidence
+        return time, factor * value + offset
+
+    def named(self, **changes) -> Candidate:
+        return dataclasses.replace(self, **changes)
+
+
+def candidates(series: list[Series]) -> list[Candidate]:
+    """The series that hold numbers, as candidates."""
+    found = []
+    for each in series:
+        known = np.isfinite(each.value) & np.isfinite(each.time)
+        if known.any():
+            label = f"{each.name} {each.field or ''}"
+            unit = each.unit or unit_word(label)
+            found.append(
+                Candidate(
+                    each.name, each.field, unit, each.kind, each.time[known], each.value[known], int((~known).sum())
+                )
+            )
+    return found

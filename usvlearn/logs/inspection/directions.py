@@ -1,0 +1,261 @@
+"""Which series is the heading, in which unit and sense, and which is the yaw rate.
+
+The course over ground decides about unit and sense of a heading, where a position is logged. A jump by a full turn
+tells the unit, and the range of the values may. A yaw rate is what follows the derivative of the heading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.logs.channels.channel import UNITS
+from usvlearn.logs.channels.relations import rate_slope
+from usvlearn.logs.inspection.candidate import ANGLES, Candidate
+from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE, Decision
+from usvlearn.logs.inspection.places import Pair, Places, course_of
+from usvlearn.logs.inspection.vocabulary import fit, words
+
+HEADINGS = ("deg", "rad", "enu_deg", "enu_rad")
+ENOUGH = 30  # courses, below which they decide nothing
+AGREES = 0.6  # mean cosine of heading and course, from which they agree
+ALONG = 0.8  # or that of local coordinates, from which it tells which of them is north
+MARGIN = 0.25  # of that, over the next best unit
+FOLLOWS, SURE = 0.6, 4.0  # correlation of a yaw rate with the heading's derivative, and that in standard errors
+CLOSE, SHORT = 0.9, 20.0  # or a close correlation over so many seconds
+RATIO = 1.6  # by which the slope may differ from that of a unit
+NORTH = {"heading", "hdg", "hdt", "compass", "steuerkurs", "kurs", "ned", "cap", "rumbo"}  # words of angles from north
+NORTH_FORMATS = {"MOOS", "ArduPilot DataFlash", "MAVLink telemetry", "PX4 ULog"}  # whose headings are from north
+FULL_TURN = 6.6  # a heading in rad, within ±2π, is smaller
+FINE_TURNS = {400.0: "gradians", 3600.0: "tenths of a degree", 36000.0: "hundredths of a degree"}
+FASTEST_TURN = 60.0  # °/s, of a boat
+BEYOND = 361.0  # values above this are no degrees of one turn
+NOT_MEASURED = {"innovation", "innovations", "innov", "ratio", "ratios", "test", "residual", "uncertainty"}
+
+
+class Heading(NamedTuple):
+    """A series that may be the heading."""
+
+    candidate: Candidate
+    unit: str
+    certainty: str  # of the unit
+    reason: str
+    alternatives: tuple[str, ...]
+    agreement: float  # mean cosine of heading and course; NaN where no course is known
+    score: float  # of the series
+    by_format: bool = False  # whether the format of the log defines the sense
+    span: float = 1.0  # of the candidate's numbers in the unit
+
+    @property
+    def radians(self) -> Pair:
+        factor, offset = UNITS[self.unit]
+        return self.candidate.scaled(factor / self.span, offset)
+
+    def declared(self, convention: str) -> bool:
+        """Whether the log itself says in which direction the heading counts."""
+        return convention in NORTH_FORMATS or self.candidate.unit.startswith("enu_")
+
+
+def agreement(heading: Pair, course: Pair) -> float:
+    """The mean cosine of the difference between a heading and a course; NaN with too few courses.
+
+    >>> time = np.arange(0.0, 100.0)
+    >>> round(agreement((time, 0.1 * time), (time, 0.1 * time + 0.5)), 2)
+    0.88
+    """
+    time, angle = heading
+    if len(course[0]) < ENOUGH or len(time) < ENOUGH:
+        return math.nan
+    order = np.argsort(time, kind="stable")
+    place = np.searchsorted(time[order], course[0]).clip(0, len(time) - 1)
+    near = np.abs(time[order][place] - course[0]) < 3.0
+    if near.sum() < ENOUGH:
+        return math.nan
+    return float(np.cos(angle[order][place][near] - course[1][near]).mean())
+
+
+def read_heading(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:
+    """The unit and the sense of a heading, by all evidence that there is."""
+    agree = {unit: agreement(candidate.scaled(*UNITS[unit]), course) if course else math.nan for unit in HEADINGS}
+    usual = "rad" if convention == "PX4 ULog" else ""
+    declared = candidate.unit if candidate.unit in ANGLES else usual
+    enu = declared.startswith("enu_")
+    ranked = sorted(HEADINGS, key=lambda unit: -agree[unit] if agree[unit] == agree[unit] else 0.0)
+    best = ranked[0]
+    by_size = candidate.wraps or ("deg" if candidate.size > FULL_TURN else "")
+    why = {
+        "": "",
+        "deg": "it jumps by 360 at a full turn" if candidate.wraps else f"values reach {candidate.size:.0f}",
+        "rad": "it jumps by 2π at a full turn",
+    }[by_size]
+    name = fit("heading", candidate.label)
+    if agree[best] == agree[best] and agree[best] >= AGREES and (not by_size or best.endswith(by_size)):
+        margin = agree[best] - agree[ranked[1]]
+        told = f"agrees with the course over ground (mean cosine {agree[best]:.2f})"
+        if margin >= MARGIN:
+            return Heading(candidate, best, CERTAIN, told, (), agree[best], name + 2 * agree[best])
+        close = tuple(unit for unit in ranked[1:] if agree[best] - agree[unit] < MARGIN)
+        choice = next((unit for unit in (best, *close) if unit == (declared or by_size)), best)
+        sure = PROBABLE if declared or (by_size and not choice.startswith("enu")) else UNSURE
+        told += ", which does not tell it from " + " or ".join(unit for unit in (best, *close) if unit != choice)
+        others = tuple(unit for unit in (best, *close) if unit != choice)
+        return Heading(candidate, choice, sure, told, others, agree[choice], name + agree[best])
+    base = by_size or declared.removeprefix("enu_") or ("rad" if np.ptp(candidate.extent) > 1.5 else "deg")
+    unit = f"enu_{base}" if enu else base
+    others = (f"enu_{base}",) if not enu else (base,)
+    told = why or (
+        f"declared as {declared}"
+        if declared
+        else f"values within {candidate.extent[0]:.1f} … {candidate.extent[1]:.1f}"
+    )
+    if by_size and declared and not declared.endswith(by_size):
+        return Heading(candidate, unit, UNSURE, f"{why}, but declared as {declared}", (declared,), math.nan, name)
+    if agree[best] == agree[best] and agree[best] < AGREES:
+        told += f"; it does not follow the course over ground (mean cosine {agree[best]:.2f} at best)"
+        return Heading(candidate, unit, UNSURE, told, others, agree[best], name + min(agree[best], 0) - 1)
+    if not (by_size or declared):
+        others = (*others, "deg" if base == "rad" else "rad")
+        return Heading(
+            candidate, unit, UNSURE, told + ": a small range fits degrees and radians", others, math.nan, name
+        )
+    told += "" if enu else "; taken as 0 north, clockwise"
+    by_format = enu or convention in NORTH_FORMATS
+    sure = PROBABLE if by_format or NORTH & set(words(candidate.label)) else UNSURE
+    return Heading(candidate, unit, sure, told, others, math.nan, name, by_format)
+
+
+def orient(places: Places, heading: Heading) -> Places | None:
+    """Local coordinates of which the heading tells which one is north; None if it does not."""
+    for each in (
+        places,
+        places._replace(first=places.second, second=places.first, north=places.east, east=places.north),
+    ):
+        if agreement(heading.radians, course_of(each)) >= ALONG:
+            return each._replace(oriented=True)
+    return None
+
+
+def full_turn(candidate: Candidate) -> float:
+    """The numbers of a full turn, where they cannot be degrees of one turn; 360 otherwise.
+
+    Values beyond a turn are degrees that count on, if the boat then turns as a boat may.
+
+    >>> time = np.arange(0.0, 100.0)
+    >>> full_turn(Candidate("a", None, "", "", time, 10 * (7.0 * time % 360))), full_turn(
+    ...     Candidate("a", None, "", "", time, 7.0 * time)
+    ... )
+    (3600.0, 360.0)
+    """
+    if not candidate.size > BEYOND or candidate.extent[0] < -BEYOND:
+        return 360.0
+    turn = next((each for each in FINE_TURNS if candidate.size <= each * 1.001), 360.0)
+    time, value = candidate.evidence
+    passed, steps = np.diff(time), np.abs(np.diff(value))
+    jumps = (steps > 0.9 * turn).any()
+    steady = (passed > 0) & (passed < 1.0)
+    rates = steps[steady] / passed[steady]
+    fast = len(rates) > ENOUGH and np.quantile(rates, 0.95) > FASTEST_TURN
+    return turn if jumps or fast or candidate.size <= 400.4 else 360.0
+
+
+def read_any_turn(candidate: Candidate, course: Pair | None, convention: str = "") -> Heading:
+    """As `read_heading`, also of tenths or hundredths of degrees, and of gradians, which are read with a span."""
+    turn = full_turn(candidate)
+    if turn == 360:
+        found = read_heading(candidate, course, convention)
+        beyond = candidate.size > BEYOND and found.unit.endswith("deg") and found.certainty != CERTAIN
+        return found._replace(certainty=UNSURE, reason=f"{found.reason}; beyond one turn") if beyond else found
+    span = float(f"{turn / 360:.6g}")
+    scaled = candidate.named(value=candidate.value / span, unit="deg")
+    found = read_heading(scaled, course, convention)
+    sure = found.certainty if found.certainty == CERTAIN else UNSURE
+    told = f"values reach {candidate.size:.0f}, as {FINE_TURNS[turn]} do; {found.reason}"
+    return found._replace(candidate=candidate, span=span, certainty=sure, reason=told)
+
+
+def find_headings(pool: Sequence[Candidate], course: Pair | None, convention: str = "") -> list[Heading]:
+    """Series that may be the heading, the best first; by name, and without a name by their numbers."""
+    found = []
+    for each in pool:
+        if NOT_MEASURED & set(words(each.label)):
+            continue
+        name, over_ground = fit("heading", each.label), fit("course", each.label)
+        if name >= 1 and name > over_ground:
+            found.append(read_any_turn(each, course, convention))
+        elif name >= 0 and over_ground <= 0 and (each.wraps or _may_be_angle(each)):
+            read = read_any_turn(each, course, convention)
+            if each.wraps or read.agreement >= AGREES:
+                found.append(read._replace(score=read.score - 1))
+        elif over_ground >= 1 and name > -3:
+            read = read_any_turn(each, course, convention)
+            told = (
+                f"a course over ground, in place of a heading: wrong where the boat drifts or backs up; {read.reason}"
+            )
+            found.append(read._replace(score=read.score - 6, certainty=UNSURE, reason=told))
+    return sorted(found, key=lambda each: -each.score)
+
+
+def _may_be_angle(candidate: Candidate) -> bool:
+    low, high = candidate.extent
+    return candidate.size <= 400 and high - low > 1.5 and len(np.unique(candidate.value)) > 30
+
+
+class YawRate(NamedTuple):
+    """A series that follows the derivative of the heading."""
+
+    candidate: Candidate
+    unit: str
+    certainty: str
+    reason: str
+    correlation: float
+
+
+def find_yaw_rate(pool: Sequence[Candidate], heading: Heading) -> tuple[YawRate | None, list[Decision]]:
+    """The yaw rate, if one is logged; and what was rejected although its name says yaw rate."""
+    found, rejected = [], []
+    for each in pool:
+        name = fit("yaw_rate", each.label)
+        if each is heading.candidate or name < 0 or (name < 0.5 and fit("heading", heading.candidate.label) >= 1):
+            continue
+        relation = rate_slope(heading.radians, each.evidence)
+        enough = abs(relation.certainty) >= SURE or (abs(relation.correlation) >= CLOSE and relation.seconds >= SHORT)
+        follows = abs(relation.correlation) >= (FOLLOWS if name >= 1 else 0.75) and enough
+        unit = _rate_unit(relation.slope, RATIO if name >= 1 else 1.3) if follows else ""
+        if unit:
+            told = (
+                f"follows the heading's derivative: slope {relation.slope:.3g}, correlation {relation.correlation:.2f}"
+            )
+            sure = CERTAIN if name >= 1 and abs(relation.correlation) >= 0.75 else PROBABLE
+            if each.unit and not unit.endswith(each.unit.removeprefix("enu_")):
+                told, sure = f"{told}, but declared as {each.unit}", UNSURE
+            found.append(
+                (abs(relation.correlation) + 0.2 * name, YawRate(each, unit, sure, told, relation.correlation))
+            )
+        elif name >= 2:
+            what = (
+                f"correlation {relation.correlation:.2f}, slope {relation.slope:.3g}"
+                if relation.seconds
+                else "no evidence"
+            )
+            rejected.append(
+                Decision(
+                    "yaw_rate", "rejected", each.label, PROBABLE, f"does not follow the heading's derivative: {what}"
+                )
+            )
+    return (max(found, key=lambda pair: pair[0])[1] if found else None), rejected
+
+
+def _rate_unit(slope: float, tolerance: float = RATIO) -> str:
+    """The unit of a yaw rate whose slope against the heading's derivative in rad/s is known; "" if none fits.
+
+    >>> _rate_unit(1.02), _rate_unit(-55.0), _rate_unit(10.0)
+    ('rad/s', 'enu_deg/s', '')
+    """
+    for unit in ("rad/s", "deg/s"):
+        ratio = abs(slope) * UNITS[unit][0]
+        if 1 / tolerance < ratio < tolerance:
+            return unit if slope > 0 else f"enu_{unit}"
+    return ""

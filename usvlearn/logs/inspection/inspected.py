@@ -1,0 +1,155 @@
+"""From logs to a configuration that reads them: everything that `usvlearn inspect` does, without printing."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+
+from usvlearn.core.samples import Fleet
+from usvlearn.errors import LogFormatError
+from usvlearn.logs.channels.channel import Recording
+from usvlearn.logs.checks.data_check import check_data
+from usvlearn.logs.checks.finding import Finding
+from usvlearn.logs.inspection.candidate import Candidate, candidates
+from usvlearn.logs.inspection.decision import PROBABLE, UNSURE, Decision, least
+from usvlearn.logs.inspection.lag import DELAYS, LONG_DELAYS, Lag, find_lag
+from usvlearn.logs.inspection.logfiles import Logs, boats_of, joined, open_logs
+from usvlearn.logs.inspection.override import shell_override
+from usvlearn.logs.inspection.proposal import SIDES, Proposal, propose
+from usvlearn.logs.inspection.written import read_settings, settings_of, write_text
+from usvlearn.logs.recordings import align_fleet
+
+USUAL, MARGIN = 3.0, 1.1  # m/s, the top speed where no speed is known; of the greatest one that is logged
+MEANING = "certain: proved by numbers; probable: by name or convention; unsure: please check."
+
+
+class Inspected(NamedTuple):
+    """What `usvlearn inspect` found."""
+
+    logs: Logs
+    series: list[Candidate]
+    proposal: Proposal
+    decisions: list[Decision]  # all
+    settings: dict[str, Any]  # {} if a required channel is missing
+    text: str  # of the file; "" likewise
+    recordings: list[Recording]  # that the settings read
+    lag: Lag | None
+    notes: list[str]  # what the readers warned of
+    findings: list[Finding]  # of the data check, about what the settings read
+
+
+def inspect_logs(given: Sequence[str], name: str | None = None, output: str = "my_boat.yaml") -> Inspected:
+    """Look at logs, decide, and read them as decided.
+
+    Args:
+        given: logs, folders or patterns.
+        name: of the boat, by default that of the log or folder.
+        output: name of the file that will hold the text.
+
+    Raises:
+        ConfigError, LogFormatError: there is no such log, or it cannot be read.
+    """
+    logs = open_logs(given)
+    series = candidates(joined(logs.surveyed))
+    proposal = propose(series, logs.format.name)
+    decisions, notes = list(proposal.decisions), list(logs.notes)
+    for doubt in logs.doubts:
+        option, _, reason = doubt.partition(": ")
+        decisions.append(Decision("reader", option, str(getattr(logs.reader, option, "")), UNSURE, reason))
+    if boats := boats_of(logs.files):
+        paths = ", ".join(f"{boat}: {pattern!r}" for boat, pattern in boats.items())
+        why = (
+            f"the names of the logs begin with {' and '.join(boats)}, but all are taken as one boat; of several boats, "
+        )
+        why += f"inspect those of each, or set data.path={{{paths}}} and data.boat=null"
+        decisions.append(Decision("boat", "path", name or logs.name, UNSURE, why))
+    if proposal.missing:
+        return Inspected(logs, series, proposal, decisions, {}, "", [], None, notes, [])
+    settings = settings_of(logs.path, name or logs.name, logs.reader, proposal.channels, USUAL)
+    recordings, told = _read(settings)
+    notes += [each for each in told if each not in notes]
+    lag = None
+    if recordings:
+        top = _tell_top_speed(settings, recordings, decisions)
+        lag = find_lag(recordings, max(10.0, 2 * top))
+        _tell_delay(settings, lag, decisions)
+    count = len(logs.files)
+    origin = f"{count} log{'s' * (count > 1)} ({logs.format.name})"
+    vehicle, channels = settings["vehicle"], settings["data"]["channels"]
+    findings = check_data(recordings, _aligned(recordings), {}, vehicle["surge_max"], channels)
+    head = [
+        f"{settings['data']['boat']}: written by usvlearn inspect from {origin}.",
+        f"To use it: usvlearn train {shell_override(output)}",
+        MEANING,
+    ]
+    text = write_text(settings, decisions, head, [each.sentence() for each in findings])
+    back = yaml.safe_load(text)
+    if back != settings:
+        raise AssertionError(f"the file does not read back as it was written: {back} != {settings}")
+    return Inspected(logs, series, proposal, decisions, settings, text, recordings, lag, notes, findings)
+
+
+def _read(settings: dict[str, Any]) -> tuple[list[Recording], list[str]]:
+    """The recordings, and the warnings of reading them, with paths as from here."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        recordings = read_settings(settings)
+    return recordings, [str(each.message).replace(f"{Path.cwd()}/", "") for each in told]
+
+
+def _aligned(recordings: Sequence[Recording]) -> Fleet | None:
+    """The recordings on the grid; None where they give too few steps, which the check tells."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            return align_fleet(recordings)
+    except LogFormatError:
+        return None
+
+
+def _tell_top_speed(settings: dict[str, Any], recordings: Sequence[Recording], decisions: list[Decision]) -> float:
+    speed = np.concatenate([np.abs(one.channels["surge"].value) for one in recordings])
+    greatest = float(np.quantile(speed, 0.998)) if len(speed) else math.nan
+    if not 0.05 < greatest < 100:
+        told = "no plausible speed was found; please set it"
+        decisions.append(Decision("vehicle", "surge_max", f"{USUAL:g} m/s", UNSURE, told))
+        return USUAL
+    top = math.ceil(MARGIN * greatest * 10) / 10
+    settings["vehicle"]["surge_max"] = top
+    units = [each for each in decisions if each.what == "unit" and each.channel in ("surge", "velocity_north")]
+    sure, told = least(PROBABLE, *(each.certainty for each in units)), f"the greatest speed is {greatest:.2f} m/s"
+    told += f", if {units[0].value} is the unit of the speed" if sure == UNSURE else ""
+    decisions.append(Decision("vehicle", "surge_max", f"{top:g} m/s", sure, told))
+    return top
+
+
+def _tell_delay(settings: dict[str, Any], lag: Lag, decisions: list[Decision]) -> None:
+    if not len(lag.errors):
+        decisions.append(
+            Decision(SIDES[0], "delay", "0 s", UNSURE, "too few steps to tell a delay: see usvlearn delay")
+        )
+        return
+    for side in SIDES:
+        settings["data"]["channels"][side]["delay"] = lag.delay
+    between = [each for each in DELAYS if min(lag.equal) <= each <= max(lag.equal)]
+    whole = len(lag.equal) > 2 and len(between) == len(lag.equal)
+    shown = " … ".join(f"{lag.equal[k]:g}" for k in (0, -1)) if whole else ", ".join(f"{each:g}" for each in lag.equal)
+    told = f"as good: {shown} s" if len(lag.equal) > 1 else "one regression for each delay"
+    if lag.delay:
+        told = f"surely better than none; {told}"
+        if lag.delay > 1:
+            told += "; delays above 1 s are tried in steps of 0.25 s"
+        if lag.delay == LONG_DELAYS[-1]:
+            told = f"{lag.delay:g} s or more: it is the longest that is tried"
+    elif lag.best:
+        told = f"{lag.best:g} s fits best, but not surely; {told}"
+    sure = PROBABLE if lag.sure else UNSURE
+    decisions += [
+        Decision(side, "delay", f"{lag.delay:g} s", sure, told, (f"{lag.best:g}",) if lag.best != lag.delay else ())
+        for side in SIDES
+    ]

@@ -1,0 +1,326 @@
+"""Which logs are named, in which format, and all series that they hold.
+
+The first bytes of a file tell its format, and its suffix where the bytes do not.
+"""
+
+from __future__ import annotations
+
+import glob
+import importlib
+import os
+import re
+import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError, LogFormatError
+from usvlearn.logs.channels.series import Series
+from usvlearn.logs.inspection.topics import joined_tables
+
+HEAD = 4096  # bytes that tell a format
+BETWEEN = 1000.0  # s between two logs that are looked at as one
+MOST_BYTES = 400e6  # of logs that are looked at; more of one boat tell no more
+ROW = re.compile(rb"^-?\d+(\.\d+)?\s+\S+\s+\S+\s+\S")  # of a MOOS log
+PICTURES = (b"\x89PNG", b"\xff\xd8\xff", b"GIF8", b"%PDF", b"PK\x03\x04", b"\x1f\x8b", b"II*\0", b"BM")
+
+
+@dataclass(frozen=True)
+class Format:
+    """A format of logs, and the reader of it.
+
+    Args:
+        name: for a person.
+        module, reader: of the reader.
+        suffixes: by which a folder is searched.
+        begins: bytes at the start of such a file.
+        looks: whether the first bytes of a file look like it, where no fixed bytes begin it.
+    """
+
+    name: str
+    module: str
+    reader: str
+    suffixes: tuple[str, ...]
+    begins: tuple[bytes, ...] = ()
+    looks: Callable[[bytes, str], bool] = lambda head, suffix: False
+
+    def fits(self, head: bytes, suffix: str) -> bool:
+        return head.startswith(self.begins) if self.begins else self.looks(head, suffix)
+
+    def open(self, path: Path) -> tuple[Any, list[str]]:
+        """The reader, with the options that this file needs, and what is unsure about them."""
+        try:
+            found = getattr(importlib.import_module(self.module), self.reader)
+        except (ImportError, AttributeError):
+            raise LogFormatError(f"{path}: found a log of {self.name}, which this version cannot read") from None
+        return found(path) if self.reader == "table_of" else (found(), [])
+
+
+def _is_moos(head: bytes, suffix: str) -> bool:
+    lines = [line for line in head.splitlines()[:-1] if line.strip()]
+    rows = [line for line in lines if not line.startswith(b"%%")]
+    return b"\0" not in head and (
+        (len(rows) < len(lines) and lines[0].startswith(b"%%"))
+        or (len(rows) > 0 and sum(bool(ROW.match(line)) for line in rows) >= 0.8 * len(rows) and suffix == ".alog")
+    )
+
+
+def _is_text(head: bytes, suffix: str) -> bool:
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):  # UTF-16
+        return True
+    control = sum(byte < 32 and byte not in b"\t\n\r\f\x1b" for byte in head)
+    return bool(head.strip()) and control <= 0.01 * len(head)
+
+
+def _is_telemetry(head: bytes, suffix: str) -> bool:
+    return suffix == ".tlog" and len(head) > 8 and head[8] in (0xFE, 0xFD)
+
+
+TABLE = Format("tables", "usvlearn.logs.formats.csv.options", "table_of", (".csv", ".txt", ".tsv"), looks=_is_text)
+FORMATS = (
+    Format("ROS 1", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".bag", ".active"), (b"#ROSBAG V2.0",)),
+    Format("ROS 2 (MCAP)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".mcap",), (b"\x89MCAP",)),
+    Format("ROS 2 (SQLite)", "usvlearn.logs.formats.ros.rosbag", "Rosbag", (".db3",), (b"SQLite format 3\0",)),
+    Format("PX4 ULog", "usvlearn.logs.formats.px4.ulog", "Ulog", (".ulg",), (b"ULog\x01\x12\x35",)),
+    Format("ArduPilot DataFlash", "usvlearn.logs.formats.ardupilot.dataflash", "DataFlash", (".bin",), (b"\xa3\x95",)),
+    Format("MAVLink telemetry", "usvlearn.logs.formats.ardupilot.tlog", "Tlog", (".tlog",), looks=_is_telemetry),
+    Format("MOOS", "usvlearn.logs.formats.moos.alog", "Alog", (".alog",), looks=_is_moos),
+    TABLE,
+)
+BAGS = (".db3", ".mcap")  # of ROS 2, in a folder with metadata.yaml
+NOTES = ".txt"  # of a table, or of notes beside logs
+SUFFIXES = tuple(suffix for each in FORMATS for suffix in each.suffixes)
+
+
+class Logs(NamedTuple):
+    """What was found at the given paths."""
+
+    format: Format
+    reader: Any  # as it is to be configured
+    path: str  # data.path that finds these logs
+    name: str  # of the boat, as far as the paths tell
+    files: tuple[Path, ...]
+    surveyed: list[list[Series]]  # of each log that was looked at
+    notes: tuple[str, ...]  # what was left out, and why
+    doubts: tuple[str, ...]  # about the reader's options; each begins with the option
+    joined: str = ""  # how the tables of a folder belong together, and why
+
+
+def find_format(path: Path) -> Format:
+    """The format of a file.
+
+    Raises:
+        LogFormatError: it has none that is known.
+    """
+    inside = sorted(each for each in path.iterdir() if each.suffix.lower() in BAGS) if path.is_dir() else [path]
+    with inside[0].open("rb") as file:
+        head = file.read(HEAD)
+    if not head:
+        raise LogFormatError(f"{path}: expected a log, found an empty file: remove it")
+    suffix = inside[0].suffix.lower()
+    picture = head.startswith(PICTURES)
+    if found := None if picture else next((each for each in FORMATS if each.fits(head, suffix)), None):
+        return found
+    what = "a picture, a document or an archive" if picture else "binary data of no known format"
+    raise LogFormatError(
+        f"{path}: expected a log ({' '.join(dict.fromkeys(SUFFIXES))}), found {what}: give a log that a boat recorded"
+    )
+
+
+def open_logs(given: Sequence[str]) -> Logs:
+    """Find the logs that arguments name, and list all their series.
+
+    Raises:
+        ConfigError: a path does not exist, or no log is there.
+        LogFormatError: the logs have several formats, or none can be read.
+    """
+    files = list(dict.fromkeys(file for each in given for file in _files(each)))
+    found: dict[str, list[Path]] = {}
+    formats = {}
+    for file in files:
+        try:
+            which = find_format(file)
+        except LogFormatError:
+            if len(files) == 1:
+                raise
+            continue
+        formats[which.name] = which
+        found.setdefault(which.name, []).append(file)
+    if not found:
+        raise LogFormatError(f"{given[0]}: expected logs, found none that can be read among its {len(files)} files")
+    if len(found) > 1:
+        counts = ", ".join(f"{len(each)} of {name} ({each[0].name})" for name, each in found.items())
+        raise LogFormatError(f"{given[0]}: expected logs of one format, found {counts}: give those of one format")
+    ((name, logs),) = found.items()
+    logs, joined = joined_tables(logs) if formats[name] is TABLE else (logs, "")
+    path = _common_path(given, logs)
+    whole = Path(path) if joined and Path(path).is_dir() else logs[0].parent
+    boat = Path(path).stem if Path(path).is_file() else whole.resolve().name
+    reader, surveyed, notes, doubts = _survey(formats[name], logs)
+    return Logs(formats[name], reader, path, boat, tuple(logs), surveyed, tuple(notes), tuple(doubts), joined)
+
+
+def _files(given: str) -> list[Path]:
+    path = Path(os.path.expanduser(given))
+    if path.is_file():
+        return [path]
+    if path.is_dir():
+        inside = [
+            file
+            for file in path.rglob("*")
+            if file.is_file()
+            and file.suffix.lower() in SUFFIXES
+            and not any(part.startswith(".") for part in file.relative_to(path).parts)
+        ]
+        inside = [file for file in inside if file.suffix.lower() != NOTES] or inside
+        if not inside:
+            raise ConfigError(
+                f"{given}: expected a folder of logs ({' '.join(dict.fromkeys(SUFFIXES))}), found none in it"
+            )
+        return sorted({_bag_of(file) for file in inside})
+    if path.exists():
+        raise ConfigError(f"{given}: found a device or a pipe, expected a log or a folder of logs")
+    if found := sorted(Path(name) for name in glob.glob(str(path), recursive=True) if os.path.isfile(name)):
+        return found
+    raise ConfigError(f"{given}: does not exist: give a log, or a folder of logs")
+
+
+def _bag_of(file: Path) -> Path:
+    """The folder of a ROS 2 bag, which is one log, in place of a file in it."""
+    return file.parent if file.suffix.lower() in BAGS and (file.parent / "metadata.yaml").is_file() else file
+
+
+def bytes_of(log: Path) -> int:
+    """The size of a log, which may be a folder."""
+    return sum(each.stat().st_size for each in log.rglob("*") if each.is_file()) if log.is_dir() else log.stat().st_size
+
+
+def _common_path(given: Sequence[str], files: Sequence[Path]) -> str:
+    """One path or pattern that finds these files."""
+    if len(files) == 1 and files[0].is_dir():
+        return str(files[0].absolute())
+    if len(given) == 1:
+        only = Path(given[0]).expanduser().absolute()
+        notes = only.is_dir() and all(file.suffix.lower() == NOTES for file in files)
+        return f"{glob.escape(str(only))}/**/*{files[0].suffix}" if notes else str(only)
+    absolute = [str(file.absolute()) for file in files]
+    start, end = _common(absolute), _common([each[::-1] for each in absolute])[::-1]
+    folder = Path(os.path.commonpath(absolute))
+    for pattern in (f"{glob.escape(start)}*{glob.escape(end)}", str(folder)):
+        found = (
+            glob.glob(pattern)
+            if pattern != str(folder)
+            else [str(each) for each in folder.rglob(f"*{files[0].suffix}")]
+        )
+        if sorted(found) == sorted(absolute):
+            return pattern
+    raise ConfigError(
+        f"{given[0]} and {len(given) - 1} more: expected one folder, or all logs that a pattern finds: move these logs "
+        "to a folder of their own"
+    )
+
+
+def boats_of(files: Sequence[Path]) -> dict[str, str]:
+    """boat -> pattern of its logs, where the logs of one folder have several names before their numbers; else {}.
+
+    >>> boats_of([Path(f"logs/{name}_{k}.csv") for name in ("heron", "otter") for k in (1, 2)])
+    {'heron': 'logs/heron_*', 'otter': 'logs/otter_*'}
+    """
+    groups: dict[str, list[str]] = {}
+    for file in files:
+        groups.setdefault(re.sub(r"[\W_]*\d.*$", "", file.stem), []).append(file.stem)
+    if (
+        len(groups) < 2
+        or "" in groups
+        or min(map(len, groups.values())) < 2
+        or len({file.parent for file in files}) > 1
+    ):
+        return {}
+    folder = glob.escape(str(files[0].parent))
+    return {name: f"{folder}/{glob.escape(_common(stems).rstrip('0123456789'))}*" for name, stems in groups.items()}
+
+
+def _common(texts: Sequence[str]) -> str:
+    """What all texts begin with.
+
+    >>> _common(["run_1.csv", "run_12.csv"])
+    'run_1'
+    """
+    first, last = min(texts), max(texts)
+    return first[: next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))]
+
+
+def _survey(which: Format, files: Sequence[Path]) -> tuple[Any, list[list[Series]], list[str], list[str]]:
+    """The reader of the first log that can be read, the series of each log, and notes and doubts."""
+    reader, error, size = None, None, 0
+    surveyed: list[list[Series]] = []
+    notes: list[str] = []
+    doubts: list[str] = []
+    for number, file in enumerate(files):
+        if size > MOST_BYTES:
+            notes.append(f"The first {number} of {len(files)} logs were looked at.")
+            break
+        size += bytes_of(file)
+        try:
+            own, doubts = which.open(file) if reader is None else (reader, doubts)
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                series = own.survey(file)
+            notes += [str(each.message) for each in told]
+            if not any(np.isfinite(each.value).any() for each in series):
+                raise LogFormatError(f"{file}: expected numbers, found none in this log: leave it out")
+        except LogFormatError as wrong:
+            error = error or wrong
+            notes.append(f"left out: {wrong}")
+            continue
+        reader = own
+        surveyed.append(series)
+    if reader is None:
+        raise error or LogFormatError(f"{files[0]}: no log can be read")
+    return reader, surveyed, notes, doubts
+
+
+def joined(surveyed: Iterable[Sequence[Series]]) -> list[Series]:
+    """The series of several logs as one log; the logs follow each other with a pause between.
+
+    A name that is not in every log is shortened to the pattern `*name`, if that finds one series in each.
+
+    >>> one = Series("a", None, np.arange(2.0), np.ones(2), np.arange(2))
+    >>> joined([[one], [one]])[0].time.tolist()
+    [0.0, 1.0, 1001.0, 1002.0]
+    """
+    logs = [list(each) for each in surveyed]
+    names = _patterns(logs)
+    parts: dict[tuple[str, str | None], list[Series]] = {}
+    begin = 0.0
+    for log in logs:
+        stamps = [each.time[np.isfinite(each.time)] for each in log]
+        low = min((time.min() for time in stamps if len(time)), default=0.0)
+        high = max((time.max() for time in stamps if len(time)), default=0.0)
+        for each in log:
+            name = names.get(each.name, each.name)
+            parts.setdefault((name, each.field), []).append(each._replace(name=name, time=each.time - low + begin))
+        begin += high - low + BETWEEN
+    found = []
+    for several in parts.values():
+        time, value, order = (
+            np.concatenate([getattr(one, key) for one in several]) for key in ("time", "value", "order")
+        )
+        found.append(several[0]._replace(time=time, value=value, order=order))
+    return found
+
+
+def _patterns(logs: Sequence[Sequence[Series]]) -> dict[str, str]:
+    """name -> the pattern that finds it, for names that are not in every log."""
+    have = [{each.name for each in log} for log in logs]
+    everywhere = set.intersection(*have) if have else set()
+    found = {}
+    for name in set().union(*have) - everywhere:
+        tail = name.rsplit("/", 1)[-1]
+        matches = [[each for each in names if each.endswith(tail)] for names in have]
+        if "/" in name and all(len(each) == 1 for each in matches):
+            found[name] = f"*{tail}"
+    return found

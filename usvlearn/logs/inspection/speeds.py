@@ -1,0 +1,271 @@
+"""Which series is the speed, and in which unit.
+
+The rate of position is the only certain evidence of a unit. Without it the log's own declaration, the convention of its
+format, or another speed whose unit is known may tell.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.logs.channels.channel import UNITS, Channel
+from usvlearn.logs.channels.copies import find_period
+from usvlearn.logs.channels.relations import Relation, speed_on_positions
+from usvlearn.logs.inspection.candidate import Candidate
+from usvlearn.logs.inspection.decision import CERTAIN, PROBABLE, UNSURE
+from usvlearn.logs.inspection.directions import agreement
+from usvlearn.logs.inspection.places import Pair, Places
+from usvlearn.logs.inspection.vocabulary import fit, words
+
+SPEEDS = tuple(unit for unit in ("m/s", "km/h", "knots", "cm/s", "mm/s") if unit in UNITS)
+RATIO = 1.3  # by which a slope may differ from that of a unit, as far as that unit is near at all
+FITS, SAME = 1.05, 0.95  # by which it may differ, and the correlation, of a unit that is certain
+FOLLOWS, SURE = 0.6, 4.0  # correlation with the rate of position, and that in standard errors
+CLOSE, LONG = 0.9, 60.0  # or a close correlation over so many seconds
+ALONG = 0.8  # mean cosine of heading and direction of a velocity over ground
+TURNS = 0.3  # variance of that direction on the circle, from which it is no chance
+ACROSS = 0.5  # share of y in x, from which a vector is not along the hull
+STEADY, TIGHT = 0.4, 1.1  # correlation of a speed that varies little, and then the tolerance of the slope
+PLAUSIBLE = 15.0  # m/s, of a boat of this kind
+CONVENTIONS = {  # kind of a message, or of a log -> unit by its standard
+    "geometry_msgs": "m/s",
+    "nav_msgs": "m/s",
+    "MOOS": "m/s",
+    "ArduPilot DataFlash": "m/s",
+    "MAVLink telemetry": "m/s",
+    "PX4 ULog": "m/s",
+}
+
+
+class Speed(NamedTuple):
+    """A series that may be the speed of the boat."""
+
+    candidate: Candidate
+    unit: str
+    certainty: str  # of the unit
+    reason: str
+    alternatives: tuple[str, ...]
+    confirmed: bool  # whether it follows the rate of position
+    contradicted: bool  # whether it clearly does not
+    score: float
+
+    @property
+    def metres(self) -> tuple[np.ndarray, np.ndarray]:
+        """In m/s."""
+        return self.candidate.scaled(*UNITS[self.unit])
+
+
+class Velocities(NamedTuple):
+    """The velocity over ground in two components, and their size as a speed."""
+
+    north: Candidate
+    east: Candidate
+    size: Speed
+    guessed: bool = False  # whether only their direction tells it, and hardly changes
+
+
+def find_speeds(pool: Sequence[Candidate], places: Sequence[Places], convention: str) -> list[Speed]:
+    """Series that may be the speed, the best first.
+
+    Args:
+        pool: all series that are not yet taken.
+        places: of the boat; the first is used.
+        convention: name of the format.
+    """
+    found = []
+    for each in pool:
+        name = fit("surge", each.label)
+        angle = max(fit(role, each.label) for role in ("heading", "course"))
+        part = max(fit(role, each.label) for role in ("velocity_north", "velocity_east"))
+        if name < 0 or part >= 2 or (name < 1 and (not places or angle >= 1)) or _is_position(each, places):
+            continue
+        relation = speed_on_positions(places[0].north, places[0].east, each.evidence) if places else None
+        speed = read_speed(each, relation, convention, name)
+        if name >= 1 or (speed.confirmed and relation and relation.correlation > 0.9 and speed.unit in SPEEDS[:3]):
+            found.append(speed)
+    if named := [each for each in found if fit("surge", each.candidate.label) >= 1]:
+        found = named
+    found.sort(key=lambda each: (not each.confirmed, -each.score))
+    known = next((each for each in found if each.certainty == CERTAIN), None)
+    return [by_other(each, known) if known and each.certainty == UNSURE else each for each in found]
+
+
+def read_speed(candidate: Candidate, relation: Relation | None, convention: str, name: float) -> Speed:
+    """The unit of a speed by all evidence that there is."""
+    declared = candidate.unit if candidate.unit in SPEEDS else ""
+    usual = next((unit for kind, unit in CONVENTIONS.items() if kind in candidate.kind or kind == convention), "")
+    score = name + quality(candidate) + 0.3 * ("nav" in words(candidate.name))
+    if relation is not None and _enough(relation):
+        if relation.correlation >= FOLLOWS and (unit := _unit(relation.slope)):
+            return _near(candidate, unit, relation, declared, declared or usual, score)
+        if relation.correlation >= FOLLOWS:
+            told = f"{relation.slope:.3g} × the rate of position, which is no known unit"
+            others = (*(unit for unit in SPEEDS[:3] if unit != (declared or "m/s")), _by_span(relation))
+            return Speed(candidate, declared or "m/s", UNSURE, told, others, False, True, score - 2)
+    if relation is not None and relation.seconds >= LONG and relation.correlation >= STEADY:
+        unit = _unit(relation.slope, TIGHT)
+        if unit and unit == (declared or "m/s"):
+            told = f"{relation.slope:.3g} × the rate of position; the speed varies too little to be certain"
+            return Speed(candidate, unit, PROBABLE, told, (), False, False, score + 1)
+    follows_not = relation is not None and relation.seconds > 120 and relation.correlation < FOLLOWS / 2
+    unit = declared or usual or "m/s"
+    others = tuple(other for other in SPEEDS[:3] if other != unit)
+    doubt = "; it does not follow the rate of position" if follows_not else ""
+    if candidate.size * UNITS[unit][0] > PLAUSIBLE:
+        told = f"values reach {candidate.size:.3g}, too much for {unit}{doubt}"
+        return Speed(candidate, unit, UNSURE, told, others, False, follows_not, score - 3)
+    if declared:
+        told = f"the log says {declared}; no position confirms it" if relation is None else f"the log says {declared}"
+        sure = UNSURE if follows_not else PROBABLE
+        return Speed(
+            candidate,
+            unit,
+            sure,
+            told + doubt,
+            others if follows_not else (),
+            False,
+            follows_not,
+            score - 2 * follows_not,
+        )
+    if usual:
+        sure = UNSURE if follows_not else PROBABLE
+        return Speed(
+            candidate, unit, sure, f"m/s by convention{doubt}", others, False, follows_not, score - 2 * follows_not
+        )
+    told = "neither the name nor a position tells the unit"
+    return Speed(candidate, unit, UNSURE, told + doubt, others, False, follows_not, score - 2 * follows_not)
+
+
+def _near(candidate: Candidate, unit: str, relation: Relation, declared: str, expected: str, score: float) -> Speed:
+    """A speed that follows the rate of position, in the unit that is nearest; a unit must fit closely to be certain."""
+    told = f"{relation.slope:.3g} × the rate of position (correlation {relation.correlation:.2f})"
+    if declared and declared != unit:
+        return Speed(candidate, unit, UNSURE, f"{told}, but declared as {declared}", (declared,), True, False, score)
+    fits = _unit(relation.slope, FITS) == unit
+    score += 2 * relation.correlation
+    if fits or unit == expected:
+        sure = CERTAIN if fits and relation.correlation > SAME else PROBABLE
+        return Speed(candidate, unit, sure, told, (), True, False, score)
+    told += f", which is no known unit; {unit} would give {1 / UNITS[unit][0]:.3g}"
+    return Speed(candidate, unit, UNSURE, told, (_by_span(relation),), True, False, score)
+
+
+def _by_span(relation: Relation) -> str:
+    """What reads a speed in a unit of its own, such as ft/s, as an alternative of its unit."""
+    return f"m/s, with span: {relation.slope:.3g}"
+
+
+def _enough(relation: Relation) -> bool:
+    return relation.seconds > 0 and (
+        abs(relation.certainty) >= SURE or (relation.correlation >= CLOSE and relation.seconds >= LONG)
+    )
+
+
+def by_other(speed: Speed, known: Speed) -> Speed:
+    """The unit of a speed by its ratio to one whose unit is known."""
+    if speed.contradicted or speed.candidate is known.candidate:
+        return speed
+    order = np.argsort(known.candidate.evidence[0], kind="stable")
+    time, value = (each[order] for each in known.metres)
+    own_time, own = speed.candidate.evidence
+    other = np.interp(own_time, time, value)
+    fast = np.abs(other) > 0.3 * np.quantile(np.abs(other), 0.99)
+    unit = _unit(float(np.median(np.abs(own[fast]) / np.abs(other[fast])))) if fast.sum() > 30 else ""
+    if not unit:
+        return speed
+    told = f"by its ratio to {known.candidate.label}"
+    return speed._replace(unit=unit, certainty=PROBABLE, reason=told, alternatives=())
+
+
+def quality(candidate: Candidate) -> float:
+    """How good a measurement is, by itself: fast, fine, free of copies, and signed. About 0 to 2."""
+    if not len(candidate.intervals):
+        return -1.0
+    rate = min(1.0, 0.4 / max(candidate.interval, 0.05)) if candidate.interval > 0.4 else 1.0
+    sizes = np.abs(np.diff(candidate.value))
+    grain = float(np.quantile(sizes[sizes > 0], 0.05)) if (sizes > 0).any() else math.inf
+    fine = 1.0 if grain < 0.02 * max(candidate.size, 1e-9) else 0.5
+    return rate + 0.5 * fine + 0.3 * (candidate.extent[0] < -0.03 * candidate.size) - 0.5 * candidate.repeats
+
+
+def period_of(candidate: Candidate) -> tuple[float, float]:
+    """The period of the sensor behind copies, s, and their share; zeros if there are none."""
+    return find_period([Channel(candidate.time, candidate.value, np.arange(len(candidate.time)))])
+
+
+def find_velocities(
+    pool: Sequence[Candidate], places: Sequence[Places], heading: Pair | None, convention: str
+) -> Velocities | None:
+    """Two series that are the velocity to the north and to the east, by name or by their direction, if there are."""
+    for north in pool:
+        for east in pool if fit("velocity_north", north.label) >= 2 else ():
+            if fit("velocity_east", east.label) >= 2 and (east.name == north.name or north.field in (None, "data")):
+                return _velocities(north, east, places, convention)
+    for x, y in vectors(pool):
+        if heading is None or len(x.value) != len(y.value):
+            continue
+        time, fast = x.time, np.hypot(x.value, y.value) > 0.3 * math.hypot(x.size, y.size)
+        for north, east in ((y, x), (x, y)):
+            direction = np.arctan2(east.value, north.value)[fast]
+            if agreement(heading, (time[fast], direction)) >= ALONG:
+                turns = 1 - abs(np.exp(1j * direction).mean())  # 0 if it is constant, as along a hull
+                return _velocities(north, east, places, convention)._replace(guessed=bool(turns < TURNS))
+    return None
+
+
+def _velocities(north: Candidate, east: Candidate, places: Sequence[Places], convention: str) -> Velocities:
+    same = len(north.value) == len(east.value)
+    size = north.named(value=np.hypot(north.value, east.value) if same else np.abs(north.value))
+    relation = speed_on_positions(places[0].north, places[0].east, size.evidence) if places and same else None
+    return Velocities(north, east, read_speed(size, relation, convention, 3.0))
+
+
+def vectors(pool: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
+    """The parts x and y of velocities that are logged as vectors: fields of a message, or two columns."""
+    found = []
+    for x in pool:
+        if is_part(x):
+            twin = x.label[:-1] + ("y" if x.label[-1] == "x" else "Y")
+            found += [(x, y) for y in pool if y.label == twin]
+    return found
+
+
+def is_part(candidate: Candidate) -> bool:
+    """Whether a name tells the part x of a velocity."""
+    spoken = set(words(candidate.label))
+    named = {"twist", "vel", "velocity", "vx"} & spoken and "angular" not in spoken
+    return bool(named) and candidate.label[-1] in "xX"
+
+
+def norms(pool: Sequence[Candidate]) -> list[Candidate]:
+    """The size of each velocity that is logged as a vector, where it is not along the hull: the Euclidean norm."""
+    return [
+        x.named(field=f"{x.field},{y.field}", value=np.hypot(x.value, y.value))
+        for x, y in vectors(pool)
+        if x.field and len(x.value) == len(y.value) and y.size > ACROSS * x.size
+    ]
+
+
+def along_hull(pool: Sequence[Candidate]) -> list[Candidate]:
+    """The series without the parts of vectors that are not along the hull."""
+    parts = [part for x, y in vectors(pool) if y.size > ACROSS * x.size for part in (x, y)]
+    return [each for each in pool if not any(each is part for part in parts)]
+
+
+def _unit(slope: float, tolerance: float = RATIO) -> str:
+    """The unit in which a speed is `slope` times the speed in m/s; "" if there is none.
+
+    >>> _unit(1.95), _unit(3.7), _unit(1.4)
+    ('knots', 'km/h', '')
+    """
+    ratios = {unit: abs(math.log(max(slope, 1e-9) * UNITS[unit][0])) for unit in SPEEDS}
+    best = min(ratios, key=lambda unit: ratios[unit])
+    return best if ratios[best] < math.log(tolerance) else ""
+
+
+def _is_position(candidate: Candidate, places: Sequence[Places]) -> bool:
+    return any(candidate is each.first or candidate is each.second for each in places)

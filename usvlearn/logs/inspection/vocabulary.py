@@ -1,0 +1,232 @@
+"""What the names in a log say: the words of a name, and how well they fit the channels that are looked for.
+
+A name says what its author meant, in one of a few languages and in abbreviations. It is a hint: the numbers decide
+where they can.
+"""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from functools import cache
+
+from usvlearn.logs.inspection import languages
+
+SPLIT = re.compile(r"[23][dD]\b|[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+
+LEFT = {"left", "l", "port", "prt", "bb"} | languages.LEFT
+RIGHT = {"right", "r", "starboard", "stbd", "sb", "stb"} | languages.RIGHT
+SIDES = LEFT | RIGHT | languages.SHORT_LEFT | languages.SHORT_RIGHT
+SETPOINT = {"desired", "des", "set", "setpoint", "sp", "ref", "reference", "target", "goal", "want", "wanted", "demand",
+            "demanded", "planned", "commanded", "input"} | languages.SETPOINT  # fmt: skip
+DERIVED = {"error", "err", "sigma", "gain", "bias", "var", "variance", "std", "accuracy", "acc", "accel",
+           "acceleration", "cov", "covariance", "dot", "max", "min", "limit", "avg", "mean", "zero", "point",
+           "offset", "upper", "lower", "status", "mode", "flag", "id", "seq", "count", "integral", "iter", "len",
+           "gap", "age"}  # fmt: skip
+FOREIGN = {"wind", "water", "solar", "sun", "battery", "batt", "voltage", "volt", "current", "temp",
+           "temperature", "depth", "pressure", "sway", "roll", "pitch", "heave", "wave", "altitude", "alt", "mag",
+           "camera", "rssi", "cpu", "air", "wp", "waypoint", "rc", "vertical", "climb", "down", "lateral", "rollspeed",
+           "pitchspeed"} | languages.FOREIGN  # fmt: skip
+
+ENGLISH: dict[str, dict[str, float]] = {  # role -> word -> how strongly it names the role
+    "heading": {"heading": 3, "hdg": 3, "hdt": 3, "yaw": 3, "psi": 2, "theta": 1.5, "compass": 2, "orientation": 2,
+                "quaternion": 2, "head": 2, "attitude": 1},
+    "course": {"course": 3, "cog": 3, "track": 2, "ground": 0.5, "gprmc": 1, "gcrs": 3, "gps": 0.5, "cap": 0.5,
+               "hdg": 0.5},
+    "yaw_rate": {"yawrate": 3, "rate": 1, "rot": 2, "r": 1, "gyroz": 2.5, "gyrz": 2.5, "wz": 2, "yawspeed": 3},
+    "surge": {"surge": 3.5, "speed": 2.5, "spd": 2.5, "sog": 2.5, "velocity": 2, "vel": 2, "u": 1.5, "vx": 2,
+              "stw": 2, "groundspeed": 2.5, "v": 1, "knots": 1.5, "kn": 1, "sow": 2},
+    "latitude": {"latitude": 3, "lat": 3},
+    "longitude": {"longitude": 3, "lon": 3, "lng": 3, "long": 3},
+    "north": {"north": 3, "northing": 3, "n": 1},
+    "east": {"east": 3, "easting": 3, "e": 1},
+    "velocity_north": {"vn": 3, "veln": 3, "vnorth": 3},
+    "velocity_east": {"ve": 3, "vele": 3, "veast": 3},
+    "command": {"thrust": 3, "thruster": 3, "thr": 3, "motor": 2.5, "pwm": 2.6, "esc": 2.6, "servo": 2, "throttle": 3,
+                "prop": 2, "propeller": 2.5, "drive": 2, "cmd": 2, "command": 2.5, "power": 1.5, "actuator": 2,
+                "output": 1, "rcou": 2, "engine": 2, "propulsion": 2, "m": 1, "t": 0.5, "c": 0.5, "ch": 0.5,
+                "rpm": 1.8},
+    "rudder": {"rudder": 3, "steer": 3, "steering": 3, "rud": 3, "nozzle": 2},
+}  # fmt: skip
+WORDS = {role: languages.weights(role) | own for role, own in ENGLISH.items()}
+PLURALS: dict[str, str] = {f"{word}s": word for word in ENGLISH["command"] if len(word) > 2}  # as in motors.port
+TURNS = {"yaw", "heading", "turn", "psi", "hdg", "theta", "head"} | languages.TURNS
+RATES = {"rate", "dot", "speed", "vel", "velocity", "rotation"} | languages.RATES
+OVER_GROUND = {"ground", "gprmc", "gps"} | languages.OVER_GROUND
+FORCES = {"tau", "force", "wrench", "kraft", "fx"}  # of the whole boat, beside an axis
+MOMENTS = {"tau", "torque", "moment", "wrench", "mz"}
+AZIMUTHS = {"azimuth", "azimuths", "azi", "azipod"}
+AHEAD, ABOUT = {"x", "u", "surge", "ahead", "forward", "1", "fx"}, {"z", "n", "r", "psi", "yaw", "3", "6", "mz"}
+SIDED = {"pwm", "thrust", "thruster", "motor", "cmd", "esc", "prop", "thr", "throttle", "drive"}
+MIDDLE = {"mid", "middle", "center", "centre", "mitte", "milieu", "centro"}
+DRIVES = {"rpm", "thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle", "prop", "propeller",
+          "tau", "force", "wrench", "torque", "moment"} | languages.DRIVES  # fmt: skip
+COMMANDED = {"cmd", "command", "commanded"}
+UNIT_WORDS = {  # words of a name that tell a unit
+    "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad", "radians": "rad",
+    "kn": "knots", "kt": "knots", "kts": "knots", "knot": "knots", "kmh": "km/h", "kph": "km/h", "mps": "m/s",
+    "ms": "m/s", "percent": "percent", "pct": "percent", "newton": "N", "newtons": "N", "pwm": "us", "us": "us",
+    "mm": "mm/s", "cm": "cm/s", **{word: unit for unit, spoken in languages.UNITS.items() for word in spoken},
+}  # fmt: skip
+
+
+@cache
+def words(name: str) -> tuple[str, ...]:
+    """The words of a name, in lower case, without accents; of a topic those of its last two parts.
+
+    >>> words("NAV_SPEED_OVER_GROUND"), words("lpwm"), words("HeadingSet"), words("Kurs über Grund")
+    (('nav', 'speed', 'over', 'ground'), ('l', 'pwm'), ('heading', 'set'), ('kurs', 'ueber', 'grund'))
+    >>> words("motors.port")
+    ('motor', 'port')
+    """
+    text = "/".join(unicodedata.normalize("NFC", name).split("/")[-2:])
+    text = re.sub("St[Bb](?![a-z])", " stb ", text)  # not st, b
+    text = re.sub(r"[^\W\d_]+", lambda found: _ascii(found[0]), text)
+    found: list[str] = []
+    for each in map(str.lower, SPLIT.findall(text)):
+        word = PLURALS.get(each, each)
+        if word[0] in "lr" and word[1:] in SIDED:
+            found += [word[0], word[1:]]
+        elif word == "mps" or not (found and found[-1] == "m" and word == "s"):
+            found.append(word)
+        else:
+            found[-1] = "mps"
+    return tuple(found)
+
+
+def _ascii(word: str) -> str:
+    """A word in ASCII that keeps its capitals, which tell where the words of a name begin."""
+    return "".join(
+        letter if letter.isascii() else found.capitalize() if letter.isupper() else found
+        for letter in word
+        for found in (languages.plain(letter),)
+    )
+
+
+def names_azimuth(name: str) -> bool:
+    """Whether a name tells the angle of a thruster that turns.
+
+    >>> names_azimuth("azimuth_1"), names_azimuth("thruster_2_angle"), names_azimuth("sun_azimuth")
+    (True, True, False)
+    """
+    found = set(words(name))
+    turned = AZIMUTHS & found or ({"angle", "alpha", "winkel", "azimuth"} & found and {"thruster", "pod"} & found)
+    return bool(turned) and not FOREIGN & found
+
+
+def names_force(name: str) -> bool:
+    """Whether a name tells the force ahead of all thrusters together.
+
+    >>> [each for each in ("tau_x", "wrench.force.x", "surge_force", "force.y", "thrust_left") if names_force(each)]
+    ['tau_x', 'wrench.force.x', 'surge_force']
+    """
+    found = set(words(name))
+    return bool(FORCES & found and AHEAD & found) and not {"torque", "moment", "y", "v"} & found
+
+
+def names_moment(name: str) -> bool:
+    """Whether a name tells the moment of all thrusters about the vertical axis.
+
+    >>> [each for each in ("tau_n", "wrench.torque.z", "yaw_moment", "force.z", "yaw_rate") if names_moment(each)]
+    ['tau_n', 'wrench.torque.z', 'yaw_moment']
+    """
+    found = set(words(name))
+    return bool(MOMENTS & found and ABOUT & found) and not {"force", "kraft"} & found
+
+
+def names_setpoint(name: str) -> bool:
+    """Whether a name tells what was asked for, and not what was measured.
+
+    >>> names_setpoint("DESIRED_SPEED"), names_setpoint("NAV_SPEED")
+    (True, False)
+    """
+    return bool(SETPOINT & set(words(name)))
+
+
+def fit(role: str, name: str) -> float:
+    """How well a name fits a role: 3 names it plainly, 1 is a hint, 0 says nothing, less speaks against it.
+
+    >>> fit("heading", "NAV_HEADING"), fit("heading", "DESIRED_HEADING"), fit("yaw_rate", "angular_velocity.z")
+    (3, -3, 3)
+    >>> fit("course", "NAV_HEADING_OVER_GROUND"), fit("surge", "yaw_speed") < 0
+    (3, True)
+    """
+    spoken = words(name)
+    found = set(spoken)
+    if len(spoken) > 1 and spoken[-1] == "d" and not spoken[-2].isdigit():
+        found.add("desired")  # as in psi_d
+    score = max((WORDS[role].get(word, 0) for word in found), default=0)
+    rate = bool(TURNS & found and RATES & found) or (
+        "z" in found and bool({"angular", "gyro", "gyr", "omega"} & found) and "accel" not in found
+    )
+    over_ground = bool(OVER_GROUND & found)
+    if role == "yaw_rate":
+        score = 3 if rate else 0.5 if {"z"} & found and {"vel", "velocity", "twist"} & found else score
+        score -= 4 * bool({"x", "y", "roll", "pitch", "p", "q", "climb"} & found and not rate)
+        score -= 4 * bool({"linear"} & found)
+    elif role == "heading":
+        score -= 4 * rate + 2 * (over_ground and score > 0) + 2 * bool({"course", "cog"} & found)
+    elif role == "course":
+        turned = bool({"heading", "hdg", "kurs", "kog", "course", "cog", "koers", "cap", "rumbo", "rumo"} & found)
+        score = 3 if over_ground and turned else score if score >= 2 else 0
+        score -= 4 * rate
+    elif role.startswith("velocity"):
+        axis = {"north", "n", "nord"} if role == "velocity_north" else {"east", "e", "ost"}
+        score = 3 if axis & found and ({"v", "vel", "velocity", "speed"} | languages.RATES) & found else score
+    elif role == "surge":
+        score -= 4 * rate + 4 * bool({"angular", "gyro", "gyr", "omega"} & found)
+        across = {"y", "z", "d", "vy", "vz", "vd", "east", "north", "ost", "nord", "delta", "imu"}
+        across -= {"y"} if "x" in found else set()
+        score -= 3 * bool(across & found)
+        score += 0.5 * ({"linear", "x"} <= found)
+    elif role == "command":
+        score = min(score, 3) + 0.5 * bool(score and (LEFT | RIGHT) & found)
+        score -= 1 * bool({"force", "feedback", "kraft", "newton"} & found)
+        score = 2.5 if names_force(name) else score - 4 * names_moment(name)
+    elif role == "rudder" and names_moment(name):
+        score = 2.5
+    if role not in ("command", "rudder"):
+        score -= 4 * bool(DRIVES & found)
+        score -= 6 * bool(SETPOINT & found) + 3 * bool(COMMANDED & found)
+    derived = DERIVED - ({"dot"} if role == "yaw_rate" else set()) - ({"max", "min"} & WORDS[role].keys())
+    return score - 5 * bool(derived & found and not (role == "yaw_rate" and rate)) - 4 * bool(FOREIGN & found)
+
+
+def side(name: str) -> str:
+    """The side that a name tells, "left", "right" or "" (none, or both).
+
+    >>> side("DESIRED_THRUST_L"), side("rpwm"), side("Schub steuerbord"), side("NAV_SPEED"), side("Motor StB [%]")
+    ('left', 'right', 'right', '', 'right')
+    """
+    found = set(words(name))
+    left, right = bool(found & LEFT), bool(found & RIGHT)
+    if found & WORDS["command"].keys():
+        left, right = left or bool(found & languages.SHORT_LEFT), right or bool(found & languages.SHORT_RIGHT)
+    return "" if left == right else "left" if left else "right"
+
+
+def names_side_alone(name: str) -> bool:
+    """Whether a name tells a side and, at most, a unit.
+
+    >>> names_side_alone("left"), names_side_alone("R [%]"), names_side_alone("right_pct"), names_side_alone("left eye")
+    (True, True, True, False)
+    """
+    return bool(side(name)) and all(word in UNIT_WORDS for word in without_side(name))
+
+
+def without_side(name: str) -> tuple[str, ...]:
+    """The words of a name without those of a side: equal for the two channels of a pair.
+
+    >>> without_side("PWM_L") == without_side("PWM_R")
+    True
+    """
+    return tuple(word for word in words(name) if word not in SIDES)
+
+
+def unit_word(name: str) -> str:
+    """A unit that stands in a name, or "".
+
+    >>> unit_word("speed_kn"), unit_word("yaw_deg"), unit_word("speed_mps"), unit_word("speed")
+    ('knots', 'deg', 'm/s', '')
+    """
+    return next((UNIT_WORDS[word] for word in words(name) if word in UNIT_WORDS), "")

@@ -1,0 +1,201 @@
+"""PI gains by pole placement on the linearised boat, and the margins that they leave in the worst case.
+
+At a command ξ₀ the boat settles at v₀. Near it, with T = −1/a, and a delay L from the measured speed to the thrust,
+
+    d(v − v₀)/dt = a (v − v₀) + b (ξ(t − L) − ξ₀),   a = 2 q v₀ + l + Γ ξ₀,   b = Σ T'(ξ₀) + Γ v₀           (1)
+    ξ = base + k_p e + k_i ∫ e dt,   e = wanted − v                                                      (2)
+    s² + (b k_p − a) s + b k_i = s² + 2 ζ ω s + ω²   gives   k_p = (2 ζ ω + a)/b,   k_i = ω²/b              (3)
+
+With the wanted crossover ω_c, the default poles are those that give k_p = ω_c/b and an integral that takes out the
+boat's own pole, or 4/ω_c where that is faster (Skogestad 2003):
+
+    2 ζ ω = ω_c + 1/T,   ω² = ω_c/min(T, 4/ω_c),   ω_c = min(4/T, .5/L) or less                            (4)
+
+(3) takes the geometric means of a and b over all corners: the ends of their 90 % intervals, at each operating speed.
+The loop (k_p + k_i/s) b e^(−sL)/(s − a) is then judged at every corner.
+
+The derivation is in `docs/theory.md`, section 26.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.curves import Curve, banded
+from usvlearn.estimators.joint.quantities import SIDES, Ahead
+from usvlearn.estimators.joint.reading import Identified
+from usvlearn.model.controller.feedforward import SAIL
+
+FASTEST, DELAYED, SLOWEST_INTEGRAL = 4.0, 0.5, 4.0  # of (4)
+PHASE, GAIN = 45.0, 6.0  # deg, dB: least margins of the default bandwidth
+SLOWER = 0.95  # from one trial of the bandwidth to the next
+GRID = np.geomspace(1e-3, 1e2, 2000)  # rad/s
+
+
+class Linearised(NamedTuple):
+    """(1) at some commands, with 90 % intervals."""
+
+    time_constant: Curve  # T, s, over the command
+    gain: Curve  # b, m/s², over the command
+
+    @property
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """a, 1/s, and b, m/s², at each end of both intervals, `(4 points,)` each."""
+        T, b = self.time_constant, self.gain
+        a = -1 / np.concatenate([T.low, T.low, T.high, T.high])
+        return a, np.concatenate([b.low, b.high, b.low, b.high])
+
+
+class Gains(NamedTuple):
+    """(2), and what it was designed for."""
+
+    proportional: float  # k_p, share of full command per m/s
+    integral: float  # k_i, share of full command per m/s and s
+    bandwidth: float  # ω, rad/s
+    damping: float  # ζ
+
+
+class Margins(NamedTuple):
+    """The worst over all corners."""
+
+    gain: float  # dB
+    phase: float  # deg
+    delay: float  # s, by which the loop may be later before it is unstable
+    bandwidth: tuple[float, float]  # rad/s, least and greatest: where the closed loop has −3 dB
+    crossover: tuple[float, float]  # rad/s, least and greatest: where the open loop has 0 dB
+
+
+def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised:
+    """(1) at some commands, `(points,)`.
+
+    Args:
+        name: of the boat, for errors.
+        found: of it.
+        commands: ξ₀, ascending.
+
+    Raises:
+        ConfigError: an interval of a holds 0, or one of b.
+    """
+    beside = found.beside
+    assert beside is not None
+
+    def time_constant(theta: np.ndarray) -> np.ndarray:
+        boat = Ahead(theta[..., None, :])
+        return -1 / (2 * boat.quadratic * boat.steady_speed(commands) + boat.linear + boat.lift * commands)
+
+    def gain(theta: np.ndarray) -> np.ndarray:
+        boat = Ahead(theta[..., None, :])
+        return sum(boat.thrust_slope(commands, side) for side in SIDES) + boat.lift * boat.steady_speed(commands)
+
+    T, b = (banded(found, beside, each, commands, f) for each, f in (("time_constant", time_constant), ("gain", gain)))
+    for curve, what, unit in ((T, "time constant", "s"), (b, "gain of the thrust", "m/s²")):
+        wrong = np.flatnonzero(~(curve.low > 0))
+        if len(wrong):
+            k = int(wrong[0])
+            raise ConfigError(
+                f"{name}: the 90 % interval of the {what} at {100 * commands[k]:.0f} % command, {curve.low[k]:.2g} … "
+                f"{curve.high[k]:.2g} {unit}, holds 0, so that no gains are safe: {SAIL}, or narrow --range to speeds "
+                "that were sailed"
+            )
+    return Linearised(T, b)
+
+
+def placed(a: float, b: float, bandwidth: float, damping: float) -> Gains:
+    """(3); without a proportional part, and with the damping that is left, where the wanted poles are slower.
+
+    >>> placed(a=-0.5, b=2.0, bandwidth=1.0, damping=1.0)
+    Gains(proportional=0.75, integral=0.5, bandwidth=1.0, damping=1.0)
+    """
+    if 2 * damping * bandwidth + a < 0:
+        return Gains(0.0, bandwidth**2 / b, bandwidth, -a / (2 * bandwidth))
+    return Gains((2 * damping * bandwidth + a) / b, bandwidth**2 / b, bandwidth, damping)
+
+
+def poles(crossover: float, time_constant: float) -> tuple[float, float]:
+    """ω and ζ of (4), from ω_c in rad/s and T in s.
+
+    >>> poles(crossover=2.0, time_constant=0.5)  # both poles at −2
+    (2.0, 1.0)
+    """
+    bandwidth = math.sqrt(crossover / min(time_constant, SLOWEST_INTEGRAL / crossover))
+    return bandwidth, (crossover + 1 / time_constant) / (2 * bandwidth)
+
+
+def margins(gains: Gains, a: np.ndarray, b: np.ndarray, delay: float) -> Margins:
+    """The worst margins over the corners a < 0, 1/s, and b > 0, m/s², `(corners,)`, at a delay in s.
+
+    The open loop falls with frequency, so that it crosses 0 dB once, at
+    ω⁴ + (a² − b² k_p²) ω² − b² k_i² = 0.
+    """
+    k_p, k_i = gains.proportional, gains.integral
+    half = (a * a - (b * k_p) ** 2) / 2
+    crossover = np.sqrt(-half + np.sqrt(half * half + (b * k_i) ** 2))
+
+    def phase(w):
+        return -np.arctan2(k_i, k_p * w) - np.arctan2(w, -a) - w * delay
+
+    def loop(w):
+        return (k_p + k_i / (1j * w)) * b / (1j * w - a) * np.exp(-1j * w * delay)
+
+    left = np.pi + phase(crossover)
+    w = GRID[:, None]
+    over = phase(w) + np.pi
+    crossed = (over[:-1] > 0) & (over[1:] <= 0)
+    at = crossed.argmax(0)
+    share = np.take_along_axis(over, at[None], 0)[0]
+    share = share / (share - np.take_along_axis(over, at[None] + 1, 0)[0])
+    turning = GRID[at] + share * (GRID[at + 1] - GRID[at])
+    gain = np.where(crossed.any(0), -20 * np.log10(np.abs(loop(turning))), np.inf)
+    closed = np.abs(loop(w) / (1 + loop(w)))
+    dropped = (closed < np.sqrt(0.5)).argmax(0)
+    bandwidth = GRID[dropped]
+    return Margins(
+        float(gain.min()),
+        float(np.degrees(left).min()),
+        float((left / crossover).min()),
+        (float(bandwidth.min()), float(bandwidth.max())),
+        (float(crossover.min()), float(crossover.max())),
+    )
+
+
+def design(
+    name: str, linear: Linearised, delay: float, bandwidth: float | None = None, damping: float | None = None
+) -> tuple[Gains, Margins]:
+    """Gains, and their worst margins.
+
+    Without a bandwidth, the crossover of (4) is lowered until all corners have `PHASE` and `GAIN`.
+
+    Args:
+        name: of the boat, for errors.
+        linear: the boat.
+        delay: L, s.
+        bandwidth: ω, rad/s; by default that of (4).
+        damping: ζ; by default that of (4), or 1 with a bandwidth.
+
+    Raises:
+        ConfigError: with the bandwidth that was given, a corner is unstable.
+    """
+    a, b = linear.corners
+    middle_a, middle_b = -float(np.exp(np.log(-a).mean())), float(np.exp(np.log(b).mean()))
+    if bandwidth is not None:
+        gains = placed(middle_a, middle_b, bandwidth, 1.0 if damping is None else damping)
+        left = margins(gains, a, b, delay)
+        if not (left.gain > 0 and left.phase > 0):
+            safe, _ = design(name, linear, delay, None, damping)
+            raise ConfigError(
+                f"--bandwidth: found {bandwidth:g} rad/s, with which {name} is unstable at a corner of the intervals "
+                f"with {delay:.2g} s of delay: give at most {safe.bandwidth:.2g} rad/s, or leave it out"
+            )
+        return gains, left
+    crossover = min(FASTEST * -middle_a, DELAYED / max(delay, 1e-6))
+    while True:
+        own_bandwidth, own_damping = poles(crossover, -1 / middle_a)
+        gains = placed(middle_a, middle_b, own_bandwidth, own_damping if damping is None else damping)
+        left = margins(gains, a, b, delay)
+        if left.gain >= GAIN and left.phase >= PHASE:
+            return gains, left
+        crossover *= SLOWER

@@ -1,0 +1,61 @@
+"""The surge dynamics of a boat as a Python file that needs only CasADi, for model predictive control."""
+
+from __future__ import annotations
+
+from textwrap import wrap
+
+from usvlearn.estimators.regressors.terms import NEAR, UNITS
+from usvlearn.model.export.c_header import ascii_only, identifier
+from usvlearn.model.export.described import EVEN_FORCE, FORCE, SIGNS, STEP
+from usvlearn.model.read_boats import IdentifiedBoat
+
+SERIES = 12  # terms of φ₁ near 0: the rest is below 10⁻¹⁹
+EVEN = """
+    f += p["drag_even"] * v**2 + sum(
+        p[f"thrust_even_linear_{s}"] * ca.fabs(x) + p[f"thrust_even_quadratic_{s}"] * x**2
+        + p[f"thrust_even_speed_{s}"] * x * v for s, x in sides)
+    J += 2 * p["drag_even"] * v + sum(p[f"thrust_even_speed_{s}"] * x for s, x in sides)"""
+
+
+def casadi_text(boat: IdentifiedBoat) -> str:
+    """The text of a module whose `surge_step()` returns a `casadi.Function` that equals `SurgeModel.step`.
+
+    φ₁ is a series near 0, where its quotient and the derivative of it cancel.
+    """
+    even = boat.model.even
+    coefficients = zip(boat.model.coefficients, boat.model.per_mass, strict=False)
+    head = [
+        f'"""The surge dynamics of the boat {identifier(boat.name)}, identified by usvlearn.', "",
+        *wrap(FORCE + (EVEN_FORCE if even else ""), 100), "", *wrap(STEP, 100), "", *wrap(SIGNS, 100), "",
+        *wrap(f"m = {boat.model.mass:.6g} kg, added mass included. {boat.found.scale}", 100), '"""',
+    ]  # fmt: skip
+    body = f'''
+import casadi as ca
+
+PER_MASS = {{  # coefficients over the mass
+{chr(10).join(f"    {name!r}: {float(value)!r},  # {UNITS[name]} over kg" for name, value in coefficients)}
+}}
+
+
+def surge_step(name="surge_step"):
+    """The function (v, left, right, yaw_rate, dt) -> speed after dt, m/s; all are scalars in SI units."""
+    v, left, right, yaw_rate, dt = (ca.SX.sym(each) for each in ("v", "left", "right", "yaw_rate", "dt"))
+    p, sides = PER_MASS, (("left", left), ("right", right))
+    speed, turn = ca.if_else(v >= 0, v, -v), ca.fabs(yaw_rate)  # at v = 0 the derivative is that of motion ahead
+    f = p["drag_quadratic"] * speed * v + p["drag_linear"] * v + p["drag_cross"] * turn * v + sum(
+        x * (p[f"thrust_linear_{{s}}"] + p[f"thrust_quadratic_{{s}}"] * ca.fabs(x) + p[f"thrust_speed_{{s}}"] * speed
+             + p[f"thrust_cubic_{{s}}"] * x**2) for s, x in sides)
+    J = 2 * p["drag_quadratic"] * speed + p["drag_linear"] + p["drag_cross"] * turn + ca.if_else(v >= 0, 1, -1) * sum(
+        p[f"thrust_speed_{{s}}"] * x for s, x in sides){EVEN if even else ""}
+    z = ca.fmin(dt * J, 1)
+    near = ca.fabs(z) < {NEAR}
+    series = 0
+    for k in range({SERIES}, 1, -1):  # 1 + z/2 (1 + z/3 (1 + ...))
+        series = (1 + z * series) / k
+    far = ca.if_else(near, 1, z)  # the branch that is not taken stays finite, its derivative too
+    phi = ca.if_else(near, 1 + z * series, ca.expm1(far) / far)
+    return ca.Function(
+        name, [v, left, right, yaw_rate, dt], [v + dt * phi * f],
+        ["v", "left", "right", "yaw_rate", "dt"], ["v_next"])
+'''
+    return "\n".join(map(ascii_only, [*head, *body.rstrip().splitlines()])) + "\n"

@@ -1,0 +1,79 @@
+"""All that is known of an identified boat, as JSON values: the content of `BOAT.json` and of `BOAT.mat`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import usvlearn
+from usvlearn.estimators.joint.curves import curves
+from usvlearn.estimators.joint.quantities import MEANING
+from usvlearn.estimators.joint.state import names
+from usvlearn.estimators.regressors.terms import UNITS
+from usvlearn.logs.alignment.mixing import Mix
+from usvlearn.logs.channels.channel import COMMANDS
+from usvlearn.model.export.conventions import NOTE, conventions
+from usvlearn.model.read_boats import IdentifiedBoat
+
+FORMAT = "usvlearn boat 1"
+FORCE = (
+    "m dv/dt = drag_quadratic v|v| + drag_linear v + drag_cross |r| v + sum over left and right of (thrust_linear x + "
+    "thrust_quadratic x|x| + thrust_speed x|v| + thrust_cubic x^3)"
+)
+EVEN_FORCE = " + drag_even v^2 + sum of (thrust_even_linear |x| + thrust_even_quadratic x^2 + thrust_even_speed x v)"
+STEP = "with f = dv/dt, J = df/dv, z = min(dt J, 1): the speed after dt is v + dt f (exp(z) - 1)/z"
+SIGNS = (
+    "v: speed ahead through the water, m/s. x: command of a side as a share of full scale, -1 to 1, positive ahead. "
+    "r: yaw rate, rad/s. Positive force pushes ahead: the coefficients of drag are negative, thrust ahead is positive. "
+    "drag_half_speed and the curve drag are the size of the resistance, positive."
+)
+UNIT_OF_CURVE = {"drag": ("m/s", "N"), "steady_speed": ("1", "m/s")}  # of the others: share of full command, N
+
+
+def described(boat: IdentifiedBoat) -> dict[str, Any]:
+    """The document of a boat.
+
+    `model` has the coefficients that `usvlearn.model.surge.SurgeModel.step` uses, at full precision. `identified` has
+    the physical quantities with their 90 % intervals, where the coefficients of motion ahead are summed.
+    """
+    model, found = boat.model, boat.found
+    return {
+        "format": FORMAT,
+        "usvlearn": usvlearn.__version__,
+        "boat": boat.name,
+        "set": {"file": boat.path.name} | {key: str(boat.facts[key]) for key in ("run", "step") if key in boat.facts},
+        "equation": FORCE + (EVEN_FORCE if model.even else ""),
+        "step": STEP,
+        "signs": SIGNS,
+        "mass": {"value": model.mass, "unit": "kg", "basis": found.scale},
+        "model": {name: {"value": value, "unit": UNITS[name]} for name, value in model.coefficients.items()},
+        "identified": {
+            "basis": found.basis,
+            "meaning": MEANING,
+            "lacks": list(found.lacks),
+            "quantities": found.json(),
+        },
+        "covariance": {
+            "note": "of the parameters per unit mass, of which the intervals are made; command_lag: a share of a step",
+            "parameters": list(names(model.even)),
+            "values": found.theta.tolist(),
+            "matrix": found.covariance.tolist(),
+        },
+        "curves": {
+            name: dict(zip(("at_unit", "unit"), UNIT_OF_CURVE.get(name, ("1", "N")), strict=True))
+            | {key: values.tolist() for key, values in curve._asdict().items()}
+            for name, curve in curves(found).items()
+        },
+        "commands": _commands(boat),
+        "names": {"note": NOTE, **conventions(model)},
+    }
+
+
+def _commands(boat: IdentifiedBoat) -> dict[str, Any]:
+    """How a logged value becomes a command: (value − zero)/span, from the set's setup; {} if that is unknown."""
+    found: dict[str, Any] = {}
+    for side in COMMANDS:
+        each = None if boat.setup is None else boat.setup.channels.get(side)
+        if each is not None:
+            found[side] = each.json() if isinstance(each, Mix) else asdict(each)
+    return found

@@ -1,0 +1,62 @@
+"""The formats of `usvlearn export`: which files each one writes of a boat."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from usvlearn.model.export.c_header import c_header, identifier
+from usvlearn.model.export.casadi_text import casadi_text
+from usvlearn.model.export.described import described
+from usvlearn.model.export.mat_file import mat_file
+from usvlearn.model.export.onnx_network import onnx_networks
+from usvlearn.model.export.predictions_csv import csv_table
+from usvlearn.model.export.predictions_mcap import mcap_file
+from usvlearn.model.export.published_steps import stretches
+from usvlearn.model.read_boats import IdentifiedBoat
+
+Files = dict[str, bytes]  # by the end of their names: all begin with the name of the boat
+
+
+class Format(NamedTuple):
+    """A format."""
+
+    files: Callable[[IdentifiedBoat, Path], Files]  # of a boat and the folder of its run
+    what: str  # for whom, one phrase
+
+
+def _json(boat: IdentifiedBoat, folder: Path) -> Files:
+    return {".json": (json.dumps(_without_nan(described(boat)), indent=1) + "\n").encode()}
+
+
+def _without_nan(given: Any) -> Any:
+    """JSON has no NaN and no infinity: null."""
+    return json.loads(json.dumps(given), parse_constant=lambda _: None)
+
+
+FORMATS = {
+    "json": Format(_json, "parameters, intervals, curves, signs, and the names of MSS and Gazebo"),
+    "c": Format(lambda boat, _: {"_surge.h": c_header(boat).encode()}, "a C99 header with one function, the step"),
+    "casadi": Format(
+        lambda boat, _: {"_casadi.py": casadi_text(boat).encode()}, "the step as a function of CasADi, for MPC"
+    ),
+    "mat": Format(lambda boat, _: {".mat": mat_file(boat)}, "the content of json, for MATLAB, Octave and Simulink"),
+    "csv": Format(
+        lambda boat, folder: {".csv": csv_table(stretches(folder, boat.name))}, "predictions and inputs of every step"
+    ),
+    "mcap": Format(
+        lambda boat, folder: {".mcap": mcap_file(boat.name, stretches(folder, boat.name))},
+        "the same for Foxglove and PlotJuggler (extra export)",
+    ),
+    "onnx": Format(
+        lambda boat, _: {f"_{name}.onnx": content for name, content in onnx_networks(boat).items()},
+        "the recurrent network, one step (extra export)",
+    ),
+}
+
+
+def file_name(boat: IdentifiedBoat, end: str) -> str:
+    """The name of a boat's file; of a module and a header without characters that these cannot have."""
+    return f"{identifier(boat.name) if end.endswith(('.py', '.h')) else boat.stem}{end}"

@@ -1,0 +1,276 @@
+"""Tuning one estimator of an ensemble: three methods with the same budget."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import shlex
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rich.console import Console
+
+from usvlearn.core.samples import Fleet
+from usvlearn.display.activity_bar import Activity
+from usvlearn.display.terminal import show
+from usvlearn.errors import ConfigError, under
+from usvlearn.estimators.baselines.persistence.layer import Persistence
+from usvlearn.estimators.rnn.layer import RNN
+from usvlearn.evaluation.free_simulation import check_halves
+from usvlearn.evaluation.measure import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
+from usvlearn.runs.layout import CHECKPOINTS, TUNING
+from usvlearn.runs.run_folder import digest
+from usvlearn.sweeps.launchers import set_threads
+from usvlearn.sweeps.tuning.backprop import Fitted, fit
+from usvlearn.sweeps.tuning.grid import grid, product
+from usvlearn.sweeps.tuning.lanes import (
+    NEXT,
+    Build,
+    Hyperparameter,
+    Objective,
+    check_one_estimator,
+    hyperparameter,
+    hyperparameters,
+)
+from usvlearn.sweeps.tuning.search import search
+from usvlearn.sweeps.tuning.sensitivities import descend
+from usvlearn.sweeps.tuning.winners import EXPERIMENT, record, report, write
+
+WAYS = ("grid", "learn", "search")
+
+
+class Request(NamedTuple):
+    """A checked request for tuning."""
+
+    way: str  # one of WAYS
+    member: str
+    parameters: list[Hyperparameter]
+    values: dict[str, list[float]] | None  # of an explicit grid
+    evaluations: int  # the budget; for an explicit grid the number of its points
+    options: Mapping[str, Any]  # `tuning` of the configuration
+    node: Mapping[str, Any]  # the member's configuration
+    build: Build
+    measure: Measure = NEXT  # which error is minimised
+
+    @property
+    def ranges(self) -> dict[str, list[float]]:
+        return {each.path: [each.low, each.high] for each in self.parameters}
+
+
+def asked(configuration: Mapping[str, Any]) -> str | None:
+    """The method that a configuration asks for, or None.
+
+    Raises:
+        ConfigError: it asks for several methods, or for a study.
+
+    >>> asked({"grid": "aid", "learn": None, "search": None})
+    'grid'
+    """
+    if "study" in configuration:
+        raise ConfigError("experiment: found a study, expected settings: run `python evaluate.py experiment=…`")
+    found = [way for way in WAYS if configuration.get(way) is not None]
+    if len(found) > 1:
+        raise ConfigError(f"{' and '.join(found)}: found {len(found)} ways to tune, expected one: leave out the others")
+    return found[0] if found else None
+
+
+def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any]) -> Request:
+    """The tuning that a configuration asks for, checked.
+
+    Args:
+        configuration: with `estimators`, `tuning`, and one of WAYS set.
+        instantiate: makes the object that a node of the configuration describes.
+
+    Raises:
+        ConfigError: something is not legal.
+    """
+    if (way := asked(configuration)) is None:
+        raise ConfigError(f"experiment: found no tuning, expected one of {', '.join(WAYS)}: add {WAYS[0]}=MEMBER")
+    given, options, members = configuration[way], configuration["tuning"], configuration["estimators"]
+    for key in ("evaluations", "rounds", "trials"):
+        if isinstance(options[key], bool) or not isinstance(options[key], int) or options[key] < 1:
+            raise ConfigError(f"tuning.{key}: found {options[key]!r}, expected a whole number, 1 or more")
+    if isinstance(options["seed"], bool) or not isinstance(options["seed"], int) or options["seed"] < 0:
+        raise ConfigError(f"tuning.seed: found {options['seed']!r}, expected a whole number, 0 or more")
+    if options["rounds"] > options["evaluations"]:
+        raise ConfigError(f"tuning.rounds: found {options['rounds']}, expected at most tuning.evaluations")
+    explicit = way == "grid" and isinstance(given, Mapping)
+    names: list[Any] = list(dict.fromkeys(str(key).partition(".")[0] for key in given)) if explicit else [given]
+    if len(names) != 1:
+        raise ConfigError(f"grid: found {', '.join(names) or 'no values'}, expected values of one member, MEMBER.PATH")
+    (member,) = names
+    if not isinstance(member, str) or member not in members:
+        raise ConfigError(f"{way}: found {member!r}, expected one of the members {', '.join(members)}")
+
+    build = builder(members, member, instantiate)
+    estimator = check_one_estimator(f"{way}={member}", build({}))
+    if explicit:
+        values = {str(key).partition(".")[2]: _listed(key, each) for key, each in given.items()}
+        parameters = [
+            hyperparameter(estimator, path, min(each), max(each), f"{member}.{path}") for path, each in values.items()
+        ]
+        options = {**options, "evaluations": math.prod(map(len, values.values()))}
+    else:
+        if not isinstance(options["ranges"], Mapping):
+            raise ConfigError(f"tuning.ranges: found {options['ranges']!r}, expected {{MEMBER: {{PATH: [LOW, HIGH]}}}}")
+        values, ranges = None, options["ranges"].get(member)
+        if not ranges:
+            raise ConfigError(
+                f"{way}={member}: has no range to tune in: add '+tuning.ranges.{member}={{PATH: [LOW, HIGH]}}'; it has "
+                f"{', '.join(hyperparameters(estimator)) or 'no hyperparameter that could be tuned'}"
+            )
+        parameters = []
+        for path, each in ranges.items():
+            low, high = _bounds(key := f"tuning.ranges.{member}.{path}", each)
+            parameters.append(hyperparameter(estimator, path, low, high, key))
+    if way != "learn" and any(each.kind is RNN for each in parameters):
+        raise ConfigError(f"{way}={member}: initial weights are learned by gradient alone: use learn={member}")
+    measure = measure_of(configuration.get("objective"), member)
+    if measure.estimator != member:
+        raise ConfigError(f"objective: found {measure} with {way}={member}, expected {member} or {member}.KIND")
+    if measure.kind in (SKILL, COVERAGE):
+        raise ConfigError(f"objective: found {measure} with {way}={member}, expected one of its errors: {member}, "
+                          f"{member}.forecast.SECONDS or {member}.free")  # fmt: skip
+    if way == "learn" and measure.kind != ONE_STEP:
+        raise ConfigError(
+            f"objective: found {measure} with learn={member}, which minimises the error one step ahead: use grid or "
+            "search"
+        )
+    return Request(way, member, parameters, values, options["evaluations"], options, members[member], build, measure)
+
+
+def builder(members: Mapping[str, Any], member: str, instantiate: Callable[[Any], Any]) -> Build:
+    """Makes a member of a configuration with changed settings."""
+
+    def build(values: Mapping[str, Any]) -> Any:
+        with under(f"estimators.{member}", members[member]):
+            return instantiate(_changed(members[member], values))
+
+    return build
+
+
+def _changed(node: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """A constructor's configuration with new values at dotted paths; lists stay lists."""
+    changed = {**copy.deepcopy(node), "_convert_": "all"}
+    for path, value in values.items():
+        *parents, last = path.split(".")
+        place = changed
+        for parent in parents:
+            place = place[parent]
+        place[last] = value
+    return changed
+
+
+def _bounds(key: str, given: Any) -> Sequence[float]:
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+        raise ConfigError(f"{key}: found {given!r}, expected a range [LOW, HIGH]")
+    return given
+
+
+def _listed(key: str, given: Any) -> list[float]:
+    values = given if isinstance(given, list) else [given]
+    if not values:
+        raise ConfigError(f"grid: found no values of {key}, expected a list of one or more")
+    if any(isinstance(x, bool) or not isinstance(x, int | float) for x in values):
+        raise ConfigError(f"grid: found {given!r} for {key}, expected numbers")
+    return [float(x) for x in dict.fromkeys(values)]
+
+
+def check_folder(folder: Path, way: str, member: str) -> None:
+    """Raise a ConfigError if a folder already holds something else."""
+    if (folder / CHECKPOINTS).exists():
+        raise ConfigError(f"{folder}: already holds the parameter sets of a run: choose another hydra.run.dir")
+    try:
+        old = json.loads((folder / TUNING).read_text())
+    except (OSError, ValueError):
+        return
+    if way != "search" or (old.get("way"), old.get("member")) != (way, member):  # only a search continues
+        raise ConfigError(f"{folder}: already holds {old.get('way')}={old.get('member')}: choose another hydra.run.dir")
+
+
+def tune(
+    configuration: Mapping[str, Any],
+    folder: Path,
+    instantiate: Callable[[Any], Any],
+    align: Callable[..., Fleet],
+    overrides: Sequence[str] = (),
+    console: Console | None = None,
+) -> float:
+    """Tune as a configuration asks, and write the results into the folder.
+
+    Args:
+        configuration: as for `request`, with `data`, `align` and `threads`.
+        folder: of the results.
+        instantiate: makes the object that a node of the configuration describes.
+        align: makes a fleet of recordings, with the options of `align`.
+        overrides: of the command line, for the record.
+        console: shows the best settings.
+
+    Returns:
+        The best MAE, m/s, averaged over boats; infinite if all settings diverge.
+    """
+    set_threads(configuration["threads"])
+    asked_for, console = request(configuration, instantiate), console or Console(quiet=True)
+    if configuration.get("resume") is not None:
+        found = configuration["resume"]
+        raise ConfigError(f"resume: found {found!r} with {asked_for.way}, which cannot resume: leave it out")
+    check_folder(folder, asked_for.way, asked_for.member)
+    with Activity(console), under("data", configuration["data"]):
+        fleet = align(instantiate(configuration["data"]), **configuration["align"])
+    if asked_for.measure.kind == FREE:
+        check_halves(fleet)
+    began = time.perf_counter()
+    with Activity(console) as activity:
+        activity.begin(f"{asked_for.way}={asked_for.member}", total=asked_for.evaluations)
+        found, used, curve = run(asked_for, fleet, folder, activity.advance)
+    (persistence,) = Objective(lambda _: Persistence(), fleet, measure=asked_for.measure)([{}])
+    facts = {
+        "member": asked_for.member,
+        "way": asked_for.way,
+        "measure": str(asked_for.measure),
+        "command": shlex.join(["python", "train.py", *overrides]),
+        "evaluations": used,
+        "ranges": asked_for.ranges,
+        "seconds": time.perf_counter() - began,
+    }
+    made = record(facts, fleet.boats, found, persistence)
+    write(folder, made, curve)
+    console.print(report(made))
+    show(f"The best setting, for configs/experiment: {folder / EXPERIMENT}", to=console)
+    return math.inf if made["best"]["mae"] is None else made["best"]["mae"]
+
+
+def run(
+    request: Request, fleet: Fleet, folder: Path, advance: Callable[[float], None] = lambda evaluations: None
+) -> Fitted:
+    """Run the requested search.
+
+    Args:
+        request: see `request`.
+        fleet: aligned runs.
+        folder: for the files of the method.
+        advance: receives the number of evaluations completed since the last call, as a float.
+
+    Returns:
+        The evaluations, the default first; their number without it; for `learn` the curve.
+    """
+    objective = Objective(request.build, fleet, advance, measure=request.measure)
+    options, parameters = request.options, request.parameters
+    if request.values is not None:
+        default = {each.path: each.default for each in parameters}
+        settings = [setting for setting in product(request.values) if setting != default]
+        return Fitted(objective([default, *settings]), len(settings), [])
+    if request.way == "grid":
+        return Fitted(*grid(objective, parameters, request.evaluations, options["rounds"]), [])
+    if request.way == "learn":
+        if options["window"] is None:
+            return descend(objective, parameters, request.evaluations, options["start"])
+        initial = folder / "initial"
+        return fit(objective, parameters, request.evaluations, options["window"], options["start"], initial)
+    samples = [digest(run, lane) for run in fleet.runs for lane in range(len(fleet.boats))]
+    facts = {"member": request.member, "configuration": request.node, "ranges": request.ranges, "samples": samples}
+    trials, seed = options["trials"], options["seed"]
+    return Fitted(*search(objective, parameters, request.evaluations, folder, facts, trials, seed), [])
