@@ -1,6 +1,7 @@
 """Who may import whom: the floors of the house, read from the sources."""
 
 import ast
+import importlib
 import subprocess
 import sys
 from collections import Counter
@@ -113,7 +114,7 @@ def refused(path: Path) -> Iterator[str]:
 def refused_in_certify(path: Path) -> Iterator[str]:
     """What a module of certify imports that is no package of its own, or imports before it is used."""
     for found in {name.split(".")[0] for name in imports(path)} - set(sys.stdlib_module_names) - {"certify"}:
-        if found not in THIRD_PARTY or name_of(path) not in CERTIFY.get(found, {name_of(path)}):
+        if found not in THIRD_PARTY or not within(name_of(path), CERTIFY.get(found, {name_of(path)})):
             yield found
     yield from {name.split(".")[0] for name in imports(path, top_level=True)} & (HEAVY - {"torch"})
 
@@ -153,7 +154,7 @@ SAME_EVERYWHERE = {"__init__", "__main__", "state", "layer", "kernel"}
 
 
 def test_no_two_modules_of_one_name_mean_different_things_in_a_room():
-    """The names that mean the same in each folder may repeat; a room is a folder of the package, or one below `logs`."""
+    """The names that mean the same in each folder may repeat. In `logs` and `live` a room is a folder of theirs."""
     depth = {"logs": 3, "live": 3}
     names = Counter(
         (path.relative_to(ROOT).parts[: depth.get(path.relative_to(ROOT).parts[1], 2)], path.stem)
@@ -247,6 +248,19 @@ def test_type_checkers_see_the_names_that_are_imported_lazily():
     block, _ = [node for node in ast.parse(Path(usvlearn.__file__).read_text()).body if isinstance(node, ast.If)]
     seen = {(alias.name, alias.asname, node.module) for node in block.body for alias in node.names}
     assert seen == {(name, name, f"usvlearn.{home}") for name, home in usvlearn._HOME.items()}
+
+
+def test_modules_that_were_documented_are_imported_by_their_former_names():
+    import certify
+    import usvlearn
+
+    former = {f"usvlearn.{old}": f"usvlearn.{new}" for old, new in usvlearn._MOVED.items()}
+    former |= {f"certify.{name}": f"certify.{room}.{name}" for room, names in certify._ROOMS.items() for name in names}
+    for old, new in former.items():
+        assert importlib.import_module(old) is importlib.import_module(new)
+        assert importlib.import_module(new).__name__ == new
+    code = "from certify.weights import load; from usvlearn import checkpoint; import usvlearn.signals as s; s.Sample"
+    assert not loaded(code) & (HEAVY - {"numba"})
 
 
 def test_public_names_are_there():

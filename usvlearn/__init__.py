@@ -4,7 +4,10 @@ Names are imported when they are first used: importing the package imports no to
 """
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
+
+from certify.aliases import Moved
 
 if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with _HOME
     from usvlearn.api import learn as learn
@@ -47,17 +50,17 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.logs.alignment.align import Aligner as Aligner
 
 _HOME = {
-    "Inputs": "signals",
-    "Sample": "signals",
-    "VectorSample": "signals",
-    "Run": "signals",
-    "Fleet": "signals",
-    "Estimator": "estimator",
-    "rollout": "rollouts",
-    "forecast": "rollouts",
-    "Forecast": "plans",
-    "Positive": "hyper",
-    "UnitInterval": "hyper",
+    "Inputs": "core.samples",
+    "Sample": "core.samples",
+    "VectorSample": "core.samples",
+    "Run": "core.samples",
+    "Fleet": "core.samples",
+    "Estimator": "core.protocol",
+    "rollout": "engine.rollouts",
+    "forecast": "engine.rollouts",
+    "Forecast": "core.plans",
+    "Positive": "core.hyper",
+    "UnitInterval": "core.hyper",
     "AID": "estimators.aid.layer",
     "ARX": "estimators.arx.layer",
     "RLS": "estimators.least_squares.rls",
@@ -80,12 +83,22 @@ _HOME = {
     "BOA": "estimators.ensemble.combiners.layer",
     "SurgeDynamics": "estimators.regressors.layer",
     "QuasiStatic": "estimators.regressors.layer",
-    "Online": "online",
-    "Aligner": "logs.align",
+    "Online": "engine.online",
+    "Aligner": "logs.alignment.align",
     "UsvlearnError": "errors",
     "read": "api",
     "learn": "api",
 }
+_MOVED = {  # modules that were documented -> where they are
+    "signals": "core.samples", "estimator": "core.protocol", "rollouts": "engine.rollouts", "online": "engine.online",
+    "identified": "engine.identified", "figures": "display.figures", "logs.align": "logs.alignment.align",
+    "logs.alog": "logs.formats.moos.alog", "logs.channel": "logs.channels.channel",
+    "logs.csv_table": "logs.formats.csv.table", "logs.dataflash": "logs.formats.ardupilot.dataflash",
+    "logs.rosbag": "logs.formats.ros.rosbag", "logs.tlog": "logs.formats.ardupilot.tlog",
+    "logs.ulog": "logs.formats.px4.ulog",
+    **{name: f"core.{name}" for name in ("checkpoint", "family", "hyper", "jit", "plans", "rows")},
+}  # fmt: skip
+sys.meta_path.append(Moved({f"usvlearn.{old}": f"usvlearn.{new}" for old, new in _MOVED.items()}))
 __all__ = sorted(_HOME)
 __version__ = "0.2.0"
 

@@ -58,8 +58,8 @@ def read(
 
     In place of logs, it takes arrays of one run: `read(time=…, command_left=…, command_right=…, heading=…, surge=…)`,
     all of the shape (time,), NaN where a channel has no value; a dictionary of them; or a table with such columns.
-    Other channels of `usvlearn.logs.channels.channel.CHANNELS` and `AUXILIARY` are optional. They are in SI units, unless
-    `units` or `channels` say otherwise.
+    Other channels of `usvlearn.logs.channels.channel.CHANNELS` and `AUXILIARY` are optional. They are in SI units,
+    unless `units` or `channels` say otherwise.
 
     Args:
         path: a log; a folder, with all logs below it; a pattern such as `logs/*.csv`; or boat -> path. Or a dictionary

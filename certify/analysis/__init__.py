@@ -1,0 +1,1 @@
+"""Many networks judged: sets, runs, sweeps, and the counts of a comparison."""

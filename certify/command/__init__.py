@@ -1,0 +1,1 @@
+"""The commands `certify` and `certify compare`."""

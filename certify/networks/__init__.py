@@ -1,0 +1,1 @@
+"""The networks that are judged: their weights, as files and in memory."""

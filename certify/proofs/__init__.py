@@ -1,0 +1,1 @@
+"""What a verdict rests on: exact arithmetic alone, integers and fractions."""

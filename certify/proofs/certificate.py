@@ -1,7 +1,7 @@
 """A certificate: a claim about one network, and a proof that anyone can check with rational arithmetic alone.
 
-    simple, gershgorin, lmi, tight     a metric p and multipliers Λ with M(p, Λ) ≻ 0        (`certify.proofs.exact`)
-    interval, box                      a tree of boxes, on each of which the slope is bounded (`certify.proofs.box_proof`)
+    simple, gershgorin, lmi, tight     a metric p and multipliers Λ with M(p, Λ) ≻ 0        (`exact`)
+    interval, box                      a tree of boxes, on each of which the slope is bounded (`box_proof`)
 
 `verify` needs neither a solver nor torch. It rebuilds every statement from the weights. The checksum only detects
 accidental changes; the mathematics detects all others.

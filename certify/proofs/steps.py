@@ -82,7 +82,8 @@ def steps(weights: VectorWeights, slopes: Sequence[Slopes], norm: str = "inf", s
 
 
 def stepped(weights: VectorWeights, eta: Fraction) -> VectorWeights:
-    """f_η of (1) exactly: its R and A are lists of rows of fractions, for the functions of `certify.proofs.vector_exact`.
+    """f_η of (1) exactly: its R and A are lists of rows of fractions, for the functions of
+    `certify.proofs.vector_exact`.
 
     `certify.proofs.vector_box_proof.proves` accepts it, too, and so proves the rate of all steps up to η on a box.
 

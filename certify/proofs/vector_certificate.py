@@ -1,9 +1,9 @@
 """A certificate about a network with a vector state: the claim, and a proof that rational arithmetic alone can check.
 
     gershgorin, lmi     P and Λ with M(P, Λ) ≻ 0, slopes in [0, 2]: the paper's lemma and its LMI for a vector state
-    tight               P and Λ with M(P, Λ) ≻ 0, the slopes of φ                        (`certify.proofs.vector_exact`, 3)
-    exact               a norm and a scaling T, in which all activation patterns contract (`certify.proofs.vector_exact`, 2)
-    box                 a norm, a scaling, and a tree of boxes                            (`certify.proofs.vector_box_proof`)
+    tight               P and Λ with M(P, Λ) ≻ 0, the slopes of φ                        (`vector_exact`, 3)
+    exact               a norm and a scaling T, in which all activation patterns contract (`vector_exact`, 2)
+    box                 a norm, a scaling, and a tree of boxes                            (`vector_box_proof`)
 
 `exact` names a step η, by default 1. With another one the claim is about f_η(x) = x + η (f(x, u) − x), which is f at η
 times its step, and it holds for all smaller steps, too (`certify.proofs.steps`).

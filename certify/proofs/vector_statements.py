@@ -1,4 +1,5 @@
-"""What is bounded on a leaf of `certify.proofs.vector_box_proof`, in integers: the rate with one or two layers, and the range.
+"""What is bounded on a leaf of `certify.proofs.vector_box_proof`, in integers: the rate with one or two layers, and the
+range.
 
 A statement keeps a state for each node of the tree. With one hidden layer of relu or leaky it holds the hyperplanes
 that cross the box, so that a halving costs little; the other bounds are computed at the leaves alone.

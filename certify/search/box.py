@@ -7,9 +7,10 @@ At fixed u each z_i with s_i ≠ 0 changes sign at one x. So every slope of x �
 the least rate with |f(x₁, u) − f(x₂, u)| ≤ K_box |x₁ − x₂| on the box. A cell whose closure only touches the box does
 not count. An input of zero width is fixed: cells are then open in x and the other inputs. x itself has a width.
 
-`certify.search.box_slopes` chooses the search; `certify.proofs.box_proof` proves the result, in integers. With five inputs or more
-the search is much faster if the package `highspy` is installed (`pip install "usvlearn[lmi]"`). Without it the bracket
-of `rate` may be wider, and `certify` may answer "unknown" more often; what they state is proved all the same.
+`certify.search.box_slopes` chooses the search; `certify.proofs.box_proof` proves the result, in integers. With five
+inputs or more the search is much faster if the package `highspy` is installed (`pip install "usvlearn[lmi]"`). Without
+it the bracket of `rate` may be wider, and `certify` may answer "unknown" more often; what they state is proved all the
+same.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ is the dual of max Σ_free g_i min(1, 1 + z_i/|L_i|) over the cell: a linear pro
     min Σ_i μ_i z_i(centre) + Σ_j |Σ_i μ_i h_ij| r_j,    r: half the box's widths                                    (3)
 
 A split at a plane changes the limits of one μ_i, so the solver starts at its parent's basis. Any μ within its limits is
-a bound, so that the solver's tolerances are harmless; `certify.proofs.box_proof` proves it with μ rounded to few digits. The
-solver is HiGHS; without the package `highspy` the search is that of `certify.search.box_cells`.
+a bound, so that the solver's tolerances are harmless; `certify.proofs.box_proof` proves it with μ rounded to few
+digits. The solver is HiGHS; without the package `highspy` the search is that of `certify.search.box_cells`.
 """
 
 from __future__ import annotations

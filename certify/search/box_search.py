@@ -2,8 +2,8 @@
 
 Boxes: bound the slope by interval arithmetic (neurons surely on, surely off, free) and halve the boxes whose bound is
 too high (Moore, Kearfott and Cloud, Introduction to Interval Analysis, 2009). The slope at any point bounds the
-maximum from below. Boxes that stay open are split into cells (`certify.search.box_cells`). `certify.proofs.box_proof` proves the
-result.
+maximum from below. Boxes that stay open are split into cells (`certify.search.box_cells`). `certify.proofs.box_proof`
+proves the result.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Which search `certify.search.box` makes for the greatest slope: over boxes, over cells, or by linear programs.
 
-Boxes are halved fastest (`certify.search.box_search`), but their number grows exponentially with the coordinates d, and where
-hyperplanes meet in a point halving would not end. A program's time grows with the G hyperplanes and hardly with d. The
-rule is measured (docs/benchmarks/box.md): for d ≥ 6 and G ≤ 2^d few boxes are tried; then the whole box is split into
-cells, by linear programs over all of its planes (`certify.search.box_duals`). Where the tree is needed, G ≤ 2^(d + 1), since
-trees of boxes become too long to replay. Without the package `highspy` the cells are split by `certify.search.box_cells`, for
-d ≥ 7 and G ≤ 2^d: what is proved is as true, but the gap is wider, or is closed later.
+Boxes are halved fastest (`certify.search.box_search`), but their number grows exponentially with the coordinates d, and
+where hyperplanes meet in a point halving would not end. A program's time grows with the G hyperplanes and hardly with
+d. The rule is measured (docs/benchmarks/box.md): for d ≥ 6 and G ≤ 2^d few boxes are tried; then the whole box is split
+into cells, by linear programs over all of its planes (`certify.search.box_duals`). Where the tree is needed, G ≤ 2^(d +
+1), since trees of boxes become too long to replay. Without the package `highspy` the cells are split by
+`certify.search.box_cells`, for d ≥ 7 and G ≤ 2^d: what is proved is as true, but the gap is wider, or is closed later.
 """
 
 from __future__ import annotations

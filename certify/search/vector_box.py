@@ -5,9 +5,9 @@
 
 K is the least rate with ‖T(f(x, u) − f(x′, u))‖ ≤ K ‖T(x − x′)‖ for all x, x′ and u of the box, since a box is
 convex. A search halves the box where its bound is too high (`certify.search.vector_box_search`, in floats).
-`certify.proofs.vector_box_proof` computes the bound of every leaf again, in integers; `certify.proofs.vector_points` the norm at a
-witness. Where more hyperplanes of relu meet in a point than there are coordinates, halving does not end, and the
-verdict can be "unknown".
+`certify.proofs.vector_box_proof` computes the bound of every leaf again, in integers; `certify.proofs.vector_points`
+the norm at a witness. Where more hyperplanes of relu meet in a point than there are coordinates, halving does not end,
+and the verdict can be "unknown".
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """The search behind `certify.search.vector_box`: bounds of the rate and of the range on many boxes at once, in floats.
 
 `certify.search.box_search.Search` halves the boxes whose bound is too high. The bounds are those of
-`certify.proofs.vector_box_proof`, which proves the result. A hyperplane that touches a box up to rounding counts as beside it
-(lean = 1) or as crossing it (lean = −1); the replay decides which of the two is true.
+`certify.proofs.vector_box_proof`, which proves the result. A hyperplane that touches a box up to rounding counts as
+beside it (lean = 1) or as crossing it (lean = −1); the replay decides which of the two is true.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """The scaling T of the state in which the ∞-norm or the 1-norm of a network's slopes is smallest.
 
-For each row r and each ε ∈ {±1}^q, (2) of `certify.proofs.vector_exact` has one number v_rε(T), and K is the largest of them.
+For each row r and each ε ∈ {±1}^q, (2) of `certify.proofs.vector_exact` has one number v_rε(T), and K is the largest of
+them.
 
 **Diagonal T.** With s_r = 1/t_r, let F_r(s) be the largest [J x]_r over |x| ≤ s and all slopes. F is monotone and
 homogeneous, and K = max_r F_r(s)/s_r. So the smallest K is the spectral radius of F on the positive cone, by Perron and
@@ -8,8 +9,9 @@ Frobenius, and s ← F(s) + s, normalised, leads to it.
 
 **Full T.** T ← (I + G) T changes v_rε by a linear function of G, as long as the signs remain. A linear program
 minimises the largest v_rε + ∇v_rε·G over |G_ij| ≤ δ; δ is quartered where K does not decrease. The starts are the best
-diagonal T, bases of eigenvectors, and square roots of a metric P such as that of `certify.search.vector_lmi`. The result is a
-local minimum. T is rounded to short fractions, for which the exact rate is computed: the floats only search.
+diagonal T, bases of eigenvectors, and square roots of a metric P such as that of `certify.search.vector_lmi`. The
+result is a local minimum. T is rounded to short fractions, for which the exact rate is computed: the floats only
+search.
 """
 
 from __future__ import annotations

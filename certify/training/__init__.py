@@ -1,0 +1,1 @@
+"""Closed forms and projections in torch, used while a network learns."""

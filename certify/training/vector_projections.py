@@ -2,8 +2,8 @@
 
     x⁺ = R x + A relu(W x + W₂ u + b)
 
-`exact`: the rate over all activation patterns in the norm ‖T x‖_∞, (2) of `certify.proofs.vector_exact`. With T A, T R T⁻¹ and
-W T⁻¹ in place of A, R and W, each row ρ, α of (R, A) has to satisfy, for all ε ∈ {±1}^q with c_ε = W ε,
+`exact`: the rate over all activation patterns in the norm ‖T x‖_∞, (2) of `certify.proofs.vector_exact`. With T A, T R
+T⁻¹ and W T⁻¹ in place of A, R and W, each row ρ, α of (R, A) has to satisfy, for all ε ∈ {±1}^q with c_ε = W ε,
 
     ρ·ε + Σ_i (α_i c_εi)₊ ≤ κ.                                                                           (1)
 

@@ -1,4 +1,4 @@
-"""The closed forms of `certify.proofs.vector_exact` in torch: batched, differentiable almost everywhere, for learning."""
+"""The closed forms of `vector_exact` in torch, for learning: batched, differentiable almost everywhere."""
 
 from __future__ import annotations
 

@@ -84,7 +84,7 @@ def test_parameter_sets(whole):
 
 
 def test_tensorboard(whole):
-    """A run for each estimator of each boat; tags, steps and the HPARAMS row are in tests/runs/tensorboard/test_logger.py."""
+    """A run for each estimator of each boat; tests/runs/tensorboard has the tags, steps and HPARAMS row."""
     (top,) = (whole / "tensorboard").iterdir()  # named after the settings that differ
     assert top.name == "rnn.neurons=4"
     assert {path.name for path in top.iterdir()} == {"heron1", "heron2", "fleet", "results"}

@@ -4,7 +4,7 @@ import numpy as np
 from tensorboard.backend.event_processing.event_file_loader import EventFileLoader
 
 from tests.support.boards import boards, texts, values
-from usvlearn.display import event_file as tensorboard
+from usvlearn.display import event_file
 from usvlearn.display.event_file import TensorBoardWriter
 
 
@@ -52,7 +52,7 @@ def test_descriptions_come_with_the_first_point_of_each_tag(tmp_path):
 
 
 def test_what_is_written_can_be_read_while_the_run_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(tensorboard, "SECONDS", 0.0)
+    monkeypatch.setattr(event_file, "SECONDS", 0.0)
     board = TensorBoardWriter(tmp_path)
     board.scalars({"a": 1.0}, 0, "one")
     assert values(boards(tmp_path)["one"], "a") == [1.0]

@@ -15,7 +15,7 @@ from tests.support.commands import ENVIRONMENT, QUICK, called, command, complain
 from tests.support.runs import assert_same, session
 from usvlearn.cli import train
 from usvlearn.core import checkpoint
-from usvlearn.display import event_file as tensorboard
+from usvlearn.display import event_file
 from usvlearn.display.event_file import TensorBoardWriter
 from usvlearn.errors import bad_input
 
@@ -84,11 +84,11 @@ def test_tensorboard_raises_that_there_is_no_room_and_has_no_thread(tmp_path, mo
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     threads = threading.active_count()
-    monkeypatch.setattr(tensorboard, "SECONDS", 0.0)
+    monkeypatch.setattr(event_file, "SECONDS", 0.0)
     with pytest.raises(OSError, match="No space left") as caught, TensorBoardWriter(tmp_path, ["a", "b"]) as board:
         board.scalars({"b": 1.0}, 0, "a")
         assert threading.active_count() == threads
-        monkeypatch.setattr(tensorboard, "open", full, raising=False)
+        monkeypatch.setattr(event_file, "open", full, raising=False)
         board.scalars({"b": 1.0}, 1, "a")
     assert bad_input(caught.value) is not None
     monkeypatch.undo()

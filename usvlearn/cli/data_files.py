@@ -22,6 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 from usvlearn.core.foreign_yaml import read_yaml
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean
 from usvlearn.logs.inspection.override import hydra_text
+from usvlearn.runs.legacy import current
 from usvlearn.runs.trust import check_settings
 
 GROUP, SUFFIXES = "data", (".yaml", ".yml")
@@ -70,7 +71,7 @@ def _place(value: str) -> str:
 
 def _register(path: Path) -> None:
     try:
-        node = OmegaConf.create(read_yaml(GROUP, path))
+        node = OmegaConf.create(current(read_yaml(GROUP, path)))
     except OmegaConfBaseException as error:
         raise ConfigError(f"data: {path}: {str(error).splitlines()[0]}: correct the file") from error
     if GROUP not in node:

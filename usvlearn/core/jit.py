@@ -39,7 +39,7 @@ P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
 
 NUMBA: Any = config  # numba's options, which it makes as it is imported, so that no checker sees their names
-HERE = Path(__file__).parent
+HERE = Path(__file__).parents[1]  # the package
 DIGEST = hashlib.sha256().digest_size
 
 if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a number, but not as an index

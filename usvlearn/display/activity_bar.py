@@ -15,7 +15,8 @@ BAR = 20  # columns
 
 
 class Activity:
-    """A context that shows what `usvlearn.display.activity.doing` tells; nothing is left of it, and nothing goes into a file.
+    """A context that shows what `usvlearn.display.activity.doing` tells; nothing is left of it, and nothing goes into a
+    file.
 
     Args:
         console: of the terminal.

@@ -33,8 +33,8 @@ The page of a sweep, DIR/leaderboard, has a run for each job, with its row on HP
 pages IMAGES and TEXT open with all runs unticked if there are more than 40: TOGGLE ALL RUNS.
 
 TensorBoard gives its seven colours to runs by the times of their first events, which are therefore written in a fixed
-order (`usvlearn.runs.tensorboard.board_tags`). A resumed run goes on in further files of the same runs. These begin with a mark by
-which TensorBoard drops the points that were written after the place of the resume.
+order (`usvlearn.runs.tensorboard.board_tags`). A resumed run goes on in further files of the same runs. These begin
+with a mark by which TensorBoard drops the points that were written after the place of the resume.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Checks of a specification and a state that come from a file. The kernels check no index, so a file must not lie.
 
-A specification (`Estimator.spec`) is compared entry by entry with what the families declare (`usvlearn.core.family`). Its
-sizes are bounded, and compared with the leaves, before any array is made. This is done once, where a file is opened;
-for an estimator of this process, the constructor has checked its arguments.
+A specification (`Estimator.spec`) is compared entry by entry with what the families declare (`usvlearn.core.family`).
+Its sizes are bounded, and compared with the leaves, before any array is made. This is done once, where a file is
+opened; for an estimator of this process, the constructor has checked its arguments.
 """
 
 from __future__ import annotations

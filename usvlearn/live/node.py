@@ -1,8 +1,8 @@
 """The core of the node aboard: messages in, predictions out. It has no clock, reads no file and writes none.
 
 A message is converted to SI units, mixed with others where a command has several sources, and aligned as in a replay
-(`usvlearn.logs.alignment.align`). Each sample that it completes is predicted, then learned from. So a recorded session that is
-replayed gives the same predictions.
+(`usvlearn.logs.alignment.align`). Each sample that it completes is predicted, then learned from. So a recorded session
+that is replayed gives the same predictions.
 
 At each step two predictions are published: of the speed that was measured, which judges the model, and of the next
 one under the commands in force, which is what planners want.

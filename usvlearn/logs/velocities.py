@@ -1,8 +1,8 @@
 """Logs with several components of the velocity, such as surge, sway and yaw rate, on one grid of time.
 
-Each component is aligned as `usvlearn.logs.alignment.align` aligns the surge: the target of the step from t_k to t_k + dt is the
-last message of the component in it. The grid starts with the first message of the component, so all components have to
-come with the same stamps, as the fields of one message do.
+Each component is aligned as `usvlearn.logs.alignment.align` aligns the surge: the target of the step from t_k to t_k +
+dt is the last message of the component in it. The grid starts with the first message of the component, so all
+components have to come with the same stamps, as the fields of one message do.
 """
 
 from __future__ import annotations

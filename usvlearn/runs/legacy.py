@@ -10,7 +10,13 @@ _PUBLIC = {  # module before version 0.2 -> its classes, which are now named by 
     "ensemble": ["Ensemble", "Bank"], "regressors": ["SurgeDynamics", "QuasiStatic"],
     "combiners": ["Average", "FixedWeights", "RecursiveWeights", "ExponentialWeights", "BOA"],
 }  # fmt: skip
-TARGETS = {
+_READERS = {  # class -> the rooms of its module in version 0.2, and now
+    "Alog": ("alog", "formats.moos.alog"), "DataFlash": ("dataflash", "formats.ardupilot.dataflash"),
+    "Rosbag": ("rosbag", "formats.ros.rosbag"), "Table": ("csv_table", "formats.csv.table"),
+    "Tlog": ("tlog", "formats.ardupilot.tlog"), "Ulog": ("ulog", "formats.px4.ulog"),
+}  # fmt: skip
+TARGETS = {  # of several names of one class the last is the first one that it had
+    **{f"usvlearn.logs.{old}.{name}": f"usvlearn.logs.{new}.{name}" for name, (old, new) in _READERS.items()},
     **{f"usvlearn.estimators.{old}.{name}": f"usvlearn.{name}" for old, names in _PUBLIC.items() for name in names},
     "usvlearn.logs.table.Table": "usvlearn.logs.formats.csv.table.Table",
     "usvlearn.logs.fleet.align_fleet": "usvlearn.logs.recordings.align_fleet",

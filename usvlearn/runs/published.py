@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from usvlearn.core import samples as signals
+from usvlearn.core import samples
 from usvlearn.core.samples import Run
 from usvlearn.errors import CheckpointError
 from usvlearn.runs.layout import PREDICTIONS
@@ -42,9 +42,9 @@ from usvlearn.runs.layout import PREDICTIONS
 # what a damaged .npz raises
 DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 PUBLISHED = ("predictions", "halfwidths", "thrusters", "forecasts", "forecast_halfwidths")
-UNITS = signals.UNITS | {
+UNITS = samples.UNITS | {
     "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1",
-    "measured_surge": signals.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s", "horizons": "s",
+    "measured_surge": samples.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s", "horizons": "s",
 }  # fmt: skip
 Widths = Mapping[str, int]  # the length of the last axis of each array that may be published
 

@@ -9,7 +9,7 @@ traceback.txt    of an unexpected error
 In the sweep's folder:
 
 sweep.json       the keys with several values, their values without the sweep, the objective
-lanes.json       the jobs that were run as lanes of one batch (`usvlearn.sweeps.tuning.sweep_lanes`); they have no folders
+lanes.json       the jobs that were run as lanes of one batch (`tuning.sweep_lanes`); they have no folders
 """
 
 from __future__ import annotations

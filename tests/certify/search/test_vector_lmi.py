@@ -237,7 +237,8 @@ def test_bad_input_is_refused():
 
 
 def test_neither_solver_nor_scipy_is_imported_with_the_module():
-    code = "import sys, certify.search.vector_lmi, certify.search.vector_scaling; print({'cvxpy', 'clarabel', 'scipy'} & {*sys.modules})"
+    modules = "certify.search.vector_lmi, certify.search.vector_scaling"
+    code = f"import sys, {modules}; print({{'cvxpy', 'clarabel', 'scipy'}} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 

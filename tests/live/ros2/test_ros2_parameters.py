@@ -12,8 +12,7 @@ import yaml
 from tests.support import ROOT, over
 from usvlearn.errors import ConfigError
 from usvlearn.live.arguments import options_of
-from usvlearn.live.ros2 import ros2_launch
-from usvlearn.live.ros2 import shell as ros2
+from usvlearn.live.ros2 import ros2_launch, shell
 from usvlearn.live.ros2.inputs import DEFAULTS
 from usvlearn.live.ros2.parameters import OWN, given_by, with_parameters
 from usvlearn.logs.read import sources_of
@@ -55,7 +54,7 @@ def test_a_wrong_parameter_is_told_in_one_sentence(wrong):
 
 
 def test_the_example_of_parameters_is_legal_and_so_are_the_defaults():
-    (node,) = yaml.safe_load(ros2.EXAMPLE.read_text()).values()
+    (node,) = yaml.safe_load(shell.EXAMPLE.read_text()).values()
     flat: dict = {}
 
     def flatten(values: dict, prefix: str = "") -> None:
@@ -75,7 +74,7 @@ def test_the_example_of_parameters_is_legal_and_so_are_the_defaults():
 
 def test_parameters_come_before_the_options_of_the_command_line():
     line = ["boat", "--mass", "28", "--keep", "7", "--channel", "surge=/v", "--channel", "surge.unit=knots"]
-    options = options_of(ros2.parser().parse_args(line))
+    options = options_of(shell.parser().parse_args(line))
     given = given_by({"mass": 36.0, "folder": "other", "channels.surge.name": "/odom", "channels.heading.unit": "rad"})
     found = with_parameters(options, given)
     assert (found.mass, found.keep, found.folder) == (36.0, 7, Path("other"))
@@ -83,21 +82,21 @@ def test_parameters_come_before_the_options_of_the_command_line():
 
 
 def test_the_command_prints_its_launch_file_and_its_example(capsys):
-    assert ros2.main(["--launch-file"]) == ros2.main(["--example"]) == 0
+    assert shell.main(["--launch-file"]) == shell.main(["--example"]) == 0
     printed = capsys.readouterr().out
-    assert printed == f"{ros2.LAUNCH}\n{ros2.EXAMPLE.read_text()}"
+    assert printed == f"{shell.LAUNCH}\n{shell.EXAMPLE.read_text()}"
 
 
 def test_without_rclpy_one_sentence_says_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     with pytest.raises(ConfigError, match=r"rclpy cannot be imported.*: source your ROS 2 in this shell"):
-        ros2.main(["boat", "--ros-args", "-p", "mass:=3.0"])
+        shell.main(["boat", "--ros-args", "-p", "mass:=3.0"])
 
 
 def test_the_launch_file_is_one_that_ros_2_finds_and_needs_no_usvlearn():
     """ROS loads it with its own Python, which may not have usvlearn."""
-    assert ros2.LAUNCH == Path(ros2_launch.__file__) and ros2.LAUNCH.name.endswith("launch.py")
-    imported = [node for node in ast.walk(ast.parse(ros2.LAUNCH.read_text())) if isinstance(node, ast.ImportFrom)]
+    assert shell.LAUNCH == Path(ros2_launch.__file__) and shell.LAUNCH.name.endswith("launch.py")
+    imported = [node for node in ast.walk(ast.parse(shell.LAUNCH.read_text())) if isinstance(node, ast.ImportFrom)]
     assert not any((node.module or "").startswith("usvlearn") for node in imported)
 
 

@@ -1,4 +1,5 @@
-"""The projections of `certify.training.projections.project` with w₁ fixed, for one network whose weights lie in one array.
+"""The projections of `certify.training.projections.project` with w₁ fixed, for one network whose weights lie in one
+array.
 
 Where the threshold θ of (1) there is found by sorting, here it is by Michelot's rounds (1986): those that would become
 zero leave the sums until none does, which takes a few passes and no memory.

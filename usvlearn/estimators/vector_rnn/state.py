@@ -17,7 +17,8 @@ e_k = w_k (x̂_{k+1} − x_meas,k+1)/H, d_k = [z_k > 0], and g_H = 0,
     λ_k = e_k + g_{k+1},   ζ_k = d_k ∘ Aᵀ λ_k,   g_k = Rᵀ λ_k + Wᵀ ζ_k, 0 where the samples are not successive,
     ∂L/∂R = Σ λ_k x_kᵀ,   ∂L/∂A = Σ λ_k relu(z_k)ᵀ,   ∂L/∂(W, W₂, b) = Σ ζ_k (x_k, u_k, 1)ᵀ                 (3)
 
-After every step of Adam the weights are projected onto those that contract at κ (`certify.training.vector_projections`):
+After every step of Adam the weights are projected onto those that contract at κ
+(`certify.training.vector_projections`):
 
     max_i t_i |x_i − x'_i|   shrinks by κ with every step, for equal inputs and the same sequence of weights,     (4)
 

@@ -1,0 +1,1 @@
+"""What a node tells people: its status, the page of an operator, and what it publishes."""

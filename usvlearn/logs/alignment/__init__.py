@@ -1,0 +1,1 @@
+"""Alignment: messages of all channels become samples on one time base."""

@@ -1,4 +1,5 @@
-"""Messages to steps of the grid, compiled by numba: the work of `usvlearn.logs.alignment.align.Aligner` for each message.
+"""Messages to steps of the grid, compiled by numba: the work of `usvlearn.logs.alignment.align.Aligner` for each
+message.
 
 Channels are numbered in the order of `CHANNELS`, and causes of a rejection in the order of `CAUSES`.
 """

@@ -1,0 +1,1 @@
+"""Channels: where a quantity lies in a log, its unit, and quantities that follow from others."""

@@ -1,0 +1,1 @@
+"""The formats of logs: a parser each, with one interface."""

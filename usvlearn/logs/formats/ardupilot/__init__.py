@@ -1,0 +1,1 @@
+"""ArduPilot: .bin, and MAVLink telemetry: .tlog."""
