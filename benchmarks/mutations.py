@@ -66,24 +66,40 @@ def named(folder: str, names: str) -> tuple[str, ...]:
 
 GROUPS = {
     "certify": Group(
-        tuple(f"certify/vector_{name}*.py" for name in ("a", "b*e", "c", "e", "f", "l", "p", "r", "sc", "w")),
+        (
+            *(f"certify/*/vector_{name}*.py" for name in ("a", "b*e", "c", "e", "f", "l", "p", "r", "sc")),
+            "certify/networks/vector.py",
+        ),
         18,
-        named(
-            "certify",
-            "vector_exact vector_certificate vector_scaling vector_projections vector_lmi learning vector_box",
+        (
+            *named("certify/proofs", "vector_exact vector_certificate"),
+            *named("certify/search", "vector_scaling"),
+            *named("certify/training", "vector_projections"),
+            *named("certify/search", "vector_lmi vector_box"),
         ),
     ),
     "certify_box": Group(
-        tuple(f"certify/vector_{name}.py" for name in ("box", "box_proof", "box_search", "slopes", "statements")),
+        (
+            *(f"certify/search/vector_{name}.py" for name in ("box", "box_search")),
+            *(f"certify/proofs/vector_{name}.py" for name in ("box_proof", "slopes", "statements")),
+        ),
         8,
-        named("certify", "vector_slopes vector_box steps"),
+        (
+            *named("certify/proofs", "vector_slopes"),
+            *named("certify/search", "vector_box"),
+            *named("certify/proofs", "steps"),
+        ),
     ),
     "live": Group(
-        ("usvlearn/live/*.py",),
+        ("usvlearn/live/*.py", "usvlearn/live/ros2/*.py", "usvlearn/live/status/*.py"),
         10,
-        named("live", "arguments prior systemd ros2 ros2_node ros2_parameters session replay node"),
+        (
+            *named("live", "arguments prior systemd"),
+            *named("live/ros2", "ros2 ros2_node ros2_parameters"),
+            *named("live", "session replay node"),
+        ),
     ),
-    "export": Group(("usvlearn/export/*.py",), 7, named("export", "formats command")),
+    "export": Group(("usvlearn/model/export/*.py",), 7, named("model/export", "formats command")),
     "joint": Group(("usvlearn/estimators/joint/*.py",), 6, named("estimators", "joint identified"), False),
     "forecasts": Group(
         ("usvlearn/estimators/ensemble/forecasts/*.py",),
@@ -96,12 +112,22 @@ GROUPS = {
         False,
     ),
     "logs": Group(
-        ("usvlearn/logs/*.py",),
+        tuple(f"usvlearn/logs/{room}*.py" for room in ("alignment/", "channels/", "formats/", "formats/*/", "")),
         7,
-        named(
-            "logs",
-            "survey topics setup mixing csv_dialects relations velocities derived_surge decompress copies readers "
-            "align read",
+        (
+            *named("logs", "survey"),
+            *named("logs/formats/csv", "topics"),
+            *named("logs", "setup"),
+            *named("logs/alignment", "mixing"),
+            *named("logs/formats/csv", "csv_dialects"),
+            *named("logs/channels", "relations"),
+            *named("logs", "velocities"),
+            *named("logs/channels", "derived_surge"),
+            *named("logs/formats/ros", "decompress"),
+            *named("logs/channels", "copies"),
+            *named("logs/formats", "readers"),
+            *named("logs/alignment", "align"),
+            *named("logs", "read"),
         ),
     ),
 }

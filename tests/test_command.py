@@ -10,8 +10,9 @@ import pytest
 
 import usvlearn
 from tests.support import ROOT
-from usvlearn.__main__ import COMMANDS, main
+from usvlearn.__main__ import main
 from usvlearn.cli.again import again
+from usvlearn.cli.beginning import COMMANDS
 
 
 def usv(*arguments: str, folder: Path) -> subprocess.CompletedProcess:

@@ -17,17 +17,12 @@ from rich.text import Text
 
 from certify.analysis.sweep_rows import ranges, short_keys, short_values
 from certify.display import vector_printed
+from certify.display.marks import MARKS, mark, time_constant
 from certify.errors import folded
 from certify.proofs.exact import CORNER
 from certify.proofs.rounding import above, below
 
 MARGINS = tuple(CORNER)
-MARKS = {
-    "certified": ("✓", "green"),
-    "refuted": ("✗", "red"),
-    "not certified": ("✗", "red"),
-    "unknown": ("?", "yellow"),
-}
 UNLIMITED = 100_000  # columns of a file or a pipe
 FOLDED = 24  # least width, in columns, of a text that may be folded
 GAP = 2
@@ -137,11 +132,6 @@ def _short(paths: Sequence[str]) -> tuple[list[str], str]:
     return names, min(os.path.relpath(shared), shared, key=len)
 
 
-def time_constant(steps: float | None, dt: float | None) -> str:
-    """τ = −1/ln K in steps, or in s, rounded up."""
-    return "–" if steps is None else above(steps * (dt or 1), 3)
-
-
 def _every_place(row: dict[str, Any]) -> str:
     """The equilibria in [0, 1]; where there are none, those outside.
 
@@ -161,11 +151,6 @@ def _places(equilibria: Sequence[dict[str, Any]]) -> str:
         place = f"{each['x']:.3g}" if ends is None else f"{ends[0]:.3g}…{ends[1]:.3g}"
         kinds.setdefault(each["class"], []).append(place)
     return "; ".join(f"{kind} {', '.join(places)}" for kind, places in kinds.items())
-
-
-def mark(verdict: str) -> Text:
-    """The mark of a verdict, in its colour."""
-    return Text(*MARKS[verdict])
 
 
 def _lmi(found: dict[str, Any]) -> Text:

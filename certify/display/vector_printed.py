@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.text import Text
 
+from certify.display.marks import mark, time_constant
 from certify.proofs.rounding import above, below
 from certify.proofs.vector_certificate import CONDITIONS
 
@@ -24,7 +25,6 @@ def table(
         paths: of the networks, shortened.
         dt: s, of a step, to give time constants in s.
     """
-    from certify.display.printed import mark, time_constant
 
     shown = [name for name in CONDITIONS if any(name in row["rates"] for row in rows)]
     stepped, boxed = (any(key in row for row in rows) for key in ("steps", "box"))

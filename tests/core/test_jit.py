@@ -120,8 +120,12 @@ def copied(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("source", "old", "new"),
     [
-        ("signals.py", "PLAUSIBLE = 100.0", "PLAUSIBLE = 101.0"),  # a constant in machine code, in a file without @jit
-        ("family.py", "MOST = 1e-30, 1e30", "MOST = 1e-30, 1e31"),
+        (
+            "core/samples.py",
+            "PLAUSIBLE = 100.0",
+            "PLAUSIBLE = 101.0",
+        ),  # a constant in a file without @jit
+        ("core/family.py", "MOST = 1e-30, 1e30", "MOST = 1e-30, 1e31"),
         ("estimators/aid/kernel.py", "def adapt(", "def adapt("),
         (
             "estimators/aid/state.py",
@@ -131,7 +135,7 @@ def copied(tmp_path, monkeypatch):
         ("estimators/baselines/persistence/kernel.py", "def coast", "def coast"),
         ("estimators/__init__.py", '"least_squares",\n    "aid",', '"aid",\n    "least_squares",'),
         ("engine/chains.py", "def chain(", "def chain("),
-        ("jit.py", '"nogil": True', '"nogil": False'),
+        ("core/jit.py", '"nogil": True', '"nogil": False'),
     ],
 )
 def test_each_state_of_the_sources_has_a_folder_of_its_own(copied, source, old, new):
@@ -148,7 +152,7 @@ def test_each_state_of_the_sources_has_a_folder_of_its_own(copied, source, old, 
 def test_files_that_are_not_in_machine_code_change_no_folder(copied):
     root, folder = copied
     before = folder()
-    for source in ("estimators/aid/layer.py", "online.py", "simulate/missions_kernel.py", "README.md"):
+    for source in ("estimators/aid/layer.py", "engine/online.py", "simulate/missions_kernel.py", "README.md"):
         path = root / source
         path.write_text(f"{path.read_text() if path.exists() else ''}\n# changed\n")
     assert folder() == before
@@ -177,7 +181,7 @@ def test_a_family_declared_in_another_file_is_in_the_folder(copied):
 def test_the_kernels_know_all_families_and_no_layer():
     found = {path.relative_to(compiled.HERE).as_posix() for path in compiled.sources(Path(dispatch.__file__))}
     kernels = {path.relative_to(compiled.HERE).as_posix() for path in compiled.HERE.glob("estimators/**/*kernel.py")}
-    assert kernels | {"signals.py", "family.py", "rows.py", "arrays.py", "jit.py"} <= found
+    assert kernels | {f"core/{name}.py" for name in ("samples", "family", "rows", "arrays", "jit")} <= found
     assert not any("layer" in name for name in found)
 
 

@@ -1,10 +1,24 @@
-"""What a command says before anything that takes long is imported: its help, or on a terminal that it is loading.
+"""The commands, and what they say before anything slow is imported: help, or on a terminal that a command is loading.
 
-It imports nothing, so that its first words come at once.
+It imports nothing of ours, so that its first words come at once.
 """
 
 import sys
 
+COMMANDS = {  # name -> the module whose `main` does it, and what it does
+    "train": ("usvlearn.cli.train", "replay logs through estimators online, save what they learn"),
+    "evaluate": ("usvlearn.cli.evaluate", "judge saved runs, compare the jobs of a sweep, or make a study"),
+    "example": ("usvlearn.cli.example", "write logs of a simulated boat, to try the other commands on"),
+    "inspect": ("usvlearn.cli.inspect", "tell what own logs hold, and write their configuration"),
+    "delay": ("usvlearn.cli.delay", "find the delay from the commands to the speed in own logs"),
+    "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, CSV"),
+    "controller": ("usvlearn.cli.speed_controller", "design a speed controller from what a run has identified"),
+    "plan": ("usvlearn.cli.plan", "tell what to sail next, so that identified quantities become surer"),
+    "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
+    "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
+    "completion": ("usvlearn.cli.completion", "print what lets bash, zsh or fish complete commands and keys"),
+    "certify": ("certify.__main__", "prove whether the networks in parameter sets contract"),
+}
 QUICK = ("live", "certify")  # commands that say something themselves
 ALL = "--help=all"
 HELP = {

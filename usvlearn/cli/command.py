@@ -23,7 +23,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from usvlearn.cli.again import again
-from usvlearn.cli.composition import configs_folder
+from usvlearn.cli.configs import configs_folder
 from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.forgiving import with_keys
 from usvlearn.cli.mistakes import in_one_sentence, known_names

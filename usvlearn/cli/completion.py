@@ -11,6 +11,7 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
+from usvlearn.cli.beginning import COMMANDS
 from usvlearn.cli.without_hydra import run_command
 from usvlearn.errors import ConfigError, did_you_mean
 
@@ -36,8 +37,6 @@ def words() -> dict[str, Words]:
     >>> words()["plan"].options[:2], "estimators.rnn.neurons" in words()["train"].keys
     (('--area', '--boat'), True)
     """
-    from usvlearn.__main__ import COMMANDS
-
     found = {name: Words() for name in COMMANDS}
     for name, (module, _) in COMMANDS.items():
         if parser := getattr(importlib.import_module(module), "parser", None):
@@ -62,7 +61,7 @@ def _configured(name: str) -> Words:
     from hydra import compose, initialize_config_dir
     from omegaconf import OmegaConf
 
-    from usvlearn.cli.composition import configs_folder
+    from usvlearn.cli.configs import configs_folder
     from usvlearn.cli.mistakes import dotted
 
     configs = configs_folder()
@@ -149,8 +148,6 @@ if [ "$funcstack[1]" = _usvlearn ]; then _usvlearn "$@"; else compdef _usvlearn 
 
 
 def _fish(found: Mapping[str, Words]) -> Iterator[str]:
-    from usvlearn.__main__ import COMMANDS
-
     yield "complete -c usvlearn -n __fish_use_subcommand -f"
     for name, each in found.items():
         about = shlex.quote(COMMANDS[name][1])

@@ -3,28 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig, OmegaConf
 
-import usvlearn
+from usvlearn.cli.configs import configs_folder
 from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.settings import check_settings, instantiate
 from usvlearn.logs.channels.channel import Recording
-
-
-def configs_folder() -> Path:
-    """The folder configs/: in an installed package inside it, in a checkout beside it.
-
-    >>> (configs_folder() / "train.yaml").is_file()
-    True
-    """
-    package = Path(usvlearn.__file__).resolve().parent
-    installed = package / "configs"
-    return installed if installed.is_dir() else package.parent / "configs"
 
 
 def recordings_of(data: str, changes: Mapping[str, Any]) -> tuple[Iterable[Recording], dict[str, Any]]:

@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
+from usvlearn.cli.configs import configs_folder
 from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.runs.layout import CHECKPOINTS, RUNS
 
@@ -55,8 +56,6 @@ def _meant(name: str, word: str) -> str:
         raise ConfigError(f"data: found {word!r}{hint_of_data(word)}")
     if "/" in word or path.suffix:
         raise ConfigError(f"data: found {word!r}, but there is no such file: correct the path")
-    from usvlearn.cli.composition import configs_folder  # which imports this module
-
     names = [f"data.{each.stem}" for each in (configs_folder() / "data").glob("*.yaml")]
     hint = did_you_mean(word, names).replace("data.", "data=")
     raise ConfigError(f"{word}: found no value, expected KEY=VALUE, or a file such as my_boat.yaml{hint}")

@@ -94,7 +94,7 @@ def work(arguments: Sequence[str]) -> None:
 
 def _what_to_do(found: Inspected) -> str:
     """What a person can do where a required channel was not found."""
-    from usvlearn.cli.composition import configs_folder
+    from usvlearn.cli.configs import configs_folder
 
     reader, files = found.logs.reader, found.logs.files
     name = "topics.yaml" if files[0].is_dir() and hasattr(reader, "files") else EXAMPLES[type(reader).__name__]

@@ -15,7 +15,7 @@ from usvlearn.core.hyper import numbers
 from usvlearn.core.samples import PLAUSIBLE, Inputs, Sample, masks, tree_map, where
 from usvlearn.errors import ConfigError
 
-State = Any  # a tree (signals.py) of tensors with leaves (*batch, ...)
+State = Any  # a tree (samples.py) of tensors with leaves (*batch, ...)
 
 
 class Estimator(nn.Module, abc.ABC):
