@@ -139,6 +139,7 @@ class Compiled(Protocol[P, R]):
     """A compiled function, which Python calls as the function that it was made from."""
 
     py_func: Callable[..., Any]
+    stats: Any  # numba's counts of what its cache had, and had not
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
         """The function's value."""

@@ -43,6 +43,8 @@ def compile_runs(dtype: np.dtype) -> None:
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         states = np.zeros((1, plan.size), dtype)
         dispatch.run(plan.program, states, numbers, rows, column, False, column, samples, picks, work, 0, 0)
+    if dispatch.run.stats.cache_misses:  # single steps need the same parts, which only this process has at hand
+        compile_steps(dtype)
 
 
 def _smallest(dtype: np.dtype) -> tuple[Plan, np.ndarray, np.ndarray]:

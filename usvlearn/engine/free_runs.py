@@ -1,4 +1,7 @@
-"""Free simulations scored while they run: the sums that `evaluation.crossval` needs, without storing predictions."""
+"""Free simulations, scored piece by piece: the sums that `evaluation.crossval` needs, without storing all predictions.
+
+The steps are those of `dispatch.run`. A loop of its own over the same steps would be compiled for half a minute more.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,17 @@ from functools import cache
 import numpy as np
 
 from usvlearn.core.family import WIDTH
-from usvlearn.core.jit import announced, jit
-from usvlearn.core.rows import DT, LEARN, MODE, PREDICT, ROW, START, SURGE
+from usvlearn.core.jit import NUMBA, announced, jit
+from usvlearn.core.rows import DT, LEARN, MODE, ROW, START, SURGE
 from usvlearn.core.samples import Sample
-from usvlearn.engine.dispatch import Whole, mask_diverged, step, surge_max
+from usvlearn.engine.dispatch import Whole, mask_diverged, run, surge_max
 from usvlearn.engine.first_use import compile_runs
 from usvlearn.engine.leaves import Description
 from usvlearn.engine.program import plan_for
 from usvlearn.engine.run import in_parallel, prepared
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_sleeping, learn_rule
-from usvlearn.estimators.ensemble.state import AT
+
+CHUNK = 4096  # steps of a piece
 
 
 @jit
@@ -33,42 +37,39 @@ def add_up(prediction, surge, limit, learns, total):
 
 
 @jit(entry=True)
-def assess(program, states, others, q, rows, columns, learning, totals, work, first, last):
-    """Lanes first … last − 1 run free; the rules `learning` run once more with states `others`, which go on learning.
+def assess(program, other, q, rows, predictions, learning, total, work):
+    """Score one lane's predictions of a free run, `(steps, names)`.
 
-    `totals` is `(lanes, names + learning, 3)`, and is added to.
+    The rules `learning` run once more with the state `other`, which goes on learning. `total` is
+    `(names + learning, 3)`, and is added to.
     """
-    whole = program[0]
-    n, names, limit = whole[Whole.ESTIMATORS], whole[Whole.NAMES], surge_max(program, q[0])
+    n, names, limit = program[0, Whole.ESTIMATORS], predictions.shape[1], surge_max(program, q)
     awake, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
-    for lane in range(first, last):
-        s, other, numbers, total = states[lane], others[lane], q[lane if len(q) > 1 else 0], totals[lane]
-        predictions = s[whole[AT.predictions] : whole[AT.predictions] + names]
-        for k in range(rows.shape[1]):
-            row = rows[columns[lane], k]
-            learns = row[MODE] == LEARN
-            step(program, s, numbers, row, PREDICT if learns else row[MODE], work)
-            if row[MODE] <= START:
-                continue
-            for i in range(names):
-                add_up(predictions[i], row[SURGE], limit, learns, total[i])
-            mask_diverged(predictions, limit, awake)
-            for i in range(len(learning)):
-                rule = program[1 + n + learning[i]]
-                asleep = fill_sleeping(rule, other, numbers, awake, x)
-                add_up(combine(rule, other, numbers, x), row[SURGE], limit, learns, total[names + i])
-                if learns:
-                    learn_rule(rule, other, numbers, x, asleep, row[SURGE], row[DT], rest)
+    for k in range(len(rows)):
+        row = rows[k]
+        if row[MODE] <= START:
+            continue
+        learns = row[MODE] == LEARN
+        for i in range(names):
+            add_up(predictions[k, i], row[SURGE], limit, learns, total[i])
+        mask_diverged(predictions[k], limit, awake)
+        for i in range(len(learning)):
+            rule = program[1 + n + learning[i]]
+            asleep = fill_sleeping(rule, other, q, awake, x)
+            add_up(combine(rule, other, q, x), row[SURGE], limit, learns, total[names + i])
+            if learns:
+                learn_rule(rule, other, q, x, asleep, row[SURGE], row[DT], rest)
 
 
 @cache
 def compile_free_runs(dtype: np.dtype) -> None:
     """Compile what free runs need, unless that is done or cached on the disk."""
     compile_runs(dtype)
-    none, rows = np.zeros((1, 1), dtype), np.zeros((1, 1, ROW), dtype)
-    column, program = np.zeros(1, np.int64), np.zeros((2, WIDTH), np.int64)
+    if NUMBA.DISABLE_JIT:
+        return
+    none, rows, program = np.zeros(0, dtype), np.zeros((0, ROW), dtype), np.zeros((2, WIDTH), np.int64)
     with announced(__file__, f"kernels of free runs, {dtype}"):
-        assess(program, none, none, none, rows, column, column, rows, none[0], 0, 0)
+        assess(program, none, np.zeros(1, dtype), rows, rows, np.zeros(0, np.int64), rows, none)
 
 
 def free_totals(
@@ -86,13 +87,21 @@ def free_totals(
     """
     plan = plan_for(description, samples.surge.shape[1:], samples.surge.dtype)
     states = plan.pack(leaves)
-    others = states.copy()
-    totals = np.zeros((plan.lanes, plan.program[0, Whole.NAMES] + len(learning), 3), plan.dtype)
-    numbers, rules = plan.numbers, np.asarray(learning, np.int64)
+    others, places = states.copy(), plan.places("predictions").ravel()
+    totals = np.zeros((plan.lanes, len(places) + len(learning), 3), plan.dtype)
+    rules, only = np.asarray(learning, np.int64), np.zeros(1, np.int64)
 
     def some(first: int, last: int) -> None:
-        work = np.empty(plan.work, plan.dtype)
-        assess(plan.program, states, others, numbers, rows, columns, rules, totals, work, first, last)
+        work, made = np.empty(plan.work, plan.dtype), np.empty((1, CHUNK), plan.dtype)
+        kept = np.empty((1, CHUNK, len(places)), plan.dtype)
+        for lane in range(first, last):
+            own = slice(lane, lane + 1)
+            q = plan.numbers[own] if len(plan.numbers) > 1 else plan.numbers
+            for begin in range(0, rows.shape[1], CHUNK):
+                part = rows[columns[own], begin : begin + CHUNK]
+                n = part.shape[1]
+                run(plan.program, states[own], q, part, only, True, places, made[:, :n], kept[:, :n], work, 0, 1)
+                assess(plan.program, others[lane], q[0], part[0], kept[0, :n], rules, totals[lane], work)
 
     compile_free_runs(plan.dtype)
     rows, columns = prepared(samples, plan)
