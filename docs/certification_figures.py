@@ -17,7 +17,7 @@ from scipy.spatial import ConvexHull
 from certify.display.figures import INK, PALE, TIER_COLOURS
 from certify.networks.shallow import ShallowWeights
 from certify.networks.vector import RELU, VectorNetwork, VectorWeights, check, forward
-from certify.proofs import learning, vector_exact, vector_slopes
+from certify.proofs import vector_exact, vector_slopes
 from certify.proofs.box_planes import Box, slope_at
 from certify.proofs.rounding import above, below
 from certify.proofs.vector_slopes import TANH
@@ -288,55 +288,9 @@ def pairs():
     return figure
 
 
-def learn(net: VectorWeights, x: float, u: float, target: float, step: float) -> VectorWeights:
-    """One step of gradient descent on ½ (f(x, u) − target)²."""
-    z = net.W[:, 0] * x + net.W2[:, 0] * u + net.b
-    error = float(net.A[0] @ np.maximum(z, 0)) - target
-    back = error * net.A[0] * (z > 0)
-    return check(net._replace(
-        A=net.A - step * error * np.maximum(z, 0)[None], W=net.W - step * back[:, None] * x,
-        W2=net.W2 - step * back[:, None] * u, b=net.b - step * back,
-    ))  # fmt: skip
-
-
-def learning_runs():
-    """Two networks that learn the same boat, each from its own estimate of the speed, which starts elsewhere."""
-    rng = np.random.default_rng(3)
-    W, W2 = [[0.75], [0.5], [0.5], [-0.5]], [[0.5], [-0.5], [0.25], [1.0]]
-    first = check(VectorWeights(None, [[0.5, -0.25, 0.25, 0.25]], W, W2, np.array([0.1, 0.2, -0.2, 0.1])))
-    nets, x, boat = [first, first], [1.0, 0.0], 1.0
-    weights, states = [], [x]
-    for u in rng.uniform(-1, 1, 80):
-        boat = 0.8 * boat + 0.3 * max(u, 0.0)
-        weights.append(nets)
-        nets, x = (
-            [learn(net, each, u, boat, 0.05) for net, each in zip(nets, x, strict=True)],
-            [float(forward(VectorNetwork("", net), [each], [u])[0]) for net, each in zip(nets, x, strict=True)],
-        )
-        states.append(x)
-    return list(zip(*weights, strict=True)), np.array(states)
-
-
-def learners():
-    """How far two runs that learn different weights come apart, and what is proved."""
-    (first, second), x = learning_runs()
-    box = Box(np.full(2, -1.0), np.ones(2))
-    assert np.abs(x).max() <= 1  # the bound speaks of states in the box
-    distance = np.abs(x[:, 0] - x[:, 1])
-    found = learning.bound(first, second, box, distance[0])
-    figure, (axes,) = panes(1, 3.8)
-    figure.set_figwidth(6)
-    axes.plot(distance, color=PALE, linewidth=1.5, label="|Δ|, two learning runs")
-    axes.plot(found.steps, color=RELU_COLOUR, linewidth=2, label="bound, step by step")
-    axes.axhline(found.limit, color=WARM, linewidth=2, label=f"limit of (12), {above(found.limit, 3)}")
-    axes.set(yscale="log", xlabel="step k", ylabel=r"$|x_k - x'_k|$")
-    legend(figure)
-    return figure
-
-
 FIGURES = {
     "sectors": sectors, "tiers": tiers, "cells": cells, "dual_leaf": dual_leaf, "balls": balls, "steps": steps,
-    "pairs": pairs, "slopes": slopes, "learning": learners,
+    "pairs": pairs, "slopes": slopes,
 }  # fmt: skip
 
 if __name__ == "__main__":
