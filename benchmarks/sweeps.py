@@ -1,4 +1,4 @@
-"""What a sweep costs: lanes in place of jobs, and jobs in two processes in place of plain replays.
+"""What a sweep costs: jobs in two processes in place of plain replays.
 
 python benchmarks/sweeps.py        writes docs/benchmarks/sweeps.md
 
@@ -19,7 +19,6 @@ from pages import publish
 from timing import machine, table
 
 ROOT = Path(__file__).resolve().parents[1]
-SETTINGS, HOURS, JOBS = 512, 30, 3  # lanes; of the season; jobs that are timed
 NEURONS, UNROLLS, SEEDS = (4, 8, 10, 12, 16, 20, 30, 40), (1, 2), 3
 LENGTHS = (1, 10)  # h of the sweep of 48 jobs
 
@@ -32,33 +31,6 @@ def sweep(folder: Path, *arguments: str) -> tuple[float, list[float]]:
     subprocess.run(command, env=environment, check=True, stdout=subprocess.DEVNULL)
     seconds = time.perf_counter() - began
     return seconds, [json.loads(path.read_text())["seconds"] for path in folder.glob("*/results.json")]
-
-
-def lanes(folder: Path) -> list[str]:
-    """Lanes against jobs, of AID."""
-    gains = ",".join(f"{10 ** (-2 + 4 * k / (SETTINGS - 1)):.4g}" for k in range(SETTINGS))
-    few = ",".join(gains.split(",")[:: SETTINGS // JOBS][:JOBS])
-    data = (f"data.hours={HOURS}", "data.mission_minutes=15")
-    batch, _ = sweep(folder / "lanes", f"estimators.aid.gain={gains}", *data, "sweep.lanes=auto")
-    lane = json.loads((folder / "lanes" / "lanes.json").read_text())["jobs"]
-    own = sum(each["results"]["seconds"] for each in lane)
-    _, jobs = sweep(folder / "jobs", f"estimators.aid.gain={few}", *data)
-    job = sum(jobs[1:]) / len(jobs[1:])  # the first one loads what was compiled
-    rows = [
-        ["lanes, the whole command", f"{batch:.1f}", "1"],
-        ["lanes, the batch alone", f"{own:.1f}", f"{own / batch:.2f}"],
-        [f"a job, mean of {len(jobs) - 1}", f"{job:.1f}", f"{job / batch:.2f}"],
-        [f"{SETTINGS} jobs, extrapolated", f"{SETTINGS * job:.0f}", f"{SETTINGS * job / batch:.0f}"],
-    ]
-    return [
-        f"## {SETTINGS} settings of AID over {HOURS} h as lanes",
-        "",
-        "A job replays the default ensemble, and saves its parameters and predictions; a lane is AID alone, and saves",
-        "errors.",
-        "",
-        *table(["", "s", "over the lanes' command"], rows),
-        "",
-    ]
 
 
 def jobs(folder: Path) -> list[str]:
@@ -92,7 +64,7 @@ def jobs(folder: Path) -> list[str]:
 def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         text = ["# Time of sweeps", "", f"Measured by `python benchmarks/sweeps.py` on: {machine()}.", ""]
-        publish(__file__, [*text, *lanes(Path(name)), *jobs(Path(name))])
+        publish(__file__, [*text, *jobs(Path(name))])
 
 
 if __name__ == "__main__":

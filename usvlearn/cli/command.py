@@ -28,7 +28,7 @@ from usvlearn.cli.data_files import with_data_files
 from usvlearn.cli.forgiving import with_keys
 from usvlearn.cli.mistakes import in_one_sentence, known_names
 from usvlearn.cli.stopping import Stopped, in_program, stoppable, stoppable_worker, was_stopped
-from usvlearn.cli.sweep import LanesDone, Sweep, cut_short, end_progress, load
+from usvlearn.cli.sweep import Sweep, cut_short, end_progress, load
 from usvlearn.errors import ConfigError, UsvlearnError, complain, did_you_mean, exit_on_user_error
 from usvlearn.sweeps.launchers import check_launcher
 from usvlearn.sweeps.leaderboard import leaderboard
@@ -90,8 +90,6 @@ def _run(start: Callable[[], None], names: Callable[[str], Sequence[str]]) -> No
     try:
         with _raising(), in_one_sentence(names):
             start()
-    except LanesDone:
-        return
     except (Exception, KeyboardInterrupt, Stopped) as error:
         end_progress()
         if stopped := _stopped_by(error):

@@ -14,7 +14,7 @@ from hydra.errors import InstantiationException
 from omegaconf import DictConfig, OmegaConf
 
 from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.errors import ConfigError, UsvlearnError, check_choice, did_you_mean, under
+from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, under
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.checks.data_check import check_level
 
@@ -36,25 +36,12 @@ def check_settings(cfg: DictConfig) -> None:
             raise ConfigError(f"{name}: found {found}, expected {name}.KEY=VALUE: leave out {name}=… or ~{name}")
     with in_one_sentence():
         settings: Any = OmegaConf.to_container(cfg, resolve=True, throw_on_missing=True)
-    check_lanes((settings.get("sweep") or {}).get("lanes"))
     check_level(settings.get("check"))
     options = [name for name in inspect.signature(Aligner).parameters if name != "channels"]
     for name in settings["align"]:
         if name not in options:
             hint = did_you_mean(f"align.{name}", [f"align.{each}" for each in options])
             raise ConfigError(f"align.{name}: found no such option, expected one of {', '.join(options)}{hint}")
-
-
-def check_lanes(lanes: str | None) -> str:
-    """Whether a sweep may be lanes: "off" or "auto"; settings of older runs do not say.
-
-    Raises:
-        ConfigError: it is neither.
-
-    >>> check_lanes(None)
-    'off'
-    """
-    return check_choice("sweep.lanes", lanes or "off", ("off", "auto"))
 
 
 def instantiate(node: Any, **options: Any) -> Any:

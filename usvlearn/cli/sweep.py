@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
@@ -19,19 +19,15 @@ from omegaconf import DictConfig, OmegaConf
 
 import usvlearn
 from usvlearn.cli.again import again
-from usvlearn.cli.checked import CheckedAlignment
-from usvlearn.cli.composition import plain
 from usvlearn.cli.mistakes import in_one_sentence
-from usvlearn.cli.settings import check_lanes, check_settings, instantiate
 from usvlearn.cli.stopping import defer_signals, end_deferral
 from usvlearn.cli.submitted import wait_for_all
 from usvlearn.core.foreign_yaml import has_alias
 from usvlearn.core.lock import Lock
-from usvlearn.display.terminal import console
 from usvlearn.errors import ConfigError, exit_on_user_error
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.runs.index import check_own
-from usvlearn.sweeps.jobs import LANES, SweepNote, check_sweep, note_sweep, noted_sweep, run_job, write_lanes
+from usvlearn.sweeps.jobs import SweepNote, check_sweep, note_sweep, noted_sweep, run_job
 from usvlearn.sweeps.launchers import check_launcher, prepare_workers
 from usvlearn.sweeps.leaderboard import check_own_board, leaderboard
 from usvlearn.sweeps.progress import Progress
@@ -114,10 +110,6 @@ def as_value(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-class LanesDone(BaseException):
-    """The jobs of a sweep are done as lanes, and Hydra has nothing to start. It is no Exception: Hydra hides those."""
-
-
 class Sweep(Callback):
     """Lock a run's folder; tell the jobs of a sweep, show its leaderboard, and end with code 2 where a job failed."""
 
@@ -144,8 +136,6 @@ class Sweep(Callback):
             swept, jobs = jobs_of(config.hydra)
             check_objective(config, swept)
             note = note_of(config, swept)
-            if as_lanes(config, folder, note, jobs):
-                raise LanesDone
             note_sweep(folder, note)
             prepare_workers(Path(usvlearn.__file__).parents[1])
         Sweep.folder = folder
@@ -178,31 +168,6 @@ def end_progress() -> None:
     if Sweep.progress is not None:
         Sweep.progress.stop()
         Sweep.progress = None
-
-
-def as_lanes(config: DictConfig, folder: Path, note: SweepNote, jobs: Sequence[Mapping[str, str]]) -> bool:
-    """Run the jobs as lanes of one batch if `sweep.lanes=auto` asks for it, and it is possible; whether it was."""
-    if check_lanes(OmegaConf.select(config, "sweep.lanes")) == "off":
-        return False
-    from usvlearn.sweeps.tuning.sweep_lanes import run_lanes, why_not
-
-    own = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
-    settings = plain(own)
-    if (folder / LANES).exists():
-        print(f"finished before: {folder}")
-    elif reason := why_not(settings, note, jobs, instantiate):
-        print(f"sweep.lanes=auto: one job each, because {reason}", flush=True)
-        return False
-    else:
-        check_settings(own)
-        with Lock(folder, "hydra.sweep.dir"):
-            OmegaConf.save(config, folder / "multirun.yaml")
-            shown = console()
-            made = run_lanes(settings, note, jobs, instantiate, CheckedAlignment(settings, shown), shown)
-            note_sweep(folder, note)
-            write_lanes(folder, made)
-    leaderboard(folder, load)
-    return True
 
 
 def cut_short(error: BaseException) -> str | None:

@@ -9,7 +9,7 @@ traceback.txt    of an unexpected error
 In the sweep's folder:
 
 sweep.json       the keys with several values, their values without the sweep, the objective
-lanes.json       the jobs that were run as lanes of one batch (`tuning.sweep_lanes`); they have no folders
+lanes.json       of version 0.2: jobs that were run as lanes of one batch; they have no folders
 """
 
 from __future__ import annotations
@@ -55,14 +55,6 @@ class Job(NamedTuple):
     def failure(self) -> str:
         """Why it has no results; "" if it has."""
         return "" if self.finished else self.results.get("error", "did not finish")
-
-
-class Lane(NamedTuple):
-    """A job that was run as a lane."""
-
-    overrides: list[str]
-    results: dict[str, Any]
-    errors: list[RunError]
 
 
 class SweepNote(NamedTuple):
@@ -256,11 +248,6 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
             results = {"error": _foreign(path, held, overrides)}  # Hydra has already written its records there
         found.append(Job(path, by_key(overrides), results))
     return found
-
-
-def write_lanes(folder: Path, made: Sequence[Lane]) -> None:
-    """Write `lanes.json`."""
-    write_atomically(folder / LANES, json.dumps({"jobs": [each._asdict() for each in made]}).encode())
 
 
 def _lanes(path: Path) -> list[Job]:
