@@ -142,7 +142,7 @@ class Learned:
         scores: boat -> member or rule -> MAE, skill against persistence and others; see
             `usvlearn.evaluation.metrics.scores`.
         alarms: boat -> alarms of lost thrust; see `usvlearn.evaluation.metrics.alarms`.
-        forecast: boat -> estimator -> horizon -> scores; see `usvlearn.evaluation.horizons.horizon_scores`.
+        forecast_scores: boat -> estimator -> horizon -> scores; see `usvlearn.evaluation.horizons.horizon_scores`.
     """
 
     logs: AlignedLogs
@@ -151,7 +151,7 @@ class Learned:
     predictions: tuple[Predictions, ...]
     scores: dict[str, dict[str, dict[str, Any]]]
     alarms: dict[str, list[dict[str, Any]]]
-    forecast: dict[str, dict[str, dict[str, dict[str, Any]]]] = field(default_factory=dict)
+    forecast_scores: dict[str, dict[str, dict[str, dict[str, Any]]]] = field(default_factory=dict)
 
     @property
     def boats(self) -> tuple[str, ...]:
@@ -234,7 +234,7 @@ class Learned:
         from usvlearn.evaluation.members import explained, remarks
         from usvlearn.report.tables import alarm_lines, error_tables, rejection_table
 
-        tables = error_tables(self.scores, remarks(self.ensemble), explained(self.ensemble), self.forecast)
+        tables = error_tables(self.scores, remarks(self.ensemble), explained(self.ensemble), self.forecast_scores)
         return _printed(rejection_table(self.logs.rejected), tables, "\n".join(alarm_lines(self.alarms)))
 
 

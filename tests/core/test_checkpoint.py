@@ -34,6 +34,13 @@ def test_roundtrip_is_exact_and_complete(tmp_path):
     assert list(path.parent.iterdir()) == [path]  # no temporary file is left
 
 
+def test_a_former_name_of_a_method_tells_the_one_of_today():
+    with pytest.raises(AttributeError, match="no attribute 'load': it is named restore now"):
+        Online(RLS()).load  # noqa: B018
+    with pytest.raises(AttributeError, match=r"no attribute 'lode'$"):
+        Online(RLS()).lode  # noqa: B018
+
+
 def test_rnn_weights_keep_their_names(tmp_path):
     path = Online(RNN(6)).save(tmp_path / "rnn.safetensors")
     assert {"weights.a", "weights.w1", "weights.W2", "weights.b"} <= store.load(path)[0].keys()
@@ -98,12 +105,12 @@ def test_unreadable_newest_falls_back_with_a_warning(tmp_path):
         newest = online.save(tmp_path / f"{k:03d}.safetensors", step=k)
     newest.write_bytes(newest.read_bytes()[:-1])
     with pytest.warns(UserWarning, match="002.*trying the one before"):
-        assert online.load(tmp_path)["step"] == 1
+        assert online.restore(tmp_path)["step"] == 1
     assert online.state.surge == 1.0
     for path in store.checkpoints(tmp_path):
         path.write_bytes(b"")
     with pytest.warns(UserWarning), pytest.raises(CheckpointError, match="none of its 3"):
-        online.load(tmp_path)
+        online.restore(tmp_path)
 
 
 WRITER = """

@@ -164,7 +164,7 @@ def told(saved, tmp_path_factory) -> dict[str, str]:
 def test_a_forged_description_is_refused(told, case):
     """By one sentence that begins with the file and names the entry."""
     assert re.search(rf"/{case}.safetensors: (kernel|state)", told[case]) and re.search(FORGED[case][2], told[case])
-    assert len(told[case]) < 600 and told[case].endswith("Online(ESTIMATOR).load(path), with torch")
+    assert len(told[case]) < 600 and told[case].endswith("Online(ESTIMATOR).restore(path), with torch")
 
 
 def nan_at(leaf):

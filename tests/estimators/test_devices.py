@@ -189,9 +189,9 @@ def test_a_boat_learns_on_the_device_of_its_estimator(tmp_path):
     with read_as_ones():
         boat = Online(ensemble.to("meta"), (2,))
         assert boat.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)).tolist() == [1.0, 1.0]
-        assert boat.foresee(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"][0].tolist() == [1.0, 1.0]
+        assert boat.predict_members(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"][0].tolist() == [1.0, 1.0]
         assert boat.forecast([[0.5, 0.5]] * 3, headings=0.0).surge.shape == (3, 2)
-        boat.load(boat.save(tmp_path / "boat.safetensors"))
+        boat.restore(boat.save(tmp_path / "boat.safetensors"))
         assert {leaf.device.type for _, leaf in named_leaves(boat.state)} == {"meta"}
 
 

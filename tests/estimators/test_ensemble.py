@@ -188,12 +188,12 @@ def test_an_interval_is_infinite_before_ten_errors_and_then_what_it_was(backend)
     first = Online(ensemble, backend=backend)
     tracked = conformal_start((), 4, samples.surge)
     inputs = Inputs(0.5, 0.5, 0.0, 0.0, 0.4)
-    assert all(math.isfinite(v) and width == math.inf for v, width in first.foresee(inputs).values())
+    assert all(math.isfinite(v) and width == math.inf for v, width in first.predict_members(inputs).values())
     for k in range(40):
-        foreseen = [width for _, width in first.foresee(inputs).values()]
+        foreseen = [width for _, width in first.predict_members(inputs).values()]
         first.step(tree_map(lambda x, k=k: x[k].item(), samples))
         surges, widths = (
-            torch.tensor(each, dtype=torch.float64) for each in zip(*first.published().values(), strict=True)
+            torch.tensor(each, dtype=torch.float64) for each in zip(*first.last_predictions().values(), strict=True)
         )
         assert widths.tolist() == foreseen
         if k < 10:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from usvlearn.core.protocol import Estimator
     from usvlearn.estimators.joint.reading import Identified
 
+FORMER = {"load": "restore", "published": "last_predictions", "foresee": "predict_members"}  # methods of version 0.2
+
 
 class Online:
     """Keeps a state and learns one sample at a time, without gradients.
@@ -126,7 +128,7 @@ class Online:
         """
         return self._live.leaf(name)
 
-    def published(self) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+    def last_predictions(self) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
         """What each member and rule of an ensemble predicted in the last step, and the half-width of its 90 % interval.
 
         NaN where a member made no prediction; a half-width is infinite before ten measurements.
@@ -135,21 +137,27 @@ class Online:
             ConfigError: the estimator is no ensemble.
 
         >>> from usvlearn import AID, Ensemble, Online
-        >>> list(Online(Ensemble({"aid": AID(mass=28.0)})).published())
+        >>> list(Online(Ensemble({"aid": AID(mass=28.0)})).last_predictions())
         ['aid', 'average']
         """
-        self._need_names("published")
-        return self._by_name(self._live.published())
+        self._need_names("last_predictions")
+        return self._by_name(self._live.last_predictions())
 
-    def foresee(self, inputs: Inputs) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
+    def predict_members(self, inputs: Inputs) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
         """What each would predict of a step with these inputs, likewise; nothing is learned.
 
         >>> from usvlearn import AID, Ensemble, Online
         >>> online = Online(Ensemble({"aid": AID(mass=28.0)}))
-        >>> surge, halfwidth = online.foresee(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"]
+        >>> surge, halfwidth = online.predict_members(Inputs(0.5, 0.5, 0.0, 0.0, 0.4))["aid"]
         """
-        self._need_names("foresee")
-        return self._by_name(self._live.foresee(inputs))
+        self._need_names("predict_members")
+        return self._by_name(self._live.predict_members(inputs))
+
+    if not TYPE_CHECKING:  # to a type checker a name that nothing has is an error
+
+        def __getattr__(self, name: str) -> Any:
+            now = f": it is named {FORMER[name]} now" if name in FORMER else ""
+            raise AttributeError(f"'Online' object has no attribute {name!r}{now}", name=name, obj=self)
 
     def _need_names(self, name: str) -> None:
         if not self.names:
@@ -215,10 +223,10 @@ class Online:
         facts = own | ({} if self.setup is None else {"setup": self.setup}) | metadata
         return checkpoint.save(path, self.state, **facts)
 
-    def load(self, path: str | Path) -> dict[str, Any]:
+    def restore(self, path: str | Path) -> dict[str, Any]:
         """Continue from a saved state (the newest readable one if `path` is a folder); returns its metadata."""
-        restore = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
-        self.state, metadata = restore(path, self.state, self._name)
+        read = checkpoint.restore_newest if Path(path).is_dir() else checkpoint.restore
+        self.state, metadata = read(path, self.state, self._name)
         self.setup = metadata.get("setup", self.setup)
         return metadata
 
@@ -232,7 +240,7 @@ def read_set(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     from usvlearn.engine.check import check, wrong
 
     leaves, facts = checkpoint.load(path)
-    torch = "Online(ESTIMATOR).load(path), with torch"
+    torch = "Online(ESTIMATOR).restore(path), with torch"
     if facts.get("kernel") is None:
         raise CheckpointError(
             f"{path}: does not say how its estimator is built, or it has no compiled code: use {torch}"

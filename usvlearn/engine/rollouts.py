@@ -396,11 +396,11 @@ class Stepper:
     def leaf(self, name: str) -> np.ndarray:
         return self.leaves[name]
 
-    def published(self) -> tuple[np.ndarray, np.ndarray]:
+    def last_predictions(self) -> tuple[np.ndarray, np.ndarray]:
         return self._pair(self.state)
 
     @torch.no_grad()
-    def foresee(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+    def predict_members(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
         check_inputs(inputs, self.batch)
         return self._pair(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[0])
 

@@ -92,12 +92,12 @@ class Live:
             np.copyto(self._spare, self.states)
             return self._advance(self._predictions, inputs, np.nan, True, False)
 
-    def published(self) -> tuple[np.ndarray, np.ndarray]:
+    def last_predictions(self) -> tuple[np.ndarray, np.ndarray]:
         """What an ensemble predicted in the last step, and the half-widths of the intervals, m/s, `(*batch, names)`."""
         with self._lock:
             return self._pair(self.states)
 
-    def foresee(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+    def predict_members(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
         """What an ensemble predicts, and the half-widths, m/s, `(*batch, names)`; the state stays as it is."""
         with self._lock:
             self.predict(inputs)

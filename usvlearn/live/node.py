@@ -203,7 +203,7 @@ class Node:
         self.measured += bool(sample.measured)
         self.steps += made
         self.learned += bool(made and sample.measured)
-        every: Any = self.online.published() if made and self.online.names else {}
+        every: Any = self.online.last_predictions() if made and self.online.names else {}
         members = {name: surge for name, (surge, _) in every.items()}
         width = every[self._output][1] if every else math.nan
         alarms = self._alarms() if made else ()
@@ -228,7 +228,7 @@ class Node:
         if not all(map(math.isfinite, first)):
             return math.nan, math.nan, {}, {}
         if self.online.names:
-            foreseen: Any = self.online.foresee(first)
+            foreseen: Any = self.online.predict_members(first)
             surge, width = foreseen[self._output]
         else:
             surge, width = self.online.predict(first), math.nan

@@ -102,7 +102,7 @@ def test_the_network_is_the_same_in_onnx(boat):
     for _ in range(20):
         surge, left, right, heading = rng.uniform([0, -1, -1, 0], [3, 1, 1, 6.28])
         online.state = {**online.state, "members.rnn.surge": np.array(surge)}
-        expected = online.foresee(Inputs(left, right, heading, 0.0, 0.4))[online.names[place]][0]
+        expected = online.predict_members(Inputs(left, right, heading, 0.0, 0.4))[online.names[place]][0]
         given = (surge, np.sin(heading), np.cos(heading), left, right)
         feeds = {each.name: np.array([x]) for each, x in zip(session.get_inputs(), given, strict=True)}
         assert session.run(None, feeds)[0] == pytest.approx(expected, rel=1e-12, abs=1e-12)
