@@ -219,7 +219,7 @@ def test_resume_from_disk_is_exact(name, batch, tmp_path):
     expected = [whole.step(at(samples, k)) for k in range(20)]
     for k in range(10):
         half.step(at(samples, k))
-    resumed.load(half.save(tmp_path / "a.safetensors"))
+    resumed.restore(half.save(tmp_path / "a.safetensors"))
     found = [resumed.step(at(samples, k)) for k in range(10, 20)]
     np.testing.assert_array_equal(found, expected[10:])
     assert_same(resumed.state, whole.state, rtol=0, atol=0)

@@ -81,9 +81,9 @@ def test_another_schema_is_refused(tmp_path, monkeypatch):
 def test_another_estimator_or_size_is_refused(tmp_path):
     path = Online(RNN(6)).save(tmp_path / "a.safetensors")
     with pytest.raises(CheckpointError, match="'RNN', expected 'AID'"):
-        Online(AID()).load(path)
+        Online(AID()).restore(path)
     with pytest.raises(CheckpointError, match=r"weights.a has the shape \(6,\), expected \(7,\)"):
-        Online(RNN(7)).load(path)
+        Online(RNN(7)).restore(path)
     with pytest.raises(CheckpointError, match=r"lacks .*theta"):
         store.restore(path, AID().init())
 

@@ -183,8 +183,8 @@ def test_checkpoints_are_the_same_from_either(name, batch, tmp_path):
     assert headers["kernel"] == headers["torch"] and len(contents["kernel"]) == len(contents["torch"])
     loaded = [tree_map(torch.from_numpy, store.load(path)[0]) for path in paths.values()]
     assert difference(*loaded) <= 1e-9
-    boats["kernel"].load(paths["torch"])
-    boats["torch"].load(paths["kernel"])
+    boats["kernel"].restore(paths["torch"])
+    boats["torch"].restore(paths["kernel"])
     found = [torch.tensor([online.step(sample) for sample in at[30:40]]) if batch == () else
              torch.stack([torch.from_numpy(online.step(sample)) for sample in at[30:40]])
              for online in boats.values()]  # fmt: skip

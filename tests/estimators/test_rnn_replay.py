@@ -247,7 +247,7 @@ def test_a_member_that_diverged_reads_no_other_memory(tmp_path):
         leaves[f"members.rnn.replay.{name}"] = np.asarray(math.nan)
     path = checkpoint.save(tmp_path / "b.safetensors", leaves, **facts)
     opened, plain = Online.open(path), Online(Ensemble(members), backend="torch")
-    plain.load(path)
+    plain.restore(path)
     for k in range(10, 20):
         sample = at(random_samples(20), k)
         assert opened.step(sample) == pytest.approx(plain.step(sample), rel=1e-12)
