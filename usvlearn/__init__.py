@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.ensemble.combiners.layer import ExponentialWeights as ExponentialWeights
     from usvlearn.estimators.ensemble.combiners.layer import FixedWeights as FixedWeights
     from usvlearn.estimators.ensemble.combiners.layer import RecursiveWeights as RecursiveWeights
-    from usvlearn.estimators.ensemble.forecasts.layer import Forecasts as Forecasts
+    from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings as ForecastSettings
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
     from usvlearn.estimators.joint.layer import JointEKF as JointEKF
     from usvlearn.estimators.least_squares.projected import Projected as Projected
@@ -74,7 +74,7 @@ _HOME = {
     "Acceleration": "estimators.baselines.acceleration.layer",
     "JointEKF": "estimators.joint.layer",
     "Ensemble": "estimators.ensemble.layer",
-    "Forecasts": "estimators.ensemble.forecasts.layer",
+    "ForecastSettings": "estimators.ensemble.forecasts.layer",
     "Bank": "estimators.wrappers.bank",
     "Average": "estimators.ensemble.combiners.layer",
     "FixedWeights": "estimators.ensemble.combiners.layer",

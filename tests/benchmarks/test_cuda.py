@@ -4,14 +4,16 @@ import cuda
 import pytest
 import torch
 
-from usvlearn import AID, BOA, RLS, RNN, Ensemble, Forecasts, JointEKF
+from usvlearn import AID, BOA, RLS, RNN, Ensemble, ForecastSettings, JointEKF
 
 KNOWN = {
     "aid": lambda: AID(28.0),
     "rls": RLS,
     "rnn": lambda: RNN(6, unroll=2, replay_size=7),
     "joint": lambda: JointEKF(2.74, 28.0),
-    "ensemble": lambda: Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=Forecasts((0.4, 2.0))),
+    "ensemble": lambda: Ensemble(
+        {"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4, 2.0))
+    ),
 }
 each_estimator = pytest.mark.parametrize("name", KNOWN)
 

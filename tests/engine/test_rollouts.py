@@ -20,7 +20,7 @@ from usvlearn import (
     Average,
     Bank,
     Ensemble,
-    Forecasts,
+    ForecastSettings,
     Inputs,
     Online,
     Persistence,
@@ -235,7 +235,7 @@ def test_no_lanes_are_no_steps():
 
 
 @pytest.mark.parametrize("make", [
-    lambda: AID(28.0), lambda: Ensemble({"aid": AID(28.0), "rls": RLS()}, forecasts=Forecasts((0.4, 1.0))),
+    lambda: AID(28.0), lambda: Ensemble({"aid": AID(28.0), "rls": RLS()}, forecasts=ForecastSettings((0.4, 1.0))),
 ], ids=["aid", "forecasts"])  # fmt: skip
 def test_hyperparameters_are_mapped_over(make):
     """vmap hands over parameters that no kernel can read."""
@@ -280,7 +280,9 @@ def test_one_number_fits_every_batch_by_either(name):
 
 
 def test_a_forecast_by_torch_is_that_of_the_kernels():
-    boats = [Online(Ensemble({"aid": AID(28.0)}, forecasts=Forecasts((0.4,))), (2,), b) for b in ("torch", "kernel")]
+    boats = [
+        Online(Ensemble({"aid": AID(28.0)}, forecasts=ForecastSettings((0.4,))), (2,), b) for b in ("torch", "kernel")
+    ]
     one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
     found, expected = ([boat.step(one), boat.forecast([[0.5, 0.4]] * 5, 0.1).surge][1] for boat in boats)
     np.testing.assert_allclose(found, expected, rtol=1e-12)

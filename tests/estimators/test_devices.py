@@ -21,7 +21,7 @@ from usvlearn import (
     RNN,
     Ensemble,
     Estimator,
-    Forecasts,
+    ForecastSettings,
     Inputs,
     JointEKF,
     Online,
@@ -47,7 +47,7 @@ def default() -> Ensemble:
 
 def small() -> Ensemble:
     """With forecasts."""
-    return Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=Forecasts((0.4,)))
+    return Ensemble({"aid": AID(28.0), "rnn": RNN(6)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,)))
 
 
 MORE = [  # what the estimators of `ESTIMATORS` leave out: rules, wrappers in wrappers, forecasts, projections
@@ -185,7 +185,9 @@ def test_samples_on_another_device_than_the_state_are_refused():
 
 
 def test_a_boat_learns_on_the_device_of_its_estimator(tmp_path):
-    ensemble = Ensemble({"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=Forecasts((0.4,)))
+    ensemble = Ensemble(
+        {"aid": AID(28.0), "joint": JointEKF(2.7, 28.0)}, {"boa": BOA()}, forecasts=ForecastSettings((0.4,))
+    )
     with read_as_ones():
         boat = Online(ensemble.to("meta"), (2,))
         assert boat.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)).tolist() == [1.0, 1.0]
@@ -204,7 +206,7 @@ def test_stretches_of_arrays_are_sent_to_the_device_of_the_state():
 
 
 def test_a_forecast_is_on_the_device_of_the_state():
-    ensemble = Ensemble({"aid": AID(28.0)}, forecasts=Forecasts((0.4,))).to("meta")
+    ensemble = Ensemble({"aid": AID(28.0)}, forecasts=ForecastSettings((0.4,))).to("meta")
     with read_as_ones():
         ahead = forecast(ensemble, ensemble.init((2,)), away(random_samples(STEPS, 2)).inputs)
     assert all(x.is_meta and x.shape == (STEPS, 2) for x in ahead)

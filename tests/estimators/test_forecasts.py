@@ -15,7 +15,7 @@ from usvlearn import (
     Average,
     Bank,
     Ensemble,
-    Forecasts,
+    ForecastSettings,
     Inputs,
     JointEKF,
     Online,
@@ -43,7 +43,9 @@ def no_gradients():
 def ensemble(**options) -> Ensemble:
     members = {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "aid": AID(28.0), "persistence": Persistence()}
     rules = {"average": Average(), "boa": BOA(["joint", "arx"])}
-    return Ensemble(members, rules, forecasts=Forecasts(**({"horizons": HORIZONS, "members": list(members)} | options)))
+    return Ensemble(
+        members, rules, forecasts=ForecastSettings(**({"horizons": HORIZONS, "members": list(members)} | options))
+    )
 
 
 def plain(steps: int, *batch: int, seed: int = 0) -> Sample:
@@ -151,7 +153,7 @@ def test_after_an_outage_the_ensemble_predicts_with_the_weights_of_that_time():
 
 def test_weights_learn_by_boa_and_widths_by_their_equations():
     """One horizon, one member beside persistence, against the equations of the module in plain Python."""
-    model = Ensemble({"aid": AID(28.0), "persistence": Persistence()}, forecasts=Forecasts((0.8,), overlap=2.0))
+    model = Ensemble({"aid": AID(28.0), "persistence": Persistence()}, forecasts=ForecastSettings((0.8,), overlap=2.0))
     samples = plain(120)
     leaves = ["forecasts.predictions", "forecasts.halfwidths", "forecasts.quantile", "forecasts.error"]
     kept = rollout(model, model.init(), samples, leaves)[2]
@@ -314,7 +316,9 @@ def test_yaw_rates_are_those_of_the_headings():
 def test_an_estimator_without_forecasts_says_what_to_add():
     for estimator in (AID(28.0), Ensemble({"aid": AID(28.0)})):
         for backend in ("auto", "torch"):
-            with pytest.raises(ConfigError, match=r"found an estimator without forecasts, .* forecasts=Forecasts\(\)"):
+            with pytest.raises(
+                ConfigError, match=r"found an estimator without forecasts, .* forecasts=ForecastSettings\(\)"
+            ):
                 Online(estimator, backend=backend).forecast([[0.5, 0.5]], 0.0)
 
 
@@ -341,8 +345,8 @@ def test_options_that_are_not_legal(name):
 def test_a_bank_is_no_member_of_forecasts():
     members = {"bank": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "aid": AID(28.0)}
     with pytest.raises(ConfigError, match=r"forecasts.members: found bank_slow, expected some of aid"):
-        Ensemble(members, forecasts=Forecasts())
-    assert Ensemble(members, forecasts=Forecasts(members=["aid"])).forecasts.names == ("aid",)
+        Ensemble(members, forecasts=ForecastSettings())
+    assert Ensemble(members, forecasts=ForecastSettings(members=["aid"])).forecasts.names == ("aid",)
 
 
 def test_a_custom_estimator_is_forecast_in_torch():
@@ -354,7 +358,7 @@ def test_a_custom_estimator_is_forecast_in_torch():
         def update(self, state, inputs, surge):
             return state._replace(surge=surge)
 
-    model = Ensemble({"slow": Slow()}, forecasts=Forecasts((2.0,)))
+    model = Ensemble({"slow": Slow()}, forecasts=ForecastSettings((2.0,)))
     samples = plain(20)
     found, _ = made(model, samples)
     assert found[7, 0, 0] == pytest.approx(0.9**5 * float(samples.surge[2]))

@@ -10,7 +10,7 @@ import torch
 
 from tests.support.commands import ENVIRONMENT, QUICK, command, results
 from tests.support.configured import request
-from usvlearn import AID, Average, Ensemble, Forecasts, Persistence, rollout
+from usvlearn import AID, Average, Ensemble, ForecastSettings, Persistence, rollout
 from usvlearn.core.samples import masks
 from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.errors import ConfigError
@@ -66,7 +66,9 @@ def test_the_value_of_an_objective_is_that_of_the_results(objective, value, loss
 
 
 def test_what_is_measured_must_be_made(fleet):
-    ensemble = Ensemble({"aid": AID(28.0), "slow": AID(28.0, 0.1)}, forecasts=Forecasts((2.0, 10.0), members=["aid"]))
+    ensemble = Ensemble(
+        {"aid": AID(28.0), "slow": AID(28.0, 0.1)}, forecasts=ForecastSettings((2.0, 10.0), members=["aid"])
+    )
     for objective in ("average.forecast.10", "aid.forecast.2", "slow.skill", "average.free", None):
         check_measure(measure_of(objective, "average"), ensemble, fleet)
     wrong = {
@@ -87,7 +89,7 @@ def test_lanes_measure_forecasts_as_an_ensemble_makes_them(fleet):
     build = request("grid=aid").build
     found = Objective(build, fleet, measure=Measure("", "forecast", 2.0))([{"gain": 0.1}, {"gain": 3.0}])
     for each in found:
-        ensemble = Ensemble({"aid": build(each.setting)}, {"own": Average()}, forecasts=Forecasts((2.0,)))
+        ensemble = Ensemble({"aid": build(each.setting)}, {"own": Average()}, forecasts=ForecastSettings((2.0,)))
         total, count, state = np.zeros(2), np.zeros(2), ensemble.init((2,))
         for run in fleet.runs:
             with torch.no_grad():

@@ -20,8 +20,10 @@ from rich.console import Console
 from tests.support import ROOT
 from usvlearn import AID, Inputs, Online, Robust, Sample
 from usvlearn.cli.settings import instantiate
+from usvlearn.cli.settings import instantiate as instantiate_settings
 from usvlearn.cli.train import train
 from usvlearn.core import checkpoint
+from usvlearn.errors import ConfigError
 from usvlearn.runs.legacy import TARGETS, current
 from usvlearn.runs.saved import configuration
 
@@ -49,8 +51,13 @@ def test_its_settings_make_the_same_estimators():
 @pytest.mark.parametrize("old, new", TARGETS.items())
 def test_every_target_of_before_has_a_name_of_today(old, new):
     module, _, name = new.rpartition(".")
-    assert getattr(__import__(module, fromlist=[name]), name).__name__ == name == old.rpartition(".")[2]
+    assert getattr(__import__(module, fromlist=[name]), name).__name__ == name
     assert current([{"_target_": old, "inner": {"_target_": old}}]) == [{"_target_": new, "inner": {"_target_": new}}]
+
+
+def test_an_old_name_in_a_file_tells_the_new_one():
+    with pytest.raises(ConfigError, match=r"found '.*Forecasts', which is named '.*ForecastSettings' now"):
+        instantiate_settings({"forecasts": {"_target_": "usvlearn.Forecasts"}})
 
 
 def test_it_is_judged(tmp_path):

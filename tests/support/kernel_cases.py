@@ -17,7 +17,7 @@ from usvlearn import (
     Ensemble,
     ExponentialWeights,
     FixedWeights,
-    Forecasts,
+    ForecastSettings,
     Inputs,
     JointEKF,
     Persistence,
@@ -246,7 +246,7 @@ VARIANTS = {
     "forecasts": lambda: Ensemble(
         _three() | {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "still": Persistence(), "bank": _bank()},
         {"average": Average(), "boa": BOA(["joint", "still"])},
-        forecasts=Forecasts((0.4, 1.2, 4.0), ["joint", "rnn", "arx", "still"], memory=3.0, share=0.1),
+        forecasts=ForecastSettings((0.4, 1.2, 4.0), ["joint", "rnn", "arx", "still"], memory=3.0, share=0.1),
     ),
     "forecasts_wrapped": lambda: Ensemble(
         {
@@ -254,7 +254,7 @@ VARIANTS = {
             "robust": Robust(WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL)), surge_dot_max=0.5), threshold=1.0),
             "projected": Projected(SIFtRLS(SurgeDynamics(28.0))), "wild": RNN(6, rate=5.0, stability="none", clip=None),
         },
-        surge_max=1.2, forecasts=Forecasts((2.0,), overlap=2.5),
+        surge_max=1.2, forecasts=ForecastSettings((2.0,), overlap=2.5),
     ),
     "bank_of_aid": lambda: Ensemble({"aid": Bank(AID([20.0, 28.0, 40.0], gain=[0.3, 1.0, 3.0]), ["a", "b", "c"])}),
 }  # fmt: skip
@@ -286,7 +286,7 @@ LONG = {  # one of every family; four lanes, which are settings where hyperparam
     ),
     "forecasts": lambda: Ensemble(
         {"joint": JointEKF(1 + _lanes, 28.0 * _lanes), "aid": AID(28.0 * _lanes), "persistence": Persistence()},
-        {"boa": BOA()}, forecasts=Forecasts((0.4, 2.0, 5.2), overlap=3),
+        {"boa": BOA()}, forecasts=ForecastSettings((0.4, 2.0, 5.2), overlap=3),
     ),
     "ensemble": lambda: Ensemble(
         {"rls": RLS(forgetting=1 - 0.01 * _lanes), "bank": _bank(), "rnn": RNN(6), "persistence": Persistence()},

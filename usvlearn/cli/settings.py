@@ -17,6 +17,7 @@ from usvlearn.cli.mistakes import in_one_sentence
 from usvlearn.errors import ConfigError, UsvlearnError, did_you_mean, under
 from usvlearn.logs.alignment.align import Aligner
 from usvlearn.logs.checks.data_check import check_level
+from usvlearn.runs.legacy import TARGETS
 
 if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
@@ -108,6 +109,8 @@ def _retell(error: InstantiationException, names: set[str]) -> NoReturn:
         name = f"{place}{argument[1]}"
         raise ConfigError(f"{name}: {target} has no such argument{did_you_mean(name, known)}") from error
     if "Error locating target" in text:
+        if target in TARGETS:
+            raise ConfigError(f"{place}_target_: found {target!r}, which is named {TARGETS[target]!r} now") from error
         module, _, name = target.rpartition(".")
         hint = did_you_mean(name, vars(pydoc.locate(module) or type).keys())
         raise ConfigError(f"{place}_target_: found {target!r}, which cannot be imported{hint}") from error

@@ -18,7 +18,7 @@ LEAST_DT, MOST_DT, MOST_STEPS = 0.01, 2.0, 100_000  # s, s; steps of a plan
 HEADING, YAW_RATE = 1e5, 10.0  # rad, rad/s, at most
 NONE = (
     "forecast: found an estimator without forecasts, expected an ensemble that makes them: "
-    "Ensemble(…, forecasts=Forecasts()), or one of the default configuration"
+    "Ensemble(…, forecasts=ForecastSettings()), or one of the default configuration"
 )
 
 

@@ -46,7 +46,7 @@ def step_frozen(program, node, slot, q, row, limit, x, work):
 
 @jit
 def forget_forecasts(node, s, q):
-    """`Forecasts.start`."""
+    """`ForecastSettings.start`."""
     H = node[Choice.HORIZONS]
     fill(s[node[AT.elapsed] : node[AT.elapsed] + node[Choice.SLOTS]], EMPTY)
     copy(s[node[AT.since] : node[AT.since] + H], q[node[Vector.HORIZONS] : node[Vector.HORIZONS] + H])
@@ -55,7 +55,7 @@ def forget_forecasts(node, s, q):
 
 @jit
 def forecast_step(program, node, s, q, row, learns, limit, work):
-    """`Forecasts.step`, in place."""
+    """`ForecastSettings.step`, in place."""
     slots, H, M = node[Choice.SLOTS], node[Choice.HORIZONS], node[Choice.MEMBERS]
     begin, block = node[WIDTH], node[Node.SIZE]
     horizons, half, x, rest = q[node[Vector.HORIZONS] :], row[DT] / 2, work[:M], work[M:]

@@ -181,8 +181,8 @@ class Online:
             ConfigError: a number is outside its legal range, or the estimator makes no forecasts.
             ShapeError: the arrays do not fit each other.
 
-        >>> from usvlearn import AID, Ensemble, Forecasts, Online
-        >>> online = Online(Ensemble({"aid": AID(mass=28.0)}, forecasts=Forecasts()))
+        >>> from usvlearn import AID, Ensemble, ForecastSettings, Online
+        >>> online = Online(Ensemble({"aid": AID(mass=28.0)}, forecasts=ForecastSettings()))
         >>> found = online.forecast([[0.5, 0.5]] * 75, headings=0.0)
         >>> found.surge.shape, float(found.high[-1])  # no interval before the first measurements
         ((75,), inf)

@@ -117,8 +117,8 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
         ConfigError: the estimator makes no forecasts, or a number is outside its legal range.
         ShapeError: the inputs do not fit each other.
 
-    >>> from usvlearn import AID, Ensemble, Forecasts, Inputs
-    >>> ensemble = Ensemble({"aid": AID(mass=28.0)}, forecasts=Forecasts())
+    >>> from usvlearn import AID, Ensemble, ForecastSettings, Inputs
+    >>> ensemble = Ensemble({"aid": AID(mass=28.0)}, forecasts=ForecastSettings())
     >>> t = torch.full((75, 8), 0.5, dtype=torch.float64)
     >>> forecast(ensemble, ensemble.init((8,)), Inputs(t, t, 0 * t, 0 * t, 0 * t + 0.4)).surge.shape
     torch.Size([75, 8])

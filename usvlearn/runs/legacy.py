@@ -19,6 +19,7 @@ TARGETS = {  # of several names of one class the last is the first one that it h
     **{f"usvlearn.logs.{old}.{name}": f"usvlearn.logs.{new}.{name}" for name, (old, new) in _READERS.items()},
     **{f"usvlearn.estimators.{old}.{name}": f"usvlearn.{name}" for old, names in _PUBLIC.items() for name in names},
     "usvlearn.logs.table.Table": "usvlearn.logs.formats.csv.table.Table",
+    "usvlearn.Forecasts": "usvlearn.ForecastSettings",
     "usvlearn.logs.fleet.align_fleet": "usvlearn.logs.recordings.align_fleet",
 }
 MEMBERS = {"sift_map": "rls"}  # of the default ensemble, the name of today and the first one

@@ -15,7 +15,7 @@ from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, under
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
 from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step, published
-from usvlearn.estimators.ensemble.forecasts.layer import Forecasts
+from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
 from usvlearn.estimators.wrappers.bank import Bank
@@ -60,7 +60,7 @@ class Ensemble(Estimator):
         coverage: float = 0.9,
         surge_max: float = 10.0,
         watched: bool = True,
-        forecasts: Forecasts | None = None,
+        forecasts: ForecastSettings | None = None,
     ):
         super().__init__()
         rules: Mapping[str, Combiner] = {"average": Average()} if combiners is None else dict(combiners)

@@ -22,7 +22,7 @@ from usvlearn.core.samples import Fleet, named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout, simulate, tensors
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.combiners.layer import Average
-from usvlearn.estimators.ensemble.forecasts.layer import Forecasts
+from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.estimators.wrappers.bank import Bank
@@ -196,7 +196,7 @@ def lane_errors(
     batch, first = (*settings, len(fleet.boats)), middle(fleet.runs) if measure.kind == FREE else 0
     if measure.kind == FORECAST:
         own = next(chain(estimator.parameters(), estimator.buffers()), torch.zeros(()))
-        ahead = Forecasts((measure.horizon,))
+        ahead = ForecastSettings((measure.horizon,))
         estimator = Ensemble({"member": estimator}, {"own": Average()}, watched=False, forecasts=ahead)
         ahead.to(own.device)
     length = max(1, min(CHUNK_STEPS, CHUNK_CELLS // math.prod(batch)))

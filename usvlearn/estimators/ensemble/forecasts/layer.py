@@ -19,7 +19,7 @@ from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.ensemble.forecasts.state import ForecastState
 
 
-class Forecasts(nn.Module):
+class ForecastSettings(nn.Module):
     """Free runs of an ensemble's members from regular origins; weighs them, and makes intervals, for each horizon.
 
     Args:
@@ -33,7 +33,7 @@ class Forecasts(nn.Module):
         share: of the weight that goes to the members equally at every loss, 0 … 1.
 
     >>> from usvlearn import AID, Ensemble, Persistence
-    >>> ensemble = Ensemble({"aid": AID(), "persistence": Persistence()}, forecasts=Forecasts((0.4, 10.0)))
+    >>> ensemble = Ensemble({"aid": AID(), "persistence": Persistence()}, forecasts=ForecastSettings((0.4, 10.0)))
     >>> ensemble.init((8,)).forecasts.weights.shape  # (boats, slots, horizons, members)
     torch.Size([8, 11, 2, 2])
     """
