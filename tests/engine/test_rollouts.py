@@ -33,7 +33,7 @@ from usvlearn import (
 )
 from usvlearn.core import checkpoint as store
 from usvlearn.core.samples import tree_map
-from usvlearn.engine.rollouts import choose
+from usvlearn.engine.backend import choose
 from usvlearn.errors import ConfigError
 
 

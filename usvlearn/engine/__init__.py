@@ -12,7 +12,9 @@ they build on each other:
     program       from a specification (`Estimator.spec`) to the table, the numbers and the places of the leaves
     check         checks a specification and a state from a file
     first_use     compiles what runs and live steps need together
-    run, live, free_runs    runs over samples, single steps, scored simulations: what the rest of the library calls
+    run, single_steps, free_runs    runs over samples, single steps, scored simulations, of arrays
+    backend, torch_steps    who makes the steps, and single steps by torch
+    rollouts, online, identified    what the rest of the library calls
 """
 
 from collections.abc import Mapping

@@ -52,7 +52,7 @@ class Online:
 
     def __init__(self, estimator: Estimator, batch: Sequence[int] = (), backend: str = "auto"):
         from usvlearn.core.protocol import spec_of
-        from usvlearn.engine.rollouts import Stepper, live
+        from usvlearn.engine.torch_steps import Stepper, live
 
         self._template: Stepper | None = Stepper(estimator, batch)  # torch's steps, and the shape of the state
         self._name, self.description = type(estimator).__name__, spec_of(estimator)

@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
-from torch.autograd.forward_ad import unpack_dual
 
 from usvlearn.core.plans import NONE, Forecast, check_plan
-from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean, spec_of
+from usvlearn.core.protocol import EVERY, Estimator, Kinds, State, Step, advance, clean
 from usvlearn.core.samples import (
     Inputs,
     Sample,
-    check_inputs,
-    check_sample,
     named_leaves,
-    one_number,
-    rebuild,
     tree_map,
 )
-from usvlearn.engine.kinds import compilable
-from usvlearn.errors import ConfigError, ShapeError, check_choice
+from usvlearn.engine.backend import array_of, arrays_of, choose, is_transformed, tensors_in, tree_of
+from usvlearn.errors import ConfigError, ShapeError
 
-BACKENDS = ("auto", "torch", "kernel")
 CHUNK = 256  # most steps whose whole states are held at a time, for a `record` that is a function,
 CELLS = 2**24  # and most numbers in those states
 Record = Callable[[Any], Any] | Sequence[str]
@@ -125,7 +118,7 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
     """
     if not hasattr(estimator, "forecast"):
         raise ConfigError(NONE)
-    check_plan(Inputs(*map(_array, inputs)), tuple(state.predictions.shape[:-1]))
+    check_plan(Inputs(*map(array_of, inputs)), tuple(state.predictions.shape[:-1]))
     surge, width = estimator.forecast(state, inputs)
     return Forecast(inputs.dt.cumsum(0), surge, surge - width, surge + width)
 
@@ -148,9 +141,9 @@ def stretches(
     """
     from usvlearn.engine.run import roll
 
-    leaves, first = _arrays(state), True
+    leaves, first = arrays_of(state), True
     dtype = next(leaf.dtype for leaf in leaves.values() if leaf.dtype != bool)
-    device = next(_leaves(state)).device
+    device = next(tensors_in(state)).device
     for part in samples:
         part = tree_map(lambda x: x if x.dtype == bool else x.astype(dtype, copy=False), part)
         with torch.no_grad():
@@ -159,10 +152,10 @@ def stretches(
                 description, first = choose(estimator, state, whole, "auto"), False
             if description is not None:
                 leaves, _, kept = roll(description, leaves, part, record=record, threads=torch.get_num_threads())
-                state = _tree(state, leaves)
+                state = tree_of(state, leaves)
             else:
                 state, _, named = rollout(estimator, state, _moved(part, device), record, backend="torch")
-                kept = tree_map(_array, named)
+                kept = tree_map(array_of, named)
         yield state, kept
 
 
@@ -184,7 +177,7 @@ def _run(
     kinds = steps.learns, steps.steps & ~steps.learns, steps.starts, holds
     occur = torch.stack([mask.reshape(len(mask), -1).any(1) for mask in kinds], 1)
     # Read once for all steps, because reading waits for an accelerator; where there are no values, all are assumed.
-    known = not occur.is_meta and not _is_transformed(occur)
+    known = not occur.is_meta and not is_transformed(occur)
     some = [Kinds(*each) for each in occur.tolist()] if known else [EVERY] * len(occur)
     predictions, records = [], []
     for k, step in enumerate(_unbind(steps)):
@@ -249,34 +242,18 @@ def _check(state: State, samples: Sample) -> None:
             )
 
 
-def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> dict[str, Any] | None:
-    """The specification that the kernels run (`Estimator.spec`), or None where torch makes the steps.
-
-    Raises:
-        ConfigError: the backend is unknown, or is "kernel" where the kernels cannot run.
-    """
-    if check_choice("backend", backend, BACKENDS) == "torch":
-        return None
-    own = [*estimator.parameters(), *estimator.buffers()]
-    tensors = [*_leaves(state), *_leaves(samples), *own]
-    obstacle = _out_of_reach(tensors) or _derivative(tensors)
-    if not obstacle and samples.surge.numel() == 0:
-        obstacle = "there are no lanes"
-    return _description(estimator, obstacle, backend)
-
-
 def run(
     description: dict[str, Any], state: Any, samples: Sample, record: Record | None, free: bool
 ) -> tuple[Any, Tensor, Any]:
     """`rollout`, or `simulate` (`free`), by the kernels."""
     from usvlearn.engine.run import roll
 
-    leaves, arrays = _arrays(state), tree_map(_array, samples)
+    leaves, arrays = arrays_of(state), tree_map(array_of, samples)
     threads = torch.get_num_threads()
     if not callable(record):
         leaves, predictions, kept = roll(description, leaves, arrays, free, record or (), threads)
         named = {name: torch.from_numpy(x) for name, x in kept.items()}
-        return _tree(state, leaves), torch.from_numpy(predictions), None if record is None else named
+        return tree_of(state, leaves), torch.from_numpy(predictions), None if record is None else named
     parts, records = [], []
     steps = max(1, min(CHUNK, CELLS // sum(x.size for x in leaves.values())))
     for begin in range(0, len(arrays.surge), steps):
@@ -284,8 +261,8 @@ def run(
         leaves, predictions, kept = roll(description, leaves, part, free, tuple(leaves), threads)
         parts.append(torch.from_numpy(predictions))
         for k in range(len(predictions)):
-            records.append(record(_tree(state, {name: x[k] for name, x in kept.items()})))
-    return _tree(state, leaves), torch.cat(parts), stack(records)
+            records.append(record(tree_of(state, {name: x[k] for name, x in kept.items()})))
+    return tree_of(state, leaves), torch.cat(parts), stack(records)
 
 
 def stack(trees: Sequence[Any]) -> Any:
@@ -302,147 +279,5 @@ def free_totals(description: dict[str, Any], state: Any, samples: Sample, learni
     from usvlearn.engine import free_runs
 
     return free_runs.free_totals(
-        description, _arrays(state), tree_map(_array, samples), learning, torch.get_num_threads()
+        description, arrays_of(state), tree_map(array_of, samples), learning, torch.get_num_threads()
     )
-
-
-def _array(x: Tensor) -> np.ndarray:
-    """A tensor as an array that shares its memory where it can."""
-    return x.detach().cpu().resolve_neg().numpy()  # numpy(force=True) takes ten times as long
-
-
-def _arrays(state: Any) -> dict[str, np.ndarray]:
-    """A state's leaves as arrays, by dotted name."""
-    return {name: _array(leaf) for name, leaf in named_leaves(state)}
-
-
-def _tree(template: Any, leaves: dict[str, np.ndarray], device: torch.device | None = None) -> Any:
-    """A state like the template, from leaves by dotted name."""
-    return rebuild(template, {name: torch.as_tensor(leaf, device=device) for name, leaf in leaves.items()})
-
-
-def _description(estimator: Estimator, obstacle: str | None, backend: str) -> dict[str, Any] | None:
-    """The specification that the kernels run; where they cannot, None, or a ConfigError if they were asked for."""
-    if not obstacle and importlib.util.find_spec("numba") is None:
-        obstacle = "numba is not installed (pip install numba)"
-    description = None if obstacle else spec_of(estimator)
-    if not obstacle and not compilable(description):
-        obstacle = f"{type(estimator).__name__}, or a part of it, has no compiled kernel"
-    if backend == "kernel" and obstacle:
-        raise ConfigError(f"backend: found kernel, but {obstacle}: use auto or torch")
-    return None if obstacle else description
-
-
-def _out_of_reach(tensors: Sequence[Tensor]) -> str | None:
-    """Why the kernels cannot read these numbers, if they cannot."""
-    if any(map(_is_transformed, tensors)):
-        return "torch transforms this function"
-    if any(x.device.type != "cpu" for x in tensors):
-        return "not all tensors are on the CPU"
-    dtypes = {x.dtype for x in tensors if x.is_floating_point()}
-    if dtypes not in ({torch.float64}, {torch.float32}):
-        return f"the numbers are {' and '.join(sorted(map(str, dtypes)))}"
-    return None
-
-
-def _is_transformed(x: Tensor) -> bool:
-    """Whether `torch.func` maps over a tensor or differentiates by it, or `torch.compile` traces."""
-    wrapped = torch._C._functorch.is_functorch_wrapped_tensor  # pyright: ignore  # torch has no stub of this module
-    return torch.compiler.is_compiling() or bool(wrapped(x))
-
-
-def _derivative(tensors: Sequence[Tensor]) -> str | None:
-    """Which derivative is asked for, so that torch must make the steps, if one is."""
-    if torch.is_grad_enabled() and any(x.requires_grad for x in tensors):
-        return "a gradient is asked for (inside torch.no_grad() none is)"
-    if any(x.is_floating_point() and unpack_dual(x).tangent is not None for x in tensors):
-        return "a forward derivative is asked for"
-    return None
-
-
-class Stepper:
-    """The steps of one state by torch, without gradients, on numbers of any type; as `engine.single_steps.Live`."""
-
-    def __init__(self, estimator: Estimator, batch: Sequence[int]):
-        self.estimator, self.batch = estimator, tuple(batch)
-        self.state = tree_map(Tensor.detach, estimator.init(batch))
-        self._like = next(leaf for leaf in _leaves(self.state) if leaf.is_floating_point())
-
-    @property
-    def leaves(self) -> dict[str, np.ndarray]:
-        return _arrays(self.state)
-
-    @leaves.setter
-    def leaves(self, leaves: dict[str, np.ndarray]) -> None:
-        self.state = self.tree(leaves)
-
-    def tree(self, leaves: dict[str, np.ndarray]) -> Any:
-        """A state like its own, from leaves by dotted name."""
-        return _tree(self.state, leaves, self._like.device)
-
-    @torch.no_grad()
-    def predict(self, inputs: Inputs) -> float | np.ndarray:
-        check_inputs(inputs, self.batch)
-        return _plain(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[1])
-
-    @torch.no_grad()
-    def step(self, sample: Sample) -> float | np.ndarray:
-        check_sample(sample, self.batch)
-        inputs, surge, fresh, measured = sample
-        sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
-        self.state, predicted = self.estimator(self.state, sample)
-        return _plain(predicted)
-
-    def leaf(self, name: str) -> np.ndarray:
-        return self.leaves[name]
-
-    def last_predictions(self) -> tuple[np.ndarray, np.ndarray]:
-        return self._pair(self.state)
-
-    @torch.no_grad()
-    def predict_members(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-        check_inputs(inputs, self.batch)
-        return self._pair(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[0])
-
-    @staticmethod
-    def _pair(state: Any) -> tuple[np.ndarray, np.ndarray]:
-        return _array(state.predictions), _array(state.halfwidths)
-
-    @torch.no_grad()
-    def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-        estimator: Any = self.estimator
-        if not hasattr(estimator, "forecast"):
-            raise ConfigError(NONE)
-        plan = Inputs(*(torch.tensor(x, dtype=self._like.dtype, device=self._like.device) for x in inputs))
-        surge, width = estimator.forecast(self.state, plan)
-        return _array(surge), _array(width)
-
-    def _float(self, value: Any) -> Tensor:
-        return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device).expand(self.batch)
-
-    def _bool(self, value: Any) -> Tensor:
-        return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device).expand(self.batch)
-
-
-def live(estimator: Estimator, state: Any, backend: str) -> Any:
-    """An `engine.single_steps.Live` of a state, or None where torch has to make the steps.
-
-    Raises:
-        ConfigError: as `choose`.
-    """
-    if check_choice("backend", backend, BACKENDS) == "torch":
-        return None
-    obstacle = _out_of_reach([*_leaves(state), *estimator.parameters(), *estimator.buffers()])
-    if (description := _description(estimator, obstacle, backend)) is None:
-        return None
-    from usvlearn.engine.single_steps import Live
-
-    return Live(description, _arrays(state))
-
-
-def _plain(predicted: Tensor) -> float | np.ndarray:
-    return _array(predicted) if predicted.ndim else predicted.item()
-
-
-def _leaves(tree: Any) -> Iterator[Tensor]:
-    return (leaf for _, leaf in named_leaves(tree))

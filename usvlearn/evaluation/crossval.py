@@ -23,7 +23,8 @@ from torch import Tensor
 
 from usvlearn.core.protocol import clean
 from usvlearn.core.samples import Inputs, Sample, masks, named_leaves, tree_map, where
-from usvlearn.engine.rollouts import choose, free_totals, simulate
+from usvlearn.engine.backend import choose
+from usvlearn.engine.rollouts import free_totals, simulate
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
 

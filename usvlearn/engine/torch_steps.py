@@ -1,0 +1,100 @@
+"""Single steps of one state by torch, for estimators without compiled code, and the choice between the two."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from usvlearn.core.plans import NONE
+from usvlearn.core.protocol import Estimator
+from usvlearn.core.samples import Inputs, Sample, check_inputs, check_sample, one_number, tree_map
+from usvlearn.engine.backend import BACKENDS, array_of, arrays_of, description_of, out_of_reach, tensors_in, tree_of
+from usvlearn.errors import ConfigError, check_choice
+
+
+class Stepper:
+    """The steps of one state by torch, without gradients, on numbers of any type; as `engine.single_steps.Live`."""
+
+    def __init__(self, estimator: Estimator, batch: Sequence[int]):
+        self.estimator, self.batch = estimator, tuple(batch)
+        self.state = tree_map(Tensor.detach, estimator.init(batch))
+        self._like = next(leaf for leaf in tensors_in(self.state) if leaf.is_floating_point())
+
+    @property
+    def leaves(self) -> dict[str, np.ndarray]:
+        return arrays_of(self.state)
+
+    @leaves.setter
+    def leaves(self, leaves: dict[str, np.ndarray]) -> None:
+        self.state = self.tree(leaves)
+
+    def tree(self, leaves: dict[str, np.ndarray]) -> Any:
+        """A state like its own, from leaves by dotted name."""
+        return tree_of(self.state, leaves, self._like.device)
+
+    @torch.no_grad()
+    def predict(self, inputs: Inputs) -> float | np.ndarray:
+        check_inputs(inputs, self.batch)
+        return _plain(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[1])
+
+    @torch.no_grad()
+    def step(self, sample: Sample) -> float | np.ndarray:
+        check_sample(sample, self.batch)
+        inputs, surge, fresh, measured = sample
+        sample = Sample(Inputs(*map(self._float, inputs)), self._float(surge), self._bool(fresh), self._bool(measured))
+        self.state, predicted = self.estimator(self.state, sample)
+        return _plain(predicted)
+
+    def leaf(self, name: str) -> np.ndarray:
+        return self.leaves[name]
+
+    def last_predictions(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._pair(self.state)
+
+    @torch.no_grad()
+    def predict_members(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+        check_inputs(inputs, self.batch)
+        return self._pair(self.estimator.predict(self.state, Inputs(*map(self._float, inputs)))[0])
+
+    @staticmethod
+    def _pair(state: Any) -> tuple[np.ndarray, np.ndarray]:
+        return array_of(state.predictions), array_of(state.halfwidths)
+
+    @torch.no_grad()
+    def forecast(self, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
+        estimator: Any = self.estimator
+        if not hasattr(estimator, "forecast"):
+            raise ConfigError(NONE)
+        plan = Inputs(*(torch.tensor(x, dtype=self._like.dtype, device=self._like.device) for x in inputs))
+        surge, width = estimator.forecast(self.state, plan)
+        return array_of(surge), array_of(width)
+
+    def _float(self, value: Any) -> Tensor:
+        return torch.as_tensor(one_number(value), dtype=self._like.dtype, device=self._like.device).expand(self.batch)
+
+    def _bool(self, value: Any) -> Tensor:
+        return torch.as_tensor(one_number(value), dtype=torch.bool, device=self._like.device).expand(self.batch)
+
+
+def live(estimator: Estimator, state: Any, backend: str) -> Any:
+    """An `engine.single_steps.Live` of a state, or None where torch has to make the steps.
+
+    Raises:
+        ConfigError: as `choose`.
+    """
+    if check_choice("backend", backend, BACKENDS) == "torch":
+        return None
+    obstacle = out_of_reach([*tensors_in(state), *estimator.parameters(), *estimator.buffers()])
+    if (description := description_of(estimator, obstacle, backend)) is None:
+        return None
+    from usvlearn.engine.single_steps import Live
+
+    return Live(description, arrays_of(state))
+
+
+def _plain(predicted: Tensor) -> float | np.ndarray:
+    return array_of(predicted) if predicted.ndim else predicted.item()
