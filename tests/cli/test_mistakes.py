@@ -41,7 +41,6 @@ MISTAKES = {
     "no value": (["foo"], ["foo", "KEY=VALUE"]),
     "sweep without -m": (["align.dt=0.3,0.4"], ["align.dt=0.3,0.4", "-m"]),
     "flag": (["--multirnu"], ["--multirnu", "did you mean --multirun?"]),
-    "a flag between": (["--run", "align.dt=1", "--resolve", "threads=2"], ["threads=2", "put all flags before"]),
     "two flags": (["--run", "--multirun"], ["--run, --multirun"]),
     "flag without its value": (["--cfg"], ["--cfg", "expected one argument"]),
     "file": (["--config-name", "trian"], ["--config-name", "'trian'", "did you mean train?"]),

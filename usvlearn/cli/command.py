@@ -52,6 +52,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], Any]], Callable[[], N
         @functools.wraps(task)
         def main() -> None:
             with exit_on_user_error(), stoppable():
+                sys.argv[1:] = flags_first(sys.argv[1:])
                 if name == "train":
                     sys.argv[1:] = with_seeds(sys.argv[1:])
                 sys.argv[1:] = with_data_files(with_keys(name, sys.argv[1:], parse(sys.argv[1:]).overrides))
@@ -151,9 +152,19 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
 
     def refuse(message: str) -> NoReturn:
         wrong = re.search(r"unrecognized arguments: (\S+)", message)
-        if wrong and not wrong[1].startswith("-"):
-            raise ConfigError(f"{message}: put all flags before KEY=VALUE, or behind")
         raise ConfigError(f"{message}{(wrong and did_you_mean(wrong[1], flags)) or ': see the flags by --hydra-help'}")
 
     parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
-    return parser.parse_args(arguments)
+    return parser.parse_intermixed_args(arguments)
+
+
+def flags_first(arguments: Sequence[str]) -> list[str]:
+    """The arguments, flags before overrides: Hydra reads no flag between two overrides.
+
+    >>> flags_first(["align.dt=0.2,0.4", "-m", "seeds=5"])
+    ['-m', 'align.dt=0.2,0.4', 'seeds=5']
+    """
+    overrides, flags = parse(arguments).overrides, list(arguments)
+    for each in overrides:
+        flags.remove(each)
+    return [*flags, *overrides]
