@@ -118,7 +118,7 @@ def test_what_is_no_set_or_does_not_say_how_it_is_built_is_refused(sets, tmp_pat
     leaves, facts = checkpoint.load(sorted(sets.glob("*.safetensors"))[-1])
     del facts["kernel"]
     unsaid = checkpoint.save(tmp_path / "unsaid.safetensors", leaves, **facts)
-    with pytest.raises(CheckpointError, match=r"does not say how .*: use Online\(ESTIMATOR\).load"):
+    with pytest.raises(CheckpointError, match=r"does not say how .*: use Online\(ESTIMATOR\).restore"):
         Online.open(unsaid)
     facts["kernel"] = json.loads(json.dumps({"kind": "persistence", "size": 0, "numbers": {}}))
     other = checkpoint.save(tmp_path / "other.safetensors", leaves, **facts)

@@ -113,14 +113,14 @@ def made(header: dict, data: bytes) -> bytes:
 
 @pytest.mark.fuzz(cases=500, slow=10_000)
 def test_forged_files_are_refused_or_legal(rng, cases, whole, tmp_path):
-    """By `load`, `Online.open` and `Online.load`; a folder falls back to the set before."""
+    """By `load`, `Online.open` and `Online.restore`; a folder falls back to the set before."""
     (tmp_path / "1.safetensors").write_bytes(whole)
     path = tmp_path / "2.safetensors"
     boat = Online.open(tmp_path / "1.safetensors")
     counts = {"refused": 0, "loaded": 0, "opened": 0}
     for _ in range(cases):
         path.write_bytes(forged(rng, whole))
-        for kind, read in {"loaded": checkpoint.load, "opened": Online.open, "": boat.load}.items():
+        for kind, read in {"loaded": checkpoint.load, "opened": Online.open, "": boat.restore}.items():
             try:
                 read(path)
                 counts[kind or "opened"] += 1
