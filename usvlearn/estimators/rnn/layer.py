@@ -124,8 +124,8 @@ class RNN(Estimator):
         surge_max: v_max, m/s, which scales the speed onto [0, 0.5].
         initial: "persistence", equation (4), or "random" weights.
         pretrained: initial weights in place of these: a checkpoint, .npz or .pt (see `certify.networks.shallow.load`),
-        or one of
-            several in it, `FILE:members.rnn.weights`. They suit the `surge_max` and dt with which they were learned.
+            or one of several in it, `FILE:members.rnn.weights`. They suit the `surge_max` and dt with which they were
+            learned.
         rate: Adam's learning rate at the first update; broadcasts against the batch.
         rate_ratio: relative rates of a, w₁, the columns of W₂ for the heading and for the commands, and b; those of
             w₁ and W₂ also scale the neurons of "persistence".

@@ -73,9 +73,9 @@ class Source:
         span: raw distance from zero to full scale (commands) or 1; a negative one reverses a side.
         held: the value stays in force until the next message, however old (commands that are posted only on change).
         window: staleness window, s. "auto": it follows the rate of the messages, see
-        `usvlearn.logs.alignment.window_kernel`. delay: time from the stamp of a value to its effect on the measured
-        speed, s (thruster and filter lag). period: time between two measurements of the speed's sensor, s, where
-        messages come faster than it measures: the
+            `usvlearn.logs.alignment.window_kernel`.
+        delay: time from the stamp of a value to its effect on the measured speed, s (thruster and filter lag).
+        period: time between two measurements of the speed's sensor, s, where messages come faster than it measures: the
             same number again within two periods is a copy of one measurement. 0: every message is a measurement.
             "auto": found from the logs, see `usvlearn.logs.channels.copies`.
 
