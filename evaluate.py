@@ -1,6 +1,6 @@
 """Evaluate saved runs, or make a whole study.
 
-python evaluate.py runs=outputs/RUN                 a report: errors, free runs, certificates, parameters
+python evaluate.py runs=outputs/RUN                 a report: errors, open-loop simulations, certificates, parameters
 python evaluate.py runs=multirun/DIR                the jobs of a sweep: the leaderboard
 python evaluate.py experiment=paper                 the paper's study from nothing, on a simulated fleet
 

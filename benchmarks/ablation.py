@@ -18,7 +18,7 @@ from omegaconf import OmegaConf
 from pages import publish
 
 E, RULE = "estimators", "combiners.ensemble"
-JOINT = ("joint", "joint_quick", "reader")
+JOINT = ("joint", "joint_quick", "joint_averaged")
 OTHERS = (
     "dynamic_rls",
     "steady_rls",
@@ -38,7 +38,7 @@ def pieces() -> Mapping[str, list[str]]:
     default = configuration(())
     weighed = list(default.combiners.ensemble.members)
     joint = {
-        "no even terms": "even=null",
+        "no fore-aft asymmetry terms": "even=null",
         "no cubic thrust": "cubic=1e-3",
         "no lag of the commands": "lag=1e-3",
         "no current": "current=1e-3",
@@ -48,13 +48,13 @@ def pieces() -> Mapping[str, list[str]]:
         **{f"without {name}": [weighing([each for each in weighed if each != name])] for name in weighed},
         **{f"and {name}": [weighing([*weighed, name])] for name in default.estimators if name not in weighed},
         **{f"and {name}": [f"+estimator@{E}.{name}={name}", weighing([*weighed, name])] for name in OTHERS},
-        "and a slow joint filter": [
+        "and a slow joint EKF": [
             f"+estimator@{E}.slow=joint", f"{E}.slow.disturbance=0.05", f"{E}.slow.drift_time=3000",
             weighing([*weighed, "slow"]),
         ],
         "joint: disturbance of 5": [f"{E}.joint.disturbance=5"],
         "joint: parameters that change within an hour": [f"{E}.joint.drift_time=3000"],
-        **{f"joint filters: {label}": [f"{E}.{name}.{setting}" for name in JOINT] for label, setting in joint.items()},
+        **{f"joint EKFs: {label}": [f"{E}.{name}.{setting}" for name in JOINT] for label, setting in joint.items()},
         "ARX: no even features": [f"{E}.arx.even=false"],
         "ARX: Gaussian noise": [f"{E}.arx.degrees=null"],
         "ARX: weights that change more slowly": [f"{E}.arx.walk=1e-4"],
@@ -75,7 +75,7 @@ def settings(given: tuple[str, ...], overrides: Sequence[str]) -> dict:
 
 def error(log: Log, overrides: Sequence[str]) -> float:
     names, predictions, _ = replayed(log.overrides, tuple(overrides))
-    predicted, surge = predictions[:, log.lane, names.index("ensemble")], measured(log)
+    predicted, surge = predictions[:, log.element, names.index("ensemble")], measured(log)
     scored = np.isfinite(surge) & np.isfinite(predicted)
     return float(np.abs(predicted - surge)[scored].mean())
 

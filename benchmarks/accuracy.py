@@ -1,4 +1,5 @@
-"""How well the default ensemble predicts: recorded boats, simulated ones, and free runs from commands alone.
+"""How well the default ensemble predicts: recorded boats, simulated ones, and open-loop simulations from commands
+alone.
 
 python benchmarks/accuracy.py LOGS        writes docs/benchmarks/accuracy.md
 
@@ -42,7 +43,7 @@ class Log(NamedTuple):
 
     name: str  # of the boat
     fleet: Fleet
-    lane: int
+    element: int
     overrides: tuple[str, ...]  # of configs/train.yaml
 
 
@@ -69,7 +70,7 @@ def simulated(plants: Sequence[str] = PLANTS, *overrides: str) -> list[Log]:
     for plant in plants:
         given = (f"data.plant={plant}", "data.n=2", f"data.seed={SEED}", *overrides)
         fleet = fleet_of(given)
-        logs += [Log(boat, fleet, lane, given) for lane, boat in enumerate(fleet.boats)]
+        logs += [Log(boat, fleet, element, given) for element, boat in enumerate(fleet.boats)]
     return logs
 
 
@@ -91,7 +92,7 @@ def replayed(given: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[tuple[
 
 def measured(log: Log) -> np.ndarray:
     samples = [run.samples for run in log.fleet.runs]
-    return np.concatenate([np.where(masks(x).learns, x.surge, np.nan) for x in samples])[:, log.lane]
+    return np.concatenate([np.where(masks(x).learns, x.surge, np.nan) for x in samples])[:, log.element]
 
 
 def first_half(log: Log) -> np.ndarray:
@@ -105,7 +106,7 @@ def rows(log: Log, more: tuple[str, ...] = (), part: np.ndarray | None = None) -
     """The scores of every column on a part of the log."""
     names, predictions, halfwidths = replayed(log.overrides, more)
     part = slice(None) if part is None else part
-    return scores(predictions[part, log.lane], measured(log)[part], names, halfwidths[part, log.lane])
+    return scores(predictions[part, log.element], measured(log)[part], names, halfwidths[part, log.element])
 
 
 def best_member(found: dict[str, dict], rules: Sequence[str] = ("average", "weighted", "ensemble")) -> str:
@@ -137,8 +138,8 @@ def every_member(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
 
 @torch.no_grad()
 def own_intervals(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
-    """What ±1.645 of the joint filters' own standard deviations cover, beside the conformal intervals."""
-    names = ("joint", "joint_quick", "reader")
+    """What ±1.645 of the joint EKFs' own standard deviations cover, beside the conformal intervals."""
+    names = ("joint", "joint_quick", "joint_averaged")
     yield "| boat | " + " | ".join(f"{name}: own | conformal" for name in names) + " |"
     yield "|---|" + "---:|" * (2 * len(names))
 
@@ -151,7 +152,7 @@ def own_intervals(logs: Sequence[tuple[str, Log]]) -> Iterator[str]:
                 state, surge, own = rollout(estimator, state, samples, record=lambda s: s.deviation)
                 scored = masks(samples).learns
                 within = (surge - samples.surge).abs() <= 1.645 * own
-                inside.append(within[:, log.lane][scored[:, log.lane]])
+                inside.append(within[:, log.element][scored[:, log.element]])
             cells += [f"{torch.cat(inside).double().mean():.1%}", f"{found[name]['coverage']:.1%}"]
         yield f"| {label} | " + " | ".join(cells) + " |"
 
@@ -248,7 +249,7 @@ class SecondHalf(NamedTuple):
 def second_half(log: Log) -> SecondHalf:
     found = rows(log, (), ~first_half(log))
     before, after = halves(log)
-    before, after = ([tree_map(lambda x: x[:, [log.lane]], run) for run in half] for half in (before, after))
+    before, after = ([tree_map(lambda x: x[:, [log.element]], run) for run in half] for half in (before, after))
     model = ensemble(log.overrides)
     fit = least_squares(SurgeDynamics(configuration(log.overrides).vehicle.mass), before)
     errors = []
@@ -314,11 +315,12 @@ def main() -> None:
         "",
         *every_member([*real, *boats]),
         "",
-        "## Intervals of 90 % from the joint filters' own covariance",
+        "## Intervals of 90 % from the joint EKFs' own covariance",
         "",
         *own_intervals([*real, *boats]),
         "",
-        "## Free run of the second half, parameters frozen after the first: MAE over that of batch least squares",
+        "## Open-loop simulation of the second half, parameters frozen after the first: MAE over that of batch least "
+        "squares",
         "",
         "Batch least squares is fitted on the same first half, with AID's regressor.",
         "",

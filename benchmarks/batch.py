@@ -1,4 +1,4 @@
-"""Peers that are told all runs at once beside members that learn online: free runs and forecasts.
+"""Peers that are told all runs at once beside members that learn online: open-loop simulations and forecasts.
 
 python benchmarks/batch.py LOGS        writes docs/benchmarks/batch.md
 
@@ -34,7 +34,7 @@ PEERS = {
     "GRU, torch": gru,
     "batch output error": physics,
 }
-OURS = ("joint", "joint_quick", "arx", "reader", "rnn", "rnn_replay", "ensemble")
+OURS = ("joint", "joint_quick", "arx", "joint_averaged", "rnn", "rnn_replay", "ensemble")
 REPLAY = "+estimator@estimators.rnn_replay=rnn_replay"  # it has rows, and no weight in the ensemble
 Skills = dict[int, float]  # by horizon, steps
 
@@ -52,7 +52,7 @@ class Log(NamedTuple):
 class Row(NamedTuple):
     """What one method reached on one boat."""
 
-    free: float  # m/s, MAE of the free run
+    free: float  # m/s, MAE of the open-loop simulation
     skills: Skills
     setting: str = ""
     seconds: float = 0.0  # of the processor, for training
@@ -91,7 +91,7 @@ def peer_row(module, log: Log) -> Row | None:
 
 @torch.no_grad()
 def ours_by_free_run(log: Log) -> dict[str, float]:
-    """MAE, m/s, of the free runs of the later runs; what was learned on the others stays as it is."""
+    """MAE, m/s, of the open-loop simulations of the later runs; what was learned on the others stays as it is."""
     model = accuracy.ensemble(log.overrides)
     before, after = ([tensors(run, torch.float64) for run in runs] for runs in (log.learned, log.later))
     found = accuracy.free_run(model, accuracy.learned(model, before), after)
@@ -115,7 +115,9 @@ def ours_by_horizon(log: Log) -> dict[str, Skills]:
 
 
 def free_from(model: Ensemble, states, run: Sample, aim: Targets) -> np.ndarray:
-    """Predictions `(time, origins, columns)`, m/s, of free runs from all origins; a row without a step is held."""
+    """Predictions `(time, origins, columns)`, m/s, of open-loop simulations from all origins; a row without a step is
+    held.
+    """
     rows = aim.origins + np.arange(1, max(HORIZONS) + 1)[:, None]
     inside, rows = rows < len(run.surge), rows.clip(max=len(run.surge) - 1)
     ahead = tree_map(lambda x: x[rows], run)
@@ -163,12 +165,13 @@ def page(found: Mapping[str, Mapping[str, Row | None]], minutes: float) -> list[
         "",
         f"Measured by `python benchmarks/batch.py LOGS` in {minutes:.0f} min of one core. Each peer is told all of the",
         "first half of a boat's runs at once (of a simulated boat, seed 77: 3 h), and chooses its settings on the last",
-        "20 % of them, by the mean over the horizons and the free run of MAE/MAE(persistence). Ours have seen these",
+        "20 % of them, by the mean over the horizons and the open-loop simulation of MAE/MAE(persistence). Ours have "
+        "seen these",
         "runs once, online. All is measured on the second half (of a simulated boat: the next hour), over the steps",
         "whose speed was measured. The best number of a column is bold. The sweeps are small, so that the whole stays",
         "below 15 min; each file of `benchmarks/peers` states its own.",
         "",
-        "## Free run, parameters frozen: MAE, m/s",
+        "## Open-loop simulation, parameters frozen: MAE, m/s",
         "",
         "From the inputs, and the measured speed with which each segment starts.",
         "",

@@ -1,11 +1,11 @@
-"""Lanes on a GPU: steps and gradients by torch on CUDA, beside torch and compiled code on the CPU.
+"""Batch elements on a GPU: steps and gradients by torch on CUDA, beside torch and compiled code on the CPU.
 
 python benchmarks/cuda.py                        where torch finds CUDA; writes the page
 python benchmarks/cuda.py --cpu                  the CPU's part alone, printed
 python benchmarks/cuda.py --compile              also by torch.compile, which compiles for minutes
 
-All is float64. Every lane has its own samples, and learns from each. The results of every way are compared with those
-of torch on the CPU.
+All is float64. Every batch element has its own samples, and learns from each. The results of every way are compared
+with those of torch on the CPU.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MASS, SURGE_MAX, NOISE = 28.0, 2.74, 0.02  # kg, m/s, m/s
 PREDICTIONS, GRADIENTS = 1e-6, 1e-6  # m/s; of the largest entry: how far results may lie from those of the CPU
 TEMPORARIES = 8  # copies of a state that a step holds, about
 AT_REST = 100  # steps with which the boat's log begins, at most
-SLOW, LONGEST = 5.0, 60.0  # s of a work that is done once; above which more lanes are left out
+SLOW, LONGEST = 5.0, 60.0  # s of a work that is done once; above which more batch elements are left out
 NONE = "No CUDA device was found, so nothing was measured; --cpu measures the part of the CPU."
 
 Work = Callable[[], Any]
@@ -42,15 +42,15 @@ Make = Callable[[Estimator, Sample], Work]
 class Effort(NamedTuple):
     """How much is measured."""
 
-    lanes: tuple[int, ...] = (1, 16, 256, 4096, 65536)
-    lane_steps: int = 2**19  # of a run, at least `fewest` steps and at most `most`
+    elements: tuple[int, ...] = (1, 16, 256, 4096, 65536)
+    element_steps: int = 2**19  # of a run, at least `fewest` steps and at most `most`
     fewest: int = 4
     most: int = 200
     back: int = 50  # steps through which a gradient is taken
     repeats: int = 5
 
-    def steps(self, lanes: int) -> int:
-        return min(self.most, max(self.fewest, self.lane_steps // lanes))
+    def steps(self, elements: int) -> int:
+        return min(self.most, max(self.fewest, self.element_steps // elements))
 
 
 QUICK = Effort((1, 4), 40, 2, 5, 3, 2)
@@ -78,13 +78,13 @@ def estimators() -> dict[str, Estimator]:
     return known | {"default ensemble": accuracy.ensemble(())}
 
 
-def lanes_of(steps: int, lanes: int) -> Sample:
-    """A simulated boat's samples, `(steps, lanes)`; commands and noise differ by lane."""
+def elements_of(steps: int, elements: int) -> Sample:
+    """A simulated boat's samples, `(steps, elements)`; commands and noise differ by batch element."""
     generator = torch.Generator().manual_seed(0)
-    wide = tree_map(lambda x: x[AT_REST:, None].expand(steps, lanes), samples(AT_REST + steps))
-    shares = torch.linspace(0.5, 1.0, lanes, dtype=torch.float64)
+    wide = tree_map(lambda x: x[AT_REST:, None].expand(steps, elements), samples(AT_REST + steps))
+    shares = torch.linspace(0.5, 1.0, elements, dtype=torch.float64)
     left, right = (x * shares for x in wide.inputs[:2])
-    surge = wide.surge + NOISE * torch.randn(steps, lanes, generator=generator, dtype=torch.float64)
+    surge = wide.surge + NOISE * torch.randn(steps, elements, generator=generator, dtype=torch.float64)
     return wide._replace(inputs=wide.inputs._replace(command_left=left, command_right=right), surge=surge)
 
 
@@ -189,7 +189,7 @@ def learnable(estimator: Estimator) -> dict[str, Tensor]:
 
 
 def backward(estimator: Estimator, run: Sample) -> Work:
-    """The gradient of the error of all lanes together, by each hyperparameter."""
+    """The gradient of the error of all batch elements together, by each hyperparameter."""
     leaves = learnable(estimator)
 
     def work() -> dict[str, Tensor]:
@@ -211,7 +211,7 @@ class _Error(torch.nn.Module):
 
 
 def mapped(estimator: Estimator, run: Sample) -> Work:
-    """The gradient of the error of each lane alone, `(lanes, …)`."""
+    """The gradient of the error of each batch element alone, `(elements, …)`."""
     module = _Error(estimator)
     leaves = {name: x.detach() for name, x in learnable(module).items()}
     each = vmap(grad(lambda leaves, one: functional_call(module, leaves, (one,))), (None, 1))
@@ -220,7 +220,7 @@ def mapped(estimator: Estimator, run: Sample) -> Work:
 
 def kinds(cuda: bool, compile_steps: bool) -> list[Kind]:
     """What is measured, and by which ways; those of graphs last, because a failed capture may harm what follows."""
-    steps, back, lanes, graph = (
+    steps, back, elements, graph = (
         {"CPU, compiled": Way("cpu", compiled), "CPU, torch": Way("cpu", eager)},
         {"CPU, torch": Way("cpu", backward)},
         {"CPU, torch": Way("cpu", mapped)},
@@ -230,12 +230,18 @@ def kinds(cuda: bool, compile_steps: bool) -> list[Kind]:
     if cuda:
         steps["CUDA, torch"] = Way("cuda", eager)
         back["CUDA, torch"] = Way("cuda", backward)
-        lanes["CUDA, torch"] = Way("cuda", mapped)
+        elements["CUDA, torch"] = Way("cuda", mapped)
         graph["CUDA graph"] = Way("cuda", Graphed)
     if compile_steps:
         steps[f"{device.upper()}, torch.compile"] = Way(device, stepped)
-    found = [Kind("A step", steps, eager, False), Kind("A gradient of all lanes together", back, backward, True)]
-    found += [Kind("A gradient of each lane", lanes, mapped, True), Kind("A step as a CUDA graph", graph, eager, False)]
+    found = [
+        Kind("A step", steps, eager, False),
+        Kind("A gradient of all batch elements together", back, backward, True),
+    ]
+    found += [
+        Kind("A gradient of each batch element", elements, mapped, True),
+        Kind("A step as a CUDA graph", graph, eager, False),
+    ]
     return [kind for kind in found if kind.ways]
 
 
@@ -274,7 +280,7 @@ def room(device: str) -> float:
 
 
 def needed(estimator: Estimator, keeps: bool) -> float:
-    """Bytes for a lane of a step, about: of the state and its temporaries, or of what a gradient keeps."""
+    """Bytes for a batch element of a step, about: of the state and its temporaries, or of what a gradient keeps."""
     estimator, kept = estimator.to("cpu"), {}
     if not keeps:
         return TEMPORARIES * sum(x.numel() * x.element_size() for _, x in named_leaves(estimator.init()))
@@ -283,28 +289,30 @@ def needed(estimator: Estimator, keeps: bool) -> float:
         kept[x.untyped_storage().data_ptr()] = x.untyped_storage().nbytes()
         return x
 
-    run = lanes_of(2, 2)
+    run = elements_of(2, 2)
     with torch.autograd.graph.saved_tensors_hooks(keep, lambda x: x):
         error(estimator, run)
     return sum(kept.values()) / run.surge.numel()
 
 
 def rates(kind: Kind, way: Way, estimator: Estimator, effort: Effort) -> list[str]:
-    """Thousand lane-steps a second, for each number of lanes; – where it would not fit, or take too long."""
-    found, slowness, each = [], 0.0, needed(estimator, kind.keeps)  # s and bytes of a lane-step
-    for lanes in effort.lanes:
-        steps = effort.back if kind.keeps else effort.steps(lanes)
-        fits = each * lanes * (steps if kind.keeps else 1) <= room(way.device)
-        spent = timed(way, estimator, steps, lanes, effort) if fits and slowness * steps * lanes <= LONGEST else None
-        slowness = slowness if spent is None else spent / (steps * lanes)
+    """Thousand element-steps a second, by the number of batch elements; – where it would not fit, or take too long."""
+    found, slowness, each = [], 0.0, needed(estimator, kind.keeps)  # s and bytes of an element-step
+    for elements in effort.elements:
+        steps = effort.back if kind.keeps else effort.steps(elements)
+        fits = each * elements * (steps if kind.keeps else 1) <= room(way.device)
+        spent = (
+            timed(way, estimator, steps, elements, effort) if fits and slowness * steps * elements <= LONGEST else None
+        )
+        slowness = slowness if spent is None else spent / (steps * elements)
         found.append("–" if spent is None else three_digits(0.001 / slowness))
     return found
 
 
-def timed(way: Way, estimator: Estimator, steps: int, lanes: int, effort: Effort) -> float | None:
+def timed(way: Way, estimator: Estimator, steps: int, elements: int, effort: Effort) -> float | None:
     """Seconds of a run; None if the GPU's memory does not suffice."""
     try:
-        work = way.make(estimator.to(way.device), sent(lanes_of(steps, lanes), way.device))
+        work = way.make(estimator.to(way.device), sent(elements_of(steps, elements), way.device))
         return seconds(work, way.device, effort.repeats)
     except torch.OutOfMemoryError:
         return None
@@ -319,8 +327,8 @@ def compared(kind: Kind, way: Way, estimator: Estimator, effort: Effort) -> str:
     reference = Way("cpu", kind.reference)
     if way == reference:
         return ""
-    lanes, limit = effort.lanes[1], GRADIENTS if kind.keeps else PREDICTIONS
-    run = lanes_of(min(effort.back, effort.steps(lanes)), lanes)
+    elements, limit = effort.elements[1], GRADIENTS if kind.keeps else PREDICTIONS
+    run = elements_of(min(effort.back, effort.steps(elements)), elements)
     found, expected = (result(each, estimator, run) for each in (way, reference))
     worst = max(_difference(found[name], x, kind.keeps) for name, x in expected.items())
     if not worst <= limit:
@@ -350,9 +358,9 @@ def section(kind: Kind, known: Mapping[str, Estimator], effort: Effort) -> list[
             except RuntimeError as failure:
                 if way.make not in (Graphed, stepped):
                     raise
-                shown = [f"not possible: {str(failure).splitlines()[0]}"] + [""] * len(effort.lanes)
+                shown = [f"not possible: {str(failure).splitlines()[0]}"] + [""] * len(effort.elements)
             rows.append([f"{name}, {title}", *shown])
-    head = ["thousand lane-steps/s", *(counted(n, "lane") for n in effort.lanes), "difference"]
+    head = ["thousand element-steps/s", *(counted(n, "batch element") for n in effort.elements), "difference"]
     return [f"## {kind.title}", "", *table(head, rows), ""]
 
 
@@ -361,11 +369,12 @@ def page(cuda: bool, compile_steps: bool, effort: Effort, known: Mapping[str, Es
     gpu = f"{torch.cuda.get_device_name()}, CUDA {torch.version.cuda}; " if cuda else ""
     threads = counted(torch.get_num_threads(), "thread")
     text = [
-        "# Lanes on a GPU",
+        "# Batch elements on a GPU",
         "",
         f"Measured by `python benchmarks/cuda.py` in float64: medians of {effort.repeats} runs, after one that is not",
         f"counted. The CPU uses {threads}. A gradient is taken through {effort.back} steps, and each of them counts",
-        f"as a lane-step. – marks what does not fit into half of the free memory, or takes more than {LONGEST:g} s.",
+        f"as an element-step. – marks what does not fit into half of the free memory, or takes more than {LONGEST:g} "
+        "s.",
         "The last column is the largest difference from torch on the CPU: of predictions in m/s, of gradients relative",
         f"to the largest entry. More than {PREDICTIONS:g} and {GRADIENTS:g} would have ended the measurement.",
         "",

@@ -34,14 +34,14 @@ AIMS = {
 }
 OVERLAPS = (2.5, 5.0, 10.0, 20.0)
 SETS = {  # of the members that are weighed, beside the default
-    "without joint": ["arx", "reader", "persistence"],
-    "without arx": ["joint", "reader", "persistence"],
-    "without reader": ["joint", "arx", "persistence"],
-    "without persistence": ["joint", "arx", "reader"],
-    "and joint_quick": ["joint", "joint_quick", "arx", "reader", "persistence"],
-    "and aid": ["joint", "arx", "reader", "persistence", "aid"],
-    "and rnn": ["joint", "arx", "reader", "persistence", "rnn"],
-    "and rnn_replay": ["joint", "arx", "reader", "persistence", "rnn_replay"],
+    "without joint": ["arx", "joint_averaged", "persistence"],
+    "without arx": ["joint", "joint_averaged", "persistence"],
+    "without joint_averaged": ["joint", "arx", "persistence"],
+    "without persistence": ["joint", "arx", "joint_averaged"],
+    "and joint_quick": ["joint", "joint_quick", "arx", "joint_averaged", "persistence"],
+    "and aid": ["joint", "arx", "joint_averaged", "persistence", "aid"],
+    "and rnn": ["joint", "arx", "joint_averaged", "persistence", "rnn"],
+    "and rnn_replay": ["joint", "arx", "joint_averaged", "persistence", "rnn_replay"],
 }
 ADDED = {"and rnn_replay": ("+estimator@estimators.rnn_replay=rnn_replay",)}
 
@@ -59,7 +59,7 @@ def replayed(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 def by_horizon(log: Log, more: tuple[str, ...] = (), part: np.ndarray | None = None) -> np.ndarray:
     """Skill of the ensemble, coverage of its intervals, and number of forecasts, `(3, horizons)`, NaN where few."""
-    made, widths = (x[:, log.lane] for x in replayed((*log.overrides, *more)))
+    made, widths = (x[:, log.element] for x in replayed((*log.overrides, *more)))
     surge = measured(log)
     found = np.full((3, made.shape[1]), np.nan)
     for j in range(made.shape[1]):
@@ -82,7 +82,7 @@ def simulated(seed: int = SEED) -> list[Log]:
         given = (f"data.plant={plant}", "data.n=3", f"data.hours={HOURS}", f"data.seed={seed}", f"vehicle.mass={mass}",
                  f"vehicle.surge_max={top}")  # fmt: skip
         fleet = fleet_of(given)
-        logs += [Log(boat, fleet, lane, given) for lane, boat in enumerate(fleet.boats)]
+        logs += [Log(boat, fleet, element, given) for element, boat in enumerate(fleet.boats)]
     return logs
 
 

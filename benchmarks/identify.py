@@ -2,9 +2,9 @@
 
 python benchmarks/identify.py [--seed 77]        writes docs/benchmarks/identify.md
 
-Five plants, three boats each, 3 h to learn from and 1 h for free runs (`benchmarks/truths.py`). The filter's settings
-and the widths of its intervals were chosen on seeds 5 and 11. Seed 77 was only reported, whenever the filter had
-changed.
+Five plants, three boats each, 3 h to learn from and 1 h for open-loop simulations (`benchmarks/truths.py`). The
+filter's settings and the widths of its intervals were chosen on seeds 5 and 11. Seed 77 was only reported, whenever the
+filter had changed.
 """
 
 from __future__ import annotations
@@ -39,8 +39,9 @@ HOURS, LATER, N = 3.0, 1.0, 3
 AIMS = {"drag": 0.05, "thrust": 0.06, "steady_speed": 0.022, "time_constant": 0.12}
 MAIN = ("drag_half_speed", "thrust_full_left", "thrust_full_right", "steady_speed_full", "time_constant")
 ERRORS = """\
-Median of the relative error over the boats; the quantities are those of `benchmarks/truths.py`. Free run: median ratio
-of the MAE to that of the batch fit, parameters frozen, over the fourth hour. The batch fit and the reader take the mean
+Median of the relative error over the boats; the quantities are those of `benchmarks/truths.py`. Open-loop simulation:
+median ratio of the MAE to that of the batch fit, parameters frozen, over the fourth hour. The batch fit and the
+averaged joint EKF take the mean
 of their currents over the missions that they have learned; the others know of no current."""
 AT = (1, 2, 4, 6, 9, 18)  # missions after which the coverage is noted
 
@@ -49,11 +50,11 @@ class Found(NamedTuple):
     """One method on one boat."""
 
     errors: Truths  # relative
-    free: float  # m/s, MAE of free runs
+    free: float  # m/s, MAE of open-loop simulations
 
 
 def judged(parameters: dict[str, float], lag: float, current: np.ndarray, boat: Boat) -> Found:
-    """Errors and free runs of parameters per mass."""
+    """Errors and open-loop simulations of parameters per mass."""
     model = Fit(parameters, lag, np.asarray(current)[None], 0.0)
     wrong = errors(truths(model_acceleration(parameters), boat.top), boat.truth)
     return Found(wrong, free_run_mae(free_runs(model, boat.later), boat.later))
@@ -65,11 +66,11 @@ def members(plant: str) -> dict[str, Any]:
     with initialize_config_dir(str(ROOT / "configs"), version_base="1.3"):
         given = [f"vehicle.mass={mass}", f"vehicle.surge_max={top}", "+estimator@estimators.steady_rls=steady_rls"]
         cfg = compose("train", given)
-        return {name: instantiate(cfg.estimators[name]) for name in ("reader", "aid", "steady_rls")}
+        return {name: instantiate(cfg.estimators[name]) for name in ("joint_averaged", "aid", "steady_rls")}
 
 
 def ahead(theta: np.ndarray) -> dict[str, float]:
-    """Nine parameters and cubic thrust of motion ahead, whose even terms are added; per mass."""
+    """Nine parameters and cubic thrust of motion ahead, whose fore-aft asymmetry terms are added; per mass."""
     boat = Ahead(theta)
     found = {name: float(boat.sums[name]) for name in sums(True) if not name.startswith("thrust_full")}
     for side in ("left", "right"):
@@ -92,15 +93,17 @@ def learned(estimator: Any, boat: Boat) -> tuple[list[Any], float]:
     return states, (time.perf_counter() - began) / steps
 
 
-def identified(reader: Any, state: Any) -> Identified:
-    return identify(reader.spec(), {name: leaf.numpy() for name, leaf in state._asdict().items()})
+def identified(averaged: Any, state: Any) -> Identified:
+    return identify(averaged.spec(), {name: leaf.numpy() for name, leaf in state._asdict().items()})
 
 
 def study(
     seed: int, plants=PLANTS
 ) -> tuple[dict[str, list[Found]], list[tuple[dict[int, Identified], dict[str, float]]]]:
     """Every method on every boat; of each boat what was identified after some missions, and the truth at the end."""
-    found: dict[str, list[Found]] = {name: [] for name in ("output error, batch", "reader", "aid", "steady_rls")}
+    found: dict[str, list[Found]] = {
+        name: [] for name in ("output error, batch", "joint_averaged", "aid", "steady_rls")
+    }
     intervals = []
     for plant in plants:
         mass, top = NOMINAL[plant]
@@ -112,12 +115,12 @@ def study(
             best = fit(boat.learned, top)
             batch = judged(best.parameters, best.lag, best.current.mean(0), boat)
             found["output error, batch"].append(batch)
-            states, _ = learned(every["reader"], boat)
-            noted = {k: identified(every["reader"], states[min(k, len(states)) - 1]) for k in AT}
+            states, _ = learned(every["joint_averaged"], boat)
+            noted = {k: identified(every["joint_averaged"], states[min(k, len(states)) - 1]) for k in AT}
             intervals.append((noted, truth[boat.name]))
             theta = noted[AT[-1]].theta
             flow = np.mean([state.mean[NORTH:THETA].numpy() for state in states], 0)
-            found["reader"].append(judged(ahead(theta), float(theta[-1]), flow, boat))
+            found["joint_averaged"].append(judged(ahead(theta), float(theta[-1]), flow, boat))
             for name in ("aid", "steady_rls"):
                 inner, state = unwrapped(every[name], learned(every[name], boat)[0][-1])
                 per_mass = dict(zip(inner.model.names, (state.theta / mass).tolist(), strict=True))
@@ -139,7 +142,7 @@ def report(seed: int) -> str:
     found, intervals = study(seed)
     batch = [each.free for each in found["output error, batch"]]
     rows = [
-        "| | drag | thrust | steady speed | time constant | bias of drag | free run/batch |",
+        "| | drag | thrust | steady speed | time constant | bias of drag | open-loop simulation/batch |",
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
     for name, each in found.items():
@@ -162,7 +165,8 @@ def report(seed: int) -> str:
         each.append(f"| {name} | {np.mean(covered(intervals, AT[-1], [name])):.0%} | " + " | ".join(shown) + " |")
     opening = (
         f"Made by `python benchmarks/identify.py --seed {seed}`: {len(PLANTS)} plants, {N} boats each, {HOURS:.0f} h "
-        f"to learn from, then {LATER:.0f} h of free runs. Settings and widths were chosen on seeds 5 and 11."
+        f"to learn from, then {LATER:.0f} h of open-loop simulations. Settings and widths were chosen on seeds 5 and "
+        "11."
     )
     parts = [
         ["# Identified parameters against the truth"], [opening], ["## Errors"], [ERRORS], rows,

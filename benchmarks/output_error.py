@@ -10,7 +10,8 @@ Model of one step of h seconds, with w the speed through the water, u the comman
 All parameters are per mass. A run is simulated from the speed with which each segment starts, without any later speed;
 after a step without fresh inputs a new segment starts. The fit minimises the sum of ρ(v − v_measured) over all
 measured steps of all runs, where ρ is quadratic near 0 and linear far from it (`soft_l1`). Its Jacobian is exact: the
-sensitivities of w are simulated along. Free runs on other runs use the mean current of those that were learned.
+sensitivities of w are simulated along. Open-loop simulations on other runs use the mean current of those that were
+learned.
 """
 
 from __future__ import annotations

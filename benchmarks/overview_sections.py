@@ -43,7 +43,7 @@ class Amount(NamedTuple):
     data: tuple[str, ...]  # overrides of the simulated boats
     cases: tuple[str, ...]
     steps: int  # limit of every part of a scenario
-    lanes: int
+    elements: int
     networks: int  # of each family
     training: int  # steps of those that are trained
     sizes: tuple[int, ...]  # neurons
@@ -52,13 +52,13 @@ class Amount(NamedTuple):
 
 WHOLE = Amount(
     effort=Effort(repeats=15, steps=50_000, eager=50, calls=2000, clock=process_time),
-    plants=accuracy.PLANTS, data=(), cases=CASES, steps=100_000, lanes=24,
+    plants=accuracy.PLANTS, data=(), cases=CASES, steps=100_000, elements=24,
     networks=20, training=3000, sizes=(10, 20, 50, 100, 200), largest=100,
 )  # fmt: skip
 QUICK = Amount(
     effort=Effort(repeats=3, steps=1000, eager=10, calls=100, clock=process_time),
     plants=("heron",), data=("data.hours=0.2", "data.mission_minutes=2"),
-    cases=("outliers", "nan"), steps=300, lanes=2,
+    cases=("outliers", "nan"), steps=300, elements=2,
     networks=2, training=100, sizes=(5, 10), largest=10,
 )  # fmt: skip
 
@@ -112,7 +112,7 @@ def speed(amount: Amount, logs: Path | None) -> Part:
         *speed_in_words(spent, others, called, streamed), "",
         f"Medians of {amount.effort.repeats} rounds, in which all works of a row are timed in turn: time of the "
         "processor, one thread, float64. Streamed: a whole log in one call. Called: `Online.step` from Python, sample "
-        "by sample. More estimators, how a step grows, lanes, whole jobs and memory: [Speed of steps and jobs]"
+        "by sample. More estimators, how a step grows, batch elements, whole jobs and memory: [Speed of steps and jobs]"
         "(speed.md).",
     ]  # fmt: skip
     return Part(lines, figures)
@@ -151,18 +151,20 @@ def predictions(amount: Amount, logs: Path | None) -> Part:
         free.append(skills[2])
         figures += [
             Figure(f"accuracy: {name}, one step", ours / persistence, "MAE of persistence"),
-            Figure(f"accuracy: {name}, free run", free_ours / free_squares, "MAE of batch least squares"),
+            Figure(f"accuracy: {name}, open-loop simulation", free_ours / free_squares, "MAE of batch least squares"),
         ]
     head = ["second half of the runs", "persistence, MAE, m/s", "skill against it", "against least squares",
-            "free run: least squares, MAE, m/s", "skill against it"]  # fmt: skip
+            "open-loop simulation: least squares, MAE, m/s", "skill against it"]  # fmt: skip
     share = sum(each > 0 for each in free)
     lines = [
         *table(head, rows), "",
         f"One step of 0.4 s ahead, the default ensemble has a skill of {between(ahead, '{:.2f}'.format)} against "
-        f"persistence. In free runs, from the inputs alone, its error is below that of batch least squares in {share} "
+        "persistence. In open-loop simulations, from the inputs alone, its error is below that of batch least "
+        f"squares in {share} "
         f"of {len(free)} rows; the least skill there is {min(free):.2f}.", "",
         "Skill is 1 − MAE/MAE(reference). Batch least squares is told the whole first half at once; the ensemble has "
-        "learned it online, and goes on learning one step ahead, but not in free runs. A simulated row is the mean of "
+        "learned it online, and goes on learning one step ahead, but not in open-loop simulations. A simulated row "
+        "is the mean of "
         "two boats." + ("" if names else " This run was given no recorded logs.") + " Recorded boats and all members: "
         "[Accuracy on recorded and simulated boats](accuracy.md); further ahead: [Accuracy of forecasts by horizon]"
         "(forecast.md); parameters: [Identified parameters against the truth](identify.md).",
@@ -171,7 +173,7 @@ def predictions(amount: Amount, logs: Path | None) -> Part:
 
 
 def stresses(amount: Amount, logs: Path | None) -> Part:
-    known = stress.scenarios(amount.steps, amount.lanes)
+    known = stress.scenarios(amount.steps, amount.elements)
     cases = {name: known[name] for name in amount.cases}
     own = {name: estimator for name, estimator in stress.ours().items() if name in OURS}
     found: dict[str, dict[str, stress.Result]] = {}

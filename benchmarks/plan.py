@@ -3,10 +3,11 @@
 python benchmarks/plan.py [--seeds 21 22]        writes docs/benchmarks/plan.md
 
 Five plants, three boats of each and seed, with the sensors, currents and thrust tables of `usvlearn/simulate`. The
-reader learns 5 min of a lawn-mower mission, which is what a first run may hold. From there it learns either 10 min more
-of a lawn-mower mission, each line at a speed of its own, or a plan of 5 min, and then a second plan, made from what the
-first one told. A third choice is 10 min of patrol: throttles and turns at random, with coasting, and without a plan.
-All boats are steered by the same autopilot; in a plan and on patrol the throttle is open, and headings are held.
+averaged joint EKF learns 5 min of a lawn-mower mission, which is what a first run may hold. From there it learns either
+10 min more of a lawn-mower mission, each line at a speed of its own, or a plan of 5 min, and then a second plan, made
+from what the first one told. A third choice is 10 min of patrol: throttles and turns at random, with coasting, and
+without a plan. All boats are steered by the same autopilot; in a plan and on patrol the throttle is open, and headings
+are held.
 """
 
 from __future__ import annotations
@@ -87,11 +88,11 @@ class Waters:
         flow = self.rng.uniform(0, 0.3), self.rng.uniform(0, 2 * np.pi)
         self.current = [torch.tensor(x, dtype=torch.float64) for x in flow]
         mass, top = NOMINAL[plant]
-        self.reader = JointEKF(surge_max=top, mass=mass, disturbance=0.05, lag=0.3, cubic=1.0, even=0.2,
+        self.averaged = JointEKF(surge_max=top, mass=mass, disturbance=0.05, lag=0.3, cubic=1.0, even=0.2,
                                current=0.15, current_time=600.0, drift_time=5000.0, read_every=600.0)  # fmt: skip
 
     def sailed(self, state: JointState, mission: Mission) -> Sailed:
-        """The reader after a mission."""
+        """The averaged joint EKF after a mission."""
         autopilot = Autopilot()
         dt, surge, heading, commands = sail(self.vessel, [[mission]], *self.current, autopilot)
         truth = Truth(dt, surge[:, 0, 0].numpy(), heading[:, 0, 0].numpy(), 1 / autopilot.hz, commands[:, 0, 0].numpy())
@@ -101,19 +102,19 @@ class Waters:
         for first in range(0, len(samples.surge), each):
             part = tree_map(lambda x, a=first: x[a : a + each], samples)
             with torch.no_grad():
-                state = rollout(self.reader, state, tensors(part, torch.float64))[0]
+                state = rollout(self.averaged, state, tensors(part, torch.float64))[0]
             noted.append(self.identified(state))
         return Sailed(state, noted)
 
     def identified(self, state: JointState) -> Identified:
-        return identify(self.reader.spec(), leaves(state))
+        return identify(self.averaged.spec(), leaves(state))
 
     def drawn(self, kind: Callable[..., Mission], minutes: float) -> Mission:
         hz = Autopilot().hz
         return kind(self.rng, round(60 * minutes * hz), hz)
 
     def plan(self, state: JointState, seed: int) -> Plan:
-        rehearsal = Rehearsal({"": self.reader.spec()}, leaves(state))
+        rehearsal = Rehearsal({"": self.averaged.spec()}, leaves(state))
         limits = Limits(MINUTES, area=max(200.0, 60 * NOMINAL[self.plant][1]))
         return search(rehearsal, limits, DT, wide(rehearsal.found) or derived(rehearsal.found), seed)
 
@@ -148,7 +149,7 @@ def pairs(seed: int, plants: Sequence[str] = PLANTS) -> Iterator[Pair]:
         vessels = fleet_vessels(N, 1.0, plant, seed, 1, 0.0)
         for k, truth in enumerate(truths.values()):
             waters = Waters(one(vessels, k), plant, [seed, PLANTS.index(plant), k])
-            begin = waters.sailed(waters.reader.init(), waters.drawn(lawn_mower, FIRST))
+            begin = waters.sailed(waters.averaged.init(), waters.drawn(lawn_mower, FIRST))
             mower = waters.sailed(begin.state, waters.drawn(lawn_mower, LONG))
             watch = waters.sailed(begin.state, waters.drawn(patrol, LONG))
             brief = waters.sailed(begin.state, waters.drawn(patrol, MINUTES))
@@ -242,7 +243,7 @@ def report(found: list[Pair], seeds: list[int]) -> str:
         f"{slowest:.0f} s.",
         "## Whether the intervals hold",
         f"Share of the truths that the intervals hold. The main quantities are {', '.join(MAIN)}. "
-        "[Identified parameters against the truth](identify.md) has the same for the reader's mixed missions.",
+        "[Identified parameters against the truth](identify.md) has the same for its mixed missions.",
         "\n".join(coverage),
     ]
     return "\n\n".join(parts) + "\n"

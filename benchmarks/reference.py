@@ -97,8 +97,8 @@ def reference(estimator: Estimator, samples: Sample) -> Reference | None:
     """The same estimator in C, or None where there is none.
 
     Args:
-        estimator: an AID, RLS, SIFtRLS, RNN or JointEKF without readings; all but the RNN's size, the model and the
-            numbers that are tuned as by default.
+        estimator: an AID, RLS, SIFtRLS, RNN or JointEKF without periodic estimates; all but the RNN's size, the model
+            and the numbers that are tuned as by default.
         samples: `(time,)`, as arrays or tensors.
     """
     makes = {AID: adaptive, RLS: least_squares, SIFtRLS: least_squares, RNN: network, JointEKF: joint}

@@ -1,4 +1,4 @@
-"""What experience replay gives the RNN: free runs after one pass, one-step skill, cost.
+"""What experience replay gives the RNN: open-loop simulations after one pass, one-step skill, cost.
 
 python benchmarks/replay.py LOGS        a folder with blueboat; writes docs/benchmarks/replay.md
 
@@ -31,7 +31,7 @@ from usvlearn.engine.rollouts import tensors
 
 SEED, SEEDS = 77, range(3)  # of the simulated boats; of the initial weights
 PASSES = (1, 5, 20)
-AIM = 1.15  # times the free-run error after the last of them
+AIM = 1.15  # times the open-loop error after the last of them
 CHOSEN = "chosen"
 ROWS = {  # what differs from the chosen settings
     CHOSEN: {},
@@ -47,11 +47,11 @@ OPENING = """\
 # Experience replay
 
 Measured by `python benchmarks/replay.py LOGS`. The settings were chosen on seeds 5 and 11 of the simulator, and on the
-first halves of the recorded logs. Free run: MAE from commands alone, parameters frozen, on runs that were not learned.
-Skill: 1 − MAE/MAE(persistence), one step of 0.4 s ahead, in the first pass, and in the later runs with learning going
-on. Simulated boats: three each of seed 77, of which 3 h are learned, and 1 h is predicted. BlueBoat: the first half of
-the runs is learned, the second predicted. Means over {seeds} initial weights. Cost: time of a step over that of `rnn`,
-measured in turn on one core.
+first halves of the recorded logs. Open-loop simulation: MAE from commands alone, parameters frozen, on runs that were
+not learned. Skill: 1 − MAE/MAE(persistence), one step of 0.4 s ahead, in the first pass, and in the later runs with
+learning going on. Simulated boats: three each of seed 77, of which 3 h are learned, and 1 h is predicted. BlueBoat: the
+first half of the runs is learned, the second predicted. Means over {seeds} initial weights. Cost: time of a step over
+that of `rnn`, measured in turn on one core.
 
 Chosen (`configs/estimator/rnn_replay.yaml`): {replay_size} samples kept, {replay_steps} learned again after each new
 one, `unroll` {unroll}. Each other row with replay changes one of them."""
@@ -68,7 +68,7 @@ class Boat(NamedTuple):
 class Found(NamedTuple):
     """Errors of one network on one boat."""
 
-    free: float  # m/s, MAE of free runs over the later runs, parameters frozen
+    free: float  # m/s, MAE of open-loop simulations over the later runs, parameters frozen
     first: float  # skill one step ahead in the first pass
     later: float  # and in the later runs, going on learning
 
@@ -181,9 +181,18 @@ def main() -> None:
              f"{costs.get(row, 1.0):.1f}"]
             for row, each in means.items()
         ]  # fmt: skip
-        head = ["", "free run, m/s", f"over {PASSES[-1]} passes", "skill, first pass", "skill, later", "cost of a step"]
+        head = [
+            "",
+            "open-loop simulation, m/s",
+            f"over {PASSES[-1]} passes",
+            "skill, first pass",
+            "skill, later",
+            "cost of a step",
+        ]
         reached = ratios[f"replay, {CHOSEN}"]
-        verdict = f"Aim: at most {AIM} times the free run of {last}. {'Reached' if reached <= AIM else 'Missed'}"
+        verdict = (
+            f"Aim: at most {AIM} times the open-loop simulation of {last}. {'Reached' if reached <= AIM else 'Missed'}"
+        )
         text += ["", f"## {name}", "", *table(head, rows), "", f"{verdict}: {reached:.2f}."]
     text += ["", "## Contraction", "", "The greatest rate, in exact fractions, of all states along the first pass.", ""]
     counts = [(name, *greatest_rate(some[0])) for name, some in fleets.items()]

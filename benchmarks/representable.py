@@ -4,7 +4,7 @@ python benchmarks/representable.py        writes docs/benchmarks/representable.m
 
 Offline, without noise: networks of 20 neurons learn one hour of a surge model like the Heron's by Adam, through free
 runs of 10 s, and are projected after every update. The learning rate of a row is the best on a second trajectory, what
-is reported is the free run over a third one of half an hour.
+is reported is the open-loop simulation over a third one of half an hour.
 """
 
 import math
@@ -51,7 +51,9 @@ def trajectory(hours: float, dt: float, seed: int) -> tuple[Tensor, Tensor]:
 
 
 def free_run(weights: ShallowWeights, x: Tensor, u: Tensor) -> Tensor:
-    """States of a free run from x, `(*lanes, windows)`, under u, `(time, windows, 4)`: `(time, *lanes, windows)`."""
+    """States of an open-loop simulation from x, `(*elements, windows)`, under u, `(time, windows, 4)`: `(time,
+    *elements, windows)`.
+    """
     a, w1, W2, b = weights
     drive = torch.einsum("...nm,twm->t...wn", W2, u) + b[..., None, :]
     states = []
@@ -99,7 +101,7 @@ def learn(row: dict | float | None, x: Tensor, u: Tensor, dt: float) -> ShallowW
 
 
 def error(weights: ShallowWeights, x: Tensor, u: Tensor) -> Tensor:
-    """MAE of one free run over a whole trajectory, m/s, `(rates, seeds)`."""
+    """MAE of one open-loop simulation over a whole trajectory, m/s, `(rates, seeds)`."""
     found = free_run(weights, x[:1].expand(len(RATES), SEEDS, 1), u[1:, None])
     return 2 * SURGE_MAX * (found[..., 0] - x[1:, None, None]).abs().mean(0)
 
@@ -109,7 +111,7 @@ def main() -> None:
     lines = [*__doc__.strip().splitlines()[4:], ""]
     for dt in (0.2, 0.4, 1.0):
         (x, u), (x_tune, u_tune), (x_test, u_test) = (trajectory(h, dt, s) for h, s in ((1, 1), (0.5, 2), (0.5, 3)))
-        lines += [f"## dt = {dt:g} s", "", "| constraint | rate | free-run MAE, m/s | over seeds | / none | K |"]
+        lines += [f"## dt = {dt:g} s", "", "| constraint | rate | open-loop MAE, m/s | over seeds | / none | K |"]
         lines += ["|---|" + "---:|" * 5]
         base = None
         for name, row in ROWS.items():

@@ -3,9 +3,10 @@
 python benchmarks/speed_controller.py [--seeds 41 42 43] [--hours 1 4]        writes docs/benchmarks/speed_controller.md
 
 Five plants, three boats of each and seed, with the sensors, currents and thrust tables of `usvlearn/simulate`. The
-reader learns each boat from its own missions. A controller is designed from what it has identified. The plant itself
-then sails steps between the lowest, the middle and the highest speed of the design, with the lag of its thrusters, and
-without current and noise. Beside it: the same steps of 200 boats that the design draws from the intervals.
+averaged joint EKF learns each boat from its own missions. A controller is designed from what it has identified. The
+plant itself then sails steps between the lowest, the middle and the highest speed of the design, with the lag of its
+thrusters, and without current and noise. Beside it: the same steps of 200 boats that the design draws from the
+intervals.
 """
 
 from __future__ import annotations
@@ -70,13 +71,13 @@ def cases(plant: str, seed: int, hours: float) -> Iterator[Case | str]:
     """The boats of a plant and seed; a sentence where no controller was designed."""
     mass, top = NOMINAL[plant]
     logs = usvlearn.read(data="simulated", hours=hours, plant=plant, seed=seed, n=N, mission_minutes=MISSION)
-    reader = JointEKF(surge_max=top, mass=mass, read_every=600.0, current=0.15, even=0.2, lag=0.3)
+    averaged = JointEKF(surge_max=top, mass=mass, read_every=600.0, current=0.15, even=0.2, lag=0.3)
     missions = round(60 * hours / MISSION)
     vessels = fleet_vessels(N, 1.0, plant, seed, missions)
     setup = Setup.of({"channels": CHANNELS, "align": {"dt": DT}})
-    for lane, (name, found) in enumerate(usvlearn.learn(logs, reader).identified().items()):
+    for element, (name, found) in enumerate(usvlearn.learn(logs, averaged).identified().items()):
         boat = IdentifiedBoat(name, Path(name), found, SurgeModel.of(found), setup, {}, {})
-        vessel = tree_map(lambda leaf, lane=lane: last(leaf, lane), vessels)
+        vessel = tree_map(lambda leaf, element=element: last(leaf, element), vessels)
         try:
             designed = controller(boat)
         except ConfigError as error:
@@ -89,9 +90,9 @@ def cases(plant: str, seed: int, hours: float) -> Iterator[Case | str]:
             yield Case(plant, loop.name, steps_of(sailed(vessel, law, course, hold)), loop.steps)
 
 
-def last(leaf: torch.Tensor, lane: int) -> torch.Tensor:
+def last(leaf: torch.Tensor, element: int) -> torch.Tensor:
     """A parameter of a boat on its last mission."""
-    return leaf[-1, lane] if leaf.ndim > 1 else leaf
+    return leaf[-1, element] if leaf.ndim > 1 else leaf
 
 
 def row(label: str, found: Sequence[Case]) -> str:

@@ -1,4 +1,4 @@
-"""What whole jobs cost: lanes of a grid, replays, cross-validation, memory, and what lies around them."""
+"""What whole jobs cost: batch elements of a grid, replays, cross-validation, memory, and what lies around them."""
 
 import gc
 import itertools
@@ -31,11 +31,11 @@ from usvlearn.runs.replay import replay
 from usvlearn.runs.run_folder import RunFolder
 from usvlearn.runs.tensorboard.logger import TensorBoardLogger
 from usvlearn.simulate.fleet import fleet as simulated
-from usvlearn.sweeps.tuning.lanes import lane_errors
+from usvlearn.sweeps.tuning.batches import element_errors
 
 MASS, MISSION = 28.0, 15.0  # kg, minutes
-LEAST_STEPS = 50  # of a rollout through many lanes
-MANY = 50_000_000  # lane-steps of a job that is measured once
+LEAST_STEPS = 50  # of a rollout through many batch elements
+MANY = 50_000_000  # element-steps of a job that is measured once
 RESET, STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 SETTINGS = {"estimators": {}, "combiners": {}, "align": {}, "data": {}}
 
@@ -51,13 +51,13 @@ def replayed(ensemble: Ensemble, fleet: Fleet) -> None:
 
 
 def grid_of(kind: str, settings: int) -> Estimator:
-    """So many settings of one hyperparameter, as lanes."""
+    """So many settings of one hyperparameter, as batch elements."""
     values = torch.logspace(-1, 1, settings, dtype=torch.float64)[:, None]
     return AID(MASS, values) if kind == "aid" else SIFtRLS(SurgeDynamics(MASS), 10 * values)
 
 
-def lanes(effort: Effort) -> Section:
-    """Each boat a lane; the same samples."""
+def elements(effort: Effort) -> Section:
+    """Each boat a batch element; the same samples."""
     known = estimators()
     chosen = {"aid": "aid", "sift": "sift", "rnn": "rnn, n = 20", "ensemble": "default ensemble"}
     cores = sorted({1, os.cpu_count() or 1})
@@ -67,19 +67,19 @@ def lanes(effort: Effort) -> Section:
         torch.set_num_threads(threads)
         streamed(estimator, run)
 
-    for (name, title), count in itertools.product(chosen.items(), effort.lanes):
-        length = min(effort.steps, max(LEAST_STEPS, effort.lane_steps // count))
+    for (name, title), count in itertools.product(chosen.items(), effort.elements):
+        length = min(effort.steps, max(LEAST_STEPS, effort.element_steps // count))
         wide = tree_map(lambda x, n=count, k=length: x[:k, None].expand(-1, n), samples(effort.steps))
         works = {threads: partial(shared, threads, known[title], wide) for threads in cores}
         for threads, spent in in_turn(works, effort.repeats).items():
             found[name, threads][count] = statistics.median(spent) / (length * count)
     torch.set_num_threads(1)
     rows = [
-        [name if threads == 1 else f"{name}, {threads} threads", *map(micro, by_lanes.values())]
-        for (name, threads), by_lanes in found.items()
+        [name if threads == 1 else f"{name}, {threads} threads", *map(micro, by_elements.values())]
+        for (name, threads), by_elements in found.items()
     ]
-    head = ["µs a lane-step", *(counted(n, "lane") for n in effort.lanes)]
-    return Section(table(head, rows), {"lanes": throughput(found)})
+    head = ["µs an element-step", *(counted(n, "batch element") for n in effort.elements)]
+    return Section(table(head, rows), {"batch elements": throughput(found)})
 
 
 def jobs(effort: Effort) -> Section:
@@ -88,10 +88,10 @@ def jobs(effort: Effort) -> Section:
     ensemble = accuracy.ensemble(())
     rows = []
 
-    def row(title: str, work, lane_steps: int) -> None:
-        repeats = 1 if lane_steps > MANY else 3
+    def row(title: str, work, element_steps: int) -> None:
+        repeats = 1 if element_steps > MANY else 3
         spent = statistics.median(once(work) for _ in range(repeats))
-        rows.append([title, f"{lane_steps:,}", f"{spent:.2f}", micro(spent / lane_steps)])
+        rows.append([title, f"{element_steps:,}", f"{spent:.2f}", micro(spent / element_steps)])
 
     replayed(ensemble, season(1, short))  # compiled by now
     one = season(1, long)
@@ -101,16 +101,16 @@ def jobs(effort: Effort) -> Section:
         row(title, partial(replayed, ensemble, fleet), fleet.steps * boats)
     for kind in ("aid", "sift"):
         estimator = grid_of(kind, effort.settings)
-        lane_errors(estimator, season(1, short), (effort.settings,))
+        element_errors(estimator, season(1, short), (effort.settings,))
         title = f"{effort.settings} settings of one {kind} × {long:g} h"
-        row(title, partial(lane_errors, estimator, one, (effort.settings,)), effort.settings * one.steps)
+        row(title, partial(element_errors, estimator, one, (effort.settings,)), effort.settings * one.steps)
     runs = [tree_map(lambda x, n=run.lengths[0]: x[:n, 0], run.samples) for run in one.runs]
     cross_validate(ensemble, ensemble.init((1,)), runs[:1])
     title = f"cross-validation, {effort.sets} sets × {long:g} h"
     work = partial(cross_validate, ensemble, ensemble.init((effort.sets,)), runs)
     row(title, work, effort.sets * one.steps)
-    note = f"Medians of 3, of jobs beyond {MANY // 1_000_000} million lane-steps once. One thread."
-    return Section([*table(["job", "lane-steps", "s", "µs a lane-step"], rows), "", note])
+    note = f"Medians of 3, of jobs beyond {MANY // 1_000_000} million element-steps once. One thread."
+    return Section([*table(["job", "element-steps", "s", "µs an element-step"], rows), "", note])
 
 
 def size(run: Sample) -> int:
@@ -125,7 +125,7 @@ def memory(effort: Effort) -> Section:
              for h in effort.hours]  # fmt: skip
     cases += [
         (f"grid, sift, {counted(n, 'setting')}", "sift", n, 1, h)
-        for n in effort.lanes
+        for n in effort.elements
         if n <= 512
         for h in effort.hours
     ]
@@ -158,7 +158,7 @@ def measured_memory(kind: str, count: int, file: str) -> int:
         if kind == "ensemble":
             replayed(ensemble, fleet)
         else:
-            lane_errors(grid_of(kind, count), fleet, (count,))
+            element_errors(grid_of(kind, count), fleet, (count,))
 
     work(first, 1)
     gc.collect()

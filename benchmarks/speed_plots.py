@@ -35,19 +35,25 @@ def bars(costs: Mapping[str, Mapping[str, float | None]]) -> Figure:
 
 
 def throughput(costs: Mapping[tuple[str, int], Mapping[int, float]]) -> Figure:
-    """Seconds of a lane-step against lanes, by estimator and threads."""
+    """Seconds of an element-step against batch elements, by estimator and threads."""
     figure = Figure((WIDTH, 3.6), layout="constrained")
     axes = figure.subplots()
     names = list(dict.fromkeys(name for name, _ in costs))
-    for (name, threads), by_lanes in costs.items():
+    for (name, threads), by_elements in costs.items():
         style, label = ("-", name) if threads == 1 else ("--", f"{name}, {threads} threads")
         color = f"C{names.index(name)}"
         axes.plot(
-            list(by_lanes), [1e6 * x for x in by_lanes.values()], style, color=color, marker="o", ms=4, label=label
+            list(by_elements),
+            [1e6 * x for x in by_elements.values()],
+            style,
+            color=color,
+            marker="o",
+            ms=4,
+            label=label,
         )
-    lanes = list(next(iter(costs.values())))
-    axes.set(xscale="log", yscale="log", xlabel="lanes", ylabel="µs a lane-step")
-    axes.set_xticks(lanes, [str(n) for n in lanes])
+    elements = list(next(iter(costs.values())))
+    axes.set(xscale="log", yscale="log", xlabel="batch elements", ylabel="µs an element-step")
+    axes.set_xticks(elements, [str(n) for n in elements])
     axes.minorticks_off()
     axes.grid(alpha=0.25)
     axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))

@@ -1,9 +1,9 @@
-"""What it costs an RNN to stay contracting: online and free-run error by constraint.
+"""What it costs an RNN to stay contracting: online and open-loop error by constraint.
 
 python benchmarks/stability.py [BLUEBOAT_LOGS]        writes docs/benchmarks/stability.md
 
-Five seeds (missions, noise, initial weights) of one simulated Heron, as lanes. A row's learning rate is the best of
-RATES by the free-run error on another season of the boat (TUNING); what is reported was not used for it.
+Five seeds (missions, noise, initial weights) of one simulated Heron, as batch elements. A row's learning rate is the
+best of RATES by the open-loop error on another season of the boat (TUNING); what is reported was not used for it.
 """
 
 import math
@@ -52,7 +52,7 @@ class Trial(NamedTuple):
     """What a row comes to, per rate and seed."""
 
     online: torch.Tensor  # (rates, seeds) m/s, MAE one step ahead in the first pass
-    free: torch.Tensor  # (rates, seeds) m/s, MAE of free runs over whole missions
+    free: torch.Tensor  # (rates, seeds) m/s, MAE of open-loop simulations over whole missions
     K: torch.Tensor  # (rates, seeds) at the end
 
 
@@ -75,7 +75,7 @@ def tensors(fleet) -> list[Sample]:
     return [tree_map(torch.from_numpy, run.samples) for run in fleet.runs]
 
 
-def lanes(samples: Sample, rates: int) -> Sample:
+def elements(samples: Sample, rates: int) -> Sample:
     """`(time, seeds)` as `(time, rates, seeds)`."""
     return tree_map(lambda x: x[:, None].expand(-1, rates, -1), samples)
 
@@ -93,13 +93,13 @@ def trial(
     with torch.no_grad():
         for number in range(passes):
             for samples in learn:
-                state, surge, _ = rollout(rnns[0], state, lanes(samples, len(rates)))
+                state, surge, _ = rollout(rnns[0], state, elements(samples, len(rates)))
                 if number == 0:
                     errors.append((surge - samples.surge[:, None]).abs())
         free = []
         for samples in test:
             unseen = samples._replace(measured=torch.zeros_like(samples.measured))
-            _, surge, _ = rollout(rnns[0], state, lanes(unseen, len(rates)))
+            _, surge, _ = rollout(rnns[0], state, elements(unseen, len(rates)))
             free.append((surge - samples.surge[:, None]).abs())
     online, free = (torch.cat(each).nanmean(0) for each in (errors, free))
     return Trial(online, free, contraction_rate(state.weights.a, state.weights.w1))
@@ -119,7 +119,7 @@ def table(title: str, rows: Iterable[tuple[str, float, Trial]], reference: tuple
     lines = [
         title,
         "",
-        "| constraint | rate | online MAE, m/s | free-run MAE, m/s | its range over seeds | / none | K at the end |",
+        "| constraint | rate | online MAE, m/s | open-loop MAE, m/s | its range over seeds | / none | K at the end |",
         "|---|" + "---:|" * 6,
     ]
     for name, rate, found in rows:

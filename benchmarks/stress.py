@@ -13,7 +13,7 @@ prediction has the same variance. All start from P = 10 in units of the noise's 
 P ← (P − K φᵀP)/λ. The rates of `padasip_nlms` and `river_linear` are the best of 0.01, 0.03, 0.1, 0.3 and 1 on another
 seed. `robust_huber` has the threshold 1.345 instead of 4. `joint_ekf` and `arx` have their defaults, and no wrapper.
 `joint_quick`, which follows the boat within seconds, and `ensemble` have the settings of `configs/`; the ensemble is
-BOA over two joint filters, ARX and the reader of parameters.
+BOA over two joint EKFs, ARX and the averaged joint EKF.
 """
 
 import argparse
@@ -42,7 +42,10 @@ from usvlearn.estimators.regressors.layer import SurgeDynamics
 DT, OUTLIERS = 0.4, 0.02  # s, share
 TRUTH = np.array([-3.0, -6.0, -4.0, 20.0, 15.0, -3.0, 16.0, 18.0, -2.0]) / 28  # θ/m
 SIFT_MEMORY = -DT / math.log(1 - P * (1 - LAM))  # s
-WINDOW, WITHIN = 240, 1.5  # samples of the running error, all lanes; times its level before, where it counts as back
+WINDOW, WITHIN = (
+    240,
+    1.5,
+)  # samples of the running error, all batch elements; times its level before, where it counts as back
 MODEL = SurgeDynamics(1.0)
 SURGE_MAX = 3.3  # m/s, the boat's top speed
 
@@ -51,9 +54,9 @@ class Scenario(NamedTuple):
     """What happens to the boat, and over which steps the predictions are judged."""
 
     title: str
-    samples: Sample  # (time, lanes)
-    target: Tensor  # (time, lanes) m/s, what would have been measured, had nothing gone wrong
-    theta: Tensor  # (lanes, p) in force at the end
+    samples: Sample  # (time, elements)
+    target: Tensor  # (time, elements) m/s, what would have been measured, had nothing gone wrong
+    theta: Tensor  # (elements, p) in force at the end
     lead: int  # steps of excitation with which it begins
     after: slice  # steps of the error after
     event: int | None = None  # step from which recovery counts; None: there is none
@@ -69,30 +72,30 @@ class Result(NamedTuple):
 
 
 def drive(
-    parts: list[tuple[str, int]], lanes: int, seed: int, factors: np.ndarray | float = 1.0, changes: int = 0
+    parts: list[tuple[str, int]], elements: int, seed: int, factors: np.ndarray | float = 1.0, changes: int = 0
 ) -> Scenario:
     """The boat through parts of "excited", "idle" and "cruise"; θ is `factors` times TRUTH from step `changes` on."""
     rng = np.random.default_rng(seed)
     kinds = np.concatenate([np.full(n, kind) for kind, n in parts])[:, None]
     n = len(kinds)
-    random = rng.random((2, math.ceil(n / 10), lanes)).repeat(10, 1)[:, :n]
+    random = rng.random((2, math.ceil(n / 10), elements)).repeat(10, 1)[:, :n]
     left, right = np.where(kinds == "excited", random, np.where(kinds == "cruise", 0.6, 0.0))
-    heading = (0.05 * rng.standard_normal((n, lanes)) * (kinds == "excited")).cumsum(0)
+    heading = (0.05 * rng.standard_normal((n, elements)) * (kinds == "excited")).cumsum(0)
     yaw_rate = np.diff(heading, axis=0, prepend=heading[:1]) / DT
-    changed, v, surge = np.broadcast_to(TRUTH * factors, (lanes, P)), np.zeros(lanes), np.empty((n, lanes))
+    changed, v, surge = np.broadcast_to(TRUTH * factors, (elements, P)), np.zeros(elements), np.empty((n, elements))
     for k in range(n):
         cq, cl, cr, aL, bL, gL, aR, bR, gR = (TRUTH[None] if k < changes else changed).T
         drag = cq * abs(v) * v + cl * v + cr * abs(yaw_rate[k]) * v
         left_thrust = (aL + bL * left[k] + gL * abs(v)) * left[k]
         v = v + DT * (drag + left_thrust + (aR + bR * right[k] + gR * abs(v)) * right[k])
         surge[k] = v
-    target = torch.from_numpy(surge + NOISE * rng.standard_normal((n, lanes)))
+    target = torch.from_numpy(surge + NOISE * rng.standard_normal((n, elements)))
     yes = torch.ones_like(target, dtype=torch.bool)
     inputs = Inputs(*map(torch.from_numpy, (left, right, heading, yaw_rate, np.full_like(left, DT))))
     return Scenario("", Sample(inputs, target, yes, yes), target, torch.tensor(changed), parts[0][1], slice(None))
 
 
-def scenarios(steps: int = 1_000_000, lanes: int = 24) -> dict[str, Scenario]:
+def scenarios(steps: int = 1_000_000, elements: int = 24) -> dict[str, Scenario]:
     """All of them by name; `steps` limits every part."""
     rng = np.random.default_rng(0)
     lead, ten_minutes, outage, cycle = (min(n, steps) for n in (2000, 1500, 3000, 25_000))
@@ -109,28 +112,28 @@ def scenarios(steps: int = 1_000_000, lanes: int = 24) -> dict[str, Scenario]:
     title = f"{len(mixed.target)} steps of idle, cruise and excitation in turn: last {cycle // 5}"
     found["mixed"] = mixed._replace(title=title, after=slice(-(cycle // 5), None))
 
-    wild = drive(twice, lanes, 3)
+    wild = drive(twice, elements, 3)
     off = 2 * rng.standard_t(3, wild.target.shape) * (rng.random(wild.target.shape) < OUTLIERS)
     title = f"{OUTLIERS:.0%} of the speeds off by 2 m/s times Student's t of 3 degrees: second half"
     samples = wild.samples._replace(surge=wild.target + torch.from_numpy(off))
     found["outliers"] = wild._replace(title=title, samples=samples, after=half)
 
-    spoilt = drive(twice, lanes, 4)
+    spoilt = drive(twice, elements, 4)
     inputs, surge = tree_map(torch.clone, spoilt.samples.inputs), spoilt.target.clone()
     surge[lead], inputs.command_left[lead + 20], inputs.command_right[lead + 40] = math.nan, math.nan, math.inf
     title = "a speed that is NaN, a command that is NaN, one that is infinite: all that follows"
     samples = spoilt.samples._replace(surge=surge, inputs=inputs)
     found["nan"] = spoilt._replace(title=title, samples=samples, after=half, event=lead)
 
-    jump = drive(twice, lanes, 5, 2 ** rng.uniform(-1, 1, (lanes, P)), lead)
+    jump = drive(twice, elements, 5, 2 ** rng.uniform(-1, 1, (elements, P)), lead)
     title = "all parameters jump by factors of ½ to 2: first 100 predictions"
     found["jump"] = jump._replace(title=title, after=slice(lead, lead + 100), event=lead)
 
-    fault = drive([("excited", ten_minutes)] * 2, lanes, 6, np.repeat([1.0, 0.4, 1.0], 3), ten_minutes)
+    fault = drive([("excited", ten_minutes)] * 2, elements, 6, np.repeat([1.0, 0.4, 1.0], 3), ten_minutes)
     title = "left thruster at 40 % from minute 10: first 100 predictions"
     found["thruster"] = fault._replace(title=title, after=slice(ten_minutes, ten_minutes + 100), event=ten_minutes)
 
-    silent = drive([("excited", lead), ("excited", outage), ("excited", lead)], lanes, 7)
+    silent = drive([("excited", lead), ("excited", outage), ("excited", lead)], elements, 7)
     back, samples = lead + outage, tree_map(torch.clone, silent.samples)
     samples.measured[lead:back], samples.inputs.dt[back] = False, 0.0  # the first speed opens a segment
     title = f"{outage * DT / 60:.0f} min without speed, commands go on: first 50 predictions after"
@@ -171,7 +174,7 @@ def ours() -> dict[str, Estimator]:
 
 
 def regressors(samples: Sample) -> Tensor:
-    """φ at the speeds measured, `(time, lanes, p)`."""
+    """φ at the speeds measured, `(time, elements, p)`."""
     return MODEL(torch.cat([torch.zeros_like(samples.surge[:1]), samples.surge[:-1]]), samples.inputs)[1]
 
 
@@ -191,7 +194,7 @@ def run_ours(scenario: Scenario, estimator: Estimator) -> Result:
 
 
 def follow(peer: Peer, samples: Sample) -> Tensor:
-    """A peer's predictions over the samples of one lane, `(time,)`."""
+    """A peer's predictions over the samples of one batch element, `(time,)`."""
     phi = regressors(tree_map(lambda x: x[:, None], samples))[:, 0].numpy()
     surge, measured, dt = samples.surge.numpy(), samples.measured.numpy(), samples.inputs.dt.numpy()
     speed, coasts, predictions = 0.0, False, np.full(len(surge), np.nan)
@@ -211,13 +214,13 @@ def follow(peer: Peer, samples: Sample) -> Tensor:
 
 def run_peer(scenario: Scenario, make: Callable[[], Peer]) -> Result:
     surges, theta, finite = torch.full_like(scenario.target, math.nan), torch.zeros_like(scenario.theta), True
-    for lane in range(scenario.target.shape[1]):
+    for element in range(scenario.target.shape[1]):
         peer = make()
         try:
-            surges[:, lane] = follow(peer, tree_map(lambda x, lane=lane: x[:, lane], scenario.samples))
+            surges[:, element] = follow(peer, tree_map(lambda x, element=element: x[:, element], scenario.samples))
         except np.linalg.LinAlgError:  # it gave up: a singular matrix
             finite = False
-        theta[lane] = torch.tensor(peer.theta())
+        theta[element] = torch.tensor(peer.theta())
         finite = finite and all(np.isfinite(x).all() for x in peer.numbers())
     return assess(scenario, surges, theta, finite and bool(theta.isfinite().all()))
 
@@ -276,27 +279,27 @@ class GivenInputs(NamedTuple):
     dt: Tensor  # (*batch,) s
 
 
-def regression(steps: int, lanes: int = 24, outliers: float = OUTLIERS) -> dict[str, float]:
+def regression(steps: int, elements: int = 24, outliers: float = OUTLIERS) -> dict[str, float]:
     """|Δθ| over the second half where φ is standard normal, |θ| = 1, noise NOISE, and outliers as in the scenario."""
     rng = np.random.default_rng(8)
-    phi, theta = rng.standard_normal((steps, lanes, P)), rng.standard_normal((lanes, P))
+    phi, theta = rng.standard_normal((steps, elements, P)), rng.standard_normal((elements, P))
     theta /= np.linalg.norm(theta, axis=-1, keepdims=True)
-    y = (phi * theta).sum(-1) + NOISE * rng.standard_normal((steps, lanes))
+    y = (phi * theta).sum(-1) + NOISE * rng.standard_normal((steps, elements))
     y += 2 * rng.standard_t(3, y.shape) * (rng.random(y.shape) < outliers)
     found = {}
     for name, make in peers(torch.eye(P, dtype=torch.float64)).items():
         off = []
-        for lane in range(lanes):
+        for element in range(elements):
             peer = make()
             for k in range(steps):
-                peer.predict(phi[k, lane])
-                peer.learn(phi[k, lane], y[k, lane])
+                peer.predict(phi[k, element])
+                peer.learn(phi[k, element], y[k, element])
                 if k >= steps // 2 and k % 10 == 0:
-                    off.append(np.linalg.norm(peer.theta() - theta[lane]))
+                    off.append(np.linalg.norm(peer.theta() - theta[element]))
         found[name] = float(np.mean(off))
-    dt = torch.full((lanes,), DT, dtype=torch.float64)
+    dt = torch.full((elements,), DT, dtype=torch.float64)
     for name, estimator in single(Given()).items():
-        state, off = estimator.init((lanes,)), []
+        state, off = estimator.init((elements,)), []
         with torch.no_grad():
             for k in range(steps):
                 state, _ = estimator.learn(state, GivenInputs(torch.from_numpy(phi[k]), dt), torch.from_numpy(y[k]))
@@ -307,10 +310,10 @@ def regression(steps: int, lanes: int = 24, outliers: float = OUTLIERS) -> dict[
 
 
 def times(scenario: Scenario) -> dict[str, float]:
-    """Seconds per step of one lane, median of 5 passes over all in turn; ours are streamed (`rollout`)."""
-    lane = tree_map(lambda x: x[:2000, 0], scenario.samples)
-    wide = tree_map(lambda x: x[:, None], lane)
-    works = {name: lambda m=make: follow(m(), lane) for name, make in peers(excitation(scenario)).items()}
+    """Seconds per step of one batch element, median of 5 passes over all in turn; ours are streamed (`rollout`)."""
+    element = tree_map(lambda x: x[:2000, 0], scenario.samples)
+    wide = tree_map(lambda x: x[:, None], element)
+    works = {name: lambda m=make: follow(m(), element) for name, make in peers(excitation(scenario)).items()}
     works |= {name: lambda e=one: rollout(e, e.init((1,)), wide) for name, one in ours().items()}
     spent: dict[str, list[float]] = {name: [] for name in works}
     with torch.no_grad():
@@ -318,7 +321,7 @@ def times(scenario: Scenario) -> dict[str, float]:
             for name, work in works.items():
                 start = time.perf_counter()
                 work()
-                spent[name].append((time.perf_counter() - start) / len(lane.surge))
+                spent[name].append((time.perf_counter() - start) / len(element.surge))
     return {name: statistics.median(each) for name, each in spent.items()}
 
 

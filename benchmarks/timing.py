@@ -20,11 +20,11 @@ class Effort(NamedTuple):
     """How much is measured."""
 
     repeats: int = 5
-    steps: int = 50_000  # streamed through one lane
+    steps: int = 50_000  # streamed through one batch element
     eager: int = 200  # of them through torch
     calls: int = 3000  # from Python
-    lanes: tuple[int, ...] = (1, 8, 64, 512, 4096)
-    lane_steps: int = 400_000  # over all lanes
+    elements: tuple[int, ...] = (1, 8, 64, 512, 4096)
+    element_steps: int = 400_000  # over all batch elements
     hours: tuple[float, float] = (3.0, 30.0)  # of a season, and of a short one
     settings: int = 512  # of a grid
     sets: int = 80  # of a cross-validation

@@ -135,7 +135,7 @@ def boats(plant: str, seed: int, n: int = 3, hours: float = 3.0, later: float = 
 
 
 def free_run_mae(predictions: Sequence[np.ndarray], runs: Sequence[Sample]) -> float:
-    """The mean absolute error of free runs, m/s, over all steps whose speed was measured.
+    """The mean absolute error of open-loop simulations, m/s, over all steps whose speed was measured.
 
     Args:
         predictions: of each run, `(time,)`, m/s; one that is not finite counts as 10 m/s wrong.

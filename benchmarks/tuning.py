@@ -64,7 +64,8 @@ def main() -> None:
         f"`{' '.join(SEASON)}`,",
         "at a budget of 64 evaluations beside the default's own. An evaluation is the arithmetic of one replay of it;",
         "`reached` says after how many of them the error is no larger than the",
-        "grid's best. The grid and Optuna judge many settings in one pass, as lanes; a pass of the gradient waits for",
+        "grid's best. The grid and Optuna judge many settings in one pass, as batch elements; a pass of the gradient "
+        "waits for",
         "the one before, so that at equal arithmetic it takes longer.",
         "",
         "| member | way | MAE, m/s | evaluations | reached | s | setting |",

@@ -1,10 +1,10 @@
-"""A network of surge, sway and yaw rate that contracts: its free runs beside models of each axis alone.
+"""A network of surge, sway and yaw rate that contracts: its open-loop simulations beside models of each axis alone.
 
 python benchmarks/vector.py [VTEC_LOGS] [--quick]        writes docs/benchmarks/vector.md
 
-Every network learns online, sample by sample; SEEDS initial networks are lanes of one batch. A row's learning rate is
-the best of RATES by free runs on tuning runs, which are neither those that were learned nor those that are reported.
-The page tells the rest.
+Every network learns online, sample by sample; SEEDS initial networks are elements of one batch. A row's learning rate
+is the best of RATES by open-loop simulations on tuning runs, which are neither those that were learned nor those that
+are reported. The page tells the rest.
 """
 
 from __future__ import annotations
@@ -102,14 +102,14 @@ def padded(runs: list[VectorSample]) -> VectorSample:
 
 
 class Errors(NamedTuple):
-    """Of all lanes, `(*lanes, 3)`: mean absolute and root mean square, m/s, m/s, rad/s."""
+    """Of all batch elements, `(*elements, 3)`: mean absolute and root mean square, m/s, m/s, rad/s."""
 
     mae: Tensor
     rmse: Tensor
 
 
 def errors(predicted: Tensor, truth: Tensor) -> Errors:
-    """Of predictions `(time, *lanes, runs, 3)`; a run that diverged counts with its error at 1000."""
+    """Of predictions `(time, *elements, runs, 3)`; a run that diverged counts with its error at 1000."""
     e = (predicted - truth.reshape(len(truth), *(1,) * (predicted.ndim - 3), *truth.shape[1:])).clamp(-1e3, 1e3)
     there = e.isfinite()
     e, count = torch.where(there, e, 0.0), there.sum((0, -2))
@@ -117,32 +117,35 @@ def errors(predicted: Tensor, truth: Tensor) -> Errors:
 
 
 def learn(maxima: tuple[float, ...], samples: VectorSample, passes: int, options: dict, seeds: int):
-    """A module, and the networks of all rates and seeds that learn the samples, lanes `(rates, seeds, runs)`."""
+    """A module, and the networks of all rates and seeds that learn the samples, a batch of `(rates, seeds, runs)`."""
     rates = [[[each]] for each in RATES]
     options = {"contraction_rate": KAPPA, "rate": rates} | options
     modules = [VectorRNN(maxima, seed=k, **options).requires_grad_(False) for k in range(seeds)]
     runs = samples.fresh.shape[1]
     state = tree_map(lambda *x: torch.cat(x, 1), *(each.init((len(RATES), 1, runs)) for each in modules))
     for _ in range(passes):
-        state, _ = modules[0].rollout(state, of_lanes(samples, (len(RATES), seeds)))
+        state, _ = modules[0].rollout(state, of_elements(samples, (len(RATES), seeds)))
     return modules[0], state
 
 
-def of_lanes(samples: VectorSample, lanes: tuple[int, ...]) -> VectorSample:
-    """Leaves `(time, *lanes, …)`."""
-    return tree_map(lambda x: x[(slice(None), *(None,) * len(lanes))].expand(len(x), *lanes, *x.shape[1:]), samples)
+def of_elements(samples: VectorSample, elements: tuple[int, ...]) -> VectorSample:
+    """Leaves `(time, *elements, …)`."""
+    return tree_map(
+        lambda x: x[(slice(None), *(None,) * len(elements))].expand(len(x), *elements, *x.shape[1:]), samples
+    )
 
 
 def run(module: VectorRNN, state, samples: VectorSample, free: bool) -> Tensor:
-    """Free runs, or predictions one step ahead from the measured velocities; lanes of the state, then those of samples.
+    """Open-loop simulations, or predictions one step ahead from the measured velocities; batch elements of the state,
+    then those of samples.
 
     Args:
         state: leaves `(rates, seeds, k, …)`.
         samples: leaves `(time, k, runs, …)`.
     """
-    lanes, runs = tuple(state.updates.shape), samples.fresh.shape[2]
-    state = tree_map(lambda x: x.unsqueeze(3).expand(*lanes, runs, *x.shape[3:]), state)
-    whole = of_lanes(samples, lanes[:2])
+    elements, runs = tuple(state.updates.shape), samples.fresh.shape[2]
+    state = tree_map(lambda x: x.unsqueeze(3).expand(*elements, runs, *x.shape[3:]), state)
+    whole = of_elements(samples, elements[:2])
     if free:
         return module.rollout(state, whole, learn=False)[1]
     found = []
@@ -156,7 +159,7 @@ def run(module: VectorRNN, state, samples: VectorSample, free: bool) -> Tensor:
 
 
 def joint(boat: Boat, options: dict, seeds: int) -> tuple[Errors, Tensor, Any, int]:
-    """A network of all components: free-run errors and MAE one step ahead of each seed at the best rate, `(seeds, 3)`.
+    """A network of all components: open-loop errors and MAE one step ahead of each seed at the best rate, `(seeds, 3)`.
 
     And the state of these seeds, leaves `(seeds, …)`, and the place of the rate.
     """
@@ -200,13 +203,13 @@ def measured(samples: VectorSample) -> Tensor:
 
 
 def networks_of(state) -> list[VectorWeights]:
-    """Of all lanes."""
-    lanes = np.ndindex(*state.updates.shape)
-    return [check(VectorWeights(*(w[lane].numpy() for w in state.weights))) for lane in lanes]
+    """Of all batch elements."""
+    elements = np.ndindex(*state.updates.shape)
+    return [check(VectorWeights(*(w[element].numpy() for w in state.weights))) for element in elements]
 
 
 def largest_rate(state, scaling) -> Fraction:
-    """The largest exact rate of all lanes, in the norm of `scaling`."""
+    """The largest exact rate of all batch elements, in the norm of `scaling`."""
     T = None if scaling is None else vector_exact.matrix(np.diag(scaling))
     return max(vector_exact.rate(each, vector_exact.everywhere(each, RELU), scaling=T) for each in networks_of(state))
 
@@ -245,7 +248,7 @@ def least_squares(boat: Boat, kind: str) -> tuple[Errors, Tensor]:
 
 
 def simulated_by(boat: Boat, step) -> tuple[Errors, Tensor]:
-    """Free-run errors and MAE one step ahead of a map of x and u on the reported runs, `(3,)` each."""
+    """Open-loop errors and MAE one step ahead of a map of x and u on the reported runs, `(3,)` each."""
     scale = torch.tensor(boat.maxima, dtype=torch.float64)
     samples = boat.reported
     u, found = torch.stack(samples.inputs[:2], -1), {}
@@ -329,8 +332,8 @@ TEXT = f"""\
 # A network of surge, sway and yaw rate that contracts
 
 Every network learns online, sample by sample, from {SEEDS} initial states of its neurons. A row's learning rate is the
-best of {", ".join(f"{rate:g}" for rate in RATES)} by free runs on tuning runs. Those are neither the runs that were
-learned nor the reported ones. A step is {DT:g} s.
+best of {", ".join(f"{rate:g}" for rate in RATES)} by open-loop simulations on tuning runs. Those are neither the runs
+that were learned nor the reported ones. A step is {DT:g} s.
 
 | model | |
 |---|---|
@@ -348,10 +351,11 @@ T is chosen before, from the networks without a constraint: `best_diagonal` of e
 `importance` of the components in the loss is about 1/σ of the residual of a linear fit to the learned runs. It was
 better than equal weights on the tuning runs; on VTec equal weights had been reported before it was tried.
 
-A free run takes the velocity at its start, and then the commands alone. Errors are in m/s, m/s and rad/s, over all
-steps of the reported runs. Networks have the mean ± the sample standard deviation over the seeds. Errors of simulated
-runs are relative to the true velocity, those of recorded runs to the measured one. Of VTec's runs, in the order of
-their names, the first and third of every five are learned, the second is for tuning, and the other two are reported.
+An open-loop simulation takes the velocity at its start, and then the commands alone. Errors are in m/s, m/s and rad/s,
+over all steps of the reported runs. Networks have the mean ± the sample standard deviation over the seeds. Errors of
+simulated runs are relative to the true velocity, those of recorded runs to the measured one. Of VTec's runs, in the
+order of their names, the first and third of every five are learned, the second is for tuning, and the other two are
+reported.
 
 K is the largest exact rate in fractions of the networks of all seeds after the last sample, rounded up. It is in the
 norm onto which is projected, for `none` in that of T, for the lemma and the three networks with T = 1. `lemma` is the

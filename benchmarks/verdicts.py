@@ -124,16 +124,16 @@ def per_network(rng: np.random.Generator) -> list[str]:
         K = float(exact.conditions(weights.a, weights.w1)["tight"].rate)
         weights = weights._replace(a=weights.a * (0.9 / K))
         a, w1 = weights.a, weights.w1
-        proof, lanes = exact.multipliers("tight", a, w1), tensors(weights)
+        proof, elements = exact.multipliers("tight", a, w1), tensors(weights)
         row = {
-            "closed form, torch": seconds(partial(conditions.rate, lanes.a, lanes.w1), 200),
+            "closed form, torch": seconds(partial(conditions.rate, elements.a, elements.w1), 200),
             "exact K": seconds(partial(exact.extreme_slopes, a, w1)),
             "all four conditions, exactly": seconds(partial(exact.conditions, a, w1)),
             "p, Λ proved: LDLᵀ over fractions": seconds(partial(exact.proves, "tight", a, w1, proof), 5),
             "equilibria at one input": seconds(partial(equilibria, weights, np.zeros(4))),
-            "project a onto tight": seconds(partial(project, lanes, "tight", 0.5)),
-            "project (a, w₁) onto tight": seconds(partial(project_jointly, lanes, 0.5)),
-            "retract": seconds(partial(retract, lanes, 0.5)),
+            "project a onto tight": seconds(partial(project, elements, "tight", 0.5)),
+            "project (a, w₁) onto tight": seconds(partial(project_jointly, elements, 0.5)),
+            "retract": seconds(partial(retract, elements, 0.5)),
         }
         if n <= 100:
             problem = LMI(n, "tight")
@@ -169,7 +169,7 @@ def command(rng: np.random.Generator) -> list[str]:
         call = [sys.executable, "-m", "certify", folder]
         whole = seconds(partial(subprocess.run, call, cwd=ROOT, stdout=subprocess.DEVNULL), 3)
         torch_alone = seconds(partial(subprocess.run, [sys.executable, "-c", "import torch"]), 3)
-    told = f"`python -m certify` on 100 parameter sets, n = 20: {whole:.2f} s"
+    told = f"`python -m certify` on 100 checkpoints, n = 20: {whole:.2f} s"
     return [f"{told}; `import torch`, which it does not need, alone: {torch_alone:.2f} s."]
 
 

@@ -33,7 +33,7 @@ LONGEST_TIME = 1e9  # s
 EPILOG = """
 exit code: 0 all certified by --condition, 1 not all, 2 bad input, 3 a fault of certify, 130 Ctrl-C
 
-python -m certify outputs/RUN                             the parameter sets of a run
+python -m certify outputs/RUN                             the checkpoints of a run
 python -m certify 'outputs/*/checkpoints/heron/*' --box   with the exact rate on the operating box
 python -m certify multirun/SWEEP --plot sweep.png         a table of its jobs: stability against accuracy
 python -m certify net.npz --certificate proofs            a JSON certificate each
@@ -83,7 +83,7 @@ def parser() -> argparse.ArgumentParser:
     )
     found.add_argument("paths", nargs="*", metavar="PATH", help="checkpoints, folders of runs or sweeps, patterns")
     found.add_argument("--condition", choices=EVERY_CONDITION, help="what is judged (default: tight)")
-    found.add_argument("--all", action="store_true", help="of a sweep: every parameter set, not each boat's last one")
+    found.add_argument("--all", action="store_true", help="of a sweep: every checkpoint, not each boat's last one")
     found.add_argument("--lmi", action="store_true", help="solve both linear matrix inequalities too (extra lmi)")
     found.add_argument("--solver", default="CLARABEL", help="of --lmi, a name that cvxpy knows (default: CLARABEL)")
     found.add_argument(
@@ -106,11 +106,13 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--steps", action="store_true", help="prove also that all steps up to the largest contract")
     found.add_argument("--dt", type=float, metavar="S", help="step in s, to give time constants in s")
     found.add_argument("--json", action="store_true", help="a list of objects on standard output")
-    found.add_argument("--certificate", metavar="DIR", help="write a JSON certificate of each set that is certified")
+    found.add_argument(
+        "--certificate", metavar="DIR", help="write a JSON certificate of each checkpoint that is certified"
+    )
     found.add_argument(
         "--plot",
         metavar="FILE",
-        help="draw the map and its equilibria; FILE, FILE-2, … for several sets; of a sweep: rates against errors",
+        help="draw the map and its equilibria; FILE, FILE-2, … for several checkpoints; sweep: rates against errors",
     )
     found.add_argument("--headings", action="store_true", help="of --plot: the maps at rest over all headings")
     found.add_argument(
@@ -223,7 +225,7 @@ def _refuse_options_of_single_sets(options: argparse.Namespace) -> None:
     given |= {"--steps": options.steps, "--activation": options.activation}
     if wrong := [name for name, value in given.items() if value not in (None, False)]:
         raise CertifyError(
-            f"{wrong[0]}: is about single parameter sets, and {options.paths[0]} is the folder of a sweep: give the "
+            f"{wrong[0]}: is about single checkpoints, and {options.paths[0]} is the folder of a sweep: give the "
             "folders of its jobs"
         )
 
@@ -324,7 +326,7 @@ def _write_certificates(
 
 
 def _names(networks: Sequence[Network | VectorNetwork]) -> list[str]:
-    """A file name for each set: the part of its path that differs from the others."""
+    """A file name for each checkpoint: the part of its path that differs from the others."""
     paths = [os.path.abspath(network.path) for network in networks]
     shared = os.path.commonpath([os.path.dirname(path) for path in paths])
     names = [re.sub(r"\.(safetensors|npz|pth?)(?=\W|$)", "", os.path.relpath(path, shared)) for path in paths]

@@ -37,7 +37,7 @@ def complain(text: str) -> None:
 
 @contextmanager
 def about(path: str) -> Iterator[None]:
-    """Make errors about one parameter set name it; also errors of arithmetic, with weights of unforeseen sizes.
+    """Make errors about one checkpoint name it; also errors of arithmetic, with weights of unforeseen sizes.
 
     Raises:
         CertifyError: in place of each of these.

@@ -1,4 +1,6 @@
-"""The few lines of Python from logs to predictions: the same numbers as train.py, tables, saved sets, and errors."""
+"""The few lines of Python from logs to predictions: the same numbers as train.py, tables, saved checkpoints, and
+errors.
+"""
 
 import json
 from pathlib import Path
@@ -42,11 +44,11 @@ def test_it_finds_what_the_command_finds(logs, learned, tmp_path):
         json.dumps(learned.scores)
     )
     files = [np.load(path) for path in sorted((tmp_path / "run" / "predictions").glob("*.npz"))]
-    for lane, boat in enumerate(learned.boats):
+    for element, boat in enumerate(learned.boats):
         mine = [run for run in learned.predictions if run.boat == boat]
         lengths = [len(run.time) for run in logs.fleet.runs]
         for key, part in (("predictions", "predicted"), ("halfwidths", "halfwidth")):
-            theirs = np.split(np.concatenate([file[key][:, lane] for file in files]), np.cumsum(lengths)[:-1])
+            theirs = np.split(np.concatenate([file[key][:, element] for file in files]), np.cumsum(lengths)[:-1])
             for run, whole in zip(mine, theirs, strict=True):
                 assert list(getattr(run, part)) == list(learned.ensemble.names)
                 ours = np.stack(list(getattr(run, part).values()), -1)
@@ -205,7 +207,7 @@ def test_a_path_is_not_taken_for_logs(learned, tmp_path):
 
 
 def test_the_only_boat_is_not_saved_under_another_name(tmp_path):
-    """Its set serves logs of any boat in a simulation, but a name that is given must be its own."""
+    """Its checkpoint serves logs of any boat in a simulation, but a name that is given must be its own."""
     alone = usvlearn.learn(usvlearn.read(data="simulated", hours=0.05), AID(mass=28.0))
     with pytest.raises(ConfigError, match="boat: found 'herno', of which nothing was learned, expected one of heron"):
         alone.save(tmp_path / "a.safetensors", "herno")

@@ -70,15 +70,15 @@ def test_shapes_and_dtypes(name, batch, dtype):
 
 @each_estimator
 @over("batch", BATCHES[1:])
-def test_lanes_equal_single_runs(name, batch):
+def test_elements_equal_single_runs(name, batch):
     estimator, samples = ESTIMATORS[name](), random_samples(15, *batch)
     end, surge, _ = rollout(estimator, estimator.init(batch), samples)
-    for lane in itertools.product(*map(range, batch)):
+    for element in itertools.product(*map(range, batch)):
         end1, surge1, _ = rollout(
-            estimator, estimator.init(), tree_map(lambda x, i=lane: x[(slice(None), *i)], samples)
+            estimator, estimator.init(), tree_map(lambda x, i=element: x[(slice(None), *i)], samples)
         )
-        torch.testing.assert_close(surge[(slice(None), *lane)], surge1, rtol=1e-12, atol=1e-12)
-        assert_same(tree_map(lambda x, i=lane: x[i], end), end1, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(surge[(slice(None), *element)], surge1, rtol=1e-12, atol=1e-12)
+        assert_same(tree_map(lambda x, i=element: x[i], end), end1, rtol=1e-12, atol=1e-12)
 
 
 @each_estimator
@@ -288,7 +288,7 @@ def test_learn_is_predict_and_update(name):
 
 
 @each_estimator
-def test_monitor_names_numbers_per_lane(name):
+def test_monitor_names_numbers_per_element(name):
     estimator = ESTIMATORS[name]()
     numbers = estimator.monitor(estimator.init((2, 3)))
     assert all(value.shape == (2, 3) and value.isfinite().all() for value in numbers.values())

@@ -97,7 +97,9 @@ def with_smoothing(tmp_path):
 
 
 def test_the_new_estimator_of_contributing_has_every_property(with_smoothing):
-    """The contracts; and the kernel equals torch in both precisions, over lanes, faults, free runs and sets on disk."""
+    """The contracts; and the kernel equals torch in both precisions, over batch elements, faults, open-loop simulations
+    and checkpoints on disk.
+    """
     environment = os.environ | {"PYTHONPATH": str(with_smoothing), "NUMBA_CACHE_DIR": str(with_smoothing / "cache")}
     tests = ["tests/test_contracts.py", "tests/engine/test_kernels.py", "tests/engine/test_descriptions.py"]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", "smoothing", *tests]
@@ -145,7 +147,7 @@ CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("rnn_replay", "replay_size"), ("rnn_replay", "unroll"),
     *itertools.product(("joint_quick",), ("disturbance", "disturbance_time", "current", "drift_time", "outlier")),
     *itertools.product(
-        ("joint_reader",), ("disturbance", "disturbance_time", "drift_time", "current", "lag", "read_every")),
+        ("joint_averaged",), ("disturbance", "disturbance_time", "drift_time", "current", "lag", "read_every")),
 }  # fmt: skip
 GIVEN = {"_target_", "model", "members", "labels", "estimator", "mass", "surge_max"}  # to whom, and of the vehicle
 

@@ -55,10 +55,16 @@ def test_idle_cruise_and_excitation(long, dtype):
     error = (published - samples.surge[:, None]).abs()
     names = ensemble.names
     for after in (excited + long, 2 * (excited + long)):  # idling, cruise: plain forgetting errs by 1e3 m/s and more
-        for name in ("aid", "joint", "joint_quick", "arx", "reader", "ensemble"):
+        for name in ("aid", "joint", "joint_quick", "arx", "joint_averaged", "ensemble"):
             most = 0.3 if name == "joint_quick" else 0.12  # whose large disturbance takes the noise for motion
             assert error[after : after + 50, names.index(name)].mean() < most, (name, after)
-    for name in ("joint", "joint_quick", "arx", "reader", "ensemble"):  # the noise of target and start make 0.023
+    for name in (
+        "joint",
+        "joint_quick",
+        "arx",
+        "joint_averaged",
+        "ensemble",
+    ):  # the noise of target and start make 0.023
         assert error[-200:, names.index(name)].mean() < (0.08 if name == "joint_quick" else 0.035), name
 
 

@@ -1,6 +1,7 @@
 """Aboard: what a boat's computer does, in an environment with numpy, numba and safetensors alone.
 
-Where `USVLEARN_RUN` names the folder of a run, its sets are taken, and torch must not be there; else one is made here.
+Where `USVLEARN_RUN` names the folder of a run, its checkpoints are taken, and torch must not be there; else one is made
+here.
 """
 
 import hashlib
@@ -28,7 +29,7 @@ REQUIRED = ("surge", "heading", "command_left", "command_right")
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory) -> Path:
-    """A folder of parameter sets."""
+    """A folder of checkpoints."""
     if RUN:
         return next((Path(RUN) / "checkpoints").iterdir())
     from usvlearn import AID, BOA, RNN, Bank, Ensemble, Robust, SIFtRLS, SurgeDynamics, WithMemory

@@ -140,13 +140,13 @@ def learn(
     estimator: Estimator | None = None,
     start: PathLike | Mapping[str, PathLike] | None = None,
 ) -> Learned:
-    """Replay logs online, each boat a lane: predict every speed, then learn from it.
+    """Replay logs online, each boat a batch element: predict every speed, then learn from it.
 
     Args:
         logs: of one boat or of several; see `read`.
         estimator: an `Ensemble`, or another estimator, to which persistence is added; by default the ensemble
             of configs/train.yaml for the boat's mass and top speed.
-        start: a parameter set to start from, or a folder of them, of which the newest is used; or boat -> either.
+        start: a checkpoint to start from, or a folder of them, of which the newest is used; or boat -> either.
 
     Raises:
         ConfigError: `logs` were not made by `read`, or `estimator` is not an estimator.
@@ -197,10 +197,10 @@ def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
 
 
 def _started(state: EnsembleState, boats: Sequence[str], start: PathLike | Mapping[str, PathLike]) -> EnsembleState:
-    """The state of all boats from saved parameter sets; see `usvlearn.runs.run_folder.from_sets`."""
+    """The state of all boats from saved checkpoints; see `usvlearn.runs.run_folder.from_sets`."""
     from usvlearn.runs.run_folder import from_sets
 
     paths = start if isinstance(start, Mapping) else dict.fromkeys(boats, start)
     if missing := [boat for boat in boats if boat not in paths]:
-        raise ConfigError(f"start: found nothing for {', '.join(missing)}, expected a parameter set of each boat")
+        raise ConfigError(f"start: found nothing for {', '.join(missing)}, expected a checkpoint of each boat")
     return from_sets(state, [Path(paths[boat]) for boat in boats])[0]

@@ -65,10 +65,10 @@ class AlignedLogs:
     def runs(self) -> tuple[AlignedRun, ...]:
         """All runs of all boats, in the order in which they are learned."""
         return tuple(
-            AlignedRun(boat, run.names[lane], run.time[:n, lane], _lane(run.samples, n, lane))
+            AlignedRun(boat, run.names[element], run.time[:n, element], _element(run.samples, n, element))
             for run in self.fleet.runs
-            for lane, boat in enumerate(self.boats)
-            if (n := run.lengths[lane])
+            for element, boat in enumerate(self.boats)
+            if (n := run.lengths[element])
         )
 
     @property
@@ -99,11 +99,11 @@ class Predictions:
     run: str
     time: np.ndarray  # (time,) s since its first step
     measured: np.ndarray  # (time,) m/s, NaN where it was not measured
-    predicted: dict[str, np.ndarray]  # member or rule -> (time,) m/s, NaN where no step was made
+    predicted: dict[str, np.ndarray]  # member or combiner -> (time,) m/s, NaN where no step was made
     halfwidth: dict[str, np.ndarray]  # of its interval, infinite before ten measurements; empty in a simulation
 
     def interval(self, name: str = "ensemble") -> tuple[np.ndarray, np.ndarray]:
-        """The lower and the upper end of the 90 % interval of a member or rule, m/s, `(time,)`."""
+        """The lower and the upper end of the 90 % interval of a member or combiner, m/s, `(time,)`."""
         if name not in self.halfwidth:
             hint = did_you_mean(name, self.halfwidth)
             raise ConfigError(f"interval: found {name!r}, expected one of {', '.join(self.halfwidth) or 'none'}{hint}")
@@ -116,7 +116,7 @@ class Simulated:
 
     Attributes:
         predictions: per run and boat.
-        scores: boat -> member or rule -> MAE and others, m/s; see `usvlearn.evaluation.metrics.scores`.
+        scores: boat -> member or combiner -> MAE and others, m/s; see `usvlearn.evaluation.metrics.scores`.
     """
 
     predictions: tuple[Predictions, ...]
@@ -136,10 +136,10 @@ class Learned:
 
     Attributes:
         logs: the logs it has learned from.
-        ensemble: its members and rules.
-        state: at the end, leaves `(boats, …)`: a parameter set of each boat.
+        ensemble: its members and combiners.
+        state: at the end, leaves `(boats, …)`: a checkpoint of each boat.
         predictions: per run and boat.
-        scores: boat -> member or rule -> MAE, skill against persistence and others; see
+        scores: boat -> member or combiner -> MAE, skill against persistence and others; see
             `usvlearn.evaluation.metrics.scores`.
         alarms: boat -> alarms of lost thrust; see `usvlearn.evaluation.metrics.alarms`.
         forecast_scores: boat -> estimator -> horizon -> scores; see `usvlearn.evaluation.horizons.horizon_scores`.
@@ -168,8 +168,8 @@ class Learned:
         from usvlearn.engine.rollouts import simulate, tensors
         from usvlearn.evaluation.metrics import fleet_scores
 
-        lanes = [0 if len(self.boats) == 1 else self._lane(boat) for boat in check_logs(logs).boats]
-        state = tree_map(lambda leaf: leaf[lanes], self.state)
+        elements = [0 if len(self.boats) == 1 else self._element(boat) for boat in check_logs(logs).boats]
+        state = tree_map(lambda leaf: leaf[elements], self.state)
         published = []
         for run in logs.fleet.runs:
             with torch.no_grad():
@@ -185,14 +185,14 @@ class Learned:
         """The physical quantities of each boat by name, with 90 % intervals; `print` shows one as a table.
 
         Raises:
-            ConfigError: the ensemble has no reader (`configs/estimator/joint_reader.yaml`).
+            ConfigError: the ensemble has no averaged joint EKF (`configs/estimator/joint_averaged.yaml`).
         """
         from usvlearn.evaluation.identification import identified_boats
 
         return identified_boats(self.ensemble, self.state, self.boats, required=True)
 
     def save(self, path: PathLike, boat: str | None = None) -> Path:
-        """Write a boat's parameter set, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.
+        """Write a boat's checkpoint, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.
 
         Args:
             path: of the file; its folder is created.
@@ -203,27 +203,27 @@ class Learned:
         """
         import usvlearn
         from usvlearn.core import checkpoint
-        from usvlearn.engine import of_lane
+        from usvlearn.engine import of_element
         from usvlearn.runs.layout import ESTIMATOR
 
         if boat is None and len(self.boats) > 1:
             raise ConfigError(f"boat: found none, expected one of {', '.join(self.boats)}")
-        lane = 0 if boat is None else self._lane(boat)
-        last = next(run for run in reversed(self.predictions) if run.boat == self.boats[lane])
+        element = 0 if boat is None else self._element(boat)
+        last = next(run for run in reversed(self.predictions) if run.boat == self.boats[element])
         return checkpoint.save(
             Path(path),
-            tree_map(lambda leaf: leaf[lane].detach(), self.state),
+            tree_map(lambda leaf: leaf[element].detach(), self.state),
             estimator=ESTIMATOR,
-            kernel=of_lane(self.ensemble.spec(), len(self.boats), lane),
+            kernel=of_element(self.ensemble.spec(), len(self.boats), element),
             boat=last.boat,
             run=last.run,
             step=len(last.time),
             time=float(last.time[-1]),
             version=usvlearn.__version__,
-            **({"setup": setup.json()} if (setup := self.logs.setups.get(self.boats[lane])) else {}),
+            **({"setup": setup.json()} if (setup := self.logs.setups.get(self.boats[element])) else {}),
         )
 
-    def _lane(self, boat: str) -> int:
+    def _element(self, boat: str) -> int:
         if boat in self.boats:
             return self.boats.index(boat)
         raise ConfigError(
@@ -251,19 +251,21 @@ def predictions_of(
     """Split what was published of a fleet's runs, arrays `(time, boats, names)`, by run and boat."""
     found = []
     for index, run in enumerate(fleet.runs):
-        for lane, boat in enumerate(fleet.boats):
-            if n := run.lengths[lane]:
+        for element, boat in enumerate(fleet.boats):
+            if n := run.lengths[element]:
                 by_name = [
-                    dict(zip(names, published[index][key][:n, lane].T, strict=True)) if key in published[index] else {}
+                    dict(zip(names, published[index][key][:n, element].T, strict=True))
+                    if key in published[index]
+                    else {}
                     for key in ("predictions", "halfwidths")
                 ]
-                measured = _measured(_lane(run.samples, n, lane))
-                found.append(Predictions(boat, run.names[lane], run.time[:n, lane], measured, *by_name))
+                measured = _measured(_element(run.samples, n, element))
+                found.append(Predictions(boat, run.names[element], run.time[:n, element], measured, *by_name))
     return tuple(found)
 
 
-def _lane(samples: Sample, steps: int, lane: int) -> Sample:
-    return tree_map(lambda leaf: leaf[:steps, lane], samples)
+def _element(samples: Sample, steps: int, element: int) -> Sample:
+    return tree_map(lambda leaf: leaf[:steps, element], samples)
 
 
 def _measured(samples: Sample) -> np.ndarray:

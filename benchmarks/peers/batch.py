@@ -77,17 +77,17 @@ def features(run: Sample, heading: bool) -> np.ndarray:
 
 
 class Stepper(ABC):
-    """A model that makes one step of many lanes; its state is an array `(lanes, n)`."""
+    """A model that makes one step of many batch elements; its state is an array `(elements, n)`."""
 
     heading: bool  # the inputs have the heading
 
     @abstractmethod
     def begin(self, speeds: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-        """The state at the start of a segment, from speeds `(lanes,)`, m/s, and inputs `(lanes, n)`."""
+        """The state at the start of a segment, from speeds `(elements,)`, m/s, and inputs `(elements, n)`."""
 
     @abstractmethod
     def step(self, state: np.ndarray, inputs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The state and the speeds `(lanes,)`, m/s, one step later; the inputs are those of the step."""
+        """The state and the speeds `(elements,)`, m/s, one step later; the inputs are those of the step."""
 
     @abstractmethod
     def correct(self, state: np.ndarray, speeds: np.ndarray) -> np.ndarray:
@@ -124,13 +124,13 @@ class Stepper(ABC):
 
 
 class Windows(NamedTuple):
-    """Stretches of runs as lanes; rows after the end of a stretch are not scored."""
+    """Stretches of runs as batch elements; rows after the end of a stretch are not scored."""
 
-    inputs: np.ndarray  # (time, lanes, n) of each step
-    first: np.ndarray  # (lanes,) m/s, measured before the first step
-    speeds: np.ndarray  # (time, lanes) m/s, measured after each step; 0 where there was none
-    told: np.ndarray  # (time, lanes) bool: the model is told the speed after the step
-    scored: np.ndarray  # (time, lanes) bool: the model has to predict it
+    inputs: np.ndarray  # (time, elements, n) of each step
+    first: np.ndarray  # (elements,) m/s, measured before the first step
+    speeds: np.ndarray  # (time, elements) m/s, measured after each step; 0 where there was none
+    told: np.ndarray  # (time, elements) bool: the model is told the speed after the step
+    scored: np.ndarray  # (time, elements) bool: the model has to predict it
 
 
 def windows(runs: Sequence[Sample], heading: bool) -> Windows:
@@ -148,9 +148,9 @@ def windows(runs: Sequence[Sample], heading: bool) -> Windows:
                     speeds = np.where(learned, run.surge[rows], 0.0)
                     found.append((x[rows], run.surge[first], speeds, learned & ~ahead, learned & ahead))
     padded = [np.zeros((WARM + FREE, len(found), *np.shape(part)[1:]), part.dtype) for part in found[0] if part.ndim]
-    for lane, (x, _, *rest) in enumerate(found):
+    for element, (x, _, *rest) in enumerate(found):
         for whole, part in zip(padded, (x, *rest), strict=True):
-            whole[: len(part), lane] = part
+            whole[: len(part), element] = part
     inputs, *rest = padded
     return Windows(inputs, np.array([one[1] for one in found]), *rest)
 
@@ -196,7 +196,7 @@ def errors(
 
 
 def free_run_errors(model: Model, runs: Sequence[Sample]) -> tuple[float, float]:
-    """MAE of the free run, and of holding the speed with which each segment starts, m/s."""
+    """MAE of the open-loop simulation, and of holding the speed with which each segment starts, m/s."""
     wrong = []
     for run in runs:
         use, held = masks(run), Held().free_run(run)
@@ -222,7 +222,7 @@ def bounded(wrong: np.ndarray) -> np.ndarray:
 
 
 def judged(model: Model, runs: Sequence[Sample]) -> float:
-    """MAE over that of persistence, mean over the horizons and the free run."""
+    """MAE over that of persistence, mean over the horizons and the open-loop simulation."""
     made = errors(runs, [model.forecast(run) for run in runs])
     pairs = [*made.values(), free_run_errors(model, runs)]
     return float(np.nanmean([mae / held if held > 0 else math.nan for mae, held in pairs]))

@@ -61,14 +61,14 @@ def one(runs: Sequence[Sample], top: float, units: int, heading: bool, updates: 
     optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
     rates = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, updates)
     for _ in range(updates):
-        lanes = torch.randint(len(first), (min(LANES, len(first)),))
-        h, v, found = torch.zeros(len(lanes), units), first[lanes], []
+        elements = torch.randint(len(first), (min(LANES, len(first)),))
+        h, v, found = torch.zeros(len(elements), units), first[elements], []
         for k in range(len(x)):
-            h, v = net(h, v, x[k, lanes])
+            h, v = net(h, v, x[k, elements])
             found.append(v)
-            v = torch.where(told[k, lanes], speeds[k, lanes], v)
-        judged = scored[:, lanes]
-        loss = nn.functional.smooth_l1_loss(torch.stack(found)[judged], speeds[:, lanes][judged], beta=BEND)
+            v = torch.where(told[k, elements], speeds[k, elements], v)
+        judged = scored[:, elements]
+        loss = nn.functional.smooth_l1_loss(torch.stack(found)[judged], speeds[:, elements][judged], beta=BEND)
         optimiser.zero_grad()
         loss.backward()
         nn.utils.clip_grad_norm_(net.parameters(), 1.0)

@@ -1,4 +1,5 @@
-"""Batch output error: the physical model of `benchmarks/output_error.py`, whose free runs fit all runs at once.
+"""Batch output error: the physical model of `benchmarks/output_error.py`, whose open-loop simulations fit all runs at
+once.
 
 A forecast starts from the speed that was measured at its origin. On later runs the current is the mean of those of the
 runs that were learned.

@@ -3,8 +3,8 @@
     (v_k/V, h_k) = (v_(k−1)/V, h_(k−1)) + A z + B₂ tanh(B₁ z + b₁) + b₂,   z = (v_(k−1)/V, h_(k−1), x_k)
 
 x_k are the inputs in force over the step to k, V is the top speed, h hidden states that begin at 0. v_(k−1) is the
-measured speed while the model is told it, and its own prediction afterwards. All windows are lanes of one experiment,
-with the speeds that are told as further inputs.
+measured speed while the model is told it, and its own prediction afterwards. All windows are batch elements of one
+experiment, with the speeds that are told as further inputs.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BEND = 0.05  # share of V where the loss becomes linear
 
 
 def transition(x, u, params):
-    """The next states `(lanes, n)`, from inputs `(lanes, m)`; the speed is the first state, per top speed."""
+    """The next states `(elements, n)`, from inputs `(elements, m)`; the speed is the first state, per top speed."""
     import jax.numpy as jnp
 
     linear, into, bias, out, offset = params
@@ -67,18 +67,18 @@ def one(
 
     jax.config.update("jax_enable_x64", True)
     data = windows(runs, heading)
-    steps, lanes, m = data.inputs.shape
+    steps, elements, m = data.inputs.shape
     n = 1 + hidden
     speeds = data.speeds / top
-    begin = np.concatenate([data.first[:, None] / top, np.zeros((lanes, hidden))], -1)
+    begin = np.concatenate([data.first[:, None] / top, np.zeros((elements, hidden))], -1)
 
     def state_fcn(x, u, params):
-        u = u.reshape(lanes, m + 2)
-        x = transition(x.reshape(lanes, n), u[:, :m], params)
+        u = u.reshape(elements, m + 2)
+        x = transition(x.reshape(elements, n), u[:, :m], params)
         return x.at[:, 0].set(jnp.where(u[:, m + 1] > 0, u[:, m], x[:, 0])).reshape(-1)
 
     def output_fcn(x, u, params):
-        return x.reshape(lanes, n)[:, 0]
+        return x.reshape(elements, n)[:, 0]
 
     def loss(predicted, measured):
         known = jnp.isfinite(measured)
@@ -89,7 +89,7 @@ def one(
     rng = np.random.default_rng(0)
     into = rng.standard_normal((n + m, UNITS)) / np.sqrt(n + m)
     out = 0.1 * rng.standard_normal((UNITS, n)) / np.sqrt(UNITS)
-    model = Model(n * lanes, lanes, (m + 2) * lanes, state_fcn, output_fcn)
+    model = Model(n * elements, elements, (m + 2) * elements, state_fcn, output_fcn)
     linear = np.zeros((n + m, n))
     linear[range(n), range(n)] = -0.1
     model.init([linear, into, np.zeros(UNITS), out, np.zeros(n)], x0=begin.reshape(-1))

@@ -1,4 +1,4 @@
-"""Everything that `certify` finds about one parameter set, as a JSON object."""
+"""Everything that `certify` finds about one checkpoint, as a JSON object."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def assess(
     Margins are rounded down and rates up, so that the printed bounds are true. Places and slopes: rounded to nearest.
 
     Args:
-        network: one parameter set.
+        network: one checkpoint.
         u: constant input of the equilibria, `(m,)`; zeros, as in the paper, by default.
         box: on which the exact rate is searched for, if any.
         seconds: for that search.

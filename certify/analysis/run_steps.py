@@ -1,9 +1,9 @@
-"""The parameter sets of runs as families to compare, each set with the step dt of the samples that it learned from.
+"""The checkpoints of runs as families to compare, each checkpoint with the step dt of the samples that it learned from.
 
-RUN/checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the parameter set after S steps of run R
+RUN/checkpoints/BOAT/RRRRR_SSSSSSS.safetensors   the checkpoint after S steps of run R
 RUN/predictions/RRRRR_SSSSSSS.npz                of the steps before it: dt (steps, boats), s; boats (boats,)
 
-A boat whose run ends sooner than those of others has its last set before the end of a file.
+A boat whose run ends sooner than those of others has its last checkpoint before the end of a file.
 
 These files may come from anybody: what is absent or damaged is reported, and the rest is used.
 """
@@ -41,11 +41,11 @@ def given(paths: Iterable[str | Path], dt: float | None = None, most: int = 100)
 
     Args:
         paths: of files and folders, and patterns.
-        dt: s, of the sets whose run does not tell.
+        dt: s, of the checkpoints whose run does not tell.
         most: files of a path that are read, evenly spaced, if it holds more.
 
     Raises:
-        CertifyError: a path names nothing, or a file is no parameter set.
+        CertifyError: a path names nothing, or a file is no checkpoint.
     """
     families: list[Given] = []
     for path in matched(paths):
@@ -77,7 +77,7 @@ def given(paths: Iterable[str | Path], dt: float | None = None, most: int = 100)
 
 
 def _beside(folder: Path, name: str) -> Path | None:
-    """The file of predictions in which the steps before a parameter set end: of its run, the first up to its step."""
+    """The file of predictions in which the steps before a checkpoint end: of its run, the first up to its step."""
     if not (wanted := NAMED.fullmatch(name)):
         return None
     run, step = wanted.groups()
@@ -87,7 +87,7 @@ def _beside(folder: Path, name: str) -> Path | None:
 
 
 def step_of(file: Path) -> float | None:
-    """The median step of the samples from which a run learned a parameter set, s; None where no run saved it.
+    """The median step of the samples from which a run learned a checkpoint, s; None where no run saved it.
 
     Raises:
         CertifyError: the file that should tell it is damaged.

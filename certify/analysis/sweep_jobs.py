@@ -1,4 +1,4 @@
-"""The jobs of a sweep: their settings, their errors, and which of their parameter sets are judged.
+"""The jobs of a sweep: their settings, their errors, and which of their checkpoints are judged.
 
 DIR/JOB/job.json       {"overrides": ["key=value", …]}: the settings of its command
 DIR/JOB/results.json   {"boats": {boat: {estimator: {"mae": m/s}}}, "free": {boat: {estimator: m/s}}} or {"error": text}
@@ -32,15 +32,15 @@ class Job(NamedTuple):
     name: str  # of its folder; with that of the sweep if several are given
     folder: Path
     settings: dict[str, str] | None  # of its command, by key; None if they cannot be read
-    free: dict[str, Any]  # MAE of free runs by boat and estimator, m/s
+    free: dict[str, Any]  # MAE of open-loop simulations by boat and estimator, m/s
     mae: dict[str, Any]  # MAE one step ahead, likewise
-    sets: list[Path]  # all parameter sets; those of a boat in the order in which they were saved
+    sets: list[Path]  # all checkpoints; those of a boat in the order in which they were saved
     state: str  # "finished", "not finished", or "failed: reason"
     damaged: list[str]  # a sentence for each of its JSON files that cannot be used
 
     @property
     def last(self) -> list[Path]:
-        """The last parameter set of each boat."""
+        """The last checkpoint of each boat."""
         return list({path.parent: path for path in self.sets}.values())
 
     @property
@@ -70,7 +70,7 @@ def jobs(paths: Iterable[str | Path]) -> list[Job]:
 
 
 def chosen(jobs: Sequence[Job], every: bool = False) -> list[Path]:
-    """The parameter sets that are judged: the last of each boat, or all, of the jobs that did not fail.
+    """The checkpoints that are judged: the last of each boat, or all, of the jobs that did not fail.
 
     Raises:
         CertifyError: there is none.
@@ -79,7 +79,7 @@ def chosen(jobs: Sequence[Job], every: bool = False) -> list[Path]:
     if not found:
         first = jobs[0]
         raise CertifyError(
-            f"{first.folder.parent}: none of its {len(jobs)} jobs holds a parameter set (job {first.name}: "
+            f"{first.folder.parent}: none of its {len(jobs)} jobs holds a checkpoint (job {first.name}: "
             f"{first.state}): repeat the command of the sweep"
         )
     return found

@@ -31,11 +31,12 @@ def rows(
 ) -> list[dict[str, Any]]:
     """A row for each network of a job, or of jobs that differ only in their seed.
 
-    First those of which every judged set holds, then by the error of free runs, or one step ahead without free runs.
+    First those of which every judged checkpoint holds, then by the error of open-loop simulations, or one step ahead
+    without open-loop simulations.
 
     Args:
         jobs: of the sweep.
-        networks: the judged parameter sets of these jobs.
+        networks: the judged checkpoints of these jobs.
         found: see `certify.analysis.assess.assess`, for each.
         held: whether the asked condition holds, for each.
 
@@ -87,7 +88,7 @@ def unjudged(jobs: Sequence[Job], judged: Iterable[Mapping[str, Any]]) -> list[d
         {
             "jobs": [job.name],
             "settings": None if job.settings is None else {key: job.settings.get(key) for key in keys},
-            "error": job.state if job.failed or not job.sets else "no parameter set could be judged",
+            "error": job.state if job.failed or not job.sets else "no checkpoint could be judged",
         }
         for job in jobs
         if job.name not in seen
@@ -106,7 +107,7 @@ def _by_error(error: float | None) -> tuple[bool, float]:
 
 
 def estimator(network: Network) -> str:
-    """The member of the ensemble that a network is, as errors are named, and its lane if it has several.
+    """The member of the ensemble that a network is, as errors are named, and its batch element if it has several.
 
     >>> estimator(Network("", None, "members.rnn.weights[1]")), estimator(Network("", None, ""))
     ('rnn[1]', 'network')

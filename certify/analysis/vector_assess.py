@@ -33,7 +33,7 @@ def assess(
     """The rates that each condition proves, rounded up, and a verified certificate of each condition that holds.
 
     Args:
-        network: one parameter set.
+        network: one checkpoint.
         box: on which the rate is searched for, if any.
         seconds: for that search; a tenth of it for the search of a scaling.
         solver: of the LMIs, if they are to be solved; a name that cvxpy knows.

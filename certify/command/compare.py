@@ -308,13 +308,15 @@ def main(arguments: Sequence[str], say: Callable) -> int:
 def parse(arguments: Sequence[str]) -> argparse.Namespace:
     """The options of the command; see `python -m certify compare --help`."""
     parser = argparse.ArgumentParser("python -m certify compare", description=__doc__)
-    parser.add_argument("paths", nargs="*", metavar="PATH", help="folders of runs, or parameter sets: a family each")
+    parser.add_argument("paths", nargs="*", metavar="PATH", help="folders of runs, or checkpoints: a family each")
     parser.add_argument("--page", metavar="FOLDER", help="write the result as a page: index.html, report.md, figures/")
     parser.add_argument("--networks", type=int, help="of each family, and of each size (default: 60)")
-    parser.add_argument("--sets", type=int, default=100, help="most parameter sets of a PATH (default: 100)")
+    parser.add_argument("--sets", type=int, default=100, help="most checkpoints of a PATH (default: 100)")
     parser.add_argument("--neurons", type=int, help="of each network of a family (default: 20)")
     parser.add_argument(
-        "--dt", type=float, help=f"s, step of the trained networks (default: {DT:g}) and of sets whose run tells none"
+        "--dt",
+        type=float,
+        help=f"s, step of the trained networks (default: {DT:g}) and of checkpoints whose run tells none",
     )
     parser.add_argument("--sizes", help="n that are compared and timed (default: 5,10,20,50,100,200,500)")
     parser.add_argument("--largest", type=int, help="n up to which the LMI is solved (default: 100)")

@@ -1,6 +1,6 @@
-"""`python -m certify --verify`: each certificate against the parameter set that it is about.
+"""`python -m certify --verify`: each certificate against the checkpoint that it is about.
 
-Certificates and weights may come from anybody, so the number of parameter sets is limited before they are compared.
+Certificates and weights may come from anybody, so the number of checkpoints is limited before they are compared.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Results(NamedTuple):
 
 
 class Sets:
-    """Parameter sets, found by the sha256 of their weights."""
+    """Checkpoints, found by the sha256 of their weights."""
 
     def __init__(self, networks: Sequence[Network], vectors: Sequence[VectorNetwork]) -> None:
         if networks or vectors:
@@ -101,7 +101,7 @@ def _verified(content: dict[str, Any], network: Network | VectorNetwork | None, 
 
 
 def _named(path: str, content: dict[str, Any], known: dict[Path, Sets]) -> Network | VectorNetwork | None:
-    """The parameter set that a certificate names: below the working folder, or beside the certificate."""
+    """The checkpoint that a certificate names: below the working folder, or beside the certificate."""
     named, seen = str(content.get("path", "")), False
     file = re.sub(r"(\[[\d,]*\])?$", "", named[:LONGEST_PATH])
     for place in (Path(file), Path(path).parent / file, Path(path).parent / Path(file).name):

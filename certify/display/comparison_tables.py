@@ -82,7 +82,7 @@ def settings(result: Mapping[str, Any]) -> list[str]:
         f"Networks by family: {names}. Drawn families have {result['neurons']} neurons; random: normal weights, K "
         "log-uniform in 0.03 … 3; initialised: as torch.nn.Linear draws them; trained: those after Adam, without "
         "constraint, on one step of a simulated Heron.",
-        "Families that are named after a run hold its parameter sets. Sets of one network at different times are not "
+        "Families that are named after a run hold its checkpoints. Sets of one network at different times are not "
         "independent, so they have no intervals.",
         "Brackets are 95 % intervals: Wilson's of a share, order statistics of a median. Random seed "
         f"{result['seed']}; {result['seconds']:g} s for each search on a box; LMI by "

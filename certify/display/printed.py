@@ -36,7 +36,7 @@ def show(
     dt: float | None,
     vectors: Sequence[dict[str, Any]] = (),
 ) -> None:
-    """One row per parameter set, and a summary; networks with a vector state have a table of their own."""
+    """One row per checkpoint, and a summary; networks with a vector state have a table of their own."""
     console, lines = _console(), []
     if rows:
         _print(console, *_table(rows, dt))
@@ -108,7 +108,7 @@ def _table(
     paths, shared = _short([row["path"] for row in rows])
     marks = ", ".join(f"{mark} {word}" for word, (mark, _) in MARKS.items() if word != "not certified")
     title = f"Below {shared}: margins, > 0 where a condition holds, and rates" + f"; {marks}" * (solved or boxed)
-    headings = ["parameter set", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
+    headings = ["checkpoint", "n", *MARGINS, "rate K", "τ, steps" if dt is None else "τ, s"]
     headings += ["LMI lmi, tight"] * solved + ["on the box"] * boxed + ["equilibria"]
     found: list[list[str | Text]] = []
     for row, path in zip(rows, paths, strict=True):
@@ -214,7 +214,7 @@ def show_sweep(
     Args:
         rows, left: see `certify.analysis.sweep_rows.rows`, `certify.analysis.sweep_rows.unjudged`.
         condition: that was asked.
-        every: whether all parameter sets were judged, not the last of each boat.
+        every: whether all checkpoints were judged, not the last of each boat.
         notes: further lines.
     """
     console = _console()
@@ -234,19 +234,20 @@ def show_sweep(
         colours = ["green" if count == row["sets"] else "red" for count in row["certified"].values()]
         line += [above(row["rate"], 4), Text("  ").join(map(Text, map(str.rjust, counts, widths), colours))]
         lines.append(line + [above(row["box_rate"], 4) for _ in headings[len(line) :]])
-    order = "the error of free runs" if free else "the MAE one step ahead"
+    order = "the error of open-loop simulations" if free else "the MAE one step ahead"
     of = "" if networks else f"{rows[0]['network']}: "
     _print(console, f"{of}jobs certified by {condition} first, then by {order}", headings, lines, [keys])
     over = " ±: standard deviation over seeds." if seeds else ""
     console.print(
-        f"free: MAE of free runs; MAE: one step ahead; both in m/s, mean over boats.{over} rate K: the largest of "
-        f"{'all parameter sets' if every else 'the last parameter sets of the boats'}. simple … tight: how many of "
+        f"free: MAE of open-loop simulations; MAE: one step ahead; both in m/s, mean over boats.{over} rate K: the "
+        "largest of "
+        f"{'all checkpoints' if every else 'the last checkpoints of the boats'}. simple … tight: how many of "
         "them are certified."
     )
     held = sum(row["holds"] for row in rows)
     console.print(f"{held} of {len(rows)} rows certified contracting by {condition}, in rational arithmetic")
     if begun := {name: None for row in rows for name in row["unfinished"]}:
-        console.print(f"not finished, judged by the sets saved so far: job {', '.join(ranges(list(begun)))}")
+        console.print(f"not finished, judged by the checkpoints saved so far: job {', '.join(ranges(list(begun)))}")
     for row in left:
         settings = row["settings"] or {}
         values = zip(short_keys(settings), settings.values(), strict=True)

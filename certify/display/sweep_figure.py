@@ -32,10 +32,12 @@ class Place(NamedTuple):
 
 
 def sweep_figure(rows: Sequence[Mapping[str, Any]]):
-    """The exact rate K and the error of each row of a sweep, marked by the narrowest condition that all its sets hold.
+    """The exact rate K and the error of each row of a sweep, marked by the narrowest condition that all its checkpoints
+    hold.
 
-    The error is that of free runs, or the one one step ahead if no row has free runs. Bars: from the smallest to the
-    largest rate of the seeds, and the deviation of their errors. The line: the least error at a rate up to K.
+    The error is that of open-loop simulations, or the one one step ahead if no row has open-loop simulations. Bars:
+    from the smallest to the largest rate of the seeds, and the deviation of their errors. The line: the least error at
+    a rate up to K.
 
     Args:
         rows: see `certify.analysis.sweep_rows.rows`; those without the error have no mark, and are counted.
@@ -49,13 +51,14 @@ def sweep_figure(rows: Sequence[Mapping[str, Any]]):
     >>> row = {"jobs": ["0"], "settings": {"dt": "0.4"}, "network": "rnn", "sets": 1, "certified": {"tight": 1},
     ...        "holds": True, "rate": 0.9, "rates": [0.9], "free": 0.1, "free_deviation": None, "mae": 0.02}
     >>> sweep_figure([row]).axes[0].get_ylabel()
-    'MAE of free runs, m/s'
+    'MAE of open-loop simulations, m/s'
     """
     kind = "free" if any(row["free"] is not None for row in rows) else "mae"
     shown = [row for row in rows if row[kind] is not None]
     if not shown:
         raise CertifyError(
-            "--plot: found no errors of these networks in results.json, expected free runs or MAE: let jobs finish"
+            "--plot: found no errors of these networks in results.json, expected open-loop simulations or MAE: let "
+            "jobs finish"
         )
     figure = blank("the figure of a sweep", figsize=(10.2, 5.6), dpi=DPI)
     axes = figure.add_axes((0.075, 0.1, 0.57, 0.79))
@@ -64,7 +67,7 @@ def sweep_figure(rows: Sequence[Mapping[str, Any]]):
         xlim=(-0.03 * edge, edge * 1.02),
         xlabel="exact rate K of contraction a step, the largest of the boats and seeds",
     )
-    axes.set_ylabel("MAE of free runs, m/s" if kind == "free" else "MAE one step ahead, m/s")
+    axes.set_ylabel("MAE of open-loop simulations, m/s" if kind == "free" else "MAE one step ahead, m/s")
     _scale(axes, shown, kind)
     _limits(axes, edge)
     places = _places(axes, shown, kind, edge)
@@ -80,7 +83,7 @@ def sweep_figure(rows: Sequence[Mapping[str, Any]]):
         _plain(f"Stability against accuracy: {', '.join(names)}"), loc="left", color=INK, fontsize=11, pad=22
     )
     axes.legend(loc="upper left", bbox_to_anchor=(1.03, 1.0), frameon=False, fontsize=POINT + 0.5, borderaxespad=0,
-                title="all its sets are certified by", alignment="left", title_fontsize=POINT + 0.5)  # fmt: skip
+                title="all its checkpoints are certified by", alignment="left", title_fontsize=POINT + 0.5)  # fmt: skip
     _label(axes, places if len(places) <= LABELLED else front, places)
     beyond = sum(row["rate"] > edge for row in shown)
     notes = [f"rows without this error, which are not drawn: {len(rows) - len(shown)}"] * (len(rows) > len(shown))

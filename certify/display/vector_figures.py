@@ -25,7 +25,7 @@ def contraction_figure(network: VectorNetwork, row: Mapping[str, Any], scaling: 
     """How fast pairs of starts come together, beside what is proved; and the unit ball of the norm with its images.
 
     Args:
-        network: one parameter set.
+        network: one checkpoint.
         row: of `certify.analysis.vector_assess.assess`.
         scaling: T of the norm ‖T x‖ in `row`, `(q, q)`.
 

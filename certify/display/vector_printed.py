@@ -29,7 +29,7 @@ def table(
     shown = [name for name in CONDITIONS if any(name in row["rates"] for row in rows)]
     stepped, boxed = (any(key in row for row in rows) for key in ("steps", "box"))
     unit = "steps" if dt is None else "s"
-    headings = ["parameter set", "q", "n", "φ", *(f"rate {name}" for name in shown), "norm", f"τ, {unit}"]
+    headings = ["checkpoint", "q", "n", "φ", *(f"rate {name}" for name in shown), "norm", f"τ, {unit}"]
     headings += [f"all steps to, {unit}"] * stepped + ["on the box"] * boxed
     lines = []
     for row, path in zip(rows, paths, strict=True):

@@ -39,11 +39,13 @@ NAMES = ShallowWeights._fields
 
 
 class Network(NamedTuple):
-    """One parameter set, and the place from which it was read."""
+    """One checkpoint, and the place from which it was read."""
 
-    path: str  # of the file; with the tensors' prefix or the lane if a file contains more than one set
+    path: str  # of the file; with the tensors' prefix or the batch element if a file contains more than one checkpoint
     weights: ShallowWeights  # float64 arrays, no batch
-    tensors: str = ""  # before the names of its tensors (`members.rnn.weights`), and the lane if there are several
+    tensors: str = (
+        ""  # before the names of its tensors (`members.rnn.weights`), and the batch element if there are several
+    )
 
     @property
     def inputs(self) -> int:
@@ -120,7 +122,7 @@ def digest(weights: ShallowWeights) -> str:
 
 
 def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", most: float = math.inf) -> list[Network]:
-    """Every shallow network among named tensors, lane by lane.
+    """Every shallow network among named tensors, one batch element after the other.
 
     Names end in `a`, `w1`, `W2`, `b` after a common prefix (`members.rnn.weights.a`). Two linear layers are accepted,
     too: the first with (n, 1 + m) weights, those of the state in column 0, the second with (1, n) and no bias. There
@@ -149,24 +151,24 @@ def from_tensors(tensors: Mapping[str, Any], path: str = "tensors", most: float 
         if (size := max(np.abs(x).max(initial=0.0) for x in arrays)) > LARGEST:
             raise CertifyError(f"{label}: found a weight of {size:.3g}, expected none above {LARGEST:g}")
         refuse_many(len(networks) + math.prod(arrays.a.shape[:-1]), most, label)
-        lanes = list(np.ndindex(arrays.a.shape[:-1]))
-        if not lanes:
+        elements = list(np.ndindex(arrays.a.shape[:-1]))
+        if not elements:
             raise CertifyError(f"{label}: holds no network, found a of the shape {arrays.a.shape}")
-        for lane in lanes:
-            own = "" if len(lanes) == 1 else f"[{','.join(map(str, lane))}]"
-            networks.append(Network(label + own, ShallowWeights(*(x[lane] for x in arrays)), prefix + own))
+        for element in elements:
+            own = "" if len(elements) == 1 else f"[{','.join(map(str, element))}]"
+            networks.append(Network(label + own, ShallowWeights(*(x[element] for x in arrays)), prefix + own))
     return networks
 
 
 def refuse_many(count: int, most: float, path: str) -> None:
-    """Refuse so many parameter sets, before any of them is compared with a certificate.
+    """Refuse so many checkpoints, before any of them is compared with a certificate.
 
     Raises:
         CertifyError: there are more than `most`.
     """
     if count > most:
         raise CertifyError(
-            f"{path}: found {count} parameter sets, expected at most {most} for --verify: save the ones that the "
+            f"{path}: found {count} checkpoints, expected at most {most} for --verify: save the ones that the "
             "certificates are about"
         )
 
@@ -194,7 +196,7 @@ def _two_layers(tensors: Mapping[str, Any], path: str) -> Iterator[ShallowWeight
 
 
 def load(path: str | Path) -> list[Network]:
-    """The parameter sets in a file: a checkpoint or other `.safetensors`, an `.npz`, a torch `state_dict`.
+    """The checkpoints in a file: a checkpoint or other `.safetensors`, an `.npz`, a torch `state_dict`.
 
     No pickled code is run, whatever the file holds.
 
@@ -212,7 +214,7 @@ def read_tensors(path: str | Path) -> dict[str, np.ndarray]:
     """
     path = Path(path)
     if path.suffix not in SUFFIXES:
-        raise CertifyError(f"{path}: is no parameter set: expected a file that ends in {', '.join(SUFFIXES)}")
+        raise CertifyError(f"{path}: is no checkpoint: expected a file that ends in {', '.join(SUFFIXES)}")
     reader = {".safetensors": _read_safetensors, ".npz": _read_npz}.get(path.suffix, _read_torch)
     try:
         with path.open("rb"):
@@ -267,7 +269,7 @@ def _read_torch(path: Path) -> dict[str, np.ndarray]:
 
 
 def find(paths: Iterable[str | Path]) -> list[Path]:
-    """The files of parameter sets named by files, folders (of a run: its checkpoints) and patterns, each once.
+    """The files of checkpoints named by files, folders (of a run: its checkpoints) and patterns, each once.
 
     Raises:
         CertifyError: one of them names nothing.
@@ -276,7 +278,7 @@ def find(paths: Iterable[str | Path]) -> list[Path]:
     for path in matched(paths):
         files = [path] if not path.is_dir() else below(path)
         if not files:
-            raise CertifyError(f"{path}: holds no parameter sets, expected files {', '.join(SUFFIXES)}")
+            raise CertifyError(f"{path}: holds no checkpoints, expected files {', '.join(SUFFIXES)}")
         for file in files:
             found.setdefault(file.resolve(), file)
     return list(found.values())
@@ -298,7 +300,7 @@ def matched(paths: Iterable[str | Path]) -> Iterator[Path]:
 
 
 def below(folder: Path) -> list[Path]:
-    """The parameter sets below a folder. Of a run's folder only `checkpoints/` is read, not predictions or reports."""
+    """The checkpoints below a folder. Of a run's folder only `checkpoints/` is read, not predictions or reports."""
     files = sorted(path for path in folder.rglob("*") if path.suffix in SUFFIXES and path.is_file())
     runs = {path.parent for path in [folder / "checkpoints", *folder.rglob("checkpoints")] if path.is_dir()}
 

@@ -66,7 +66,7 @@ RELU = Activation("relu", Fraction(0))
 
 
 class VectorNetwork(NamedTuple):
-    """One parameter set, and the place from which it was read."""
+    """One checkpoint, and the place from which it was read."""
 
     path: str
     weights: VectorWeights  # float64 arrays, no batch
@@ -192,7 +192,7 @@ def digest(weights: VectorWeights) -> str:
 def from_tensors(
     tensors: Mapping[str, Any], path: str = "tensors", phi: Activation = RELU, most: float = math.inf
 ) -> list[VectorNetwork]:
-    """Every network (1) among named tensors, lane by lane; empty where there is none.
+    """Every network (1) among named tensors, one batch element after the other; empty where there is none.
 
     Names end in `A`, `W`, `W2`, `b` after a common prefix, with `R` where there is a skip connection, and `V`, `c`
     where there is a second hidden layer. The linear layers of a torch module are accepted, too: two or three, the first
@@ -215,9 +215,9 @@ def from_tensors(
         arrays = check(weights, label)
         refuse_large(arrays, label)
         refuse_many(len(networks) + math.prod(arrays.b.shape[:-1]), most, label)
-        for lane in np.ndindex(arrays.b.shape[:-1]):
-            own = VectorWeights(*(None if x is None else x[lane] for x in arrays))
-            name = f"[{','.join(map(str, lane))}]" if lane else ""
+        for element in np.ndindex(arrays.b.shape[:-1]):
+            own = VectorWeights(*(None if x is None else x[element] for x in arrays))
+            name = f"[{','.join(map(str, element))}]" if element else ""
             networks.append(VectorNetwork(label + name, own, phi))
     return networks
 

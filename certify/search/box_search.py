@@ -211,7 +211,7 @@ def slope_bounds(forms: Forms) -> tuple[Callable, Callable]:
 def climb(forms: Forms, box: Box, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """|slope| and points, after three exact searches from y, `(P, 1 + m)`, along each coordinate in turn."""
     H, c, _, gain, start, *_ = forms
-    P, lanes = len(y), np.arange(len(y))
+    P, elements = len(y), np.arange(len(y))
     for j in 3 * [*np.flatnonzero(box.lo < box.hi)]:
         h = H[:, j]
         z = y @ H.T + c
@@ -224,7 +224,7 @@ def climb(forms: Forms, box: Box, y: np.ndarray) -> tuple[np.ndarray, np.ndarray
         ends = np.concatenate([least, np.take_along_axis(crossed, order, 1), most], 1)
         wide = np.diff(ends) > 1e-9 * (box.hi[j] - box.lo[j])
         k = np.where(wide, np.abs(slopes), -1.0).argmax(1)
-        y[lanes, j] = (ends[lanes, k] + ends[lanes, k + 1]) / 2
+        y[elements, j] = (ends[elements, k] + ends[elements, k + 1]) / 2
     return slopes_at(forms, y @ H.T + c), y
 
 

@@ -1,4 +1,4 @@
-"""The measurement of lanes on a GPU: its works compute what they say. Only its part of the CPU runs here."""
+"""The measurement of batch elements on a GPU: its works compute what they say. Only its part of the CPU runs here."""
 
 import cuda
 import pytest
@@ -39,15 +39,15 @@ def test_the_part_of_the_cpu_is_printed_and_not_saved(monkeypatch, capsys):
 @each_estimator
 def test_replays_of_one_step_are_the_run(name):
     """Not captured here; a captured step makes the same operations in the same memory."""
-    estimator, run = KNOWN[name](), cuda.lanes_of(12, 3)
+    estimator, run = KNOWN[name](), cuda.elements_of(12, 3)
     graphed, expected = cuda.Graphed(estimator, run), cuda.eager(estimator, run)()
     torch.testing.assert_close(graphed(), expected, rtol=0, atol=0)
     torch.testing.assert_close(graphed(), expected, rtol=0, atol=0)  # it starts anew
 
 
 @each_estimator
-def test_the_gradient_of_all_lanes_is_the_mean_of_those_of_each(name):
-    estimator, run = KNOWN[name](), cuda.lanes_of(4, 3)
+def test_the_gradient_of_all_elements_is_the_mean_of_those_of_each(name):
+    estimator, run = KNOWN[name](), cuda.elements_of(4, 3)
     found, expected = cuda.mapped(estimator, run)(), cuda.backward(estimator, run)()
     for key, value in expected.items():
         each = found[f"estimator.{key}"]
@@ -55,8 +55,8 @@ def test_the_gradient_of_all_lanes_is_the_mean_of_those_of_each(name):
         torch.testing.assert_close(each.mean(0), value, rtol=1e-9, atol=1e-12)
 
 
-def test_lanes_differ():
-    run = cuda.lanes_of(5, 3)
+def test_elements_differ():
+    run = cuda.elements_of(5, 3)
     assert all(len({tuple(x) for x in leaf.T.tolist()}) == 3 for leaf in (*run.inputs[:2], run.surge))
     assert run.inputs.command_left.abs().min() > 0
 

@@ -16,7 +16,7 @@ NAMES = ("idle", "cruise", "mixed", "outliers", "nan", "jump", "thruster", "outa
 
 @pytest.fixture(scope="module")
 def cases():
-    return stress.scenarios(STEPS, lanes=2)
+    return stress.scenarios(STEPS, elements=2)
 
 
 def test_every_scenario_is_there(cases):
@@ -118,7 +118,7 @@ def test_what_never_recovers_is_said_so(cases):
 
 def test_a_pure_regression_is_solved():
     """Without outliers |Δθ| is about NOISE √(p (1 − λ)/2) = 0.003 where the past is forgotten at λ."""
-    found = stress.regression(240, lanes=2, outliers=0.0)
+    found = stress.regression(240, elements=2, outliers=0.0)
     for name in ("plain_rls", "rls", "sift_rls"):
         assert found[name] < 0.01, name
     assert abs(found["rls"] - found["plain_rls"]) < 1e-9

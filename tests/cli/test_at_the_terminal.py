@@ -190,7 +190,7 @@ FORGIVEN = {
     "a run": (train, ["run"], "data: found 'run', the folder of a run: to judge it: usvlearn evaluate run"),
     "a run behind data=": (train, ["data=run"], "data: found 'run', the folder of a run"),
     "runs": (train, ["."], "data: found '.', a folder of runs: to judge them: usvlearn evaluate ."),
-    "a set": (train, ["run/results.json"], "data: found 'run/results.json', a file of a run"),
+    "a checkpoint": (train, ["run/results.json"], "data: found 'run/results.json', a file of a run"),
     "a known configuration": (train, ["simulatd"], "did you mean data=simulated?"),
     "no run": (evaluate, ["norun"], "runs: found 'norun', but there is no such folder"),
     "a file in a run": (evaluate, ["run/results.json"], "runs: found the file 'run/results.json', expected a folder"),

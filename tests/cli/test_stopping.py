@@ -19,7 +19,7 @@ from usvlearn.cli.stopping import Stopped, check_stopped, stoppable, stoppable_w
 from usvlearn.core import checkpoint
 from usvlearn.runs.saved import results as finished
 from usvlearn.runs.tensorboard.logger import TensorBoardLogger
-from usvlearn.sweeps.tuning.lanes import Objective
+from usvlearn.sweeps.tuning.batches import Objective
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
 RUN = [*QUICK, "hydra.run.dir=run"]

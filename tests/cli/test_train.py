@@ -18,7 +18,8 @@ from usvlearn.core import checkpoint
 from usvlearn.errors import bad_input
 
 NAMES = {
-    "aid", "sift_map", "rnn", "persistence", "joint", "joint_quick", "arx", "reader", "average", "weighted", "ensemble",
+    "aid", "sift_map", "rnn", "persistence", "joint", "joint_quick", "arx", "joint_averaged", "average", "weighted",
+    "ensemble",
 }  # fmt: skip
 
 
@@ -102,7 +103,7 @@ def test_everything_lies_in_the_runs_folder(whole):
 
 
 def killed_after(sets: int, folder: Path, *arguments: str) -> None:
-    """Start a run and kill it, with no chance to clean up, once it has saved some parameter sets."""
+    """Start a run and kill it, with no chance to clean up, once it has saved some checkpoints."""
     process = subprocess.Popen(command(*arguments), cwd=folder, env=ENVIRONMENT, stdout=subprocess.DEVNULL)
     started = time.monotonic()
     while len(list(folder.glob("run/checkpoints/heron2/*.safetensors"))) < sets and process.poll() is None:

@@ -41,6 +41,16 @@ def test_a_former_name_of_a_method_tells_the_one_of_today():
         Online(RLS()).lode  # noqa: B018
 
 
+@pytest.mark.parametrize("member, before", [("sift_map", "rls"), ("joint_averaged", "reader")])
+def test_a_member_of_before_goes_on_under_its_name_of_today(member, before, tmp_path):
+    old = Online(Ensemble({before: RLS()})).save(tmp_path / "old.safetensors")
+    now = Ensemble({member: RLS()})
+    state, _ = store.restore(old, now.init())
+    assert list(state.members) == [member]
+    with pytest.raises(CheckpointError, match="lacks .*members.aid"):
+        store.restore(old, Ensemble({"aid": AID(28.0)}).init())
+
+
 def test_rnn_weights_keep_their_names(tmp_path):
     path = Online(RNN(6)).save(tmp_path / "rnn.safetensors")
     assert {"weights.a", "weights.w1", "weights.W2", "weights.b"} <= store.load(path)[0].keys()

@@ -241,7 +241,7 @@ def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
         "usvlearn: compiling the kernels of single steps",
         "usvlearn: compiling the kernels of forecasts",
         "usvlearn: compiling the kernels of runs",
-        "usvlearn: compiling the kernels of free runs",
+        "usvlearn: compiling the kernels of open-loop simulations",
     ]
 
 

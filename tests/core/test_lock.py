@@ -165,7 +165,7 @@ def test_a_report_a_study_and_a_job_of_a_sweep_are_locked(tmp_path, capsys):
     for each, folder in ((report, "report"), (study, "study"), (job, "job")):
         assert [path.name for path in (tmp_path / folder).iterdir()] == [NAME]
         ended(each)
-    with pytest.raises(CheckpointError, match="has no parameter sets"):
+    with pytest.raises(CheckpointError, match="has no checkpoints"):
         evaluate([tmp_path], tmp_path / "report", tools())
     made(tmp_path / "study", Recorder()).make()
     assert run_job(tmp_path / "job", {"a": 1}, [], lambda resume: 1.0) == 1.0

@@ -1,4 +1,4 @@
-"""What a parameter set says of its estimator is checked, whole, before the kernels are handed it."""
+"""What a checkpoint says of its estimator is checked, whole, before the kernels are handed it."""
 
 import copy
 import json
@@ -35,7 +35,7 @@ from usvlearn import (
 from usvlearn.core import checkpoint
 from usvlearn.core.protocol import spec_of
 from usvlearn.core.samples import named_leaves, tree_map
-from usvlearn.engine import of_lane
+from usvlearn.engine import of_element
 from usvlearn.engine.check import check
 from usvlearn.errors import CheckpointError
 
@@ -66,7 +66,7 @@ def members() -> dict:
 
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
-    """The leaves and facts of a set that has learned a little."""
+    """The leaves and facts of a checkpoint that has learned a little."""
     rules = {"average": Average(["aid", "rnn"]), "boa": BOA(), "weighted": RecursiveWeights()}
     boat = Online(Ensemble(members(), rules), backend="torch")
     for _ in range(3):
@@ -149,7 +149,7 @@ FORGED = {  # case: a place in the description, what is put there, and what the 
 
 @pytest.fixture(scope="module")
 def told(saved, tmp_path_factory) -> dict[str, str]:
-    """What opening each forged set, and stepping, says; another process does it, which such a set may kill."""
+    """What opening each forged set, and stepping, says; another process does it, which such a checkpoint may kill."""
     folder = tmp_path_factory.mktemp("forged")
     leaves, facts = saved
     for case, (entry, value, _) in FORGED.items():
@@ -175,7 +175,7 @@ STATES = {  # case: a leaf, what becomes of it, and what the error must say; Non
     "shape": ("members.aid.theta", lambda x: x[:8], r"theta: found the shape \(8,\), expected \(9,\)"),
     "axes": ("members.aid.theta", lambda x: x[None], r"found the shape \(5,\)|found the shape"),
     "number": ("members.aid.theta", lambda x: x.sum(), r"theta: found the shape \(\), expected \(\*batch, 9\)"),
-    "no_lanes": ("members.aid.theta", lambda x: x[None][:0], "expected"),
+    "no_elements": ("members.aid.theta", lambda x: x[None][:0], "expected"),
     "half": ("members.aid.theta", np.float16, "theta: found numbers of float16, expected float64 or float32"),
     "single": ("members.aid.surge", np.float32, "surge: found numbers of float32, expected float64 or float32, the"),
     "whole": ("monitors.thrusters.alarms", np.int64, "alarms: found numbers of int64"),
@@ -259,7 +259,7 @@ def test_what_estimators_say_of_themselves_is_legal(name, dtype):
         state = rollout(estimator, state, mission(100, *batch, dtype=dtype))[0]
         check(description, {name: leaf.numpy() for name, leaf in named_leaves(state)})
         one = {name: leaf[1].numpy() for name, leaf in named_leaves(state)}  # boat's, as a run saves it
-        check(of_lane(description, batch[0], 1), one)
+        check(of_element(description, batch[0], 1), one)
 
 
 @pytest.mark.parametrize("name", BEYOND)

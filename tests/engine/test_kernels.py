@@ -155,7 +155,7 @@ def test_what_was_given_stays_and_results_are_new(name):
 
 
 def test_shared_samples_equal_their_copies():
-    """Lanes along an axis of stride 0 share what is prepared of a sample."""
+    """Batch elements along an axis of stride 0 share what is prepared of a sample."""
     estimator, own = ESTIMATORS["boa"](), mission(60, 2)
     for shared in (
         tree_map(lambda x: x[:, None].expand(60, 3, 2), own),
@@ -170,7 +170,7 @@ def test_shared_samples_equal_their_copies():
         assert_equal(found, expected, 0.0)
 
 
-def test_threads_share_the_lanes():
+def test_threads_share_the_elements():
     estimator, samples = ESTIMATORS["boa"](), mission(40, 11)
     one = rollout(estimator, estimator.init((11,)), samples, record=["predictions"], backend="kernel")
     before = torch.get_num_threads()

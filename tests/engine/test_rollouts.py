@@ -228,7 +228,7 @@ def test_a_method_that_was_replaced_is_heard():
         assert torch.equal(rollout(aid, aid.init(), samples)[1], samples.surge)
 
 
-def test_no_lanes_are_no_steps():
+def test_no_elements_are_no_steps():
     aid = AID(28.0)
     with torch.no_grad():
         assert rollout(aid, aid.init((0,)), random_samples(4, 0))[1].shape == (4, 0)
@@ -270,12 +270,13 @@ def test_results_and_samples_are_tensors_like_any():
 @pytest.mark.parametrize("name", ["aid", "robust_memory", "rnn", "joint", "boa"])
 def test_one_number_fits_every_batch_by_either(name):
     one = Sample(Inputs(0.5, 0.4, 0.1, 0.0, 0.4), 1.0, True, True)
-    lanes = Sample(Inputs(*(np.full(3, x) for x in one.inputs)), np.ones(3), np.ones(3, bool), np.ones(3, bool))
+    elements = Sample(Inputs(*(np.full(3, x) for x in one.inputs)), np.ones(3), np.ones(3, bool), np.ones(3, bool))
     found, expected = Online(ESTIMATORS[name](), (3,), "torch"), Online(ESTIMATORS[name](), (3,), "kernel")
     for _ in range(3):
-        assert difference(torch.from_numpy(found.step(one)), torch.from_numpy(expected.step(lanes))) < 1e-9
+        assert difference(torch.from_numpy(found.step(one)), torch.from_numpy(expected.step(elements))) < 1e-9
     assert (
-        difference(torch.from_numpy(found.predict(one.inputs)), torch.from_numpy(expected.predict(lanes.inputs))) < 1e-9
+        difference(torch.from_numpy(found.predict(one.inputs)), torch.from_numpy(expected.predict(elements.inputs)))
+        < 1e-9
     )
 
 

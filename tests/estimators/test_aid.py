@@ -137,7 +137,7 @@ def test_leakage_bounds_the_parameters_under_noise_that_makes_them_drift():
 
 
 def test_parameters_converge_under_excitation():
-    """Eight lanes, each excited by other commands; the slowest direction decides the tolerance."""
+    """Eight batch elements, each excited by other commands; the slowest direction decides the tolerance."""
     aid, samples = AID(MASS, gain=10.0, spread=[MASS] * 9), plant(6000, 8)
     end, surge, _ = rollout(aid, aid.init((8,)), samples)
     start = TRUTH.norm()

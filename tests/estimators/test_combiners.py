@@ -1,4 +1,4 @@
-"""The rules: against the papers' own formulas and bounds, with sleepers, spikes, and nobody awake."""
+"""The rules: against the papers' own formulas and bounds, with inactive members, spikes, and no active one."""
 
 import math
 
@@ -8,7 +8,7 @@ import torch
 
 from usvlearn import BOA, Average, ExponentialWeights, FixedWeights, RecursiveWeights
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.ensemble.combiners.layer import fill_sleeping
+from usvlearn.estimators.ensemble.combiners.layer import fill_inactive
 
 NAMES = ["a", "b", "c", "d"]
 ZERO = torch.zeros((), dtype=torch.float64)
@@ -182,7 +182,7 @@ def test_a_sleeper_is_neither_praised_nor_blamed(rule):
 
 @pytest.mark.parametrize("rule", [BOA(), ExponentialWeights(), RecursiveWeights(forgetting=0.95)])
 def test_a_member_that_wakes_comes_back(rule):
-    """The best sleeps for half the time; then it is soon heard again."""
+    """The best is inactive for half the time; then it is soon heard again."""
     x, y = series(1200, "one is good")
     x[:600, 0] = math.nan
     said, weights, _ = run(bound(rule), x, y)
@@ -280,7 +280,7 @@ def test_sleepers_of_the_fixed_rules():
     torch.testing.assert_close(bound(Average()).combine({}, x), ZERO + 7 / 3)
     fixed = FixedWeights({"a": 0.5, "b": 0.2, "c": 0.2, "d": 0.1})
     torch.testing.assert_close(bound(fixed).combine({}, x), (ZERO + 0.5 + 0.4 + 0.4) / 0.8)
-    assert fill_sleeping(x, torch.zeros(4))[2] == pytest.approx(7 / 3)  # where those awake have no weight at all
+    assert fill_inactive(x, torch.zeros(4))[2] == pytest.approx(7 / 3)  # where the active ones have no weight at all
 
 
 @pytest.mark.parametrize(

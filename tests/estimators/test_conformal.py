@@ -71,13 +71,13 @@ def test_misses_are_bounded_whatever_the_errors_are(coverage):
     assert abs(misses / steps - alpha) <= (abs(math.log(q / START)) + BOOST * harmonic) / (RATE * steps)
 
 
-def test_columns_and_lanes_are_apart_and_what_is_not_finite_changes_nothing():
+def test_columns_and_elements_are_apart_and_what_is_not_finite_changes_nothing():
     errors = np.random.default_rng(3).standard_normal((50, 2, 3))
     widths, _ = track(errors)
-    for lane in range(2):
+    for element in range(2):
         for k in range(3):
-            alone, _ = track(errors[:, lane, k : k + 1])
-            assert torch.equal(widths[:, lane, k], alone[:, 0])
+            alone, _ = track(errors[:, element, k : k + 1])
+            assert torch.equal(widths[:, element, k], alone[:, 0])
     errors[::2, 0, 1], errors[1::2, 1, 2] = math.nan, math.inf
     gaps, _ = track(errors)
     shorter, _ = track(errors[1::2, 0, 1:2])

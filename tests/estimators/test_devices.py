@@ -143,28 +143,28 @@ class Error(torch.nn.Module):
 
 
 def gradients(estimator: Estimator, run: Sample, mapped=vmap):
-    """Of the error by each hyperparameter, for each lane `(lanes,)` alone."""
+    """Of the error by each hyperparameter, for each batch element `(elements,)` alone."""
     module = Error(estimator)
     leaves = {name: x.detach() for name, x in module.named_parameters() if x.requires_grad}
     return mapped(grad(lambda leaves, one: functional_call(module, leaves, (one,))), (None, 1))(leaves, run)
 
 
 def one_by_one(function, axes):
-    """As `vmap`, lane after lane."""
+    """As `vmap`, one batch element after the other."""
 
     def mapped(leaves, run):
-        lanes = [function(leaves, tree_map(lambda x, k=k: x[:, k], run)) for k in range(run.surge.shape[1])]
-        return tree_map(lambda *x: torch.stack(x), *lanes)
+        elements = [function(leaves, tree_map(lambda x, k=k: x[:, k], run)) for k in range(run.surge.shape[1])]
+        return tree_map(lambda *x: torch.stack(x), *elements)
 
     return mapped
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_mapped_gradients_are_those_of_each_lane(name):
-    """Also where the lanes use their samples differently."""
+def test_mapped_gradients_are_those_of_each_element(name):
+    """Also where the batch elements use their samples differently."""
     estimator, run = CASES[name](), random_samples(4, 2)
     fresh, dt = run.fresh.clone(), run.inputs.dt.clone()
-    fresh[2, 0], dt[2, 1] = False, 0.0  # one lane holds, where a segment of the other starts
+    fresh[2, 0], dt[2, 1] = False, 0.0  # one batch element holds, where a segment of the other starts
     run = Sample(run.inputs._replace(dt=dt), run.surge, fresh, run.measured)
     found, expected = gradients(estimator, run), gradients(estimator, run, one_by_one)
     for key, value in expected.items():

@@ -234,7 +234,7 @@ def test_a_member_that_says_nonsense_does_not_spoil_the_rest(wrong, rule):
     assert surge.isfinite().all() and surge.abs().max() < 10
     away = samples.inputs.heading > 4.8
     assert away.sum() > 20
-    if not isinstance(ensemble.combiners["rule"], RecursiveWeights):  # who alone is awake is what is said
+    if not isinstance(ensemble.combiners["rule"], RecursiveWeights):  # who alone is active is what is said
         torch.testing.assert_close(surge[away], found[away, 0])
     for name in ("combiners", "conformal"):
         assert all(leaf.isfinite().all() for leaf in tree_leaves(getattr(end, name)))

@@ -1,4 +1,6 @@
-"""Forecasts: free runs from origins, judged when they are due; nothing later than the origin but commands is used."""
+"""Forecasts: open-loop simulations from origins, judged when they are due; nothing later than the origin but commands
+is used.
+"""
 
 import json
 import math
@@ -202,7 +204,7 @@ def test_intervals_cover_what_they_say():
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=str)
 def test_a_state_goes_on_where_it_was(dtype, tmp_path):
-    """Saved aboard and opened in mid-flight, bit for bit; a batch is its lanes."""
+    """Saved aboard and opened in mid-flight, bit for bit; a batch is its batch elements."""
     model, samples = ensemble().to(dtype), plain(80, 2)
     samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)
     whole, _ = made(model, samples)
@@ -218,7 +220,7 @@ def test_a_state_goes_on_where_it_was(dtype, tmp_path):
         np.testing.assert_allclose(online.state["forecasts.predictions"], expected, rtol=rounding)
 
 
-def test_online_forecasts_are_those_of_lanes():
+def test_online_forecasts_are_those_of_elements():
     model, samples = ensemble(), plain(50, 3)
     state = rollout(model, model.init((3,)), samples)[0]
     online, rng = Online(model, (3,)), np.random.default_rng(0)
@@ -273,7 +275,7 @@ def test_a_plan_after_steps_without_speed_is_less_sure(backend):
     np.testing.assert_allclose(forecast(model, state, inputs).high, found.high, rtol=1e-9)
 
 
-def test_lanes_of_another_number_are_refused():
+def test_elements_of_another_number_are_refused():
     model = ensemble()
     inputs = Inputs(*(torch.zeros(10, 3, dtype=torch.float64) for _ in range(5)))
     with pytest.raises(ShapeError, match=r"inputs: found the shapes \[\(10, 3\)\], expected \(time, 2\)"):
@@ -373,14 +375,14 @@ def test_scores_by_horizon_against_a_plain_loop():
     fleet = Fleet(("one", "two"), (run,), {})
     columns = model.forecasts.columns
     scores = horizon_scores(horizon_sums(fleet, [(0, 0, arrays)], HORIZONS, columns), fleet.boats)
-    for lane, boat in enumerate(fleet.boats):
+    for element, boat in enumerate(fleet.boats):
         for j, horizon in enumerate(("0.4", "2", "4")):
             errors, inside = [], []
             for k in range(60):
-                if samples.measured[k, lane] and found[k, lane, j, -1].isfinite():
-                    errors.append([abs(float(x - samples.surge[k, lane])) for x in found[k, lane, j]])
-                    if widths[k, lane, j].isfinite():
-                        inside.append(errors[-1][-1] <= float(widths[k, lane, j]))
+                if samples.measured[k, element] and found[k, element, j, -1].isfinite():
+                    errors.append([abs(float(x - samples.surge[k, element])) for x in found[k, element, j]])
+                    if widths[k, element, j].isfinite():
+                        inside.append(errors[-1][-1] <= float(widths[k, element, j]))
             mean = np.mean(errors, 0)
             for name, mae in zip(columns, mean, strict=True):
                 row = scores[boat][name][horizon]

@@ -1,4 +1,4 @@
-"""What a joint filter has identified: quantities against closed forms, intervals, and what a log lacks."""
+"""What a joint EKF has identified: quantities against closed forms, intervals, and what a log lacks."""
 
 import json
 import math
@@ -22,10 +22,12 @@ from usvlearn.simulate.truth import true_parameters, true_quantities
 MASS, TOP, STEP = 28.0, 2.7, 0.4
 READER = {"disturbance": 0.05, "disturbance_time": 3.0, "current": 0.15, "drift_time": 5000.0, "lag": 0.3}
 FREE = np.zeros(19)  # no known force
-THETA_ODD = np.array([-0.1, -0.6, -0.3, 0.2, 0.5, -0.05, 0.25, 0.6, -0.02, 0.3, 0.2, 0.1])  # without even terms
+THETA_ODD = np.array(
+    [-0.1, -0.6, -0.3, 0.2, 0.5, -0.05, 0.25, 0.6, -0.02, 0.3, 0.2, 0.1]
+)  # without fore-aft asymmetry terms
 
 
-def reader(**changed) -> JointEKF:
+def averaged(**changed) -> JointEKF:
     return JointEKF(**({"surge_max": TOP, "mass": MASS, "read_every": 600.0} | READER | changed))
 
 
@@ -69,7 +71,7 @@ def varied(steps: int, low: float = 0.0, high: float = 1.0, seed: int = 1) -> np
 
 
 def learned(sample: Sample, **changed) -> Identified:
-    joint = reader(**changed)
+    joint = averaged(**changed)
     with torch.no_grad():
         state, _, _ = rollout(joint, joint.init(), sample)
     return identify(joint.spec(), leaves_of(state))
@@ -140,7 +142,7 @@ def test_an_undefined_steady_speed_leaves_the_other_quantities():
     theta = THETA_ODD.copy()
     theta[:2] = 0.1, 0.5
     mean = np.concatenate([np.zeros(THETA), theta])
-    found = read(reader(even=None), mean=mean, updates=1e9)
+    found = read(averaged(even=None), mean=mean, updates=1e9)
     assert math.isnan(found["steady_speed_full"].value) and curves(found) == {}
     assert found["thrust_full_left"].low < MASS < found["thrust_full_left"].high
 
@@ -172,7 +174,7 @@ def test_gradients_of_sums_are_their_coefficients():
 
 def test_many_readings_leave_their_own_covariance_and_the_filters():
     """(1): for a sum of parameters the half-width is 1.645 m √(wᵀ(P + C)w), as n → ∞."""
-    joint = reader(even=None)
+    joint = averaged(even=None)
     rng = np.random.default_rng(0)
     root = 0.01 * rng.standard_normal((12, 12))
     leaves = leaves_of(joint.init())
@@ -191,7 +193,7 @@ def test_many_readings_leave_their_own_covariance_and_the_filters():
 
 
 def test_before_the_first_reading_intervals_are_wider_and_shrink():
-    joint = reader(even=None)
+    joint = averaged(even=None)
     mean = np.concatenate([np.zeros(THETA), THETA_ODD])
     factor = np.diag(np.full(16, 1e-4))
     first, later = (
@@ -203,7 +205,7 @@ def test_before_the_first_reading_intervals_are_wider_and_shrink():
 
 
 def test_an_interval_contains_the_present_estimate():
-    joint = reader(even=None)
+    joint = averaged(even=None)
     now = THETA_ODD.copy()
     now[3] += 1.0  # a propeller was cleaned
     found = read(
@@ -220,31 +222,31 @@ def test_an_interval_contains_the_present_estimate():
 
 def test_a_known_force_fixes_the_mass_and_scales_all_forces():
     mean = np.concatenate([np.zeros(THETA), THETA_ODD])
-    known = read(reader(even=None, known={"thrust_full_left": 50.0}), mean=mean)
+    known = read(averaged(even=None, known={"thrust_full_left": 50.0}), mean=mean)
     assert known["mass"].value == pytest.approx(50.0)  # the pull per mass is 1 N/kg
     assert known["thrust_full_left"].value == pytest.approx(50.0)
     assert known["thrust_full_left"].high - known["thrust_full_left"].low == pytest.approx(0.0, abs=1e-6)
-    plain = read(reader(even=None), mean=mean)
+    plain = read(averaged(even=None), mean=mean)
     assert "mass" not in plain and "speeds alone do not tell the mass" in plain.scale
     for name in plain:
         ratio = 50.0 / MASS if name in FORCES else 1.0
         assert known[name].value == pytest.approx(ratio * plain[name].value, rel=1e-6), name
     with pytest.raises(ConfigError, match="known: found 'pull'"):
-        reader(known={"pull": 3.0})
+        averaged(known={"pull": 3.0})
     with pytest.raises(ConfigError, match=r"known.thrust_full_left: found 'x', expected a number"):
-        reader(known={"thrust_full_left": "x"})
+        averaged(known={"thrust_full_left": "x"})
     with pytest.raises(ConfigError, match=r"known: found 5, expected {name: value}"):
-        reader(known=5)
+        averaged(known=5)
 
 
 def test_a_known_force_of_the_wrong_sign_is_said():
-    found = read(reader(known={"thrust_linear_left": -50.0}))
+    found = read(averaged(known={"thrust_linear_left": -50.0}))
     assert math.isnan(found["mass"].value) and found.lacks[-1].startswith("known: the forces have the opposite sign")
-    right = read(reader(known={"drag_linear": -10.0}))
+    right = read(averaged(known={"drag_linear": -10.0}))
     with pytest.raises(ConfigError, match=r"known.thrust_full_left: found -50.0, expected a number that is positive"):
-        reader(known={"thrust_full_right": 30.0, "thrust_full_left": -50.0})
+        averaged(known={"thrust_full_right": 30.0, "thrust_full_left": -50.0})
     with pytest.raises(ConfigError, match=r"known.drag_linear: found 10.0, expected a number that is negative"):
-        reader(known={"drag_linear": 10.0})
+        averaged(known={"drag_linear": 10.0})
     assert right["mass"].value > 0 and right.scale.startswith("The mass and all forces follow")
 
 
@@ -330,13 +332,13 @@ def test_intervals_that_a_log_does_not_settle_are_named():
 
 
 def test_one_step_is_said_in_the_singular():
-    assert read(reader(), updates=1.0).lacks[0].startswith("Only 1 step was learned")
+    assert read(averaged(), updates=1.0).lacks[0].startswith("Only 1 step was learned")
 
 
 def test_twenty_samples_say_so_and_are_wider_than_the_prior():
     found = learned(log(20, varied(20), varied(20, seed=2)))
     assert found.lacks[0].startswith("Only 19 steps were learned")
-    prior = reader().variance.sqrt().detach()
+    prior = averaged().variance.sqrt().detach()
     single = found["drag_linear"]
     assert single.high - single.low > MASS * DEVIATIONS * float(prior[1])
 
@@ -344,7 +346,7 @@ def test_twenty_samples_say_so_and_are_wider_than_the_prior():
 def test_a_filter_that_diverged_identifies_nothing_and_writes_null(tmp_path):
     from usvlearn.runs.layout import save_results
 
-    joint = reader()
+    joint = averaged()
     found = read(joint, mean=np.full(23, np.nan))
     assert found.lacks == ("The filter has diverged.",) and curves(found) == {}
     save_results(tmp_path, as_results({"heron": found}, {}))
@@ -354,7 +356,7 @@ def test_a_filter_that_diverged_identifies_nothing_and_writes_null(tmp_path):
 
 def test_no_state_raises_or_gives_an_interval_without_its_value():
     rng = np.random.default_rng(0)
-    joint = reader()
+    joint = averaged()
     for scale in (0.0, 1e-6, 1.0, 1e3, 1e9):
         mean = scale * rng.standard_normal(23)
         factor = np.tril(rng.standard_normal((23, 23)), -1) + np.diag(rng.random(23) * scale + 1e-30)
@@ -374,7 +376,7 @@ def test_curves_agree_with_the_quantities(ordinary):
 
 
 def test_online_identifies_with_and_without_torch_and_says_where_it_cannot(tmp_path):
-    ensemble = Ensemble({"aid": AID(MASS), "reader": reader()})
+    ensemble = Ensemble({"aid": AID(MASS), "joint_averaged": averaged()})
     online = Online(ensemble)
     sample = log(30, varied(30), varied(30, seed=2))
     for k in range(30):
@@ -382,9 +384,9 @@ def test_online_identifies_with_and_without_torch_and_says_where_it_cannot(tmp_p
         online.step(Sample(inputs, float(sample.surge[k]), fresh=True, measured=True))
     path = online.save(tmp_path / "set.safetensors")
     assert Online.open(path).identified().quantities == online.identified().quantities
-    batch = Online(reader(), batch=(2,)).identified()
+    batch = Online(averaged(), batch=(2,)).identified()
     assert len(batch) == 2 and batch[0].quantities == batch[1].quantities
-    with pytest.raises(ConfigError, match="no joint filter with read_every"):
+    with pytest.raises(ConfigError, match="no joint EKF with read_every"):
         Online(Ensemble({"aid": AID(MASS), "joint": JointEKF(TOP)})).identified()
     with pytest.raises(ConfigError, match=r"not inside a Bank or Robust: add JointEKF\(..., read_every=600.0\)"):
         Online(AID(MASS)).identified()
@@ -394,12 +396,12 @@ def test_an_ensemble_without_kernels_identifies_too():
     class Slow(Persistence):
         pass
 
-    ensemble = Ensemble({"slow": Slow(), "reader": reader()})
-    assert ensemble.spec() is None and ensemble.reader == "reader"
+    ensemble = Ensemble({"slow": Slow(), "joint_averaged": averaged()})
+    assert ensemble.spec() is None and ensemble.averaged == "joint_averaged"
     assert "time_constant" in Online(ensemble).identified()
 
 
 def test_each_boat_has_its_own_mass():
-    ensemble = Ensemble({"reader": reader(mass=torch.tensor([14.0, 28.0], dtype=torch.float64))})
+    ensemble = Ensemble({"joint_averaged": averaged(mass=torch.tensor([14.0, 28.0], dtype=torch.float64))})
     found = identified_boats(ensemble, ensemble.init((2,)), ["a", "b"])
     assert found["b"]["thrust_full_left"].value == pytest.approx(2 * found["a"]["thrust_full_left"].value)

@@ -1,4 +1,4 @@
-"""The joint filter against a dense textbook filter, finite differences, a simulated boat, and what happens aboard."""
+"""The joint EKF against a dense textbook filter, finite differences, a simulated boat, and what happens aboard."""
 
 import itertools
 import math
@@ -216,7 +216,9 @@ def boat(hours: float, noise: float = 0.03, seed: int = 0):
 
 
 def test_the_parameters_of_a_boat_are_found():
-    """Drag and thrust at the speeds and commands in use, the noise of the sensor, and free runs, from two hours."""
+    """Drag and thrust at the speeds and commands in use, the noise of the sensor, and open-loop simulations, from two
+    hours.
+    """
     truth, samples = boat(2.0)
     joint = JointEKF(2.0, 28.0)
     state, _, _ = rollout(joint, joint.init(), samples)
@@ -347,7 +349,7 @@ def test_a_broken_factor_is_refused(tmp_path):
         Online.open(path)
 
 
-def test_the_covariance_of_a_batch_is_that_of_each_lane():
+def test_the_covariance_of_a_batch_is_that_of_each_element():
     joint = JointEKF(2.0, 28.0)
     state = joint.init((2, 3))
     factor = torch.rand(state.factor.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)

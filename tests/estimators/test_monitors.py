@@ -101,18 +101,18 @@ def test_cusum_is_the_loop():
 
 
 def test_cusum_alarms_as_seldom_as_lorden_bounds_it_and_as_late_as_wald_tells():
-    h, lanes, f = 4.0, 2000, 1.5
-    healthy = normal(400, lanes, 1, seed=7)
-    g, sums = torch.zeros(lanes, 2).double(), torch.zeros(lanes, 2, 2).double()
-    effect, alive, lived = torch.full((lanes, 2), f).double(), torch.ones(lanes, dtype=torch.bool), 0
+    h, elements, f = 4.0, 2000, 1.5
+    healthy = normal(400, elements, 1, seed=7)
+    g, sums = torch.zeros(elements, 2).double(), torch.zeros(elements, 2, 2).double()
+    effect, alive, lived = torch.full((elements, 2), f).double(), torch.ones(elements, dtype=torch.bool), 0
     for e in healthy:
         g, sums = monitors.cusum(g, sums, effect, e, 40.0)
         alive &= g[:, 0] <= h
         lived += int(alive.sum())
     false_alarms = int((~alive).sum())
     assert 0 < false_alarms <= lived * math.exp(-h)  # Lorden 1971: the mean time between them is at least e^h
-    g, sums, late = torch.zeros(lanes, 2).double(), torch.zeros(lanes, 2, 2).double(), torch.zeros(lanes)
-    for k, e in enumerate(normal(200, lanes, 1, seed=8) - monitors.LOSS * f):
+    g, sums, late = torch.zeros(elements, 2).double(), torch.zeros(elements, 2, 2).double(), torch.zeros(elements)
+    for k, e in enumerate(normal(200, elements, 1, seed=8) - monitors.LOSS * f):
         g, sums = monitors.cusum(g, sums, effect, e, 40.0)
         late = torch.where((g[:, 0] > h) & (late == 0), k + 1, late)
     drift = (monitors.LOSS * f) ** 2 / 2  # of the log-likelihood ratio a sample
@@ -123,16 +123,16 @@ def test_cusum_alarms_as_seldom_as_lorden_bounds_it_and_as_late_as_wald_tells():
 # ---- a boat that loses a thruster
 
 
-def boat(steps, lanes, left, seed=0, noise=0.06):
-    """Yaw of boats of first order whose left thruster has the share `left`, `(steps,)`: inputs `(steps, lanes)`."""
+def boat(steps, elements, left, seed=0, noise=0.06):
+    """Yaw of boats of first order whose left thruster has the share `left`, `(steps,)`: inputs `(steps, elements)`."""
     mean = 0.5 + 0.3 * torch.sin(0.03 * torch.arange(steps).double())[:, None]
-    swing = 0.25 * normal(steps // 25 + 1, lanes, seed=seed).clamp(-1.5, 1.5).repeat_interleave(25, 0)[:steps]
+    swing = 0.25 * normal(steps // 25 + 1, elements, seed=seed).clamp(-1.5, 1.5).repeat_interleave(25, 0)[:steps]
     commands = torch.stack([mean + swing, mean - swing], -1).clamp(0, 1)
     force = commands * commands * torch.stack([left, torch.ones(steps).double()], -1)[:, None]
-    yaw = [torch.zeros(lanes).double()]
+    yaw = [torch.zeros(elements).double()]
     for tau in force:
         yaw.append(0.5 * yaw[-1] + 0.3 * (tau[:, 0] - tau[:, 1]))
-    rate = torch.stack(yaw[1:]) + noise * normal(steps, lanes, seed=seed + 1)
+    rate = torch.stack(yaw[1:]) + noise * normal(steps, elements, seed=seed + 1)
     zero = torch.zeros_like(rate)
     return Inputs(commands[..., 0], commands[..., 1], zero, rate, zero + 0.4)
 
@@ -213,9 +213,9 @@ def test_rounded_sums_of_a_steady_cruise_keep_the_model_finite(steps):
     after = monitors.observe_thrusters(state, inputs)
     assert all(leaf.isfinite().all() for leaf in after)
     assert (after.evidence == 0).all()
-    for lane in range(0, 200, 20):
-        one = kernel_step(tree_map(lambda x, i=lane: x[i], state), Inputs(*single))
-        for name, x, y in zip(after._fields, one, tree_map(lambda x, i=lane: x[i], after), strict=True):
+    for element in range(0, 200, 20):
+        one = kernel_step(tree_map(lambda x, i=element: x[i], state), Inputs(*single))
+        for name, x, y in zip(after._fields, one, tree_map(lambda x, i=element: x[i], after), strict=True):
             torch.testing.assert_close(x, y, rtol=1e-4, atol=1e-6, msg=name)
 
 
@@ -230,18 +230,18 @@ def test_sums_that_cannot_be_solved_tell_nothing():
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
-def test_a_batch_equals_its_lanes_and_vmap(batch):
+def test_a_batch_equals_its_elements_and_vmap(batch):
     steps, columns = 30, 4
     seen, e = random_samples(steps, *batch, seed=3), 0.05 * normal(steps, *batch, columns, seed=4)
     together = monitors.init(batch, columns, ONE)
     for k in range(steps):
         together = monitors.observe(together, e[k], Inputs(*(x[k] for x in seen.inputs)))
-    for lane in np.ndindex(batch):
+    for element in np.ndindex(batch):
         alone = monitors.init((), columns, ONE)
         for k in range(steps):
-            alone = monitors.observe(alone, e[(k, *lane)], Inputs(*(x[(k, *lane)] for x in seen.inputs)))
+            alone = monitors.observe(alone, e[(k, *element)], Inputs(*(x[(k, *element)] for x in seen.inputs)))
         for (name, x), (_, y) in zip(named_leaves(together), named_leaves(alone), strict=True):
-            torch.testing.assert_close(x[lane], y, rtol=1e-9, atol=1e-12, msg=name)
+            torch.testing.assert_close(x[element], y, rtol=1e-9, atol=1e-12, msg=name)
     if batch:
         last = Inputs(*(x[-1] for x in seen.inputs))
         mapped = torch.vmap(monitors.observe)(together, e[-1], last)

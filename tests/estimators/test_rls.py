@@ -82,7 +82,7 @@ def test_excitation_is_the_share_of_the_first_variance_that_the_data_removed():
     assert [told[f"excitation_{name}"].item() for name in rls.model.names] == pytest.approx([0.75] * 9)
 
 
-def test_lanes_with_their_own_mass_scale_the_parameters_alone():
+def test_elements_with_their_own_mass_scale_the_parameters_alone():
     samples = random_samples(30, 2)
     same = type(samples.inputs)(*(x[:, :1].expand(-1, 2) for x in samples.inputs))
     samples = samples._replace(inputs=same, surge=samples.surge[:, :1].expand(-1, 2))
@@ -112,7 +112,9 @@ def linear(steps: int, *batch: int, sigma=0.1):
 
 @pytest.mark.parametrize("kind", [lambda: RLS(Linear(), 0.99), lambda: SIFtRLS(Linear(), memory=40.0)])
 def test_noise_and_deviation_are_those_of_the_innovations(kind):
-    """Standardised by the deviation that was foretold, innovations have variance 1, early and late, in each lane."""
+    """Standardised by the deviation that was foretold, innovations have variance 1, early and late, in each batch
+    element.
+    """
     sigma = torch.tensor([0.01, 0.1, 0.5], dtype=torch.float64).repeat_interleave(4)
     samples, rls = linear(1500, 12, sigma=sigma), kind()
     with torch.no_grad():

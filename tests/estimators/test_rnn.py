@@ -17,7 +17,7 @@ from usvlearn import AID, RNN, Ensemble, rollout
 from usvlearn.core.checkpoint import save
 from usvlearn.core.samples import tree_map
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.rnn.layer import RNNState, clipped, gradient, lane_weights, network, network_inputs
+from usvlearn.estimators.rnn.layer import RNNState, clipped, element_weights, gradient, network, network_inputs
 from usvlearn.report.stability import stability
 
 
@@ -118,13 +118,13 @@ def test_the_initial_network_is_persistence(options, expected):
 @pytest.mark.parametrize("gauge", ["literal", "best"])
 def test_the_initial_network_is_certified_exactly(condition, gauge):
     rnn = RNN(condition=condition, gauge=gauge, contraction_rate=0.9)
-    weights = lane_weights(rnn.init(), ())
+    weights = element_weights(rnn.init(), ())
     found = exact.conditions(weights.a, weights.w1)
     name = condition if gauge == "literal" else "tight"
     assert 0 < found[name].rate <= Fraction(0.9)
 
 
-def test_clipping_shortens_each_lane_alone():
+def test_clipping_shortens_each_element_alone():
     generator = torch.Generator().manual_seed(0)
     long = torch.randn((4, 140), generator=generator).double() * torch.tensor([[1e-6], [1.0], [1e6], [1e300]])
     short = clipped(long, 0.1)
@@ -133,12 +133,12 @@ def test_clipping_shortens_each_lane_alone():
     assert short.isfinite().all()
     torch.testing.assert_close(short[0], long[0], rtol=1e-8, atol=0.0)
     torch.testing.assert_close(short[1:3] / norm[1:3, None], long[1:3] / long[1:3].norm(dim=-1, keepdim=True))
-    for lane in range(4):
-        assert torch.equal(short[lane], clipped(long[lane], 0.1))
+    for element in range(4):
+        assert torch.equal(short[element], clipped(long[element], 0.1))
 
 
 def test_an_outlier_fills_no_memory_of_adam():
-    """One lane in two meets 99 m/s: the other is untouched, and its own mean of g² stays below c²."""
+    """One batch element in two meets 99 m/s: the other is untouched, and its own mean of g² stays below c²."""
     rnn, samples = RNN(), random_samples(60, 2)
     surge = samples.surge.clone()
     surge[30, 1] = 99.0  # the fastest that counts as a measurement
@@ -163,7 +163,7 @@ def trained() -> RNNState:
 
 def test_warm_start_from_every_kind_of_file(tmp_path):
     state = trained()
-    a, w1, W2, b = lane_weights(state, ())
+    a, w1, W2, b = element_weights(state, ())
     np.savez(tmp_path / "set.npz", a=a, w1=w1, W2=W2, b=b)
     layers = {"0.weight": torch.from_numpy(np.column_stack([w1, W2])), "0.bias": torch.from_numpy(b)}
     torch.save({**layers, "2.weight": torch.from_numpy(a)[None]}, tmp_path / "set.pt")
@@ -181,7 +181,7 @@ def test_warm_start_is_projected_and_learns_on(tmp_path):
     rnn = RNN(n, pretrained=str(tmp_path / "wild.npz"))
     with torch.no_grad():
         _, _, weights = rollout(rnn, rnn.init(), random_samples(30), record=lambda s: s.weights)
-    assert exact.conditions(*lane_weights(rnn.init(), ())[:2])["tight"].rate <= Fraction(0.999)
+    assert exact.conditions(*element_weights(rnn.init(), ())[:2])["tight"].rate <= Fraction(0.999)
     assert all(
         exact.conditions(*pair)["tight"].rate <= Fraction(0.999)
         for pair in zip(weights.a.numpy(), weights.w1.numpy(), strict=True)
@@ -194,8 +194,8 @@ def test_warm_start_from_one_of_several_networks(tmp_path):
     save(path, {"members": {"first": state, "second": other}})
     one = RNN(surge_max=2.0, pretrained=f"{path}:members.second.weights")
     torch.testing.assert_close(one.init().weights.a, other.weights.a, rtol=1e-12, atol=1e-12)
-    lanes = save(tmp_path / "lanes.safetensors", tree_map(lambda x: torch.stack([x, 0.5 * x]), state.weights))
-    torch.testing.assert_close(RNN(pretrained=f"{lanes}[1]").init().weights.a, 0.5 * state.weights.a)
+    elements = save(tmp_path / "lanes.safetensors", tree_map(lambda x: torch.stack([x, 0.5 * x]), state.weights))
+    torch.testing.assert_close(RNN(pretrained=f"{elements}[1]").init().weights.a, 0.5 * state.weights.a)
 
 
 def test_a_wrong_warm_start_is_refused(tmp_path):
@@ -256,7 +256,9 @@ def test_illegal_hyperparameters_are_refused(wrong):
 @pytest.mark.parametrize("updates", [pytest.param(40, id="some"), pytest.param(2000, id="1e5", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight", "interval"])
 def test_projection_holds_exactly_after_every_update(condition, updates):
-    """50 lanes with rates up to 1, outliers of 10⁴ m/s, stale and missing samples: no set beyond the rate, exactly."""
+    """50 batch elements with rates up to 1, outliers of 10⁴ m/s, stale and missing samples: no checkpoint beyond the
+    rate, exactly.
+    """
     rates = torch.logspace(-4, 0, 50, dtype=torch.float64)
     rnn, generator = RNN(condition=condition, rate=rates, decay=None), torch.Generator().manual_seed(0)
     samples = random_samples(updates, 50)
@@ -286,7 +288,7 @@ def test_two_networks_that_learn_alike_forget_how_they_started():
     before = 2.0
     for k in range(30):
         learned = rnn.update(state, type(inputs)(*(x[k] for x in inputs)), samples.surge[k, :1].expand(2))
-        weights = tree_map(lambda w: w[:1].expand_as(w), learned.weights)  # the first lane's, for both
+        weights = tree_map(lambda w: w[:1].expand_as(w), learned.weights)  # the first batch element's, for both
         state = state._replace(weights=weights)
         coasted, _ = rnn.predict(state, type(inputs)(*(x[k] for x in inputs)))
         after = float((coasted.surge[1] - coasted.surge[0]).detach().abs())
@@ -347,7 +349,9 @@ def test_a_rate_just_below_one_is_not_told_as_one():
     assert "certified contracting by tight, K = 0.999999 a step" in line
     free = {"heron": {"rnn": 0.41, "average": 0.2, "persistence": 0.9}}  # a proof is not praise
     (beside,) = stability(ensemble, ensemble.init((1,)), ["heron"], free)
-    assert beside == f"{line}; free runs are far off: they err by 0.410 m/s (average 0.200, persistence 0.900)"
+    assert (
+        beside == f"{line}; open-loop simulations are far off: they err by 0.410 m/s (average 0.200, persistence 0.900)"
+    )
     for errors, far in (((0.39, 0.2, 0.9), False), ((0.9, 0.5, 0.9), True), ((0.41, None, None), False)):
         free = {"heron": dict(zip(("rnn", "average", "persistence"), errors, strict=True))}
         (beside,) = stability(ensemble, ensemble.init((1,)), ["heron"], free)

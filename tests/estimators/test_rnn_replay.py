@@ -155,7 +155,7 @@ def test_without_replay_nothing_is_new():
 
 @pytest.mark.parametrize("condition", ["simple", "gershgorin", "lmi", "tight", "interval"])
 def test_projection_holds_exactly_after_every_step(condition):
-    """20 lanes with rates up to 1, outliers and missing samples: no set beyond the rate, exactly."""
+    """20 batch elements with rates up to 1, outliers and missing samples: no checkpoint beyond the rate, exactly."""
     rates = torch.logspace(-4, 0, 20, dtype=torch.float64)
     rnn = RNN(condition=condition, rate=rates, decay=None, unroll=2, replay_size=30, replay_steps=4)
     samples, generator = random_samples(60, 20), torch.Generator().manual_seed(0)
@@ -177,7 +177,7 @@ def test_projection_holds_exactly_after_every_step(condition):
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
 @pytest.mark.parametrize("cut", [50, 333])
 def test_a_saved_and_resumed_run_is_the_uninterrupted_one(cut, dtype, tmp_path):
-    """Through faults, starts and the wrap-around, bit for bit, in all lanes."""
+    """Through faults, starts and the wrap-around, bit for bit, in all batch elements."""
     rnn, samples = RNN(6, unroll=2, replay_size=100).to(dtype), mission(500, 3, dtype=dtype)
     with torch.no_grad():
         whole, expected, _ = rollout(rnn, rnn.init((3,)), samples)

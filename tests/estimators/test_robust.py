@@ -183,8 +183,8 @@ def test_a_change_gets_through_and_opens_the_covariance():
     generator = torch.Generator().manual_seed(0)
     samples = random_samples(302, 2)
     surge = 0.05 * torch.randn(302, 2, generator=generator, dtype=torch.float64)
-    surge[300:, 0] += 2.0  # lane 0 changes for good
-    surge[300, 1] += 2.0  # lane 1 has one outlier
+    surge[300:, 0] += 2.0  # batch element 0 changes for good
+    surge[300, 1] += 2.0  # batch element 1 has one outlier
     robust, calm = (Robust(RLS(Level()), patience=1, inflation=inflation) for inflation in (4.0, 1.0))
     inputs = at(samples, 0).inputs
     with torch.no_grad():
@@ -211,16 +211,16 @@ def test_recovery_from_a_change_keeps_up_with_the_plain_estimator():
     assert errors["robust"] < 1.3 * errors["plain"]
 
 
-def test_lanes_are_clipped_each_by_its_own_scale():
+def test_elements_are_clipped_each_by_its_own_scale():
     samples = linear(300, 2, share=0.03)
     samples = samples._replace(surge=samples.surge * torch.tensor([1.0, 10.0]))
     robust = Robust(SIFtRLS(Linear()), scale=[0.1, 2.0])
     end, surge, _ = rollout(robust, robust.init((2,)), samples)
-    for lane in range(2):
-        alone = Robust(SIFtRLS(Linear()), scale=[0.1, 2.0][lane])
-        one, one_surge, _ = rollout(alone, alone.init(), tree_map(lambda x, i=lane: x[:, i], samples))
-        torch.testing.assert_close(surge[:, lane], one_surge, rtol=1e-10, atol=1e-10)
-        assert (end.clipped[lane], end.escaped[lane]) == (one.clipped, one.escaped) and one.clipped > 0
+    for element in range(2):
+        alone = Robust(SIFtRLS(Linear()), scale=[0.1, 2.0][element])
+        one, one_surge, _ = rollout(alone, alone.init(), tree_map(lambda x, i=element: x[:, i], samples))
+        torch.testing.assert_close(surge[:, element], one_surge, rtol=1e-10, atol=1e-10)
+        assert (end.clipped[element], end.escaped[element]) == (one.clipped, one.escaped) and one.clipped > 0
 
 
 def test_a_scale_of_zero_never_is():
@@ -235,7 +235,7 @@ def test_a_scale_of_zero_never_is():
     assert robust.update(end, at(samples, 0).inputs, samples.surge[0] + 0.041).clipped == end.clipped + 1
 
 
-def test_finite_looks_at_every_lane_of_every_leaf():
+def test_finite_looks_at_every_element_of_every_leaf():
     tree = {"a": torch.zeros(2, 3), "b": torch.zeros(2, 3, 4, 4), "c": torch.ones(2, 3, dtype=torch.bool)}
     assert finite(tree, 2).all()
     tree["b"][1, 2, 3, 0] = -math.inf

@@ -143,7 +143,7 @@ def test_nothing_changes_below_the_floor():
     rls = SIFtRLS(SurgeDynamics(28.0), floor=0.01)
     samples = random_samples(4, 2)
     state, _, _ = rollout(rls, rls.init((2,)), samples)
-    small = torch.tensor([1e-3, 1.0], dtype=torch.float64)  # |φ·m|² = (0.4 · 1e-3)² · 2 in the first lane
+    small = torch.tensor([1e-3, 1.0], dtype=torch.float64)  # |φ·m|² = (0.4 · 1e-3)² · 2 in the first batch element
     inputs = Inputs(small, 0 * small, 0 * small, 0 * small, torch.full_like(small, 0.4))
     state = rls.start(state, torch.zeros_like(small))
     after = rls.update(state, inputs, torch.full_like(small, 0.3))
@@ -155,16 +155,16 @@ def test_nothing_changes_below_the_floor():
     assert torch.equal(after.theta, state.theta) and torch.equal(after.factor, state.factor)
 
 
-def test_lanes_have_their_own_memory_and_floor():
+def test_elements_have_their_own_memory_and_floor():
     phi, y, _ = series(300)
     lam = np.stack([np.full(300, 0.9), np.full(300, 0.999)], -1)
     wide = np.stack([phi, phi], 1)
     start = torch.eye(4, dtype=torch.float64)
     theta, factor = run(wide, np.stack([y, y], -1), lam, start.expand(2, 4, 4))
-    for lane in range(2):
-        alone, alone_factor = run(phi, y, lam[:, lane], start)
-        torch.testing.assert_close(theta[lane], alone, rtol=1e-12, atol=1e-12)
-        torch.testing.assert_close(factor[lane], alone_factor, rtol=1e-12, atol=1e-12)
+    for element in range(2):
+        alone, alone_factor = run(phi, y, lam[:, element], start)
+        torch.testing.assert_close(theta[element], alone, rtol=1e-12, atol=1e-12)
+        torch.testing.assert_close(factor[element], alone_factor, rtol=1e-12, atol=1e-12)
 
 
 def day(steps: int, p: int = 6):

@@ -97,8 +97,8 @@ def test_every_set_while_learning_contracts_in_fractions(boat):
     for k in range(60):
         state, _ = rnn(state, at(wrong, k))
         free, _ = loose(free, at(wrong, k))
-        for lane in range(2):
-            weights = check(VectorWeights(*(w[lane].numpy() for w in state.weights)))
+        for element in range(2):
+            weights = check(VectorWeights(*(w[element].numpy() for w in state.weights)))
             rate = vector_exact.rate(weights, vector_exact.everywhere(weights, RELU), scaling=T)
             assert rate <= Fraction(0.999)
             largest = max(largest, rate)
@@ -179,14 +179,16 @@ def test_a_bad_sample_changes_nothing(boat):
     assert all(torch.equal(x, y) for x, y in zip(coasted.weights, state.weights, strict=True))
 
 
-def test_lanes_do_not_mix_and_a_window_never_joins_two_segments(boat):
-    """Lane by lane as alone; and after a start the oldest samples are of no influence once M new ones came."""
+def test_elements_do_not_mix_and_a_window_never_joins_two_segments(boat):
+    """One batch element after the other as alone; and after a start the oldest samples are of no influence once M new
+    ones came.
+    """
     rnn = VectorRNN(MAXIMA, kept=8, window=4, windows=3).requires_grad_(False)
     both, _ = rnn.rollout(rnn.init((2,)), tree_map(lambda x: x[:40], boat))
-    for lane in range(2):
-        alone, _ = rnn.rollout(rnn.init(), tree_map(lambda x, lane=lane: x[:40, lane], boat))
+    for element in range(2):
+        alone, _ = rnn.rollout(rnn.init(), tree_map(lambda x, element=element: x[:40, element], boat))
         for (_, x), (_, y) in zip(named_leaves(both), named_leaves(alone), strict=True):
-            torch.testing.assert_close(x[lane], y)
+            torch.testing.assert_close(x[element], y)
     # a window with a start within it: its gradient is the sum of those of its parts
     weights, window = drawn(1)
     parts = [tree_map(lambda x: x[slice_] if x.ndim else x, window) for slice_ in (slice(0, 2), slice(2, 6))]  # noqa: B023
@@ -216,9 +218,9 @@ def test_the_saved_weights_are_those_that_certify_reads(boat, tmp_path):
     rnn.save(state, tmp_path / "boat.npz")
     networks = load(tmp_path / "boat.npz")
     assert [each.path[-3:] for each in networks] == ["[0]", "[1]"]
-    for lane, each in enumerate(networks):
+    for element, each in enumerate(networks):
         for name, w in state.weights._asdict().items():
-            assert np.array_equal(getattr(each.weights, name), w[lane].numpy())
+            assert np.array_equal(getattr(each.weights, name), w[element].numpy())
     with np.load(tmp_path / "boat.npz") as file:
         assert file["maxima"].tolist() == list(MAXIMA)
 

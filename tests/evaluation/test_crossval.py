@@ -1,4 +1,6 @@
-"""Free runs of saved sets, as lanes, against plain loops; the matrix between boats on planted differences."""
+"""Open-loop simulations of saved checkpoints, as batch elements, against plain loops; the matrix between boats on
+planted differences.
+"""
 
 from pathlib import Path
 
@@ -42,7 +44,7 @@ def ensemble() -> Ensemble:
 
 @pytest.fixture(scope="module")
 def sets(ensemble):
-    """Three parameter sets, learned, so that weights and parameters differ."""
+    """Three checkpoints, learned, so that weights and parameters differ."""
     with torch.no_grad():
         return rollout(ensemble, ensemble.init((3,)), random_samples(40, 3, seed=9))[0]
 
@@ -75,11 +77,11 @@ def plain(ensemble: Ensemble, state, samples: Sample) -> dict[str, tuple[float, 
     return {name: (float(np.mean(e)), float(np.mean(np.square(e))), diverged[name]) for name, e in errors.items()}
 
 
-@pytest.mark.parametrize("lanes", [1, 7, 2048])
-def test_lanes_equal_single_simulations(ensemble, sets, lanes):
+@pytest.mark.parametrize("batch elements", [1, 7, 2048])
+def test_elements_equal_single_simulations(ensemble, sets, elements):
     runs = [spoilt(steps, seed) for seed, steps in enumerate((30, 17, 200, 30))]
     told = []
-    found = cross_validate(ensemble, sets, [numpied(run) for run in runs], lanes, told.append)
+    found = cross_validate(ensemble, sets, [numpied(run) for run in runs], elements, told.append)
     assert found.methods == methods(ensemble) and found.methods[-2:] == ("weighted+", "boa+")
     assert sum(told) == 3 * found.steps.sum()
     for k in range(3):
@@ -164,7 +166,7 @@ def matrix_of(ensemble: Ensemble, seasons: list[Season]) -> np.ndarray:
 
 def test_a_fleet_of_equal_boats_gives_a_flat_matrix():
     matrix = matrix_of(*boats(np.ones((8, 9))))
-    assert matrix.shape == (8, 8) and matrix.max() < 1e-6  # the model is exact, and so is each boat's set
+    assert matrix.shape == (8, 8) and matrix.max() < 1e-6  # the model is exact, and so is each boat's checkpoint
 
 
 def test_planted_differences_have_their_minimum_on_the_diagonal():
@@ -181,7 +183,7 @@ def test_the_best_set_is_chosen_on_runs_that_it_was_not_saved_in():
     _, seasons = boats(np.ones((1, 9)))
     shape = (2, 2, 2)
     mse = np.zeros(shape)
-    mse[0, 0], mse[0, 1] = 0.0, 3.0  # the first set: perfect on its own run, bad on the other
+    mse[0, 0], mse[0, 1] = 0.0, 3.0  # the first checkpoint: perfect on its own run, bad on the other
     mse[1, 0], mse[1, 1] = 1.0, 9.0
     errors = {"boat0": FreeErrors(("rls", "average"), mse, mse, mse > 99, np.array([10.0, 1000.0]))}
     assert best_sets(seasons, errors, "average") == [1]

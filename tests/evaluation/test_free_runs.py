@@ -1,4 +1,4 @@
-"""Free runs with the parameters that were saved before them."""
+"""Open-loop simulations with the parameters that were saved before them."""
 
 import numpy as np
 

@@ -1,4 +1,6 @@
-"""The objective: errors of the next step, of forecasts, or of free runs; by a run, by lanes, and by the command."""
+"""The objective: errors of the next step, of forecasts, or of open-loop simulations; by a run, by batch elements, and
+by the command.
+"""
 
 import json
 import math
@@ -19,7 +21,7 @@ from usvlearn.evaluation.free_simulation import free_errors, middle
 from usvlearn.evaluation.measure import Measure, check_measure, measure_of
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fleet import fleet as simulated
-from usvlearn.sweeps.tuning.lanes import Objective, lane_errors
+from usvlearn.sweeps.tuning.batches import Objective, element_errors
 
 
 @pytest.fixture(scope="module")
@@ -81,11 +83,11 @@ def test_what_is_measured_must_be_made(fleet):
             check_measure(measure_of(objective, "average"), ensemble, fleet)
     with pytest.raises(ConfigError, match="there are none"):
         check_measure(measure_of("average.forecast.5", ""), Ensemble({"aid": AID(28.0)}), fleet)
-    with pytest.raises(ConfigError, match="found free runs, and too few logs of heron1"):
+    with pytest.raises(ConfigError, match="found open-loop simulations, and too few logs of heron1"):
         check_measure(measure_of("average.free", ""), ensemble, fleet._replace(runs=fleet.runs[:1]))
 
 
-def test_lanes_measure_forecasts_as_an_ensemble_makes_them(fleet):
+def test_elements_measure_forecasts_as_an_ensemble_makes_them(fleet):
     build = request("grid=aid").build
     found = Objective(build, fleet, measure=Measure("", "forecast", 2.0))([{"gain": 0.1}, {"gain": 3.0}])
     for each in found:
@@ -105,7 +107,7 @@ def test_lanes_measure_forecasts_as_an_ensemble_makes_them(fleet):
 
 def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
     aid, half = AID(28.0), middle(fleet.runs)
-    found = lane_errors(aid, fleet, measure=Measure("", "free")).mae
+    found = element_errors(aid, fleet, measure=Measure("", "free")).mae
     ensemble = Ensemble({"aid": AID(28.0), "persistence": Persistence()}, {"own": Average(["aid"])})
     state, lone = ensemble.init((2,)), aid.init((2,))
     total, count = np.zeros(2), np.zeros(2)
@@ -119,8 +121,8 @@ def test_free_runs_are_of_later_runs_with_what_was_learned_before(fleet):
             learns = masks(run.samples).learns
             total += np.where(learns, np.abs(free - run.samples.surge), 0.0).sum(0)
             count += learns.sum(0)
-            for lane, pairs in enumerate(made):
-                pairs.append(np.stack([free[:, lane], run.samples.surge[:, lane]])[:, learns[:, lane]])
+            for element, pairs in enumerate(made):
+                pairs.append(np.stack([free[:, element], run.samples.surge[:, element]])[:, learns[:, element]])
     np.testing.assert_allclose(found, total / count, rtol=1e-9)
     free = free_errors(ensemble, state, fleet, half)
     whole, fits = free.mae(fleet.boats, ensemble.names), free.fit(fleet.boats, ensemble.names)

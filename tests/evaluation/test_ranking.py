@@ -111,7 +111,7 @@ def test_the_default_of_a_swept_group_is_its_choice():
     note = note_of(config, keys)
     assert note.defaults["combiner@combiners.ensemble"] == "boa" and note.defaults["data"] == "simulated"
     assert note.defaults["align.inputs"] == "mean" and "+new" not in note.defaults
-    assert note.defaults["combiners.ensemble.members"] == "[joint,joint_quick,arx,reader]"
+    assert note.defaults["combiners.ensemble.members"] == "[joint,joint_quick,arx,joint_averaged]"
 
 
 @pytest.mark.parametrize("objective", ["rnn.loud", "[aid,rnn]", "aid,rnn"])

@@ -1,4 +1,4 @@
-"""Parameter sets that were damaged, and such that were made to deceive: a CheckpointError, or what was saved."""
+"""Checkpoints that were damaged, and such that were made to deceive: a CheckpointError, or what was saved."""
 
 import json
 
@@ -19,7 +19,7 @@ DTYPES = ("F64", "F32", "F16", "BF16", "F8_E4M3", "I64", "U8", "BOOL", "C64", "X
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> bytes:
-    """A set as it was saved."""
+    """A checkpoint as it was saved."""
     ensemble = Ensemble({"aid": AID(28.0), "bank": Bank(Robust(AID(28.0, gain=[0.3, 3.0])), ["slow", "fast"])})
     path = Online(ensemble, backend="torch").save(tmp_path_factory.mktemp("set") / "a.safetensors", boat="heron")
     return path.read_bytes()
@@ -113,7 +113,7 @@ def made(header: dict, data: bytes) -> bytes:
 
 @pytest.mark.fuzz(cases=500, slow=10_000)
 def test_forged_files_are_refused_or_legal(rng, cases, whole, tmp_path):
-    """By `load`, `Online.open` and `Online.restore`; a folder falls back to the set before."""
+    """By `load`, `Online.open` and `Online.restore`; a folder falls back to the checkpoint before."""
     (tmp_path / "1.safetensors").write_bytes(whole)
     path = tmp_path / "2.safetensors"
     boat = Online.open(tmp_path / "1.safetensors")

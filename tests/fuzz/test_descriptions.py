@@ -1,6 +1,7 @@
-"""Parameter sets whose checksum is right, but not what they say of their estimator, or its state.
+"""Checkpoints whose checksum is right, but not what they say of their estimator, or its state.
 
-Whatever is changed, a set is refused by one CheckpointError, or it is legal: then it opens and steps, and its state
+Whatever is changed, a checkpoint is refused by one CheckpointError, or it is legal: then it opens and steps, and its
+    state
 stays finite.
 """
 
@@ -24,13 +25,13 @@ JUNK = (
 )  # fmt: skip
 WORDS = ("kind", "size", "numbers", "inner", "count", "terms", "signs", "iterations", "vector", "loss", "a.b", "")
 
-# Leaves that may be infinite or NaN: where a member sleeps, no forecast was due, or no interval is known.
+# Leaves that may be infinite or NaN: where a member is inactive, no forecast was due, or no interval is known.
 OPEN = ("predictions", "halfwidths", "forecasts.predictions", "forecasts.halfwidths", "forecasts.widths")
 
 
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory) -> list[tuple[dict, dict]]:
-    """The leaves and the facts of a set of every estimator, and of the default ensemble, after some steps."""
+    """The leaves and the facts of a checkpoint of every estimator, and of the default ensemble, after some steps."""
     path, found = tmp_path_factory.mktemp("sets") / "a.safetensors", []
     for make in [*ESTIMATORS.values(), lambda: accuracy.ensemble(())]:
         boat = Online(make(), backend="torch")
@@ -132,7 +133,7 @@ def spoiled(rng, leaves: dict) -> dict:
 
 
 def opened(path, run: list[Sample]) -> Online | None:
-    """A set after some steps; None where it is refused."""
+    """A checkpoint after some steps; None where it is refused."""
     try:
         boat = Online.open(path)
     except CheckpointError as error:

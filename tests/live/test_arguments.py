@@ -41,7 +41,7 @@ def test_options_of_channels_are_typed_and_change_those_of_a_file(tmp_path):
         (["--channel", "surge.held=yes"], "expected true or false"),
         (["--save-period", "0"], "save_period: found 0.0, expected a positive number"),
         (["--patience", "-1"], "patience: found -1.0"),
-        (["--keep", "1"], "keep: found 1, expected a number of sets, 2 or more"),
+        (["--keep", "1"], "keep: found 1, expected a number of checkpoints, 2 or more"),
         (["--channels", "nowhere.yaml"], "channels: nowhere.yaml cannot be read"),
     ],
 )

@@ -248,7 +248,7 @@ def test_a_set_of_two_sides_can_be_continued_with_one_command_and_back(tmp_path)
 
 
 def test_one_throttle_is_not_read_in_two_ways(tmp_path):
-    """A set with a reversed left side made the throttle ahead on the right and astern on the left."""
+    """A checkpoint with a reversed left side made the throttle ahead on the right and astern on the left."""
     leaves, known = prior(36.0, 3.0)
     facts = begin(Sets(tmp_path), Options(tmp_path, mass=36.0, surge_max=3.0), MIDDLEWARE).setup.json()
     facts["channels"]["command_left"]["span"] = -1.0

@@ -45,7 +45,7 @@ def test_a_node_continues_from_the_newest_set_that_can_be_read(tmp_path, start):
 
 
 def test_without_a_set_a_node_starts_from_the_prior_of_a_mass_and_a_top_speed(tmp_path):
-    with pytest.raises(ConfigError, match=r"found no parameter set.*give a set.*or mass in kg and surge_max"):
+    with pytest.raises(ConfigError, match=r"found no checkpoint.*give a checkpoint.*or mass in kg and surge_max"):
         Session(Options(tmp_path), PLAIN)
     with ready(tmp_path, None, mass=28.0, surge_max=2.74) as session:
         steps = [step for message in messages(boat(0.05)) for step in session.push(*message)]
@@ -90,7 +90,7 @@ def test_what_is_missing_is_said(tmp_path, start):
 
 
 def test_the_end_waits_for_a_save_that_is_being_made(tmp_path, start, monkeypatch):
-    """As when SIGTERM comes while a set is written to a slow disk."""
+    """As when SIGTERM comes while a checkpoint is written to a slow disk."""
     write = checkpoint.write_atomically
 
     def slow(path, content):
@@ -134,13 +134,13 @@ def test_a_disk_that_is_full_ends_no_learning(tmp_path, start, monkeypatch):
             health = session.tick(clock=time.monotonic() + k)
             session._background.wait()
         learned = health.learned
-        assert any("no set can be saved" in each and "make room" in each for each in health.warnings)
+        assert any("no checkpoint can be saved" in each and "make room" in each for each in health.warnings)
         assert any("record_0001.alog ends here" in each for each in health.warnings)
         assert learned > 50
         monkeypatch.undo()
         session.tick(clock=time.monotonic() + 100)
         session._background.wait()
-        assert not any("no set" in each for each in session.tick(clock=time.monotonic() + 101).warnings)
+        assert not any("no checkpoint" in each for each in session.tick(clock=time.monotonic() + 101).warnings)
     assert checkpoint.load(good) and len(checkpoint.checkpoints(tmp_path)) >= 2
 
 
@@ -234,7 +234,7 @@ def test_what_to_start_from_is_named_where_there_is_no_set(tmp_path, start):
     leaves, facts = checkpoint.load(start)
     for name in ("anna", "bert"):
         checkpoint.save(tmp_path / "boats" / name / "a.safetensors", leaves, **facts)
-    for place, message in (("boats", "start: .*found no parameter set there: give .*anna or .*bert"),
+    for place, message in (("boats", "start: .*found no checkpoint there: give .*anna or .*bert"),
                            ("none", "start: .*there is no such file or folder")):  # fmt: skip
         with pytest.raises(CheckpointError, match=message):
             Session(Options(tmp_path / "new" / "node", tmp_path / place), PLAIN)
@@ -260,7 +260,7 @@ def test_the_end_says_what_was_saved(tmp_path, start, monkeypatch):
         raise OSError(28, "No space left on device", str(path))
 
     monkeypatch.setattr(checkpoint, "write_atomically", full)
-    assert session.close().startswith("ends; no set can be saved")
+    assert session.close().startswith("ends; no checkpoint can be saved")
 
 
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ def test_the_status_is_json(tmp_path, start):
 
 
 def test_names_of_another_kind_of_log_are_not_taken_from_a_set(tmp_path, start):
-    """A set that was learned from CSV says nothing about the variables of a MOOSDB, but its delays hold."""
+    """A checkpoint that was learned from CSV says nothing about the variables of a MOOSDB, but its delays hold."""
     leaves, facts = checkpoint.load(start)
     channels = facts["setup"]["channels"]
     for side in ("command_left", "command_right"):

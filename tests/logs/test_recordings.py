@@ -1,4 +1,4 @@
-"""Recordings to lanes: seams, padding, counts; and a replay of boats as lanes equals single replays."""
+"""Recordings to batch elements: seams, padding, counts; and a replay of a batch of boats equals single replays."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ def ensemble():
     return Ensemble(members, {"average": Average(), "weighted": RecursiveWeights()})
 
 
-def test_boats_are_lanes_and_shorter_runs_are_padded():
+def test_boats_are_elements_and_shorter_runs_are_padded():
     fleet = align_fleet([recording("a", "one", 4.0), recording("b", "first", 8.0), recording("a", "two", 6.0)])
     assert fleet.boats == ("a", "b")
     first, second = fleet.runs
@@ -64,17 +64,17 @@ def test_a_boat_whose_name_cannot_be_a_folder_is_refused(boat):
         align_fleet([recording(boat, "one", 4.0)])
 
 
-def test_eight_boats_as_lanes_equal_eight_single_runs():
+def test_eight_boats_as_elements_equal_eight_single_runs():
     recordings = simulated(n=8, hours=0.1, mission_minutes=3.0, seed=3)
     together, model = align_fleet(recordings), ensemble()
-    lanes = list(replay(model, together, model.init((8,))))
-    for lane, boat in enumerate(together.boats):
+    elements = list(replay(model, together, model.init((8,))))
+    for element, boat in enumerate(together.boats):
         alone = align_fleet([r for r in recordings if r.boat == boat])
         single = list(replay(model, alone, model.init((1,))))
-        for ours, theirs in zip(lanes, single, strict=True):
+        for ours, theirs in zip(elements, single, strict=True):
             n = len(theirs.predictions)
-            np.testing.assert_allclose(ours.predictions[:n, lane], theirs.predictions[:, 0], rtol=1e-12, atol=1e-12)
-        state = tree_map(lambda x, i=lane: x[i], lanes[-1].state)
+            np.testing.assert_allclose(ours.predictions[:n, element], theirs.predictions[:, 0], rtol=1e-12, atol=1e-12)
+        state = tree_map(lambda x, i=element: x[i], elements[-1].state)
         for (name, x), (_, y) in zip(named_leaves(state), named_leaves(single[-1].state), strict=True):
             torch.testing.assert_close(x, y[0], rtol=1e-11, atol=1e-11, msg=lambda m, n=name: f"{n}: {m}")
 

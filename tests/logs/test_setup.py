@@ -1,4 +1,4 @@
-"""The setup in a parameter set: how the messages of its boat become samples."""
+"""The setup in a checkpoint: how the messages of its boat become samples."""
 
 from collections import Counter
 from pathlib import Path

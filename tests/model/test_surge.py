@@ -1,4 +1,4 @@
-"""The model of an identified boat: its step is that of the joint filter in torch, and its speeds settle."""
+"""The model of an identified boat: its step is that of the joint EKF in torch, and its speeds settle."""
 
 import numpy as np
 import pytest

@@ -110,7 +110,7 @@ def test_cross_validation_counts_every_other_run(saved):
     for boat in ("heron1", "heron2"):
         sets = len(checkpoints(saved / "checkpoints" / boat))
         counts = {int(row["simulations"]) for row in found if row["boat"] == boat}
-        assert counts == {sets}  # two runs: each set has one other
+        assert counts == {sets}  # two runs: each checkpoint has one other
     arrays = np.load(saved / "report" / "crossval.npz")
     assert arrays["heron1_mae"].shape[1:] == (2, len(methods))
 
@@ -163,8 +163,8 @@ def cut_runs(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("harm", "sentence"),
     [
-        (remove_sets, "has no parameter sets"),
-        (spoil_all_sets, "parameter sets can be read"),
+        (remove_sets, "has no checkpoints"),
+        (spoil_all_sets, "checkpoints can be read"),
         (cut_results, "results.json: is damaged"),
         (cut_runs, "runs.json: is damaged"),
     ],
@@ -355,5 +355,5 @@ def test_identified_boats_are_drawn_with_their_truth_and_their_sentences(saved):
     assert "The intervals hold" in section.here[0] and any("as configured" in each for each in section.here)
     unknown = identified_section(seasons, ensemble, {})
     assert all(row[6] is None for row in unknown.sheets[0].rows) and "truth" not in unknown.figures[0].caption
-    alone = Ensemble({name: member for name, member in ensemble.members.items() if name != "reader"})
+    alone = Ensemble({name: member for name, member in ensemble.members.items() if name != "joint_averaged"})
     assert identified_section(seasons, alone, known) is None

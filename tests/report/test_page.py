@@ -124,7 +124,7 @@ def test_the_viewers_numbers_are_the_predictions(saved):
     ensemble, seasons, _ = read([saved], tools())
     runs = [(season.boat, run) for season in seasons for run in season.runs]
     assert [(each["boat"], each["name"]) for each in data["runs"]] == [(boat, run.name) for boat, run in runs]
-    own = ["joint", "joint_quick", "arx", "reader"]  # what the ensemble weighs; the paper's wait to be chosen
+    own = ["joint", "joint_quick", "arx", "joint_averaged"]  # what the ensemble weighs; the paper's wait to be chosen
     assert data["hidden"] == ["aid", "sift_map", "rnn"] and data["shown"] == [*data["hidden"], *own, "ensemble"]
     assert len(set(data["colours"].values())) == 8
     boxes = [attrs for tag, attrs in page_of(saved / "report").tags if attrs.get("type") == "checkbox"]
@@ -145,7 +145,7 @@ def test_the_viewers_numbers_are_the_predictions(saved):
 
 
 def written(folder: Path, change=lambda seasons: seasons, checks=()) -> tuple[str, Page]:
-    """The page of two simulated boats without predictions, forecasts and a reader, after some change."""
+    """The page of two simulated boats without predictions, forecasts and an averaged joint EKF, after some change."""
     ensemble, seasons = boats(np.ones((2, 9)))
     seasons = change(seasons)
     sections, _ = assemble(ensemble, seasons, {})

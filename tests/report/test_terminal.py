@@ -154,7 +154,9 @@ def test_what_eight_boats_are_fits_the_terminal(width):
     each = {"drag_linear": Quantity(-12.34, -20.0, -5.0, "kg/s"), "time_constant": Quantity(1.234, 0.5, np.nan, "s")}
     nothing = np.zeros(0)
     boats = {
-        f"heron{k}": Identified(each, "Means of 9 readings.", "", ("It drifted.",) * (k == 3), 28.0, *[nothing] * 3)
+        f"heron{k}": Identified(
+            each, "Means of 9 periodic estimates.", "", ("It drifted.",) * (k == 3), 28.0, *[nothing] * 3
+        )
         for k in range(1, 9)
     }
     lines = printed(identified_table(boats), width)
@@ -162,7 +164,7 @@ def test_what_eight_boats_are_fits_the_terminal(width):
     text = "\n".join(lines)
     assert sum(line.split() == ["time_constant", "1.23", "0.500", "–", "s"] for line in lines) == 8
     assert "drag_linear" not in text and "heron8" in lines
-    assert text.count("Means of 9 readings.") == 1 and "heron3: It drifted." in text
+    assert text.count("Means of 9 periodic estimates.") == 1 and "heron3: It drifted." in text
     one = "\n".join(printed(identified_table({"heron1": boats["heron1"]}, {"heron1": {"time_constant": 1.5}}), width))
     assert "truth" in one and "1.50" in one
     vague = replace(boats["heron1"], unknown=frozenset(["drag_linear"]))

@@ -74,7 +74,7 @@ def test_whatever_write_fails_what_was_saved_before_is_whole(tmp_path, fleet):
         if (path / "runs.json").exists():
             json.loads((path / "runs.json").read_text())
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # a place whose sets are not all there is passed over
+                warnings.simplefilter("ignore")  # a place whose checkpoints are not all there is passed over
                 assert_same(session(path, fleet, "latest"), whole)
     assert last > 20
 

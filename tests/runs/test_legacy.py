@@ -83,7 +83,7 @@ def test_it_continues_where_it_was_killed(member, tmp_path, monkeypatch):
     """
     (then,) = json.loads((RUN / "runs.json").read_text())["boats"].values()
     digests = {name: digest for name, _, digest in then}
-    monkeypatch.setattr("usvlearn.runs.run_folder.digest", lambda run, lane: digests[run.names[lane]])
+    monkeypatch.setattr("usvlearn.runs.run_folder.digest", lambda run, element: digests[run.names[element]])
     folder, text = tmp_path / "run", json.dumps(configuration(RUN))
     for old, new in NEWER.items():
         assert old in text

@@ -74,7 +74,7 @@ def test_a_resumed_run_removes_only_what_its_index_names(tmp_path, fleet):
 
 
 def test_predictions_that_only_a_new_index_would_name_are_refused(tmp_path, fleet):
-    """A run that was killed before its first set left an index; of its predictions none is so far on."""
+    """A run that was killed before its first checkpoint left an index; of its predictions none is so far on."""
     folder = session(tmp_path / "run", fleet).path
     shutil.rmtree(folder / "checkpoints")
     longer = align_fleet([recording("a", "one", 60.0)])

@@ -38,12 +38,12 @@ def test_a_run_is_scored_and_drawn_from_its_predictions_alone(tmp_path, fleet):
     names, units = files[0]["estimators"].tolist(), dict(files[0]["units"])
     assert units["measured_surge"] == units["predictions"] == "m/s" and units["time"] == "s"
     assert set(units) <= set(files[0])
-    for lane, boat in enumerate(files[0]["boats"].tolist()):
-        runs = [file["runs"][lane] for file in files]
-        assert sorted({str(name) for name in runs if name}) == sorted({r.names[lane] for r in fleet.runs} - {""})
+    for element, boat in enumerate(files[0]["boats"].tolist()):
+        runs = [file["runs"][element] for file in files]
+        assert sorted({str(name) for name in runs if name}) == sorted({r.names[element] for r in fleet.runs} - {""})
         columns = ("time", "measured_surge", "predictions", "halfwidths", "dt", "fresh", "measured")
         time, surge, predictions, widths, dt, fresh, measured = (
-            np.concatenate([file[key][:, lane] for file in files]) for key in columns
+            np.concatenate([file[key][:, element] for file in files]) for key in columns
         )
         assert measured[np.isfinite(surge)].all() and np.isfinite(surge).sum() > 10
         scored = metrics.scores(predictions, surge, names, widths)
@@ -85,8 +85,8 @@ def test_a_file_of_more_steps_than_its_name_says_is_refused(tmp_path, fleet):
 
 def test_one_boat_of_a_run_from_a_step_on(tmp_path, fleet):
     folder, _ = session(tmp_path, fleet)
-    whole = folder.published.lane(0, 1)
+    whole = folder.published.element(0, 1)
     assert len(whole["predictions"]) == len(fleet.runs[0].time)
     for first in (0, 3, 10, 12):
-        for name, array in folder.published.lane(0, 1, first).items():
+        for name, array in folder.published.element(0, 1, first).items():
             np.testing.assert_array_equal(array, whole[name][first:])

@@ -54,7 +54,7 @@ def test_a_stop_between_any_two_writes_changes_nothing(tmp_path, fleet, monkeypa
                 pass
         begun = (folder / "runs.json").exists()
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # it says which set is missing
+            warnings.simplefilter("ignore")  # it says which checkpoint is missing
             if elsewhere and begun:
                 again = session(tmp_path / f"{after}b", fleet, str(folder))
             else:
@@ -125,7 +125,7 @@ def test_runs_are_never_mixed(tmp_path, fleet):
         session(busy.path, fleet, str(run.path))
     with pytest.raises(ConfigError, match="already holds"):
         session(run.path, fleet)
-    with pytest.raises(CheckpointError, match="has no parameter set of c"):
+    with pytest.raises(CheckpointError, match="has no checkpoint of c"):
         session(tmp_path / "new", align_fleet([recording("a", "one", 4.0), recording("c", "one", 4.0)]), str(run.path))
 
 
@@ -134,17 +134,17 @@ def test_a_new_season_starts_from_the_newest_parameters(tmp_path, fleet):
     other = align_fleet([recording("a", "new", 6.0, speed=0.5), recording("b", "new", 9.0)])
     folder = RunFolder(tmp_path / "next", other, SETTINGS, model().names)
     start = folder.begin(model().init((2,)), str(run.path))
-    for lane, boat in enumerate(("a", "b")):
+    for element, boat in enumerate(("a", "b")):
         newest = checkpoint.load(checkpoint.checkpoints(run.path / "checkpoints" / boat)[-1])[0]
         for name, leaf in named_leaves(start.state):
-            assert torch.equal(leaf[lane], torch.from_numpy(newest[name])), (boat, name)
+            assert torch.equal(leaf[element], torch.from_numpy(newest[name])), (boat, name)
 
 
 def test_a_set_that_tells_nothing_of_its_boat_is_a_start(tmp_path, fleet):
     """As `Online` saves it."""
     path = checkpoint.save(tmp_path / "a.safetensors", model().init(), estimator="Ensemble")
     folder = RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)
-    assert folder.begin(model().init((2,)), str(path)).note == f"starting from a set, {path}"
+    assert folder.begin(model().init((2,)), str(path)).note == f"starting from a checkpoint, {path}"
 
 
 @pytest.mark.parametrize("foreign", [{"configuration": []}, {}], ids=str)
@@ -193,7 +193,7 @@ def test_a_run_that_went_on_is_the_latest(tmp_path, fleet):
 
 
 def test_runs_without_a_record_of_their_beginning(tmp_path, fleet):
-    """Those of an older version: the one with the newest set, as before, and before any that has the record."""
+    """Those of an older version: the one with the newest checkpoint, as before, and before any that has the record."""
     for k, name in enumerate(("old", "older")):
         folder = session(tmp_path / name, fleet).path
         content = json.loads((folder / "runs.json").read_text())

@@ -25,7 +25,7 @@ CODE = "__import__('pathlib').Path({!r}).touch()"
 
 
 def forged(saved: Path, folder: Path, change) -> Path:
-    """A copy of a run, `change` made to the configuration in each of its parameter sets; their checksums fit."""
+    """A copy of a run, `change` made to the configuration in each of its checkpoints; their checksums fit."""
     for old in saved.rglob("*"):
         if old.is_file():
             new = folder / old.relative_to(saved)
@@ -118,7 +118,7 @@ def test_a_nest_of_settings_is_refused(saved, tmp_path):
 @pytest.mark.parametrize("broken", ["data", "estimators", "align", "vehicle"])
 def test_a_configuration_that_lacks_a_part_is_told(saved, tmp_path, broken):
     folder = forged(saved, tmp_path / "run", lambda cfg: cfg.update({broken: [1]}))
-    with pytest.raises(CheckpointError, match=r"none of its .* parameter sets can be read"):
+    with pytest.raises(CheckpointError, match=r"none of its .* checkpoints can be read"):
         read([folder], tools())
 
 

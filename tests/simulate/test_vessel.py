@@ -192,16 +192,16 @@ def test_gradients_of_the_trajectory_equal_finite_differences():
 
 
 @pytest.mark.parametrize("batch", [(), (3,), (2, 3)])
-def test_a_batch_equals_its_lanes(batch):
+def test_a_batch_equals_its_elements(batch):
     rng = torch.Generator().manual_seed(1)
     heron = plant("heron")
     mass = 28 + 5 * torch.rand(batch, generator=rng, dtype=torch.float64)
     table = heron.thrust_table * (1 + torch.rand((*batch, 2, 1), generator=rng, dtype=torch.float64))
     commands = 2 * torch.rand((40, *batch, 2), generator=rng, dtype=torch.float64) - 1
     together = simulate(heron._replace(mass=mass, thrust_table=table), at_rest(batch), commands, 0.1)
-    for lane in np.ndindex(batch):
-        vessel = heron._replace(mass=mass[lane], thrust_table=table[lane])
-        at = (slice(None), *lane)
+    for element in np.ndindex(batch):
+        vessel = heron._replace(mass=mass[element], thrust_table=table[element])
+        at = (slice(None), *element)
         alone = simulate(vessel, at_rest(), commands[at], 0.1)
         torch.testing.assert_close(together.surge[at], alone.surge, rtol=1e-12, atol=1e-14)
         torch.testing.assert_close(together.heading[at], alone.heading, rtol=1e-12, atol=1e-14)

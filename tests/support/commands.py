@@ -20,7 +20,7 @@ ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
 SMALL = ["data.hours=0.0667", "data.mission_minutes=2", "estimators.rnn.neurons=4", "save_minutes=0.5"]
 
 
-LEFT_OUT = ["rnn", "joint_quick", "arx", "reader"]
+LEFT_OUT = ["rnn", "joint_quick", "arx", "joint_averaged"]
 
 
 QUICK = ["data.hours=0.05", "save_minutes=0.5", *(f"~estimators.{name}" for name in LEFT_OUT),

@@ -259,37 +259,37 @@ VARIANTS = {
     "bank_of_aid": lambda: Ensemble({"aid": Bank(AID([20.0, 28.0, 40.0], gain=[0.3, 1.0, 3.0]), ["a", "b", "c"])}),
 }  # fmt: skip
 
-_lanes = torch.tensor([0.3, 1.0, 2.0, 5.0], dtype=torch.float64)
-LONG = {  # one of every family; four lanes, which are settings where hyperparameters broadcast
-    "aid": lambda: AID(28.0 * _lanes, gain=_lanes, bound=1.5, dead_zone=0.01),
-    "aid_estimate": lambda: AID(28.0, gain=_lanes, feedback="estimate", leak=_lanes),
-    "rls": lambda: RLS(SurgeDynamics(28.0 * _lanes), forgetting=1 - 0.01 * _lanes, covariance=_lanes),
-    "sift": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5 * _lanes, covariance=_lanes),
-    "projected": lambda: Projected(RLS(SurgeDynamics(28.0 * _lanes), forgetting=1 - 0.01 * _lanes), SIGNS),
+_some = torch.tensor([0.3, 1.0, 2.0, 5.0], dtype=torch.float64)
+LONG = {  # one of every family; four batch elements, which are settings where hyperparameters broadcast
+    "aid": lambda: AID(28.0 * _some, gain=_some, bound=1.5, dead_zone=0.01),
+    "aid_estimate": lambda: AID(28.0, gain=_some, feedback="estimate", leak=_some),
+    "rls": lambda: RLS(SurgeDynamics(28.0 * _some), forgetting=1 - 0.01 * _some, covariance=_some),
+    "sift": lambda: SIFtRLS(SurgeDynamics(28.0, ambient=True), memory=5 * _some, covariance=_some),
+    "projected": lambda: Projected(RLS(SurgeDynamics(28.0 * _some), forgetting=1 - 0.01 * _some), SIGNS),
     "robust": lambda: Robust(
-        WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5 * _lanes)), 2.0, 1, inflation=1 + _lanes, scale=_lanes
+        WithMemory(SIFtRLS(SurgeDynamics(28.0, **FULL), memory=5 * _some)), 2.0, 1, inflation=1 + _some, scale=_some
     ),
-    "memory_robust": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, **FULL), gain=_lanes), 2.0)),
-    "rnn": lambda: RNN(6, rate=1e-3 * _lanes, contraction_rate=1 - 0.1 * _lanes),
-    "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _lanes, unroll=2),
-    "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, momentum=0.9),
-    "rnn_replay": lambda: RNN(6, rate=1e-3 * _lanes, unroll=2, replay_size=300, replay_steps=4),
-    "rnn_replay_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _lanes, replay_size=50),
+    "memory_robust": lambda: WithMemory(Robust(AID(model=SurgeDynamics(28.0, **FULL), gain=_some), 2.0)),
+    "rnn": lambda: RNN(6, rate=1e-3 * _some, contraction_rate=1 - 0.1 * _some),
+    "rnn_interval": lambda: RNN(6, condition="interval", gauge="best", rate=1e-3 * _some, unroll=2),
+    "rnn_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _some, momentum=0.9),
+    "rnn_replay": lambda: RNN(6, rate=1e-3 * _some, unroll=2, replay_size=300, replay_steps=4),
+    "rnn_replay_penalty": lambda: RNN(6, stability="penalty", penalty=1e-3 * _some, replay_size=50),
     "joint": lambda: JointEKF(
-        1 + _lanes, 28.0 * _lanes, disturbance=_lanes, even=0.1 * _lanes, outlier=3 + _lanes, read_every=60.0
+        1 + _some, 28.0 * _some, disturbance=_some, even=0.1 * _some, outlier=3 + _some, read_every=60.0
     ),
-    "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_lanes),
-    "arx": lambda: ARX(scale=0.3 * _lanes, walk=1e-4 * _lanes, degrees=5 * _lanes),
+    "acceleration": lambda: Robust(Acceleration(), 2.0, scale=_some),
+    "arx": lambda: ARX(scale=0.3 * _some, walk=1e-4 * _some, degrees=5 * _some),
     "pair": lambda: Ensemble(
-        {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "still": Robust(Acceleration(), scale=_lanes)},
+        {"aid": Bank(AID(28.0, gain=[0.3, 3.0]), ["slow", "fast"]), "still": Robust(Acceleration(), scale=_some)},
         {"we": RecursiveWeights(), "boa": BOA()},
     ),
     "forecasts": lambda: Ensemble(
-        {"joint": JointEKF(1 + _lanes, 28.0 * _lanes), "aid": AID(28.0 * _lanes), "persistence": Persistence()},
+        {"joint": JointEKF(1 + _some, 28.0 * _some), "aid": AID(28.0 * _some), "persistence": Persistence()},
         {"boa": BOA()}, forecasts=ForecastSettings((0.4, 2.0, 5.2), overlap=3),
     ),
     "ensemble": lambda: Ensemble(
-        {"rls": RLS(forgetting=1 - 0.01 * _lanes), "bank": _bank(), "rnn": RNN(6), "persistence": Persistence()},
-        {"average": Average(), "we": RecursiveWeights(), "ewa": ExponentialWeights(rate=5 * _lanes), "boa": BOA()},
+        {"rls": RLS(forgetting=1 - 0.01 * _some), "bank": _bank(), "rnn": RNN(6), "persistence": Persistence()},
+        {"average": Average(), "we": RecursiveWeights(), "ewa": ExponentialWeights(rate=5 * _some), "boa": BOA()},
     ),
 }  # fmt: skip

@@ -20,7 +20,7 @@ SETUP = Setup.of({"channels": CHANNELS, "align": {"dt": 0.4}})
 
 
 def known_boat(spread: float = 0.04, vague: bool = False, lacks=(), **parameters: float) -> IdentifiedBoat:
-    """A boat without even terms.
+    """A boat without fore-aft asymmetry terms.
 
     Args:
         spread: standard deviation of each parameter relative to its value.

@@ -36,7 +36,7 @@ def messages(recording: Recording, start: float = 1.7e9) -> Iterator[tuple[str, 
 
 @cache
 def learned_set(folder: Path) -> Path:
-    """A parameter set of the default ensemble that has learned from some minutes."""
+    """A checkpoint of the default ensemble that has learned from some minutes."""
     return usvlearn.learn(usvlearn.read(data="simulated", hours=0.05)).save(folder / "start.safetensors")
 
 

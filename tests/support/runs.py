@@ -19,7 +19,7 @@ SETTINGS = {
 }  # fmt: skip
 
 TWO_MEMBERS = [  # settings of the command: two members, some minutes
-    "~estimators.rnn", "~estimators.joint", "~estimators.joint_quick", "~estimators.arx", "~estimators.reader",
+    "~estimators.rnn", "~estimators.joint", "~estimators.joint_quick", "~estimators.arx", "~estimators.joint_averaged",
     "~combiners.ensemble", "~combiners.weighted", "output=average", "combiners.average.members=[aid,sift_map]",
     "forecasts=null", "data.hours=0.05", "data.mission_minutes=1.5", "data.n=1",
 ]  # fmt: skip
@@ -40,7 +40,7 @@ def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> Run
 
 
 def contents(folder) -> dict[str, np.ndarray]:
-    """Every leaf of every parameter set and every prediction."""
+    """Every leaf of every checkpoint and every prediction."""
     found = {}
     for path in sorted((folder.path / "checkpoints").rglob("*.safetensors")):
         for name, leaf in checkpoint.load(path)[0].items():

@@ -18,7 +18,9 @@ def numpied(samples: Sample) -> Sample:
 
 
 def boats(factors: np.ndarray, seed: int = 0) -> tuple[Ensemble, list[Season]]:
-    """Boats of the surge dynamics without noise, θ times `factors` `(boats, 9)`; two runs each, a set after each."""
+    """Boats of the surge dynamics without noise, θ times `factors` `(boats, 9)`; two runs each, a checkpoint after
+    each.
+    """
     rng = np.random.default_rng(seed)
     truth = torch.tensor([-3.0, -6.0, -2.0, 20.0, 8.0, -2.0, 18.0, 9.0, -2.0]).double() * torch.from_numpy(factors)
     model, n = SurgeDynamics(28.0), len(factors)

@@ -1,4 +1,4 @@
-"""Boats as models, what they are asked, and what the joint filter in torch answers."""
+"""Boats as models, what they are asked, and what the joint EKF in torch answers."""
 
 import numpy as np
 import torch
@@ -26,7 +26,7 @@ def some(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def by_torch(model: SurgeModel, rows: torch.Tensor) -> torch.Tensor:
-    """One free step of a joint filter with these parameters, without current and disturbance."""
+    """One free step of a joint EKF with these parameters, without current and disturbance."""
     joint = JointEKF(surge_max=2.7, mass=model.mass, even=0.2 if model.even else None)
     zero = torch.zeros(len(rows), dtype=torch.float64)
     parameters = torch.tensor(model.per_mass).expand(len(rows), -1)

@@ -57,7 +57,7 @@ def swept(tmp_path_factory) -> Path:
     done = run(*GRID, folder=folder)
     assert done.returncode == 2 and "Traceback" not in done.stderr, done.stderr
     assert len(re.findall(r"^job \d \(.*\): 0\.\d+ m/s", done.stdout, re.M)) == 2
-    assert "2 of 4 done, 2 failed\n" in done.stdout and "results and parameter sets" not in done.stdout
+    assert "2 of 4 done, 2 failed\n" in done.stdout and "results and checkpoints" not in done.stdout
     (folder / "output.txt").write_text(done.stdout)
     return folder
 

@@ -79,7 +79,7 @@ class Sweeping:
         return sorted(self.slurm.jobs())
 
     def saves(self, job: int, sets: int) -> tuple[Path, int]:
-        """Wait until an unfinished job has saved so many parameter sets; returns the first, and when it was written."""
+        """Wait until an unfinished job has saved so many checkpoints; returns the first, and when it was written."""
         folder = self.sweep / str(job) / "checkpoints" / "heron"
         self.slurm.wait(lambda: len(list(folder.glob("*.safetensors"))) >= sets, "nothing was saved", 200)
         assert not (self.sweep / str(job) / "results.json").exists()

@@ -17,7 +17,8 @@ USAGE = """usage: usvlearn live moos MISSION.moos [ALIAS]      on a MOOSDB
        usvlearn live status FOLDER                  what a running or dead node last knew
        usvlearn live warm                           compile everything, when a boat's computer is set up
        usvlearn live systemd --folder DIR COMMAND … print a systemd unit that starts one of the first three
-Each has --help. A node starts from the newest readable set of its folder, else from --start SET, else from a prior by
+Each has --help. A node starts from the newest readable checkpoint of its folder, else from --start CHECKPOINT, else
+from a prior by
 --mass and --surge-max. It needs no torch."""
 SHELLS = {
     "moos": "usvlearn.live.moos.app",

@@ -17,14 +17,14 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
     "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
     "completion": ("usvlearn.cli.completion", "print what lets bash, zsh or fish complete commands and keys"),
-    "certify": ("certify.__main__", "prove whether the networks in parameter sets contract"),
+    "certify": ("certify.__main__", "prove whether the networks in checkpoints contract"),
 }
 QUICK = ("live", "certify")  # commands that say something themselves
 ALL = "--help=all"
 HELP = {
     "train": """\
 usage: {program} my_boat.yaml [KEY=VALUE …] [FLAG …]
-Learns online from logs, and saves errors, parameter sets and predictions.
+Learns online from logs, and saves errors, checkpoints and predictions.
 
   my_boat.yaml               which logs; usvlearn inspect LOGS writes this file
   data=simulated             logs of a simulated boat; the default
@@ -47,7 +47,7 @@ Learns online from logs, and saves errors, parameter sets and predictions.
   --hydra-help               every flag""",
     "evaluate": """\
 usage: {program} RUN [my_boat.yaml] [KEY=VALUE …]
-Writes a report of a run: errors, free runs, certificates, parameters. Of a
+Writes a report of a run: errors, open-loop simulations, certificates, parameters. Of a
 sweep it prints the leaderboard.
 
   RUN                     a folder that train has written, or one of several

@@ -91,11 +91,11 @@ def _errors(fleet: Fleet, model: Estimator) -> tuple[Errors, Errors]:
             state, predicted, _ = rollout(model, state, tensors(run.samples, torch.float64))
         made = masks(run.samples, model.surge_limit)
         learns, known = np.asarray(made.learns), np.asarray(made.learns | made.starts)
-        for lane, boat in enumerate(fleet.boats):
-            if run.names[lane]:
-                surge = np.where(known, run.samples.surge, np.nan)[:, lane]
-                counted, key = np.where(learns[:, lane], surge, np.nan), (boat, run.names[lane])
-                own[key] = np.abs(predicted[:, lane].numpy() - counted)
+        for element, boat in enumerate(fleet.boats):
+            if run.names[element]:
+                surge = np.where(known, run.samples.surge, np.nan)[:, element]
+                counted, key = np.where(learns[:, element], surge, np.nan), (boat, run.names[element])
+                own[key] = np.abs(predicted[:, element].numpy() - counted)
                 persistence[key] = np.abs(_before(surge) - counted)
     return own, persistence
 

@@ -32,9 +32,7 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    found.add_argument(
-        "run", metavar="RUN", type=without_key, help="the folder of a run or of a node, or a parameter set"
-    )
+    found.add_argument("run", metavar="RUN", type=without_key, help="the folder of a run or of a node, or a checkpoint")
     formats = f"one or several of {', '.join(FORMATS)}; all: those that the run has and that are installed"
     found.add_argument("--to", required=True, action="append", metavar="FORMAT", help=formats)
     found.add_argument("--boat", metavar="NAME", help="only this boat")
@@ -61,7 +59,9 @@ def formats_of(given: Sequence[str]) -> list[str]:
 
 
 def run_of(path: Path) -> Path:
-    """The folder of the run to which a set or a boat's folder belongs; else the folder itself, or that of the set."""
+    """The folder of the run to which a checkpoint or a boat's folder belongs; else the folder itself, or that of the
+    checkpoint.
+    """
     folder = path.resolve() if path.is_dir() else path.resolve().parent
     return folder.parent.parent if folder.parent.name == CHECKPOINTS else (path if path.is_dir() else path.parent)
 

@@ -27,7 +27,7 @@ from usvlearn.cli.forgiving import hint_of_data
 from usvlearn.errors import ConfigError, did_you_mean
 
 GONE = {  # a key of earlier versions -> what does its work now
-    "sweep.lanes": "grid={aid.gain: [1, 3]} tries the numbers of one member as lanes of one batch",
+    "sweep.lanes": "grid={aid.gain: [1, 3]} tries the numbers of one member as elements of one batch",
 }
 KEY = re.compile(r"Could not (?:override|delete(?: from config\.)?) '([^']+)'|config group '([^']+)' does not exist")
 

@@ -26,7 +26,7 @@ USAGE = (
     "usage: usvlearn plan RUN [--boat NAME] [--minutes 5] [--area 200] [--command-max 1] [--out FOLDER] …; "
     "all options: usvlearn plan --help"
 )
-STEP = 0.4  # s, where a set does not state its step
+STEP = 0.4  # s, where a checkpoint does not state its step
 LEAST_RATE, MOST_RATE = 1.0, 90.0  # degrees/s, of a turn
 WALK = (
     "An interval may become wider: the filter lets the parameters walk, and forgets what a mission does not show, as a "
@@ -37,7 +37,7 @@ WALK = (
 def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("usvlearn plan", description=__doc__)
     add = found.add_argument
-    add("run", metavar="RUN", type=without_key, help="the folder of a run, a folder of parameter sets, or a set")
+    add("run", metavar="RUN", type=without_key, help="the folder of a run, a folder of checkpoints, or a checkpoint")
     add("--boat", help="only this one")
     add("--minutes", type=float, default=5.0, help="length of the mission (5)")
     add("--area", type=float, default=200.0, help="side of the square to stay in, m, the start in its middle (200)")
@@ -56,7 +56,7 @@ def work(arguments: Sequence[str]) -> None:
     """Plan for each boat, print, and write.
 
     Raises:
-        CheckpointError: there is no readable set.
+        CheckpointError: there is no readable checkpoint.
         ConfigError: an option is outside its legal values, nothing is identified, or no course stays in the area.
     """
     from usvlearn.display import terminal
@@ -229,7 +229,7 @@ def _written(
         yield f"no picture: {error}"
     yield (
         f"A controller or a person must hold the headings. Turns are planned with {math.degrees(limits.turn_rate):.0f} "
-        f"degrees/s, and the current as the set has it: keep room beside the {limits.area:g} m."
+        f"degrees/s, and the current as the checkpoint has it: keep room beside the {limits.area:g} m."
     )
 
 

@@ -86,7 +86,9 @@ def _reference(node: Any, key: str) -> str | None:
 
 
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
-    """The ensemble that a configuration describes: its members, its rules, the rule that predicts, its forecasts."""
+    """The ensemble that a configuration describes: its members, its combiners, the combiner that predicts, its
+    forecasts.
+    """
     from usvlearn.estimators.ensemble.layer import Ensemble
 
     members, rules = instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all")

@@ -24,7 +24,7 @@ USAGE = "usage: usvlearn controller RUN [--boat NAME] [--out FOLDER] …; all op
 
 def parser() -> argparse.ArgumentParser:
     found = argparse.ArgumentParser("usvlearn controller", description=__doc__)
-    found.add_argument("path", metavar="RUN", type=without_key, help="the folder of a run, or a parameter set")
+    found.add_argument("path", metavar="RUN", type=without_key, help="the folder of a run, or a checkpoint")
     found.add_argument("--boat", help="only this one")
     found.add_argument("--speed", type=float, help="cruise speed, m/s (the middle of --range)")
     found.add_argument(
@@ -47,7 +47,7 @@ def work(arguments: Sequence[str]) -> None:
     """Design, print, and write.
 
     Raises:
-        CheckpointError: there is no parameter set.
+        CheckpointError: there is no checkpoint.
         ConfigError: an option is wrong, or a boat is not identified well enough, or is not physical.
     """
     given = vars(parser().parse_args(list(arguments)))

@@ -26,7 +26,7 @@ def warm(float32: bool = False, readers: bool = False, live: bool = False) -> Pa
     Args:
         float32: compile the estimators' kernels for float32, too.
         readers: compile what reads binary logs, and what computes speeds from positions.
-        live: compile only what a live node needs: neither free runs nor the simulator.
+        live: compile only what a live node needs: neither open-loop simulations nor the simulator.
 
     Returns:
         The folder of the code.

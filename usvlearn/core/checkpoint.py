@@ -1,4 +1,4 @@
-"""A parameter set on disk: one safetensors file, whose header also contains the metadata and a checksum over both.
+"""A checkpoint on disk: one safetensors file, whose header also contains the metadata and a checksum over both.
 
 It is written to a temporary file, flushed to the disk and renamed, so that a reader sees a complete file or none. torch
 is not imported, because small computers on boats do not have it.
@@ -30,7 +30,7 @@ from usvlearn.errors import CheckpointError
 
 SCHEMA = 2  # schema 1 had another square root of the covariance of least squares
 SUFFIX = ".safetensors"
-RENAMED = {"members.rls.": "members.sift_map."}  # since version 0.1
+RENAMED = {"members.rls.": "members.sift_map.", "members.reader.": "members.joint_averaged."}  # since 0.1, since 0.2
 KEY = "usvlearn"  # of the metadata in the safetensors header
 LISTED = 8  # folders in an error
 QUOTED = 400  # characters of an error that quotes the file
@@ -67,7 +67,7 @@ def save(path: str | Path, state: Any, **metadata: Any) -> Path:
 
 
 def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read a parameter set: arrays by dotted name, and the metadata.
+    """Read a checkpoint: arrays by dotted name, and the metadata.
 
     Raises:
         CheckpointError: no such file, not a checkpoint, another schema, or a checksum that does not fit.
@@ -90,7 +90,8 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         found = _digest(leaves, facts)
     except (SafetensorError, ValueError, KeyError, TypeError, RecursionError, OverflowError) as error:
         raise CheckpointError(
-            f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:QUOTED]}): use the set saved before it"
+            f"{path}: is not a usvlearn checkpoint or is damaged ({str(error)[:QUOTED]}): use the checkpoint saved "
+            "before it"
         ) from error
     if facts.get("schema") != SCHEMA:
         raise CheckpointError(
@@ -98,7 +99,7 @@ def load(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
             "read it with the version of usvlearn that wrote it"
         )
     if stated != found:
-        raise CheckpointError(f"{path}: is damaged (its checksum does not fit): use the set saved before it")
+        raise CheckpointError(f"{path}: is damaged (its checksum does not fit): use the checkpoint saved before it")
     return leaves, facts
 
 
@@ -108,7 +109,7 @@ def verify(path: str | Path) -> None:
 
 
 def restore(path: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Read a parameter set into the structure of `template`, a state of the estimator that will continue from it.
+    """Read a checkpoint into the structure of `template`, a state of the estimator that will continue from it.
 
     Args:
         path: of the checkpoint.
@@ -144,13 +145,13 @@ def restore(path: str | Path, template: Any, estimator: str | None = None) -> tu
             )
         if sort_of(leaf.dtype) != sort_of(leaves[name].dtype):
             raise CheckpointError(
-                f"{path}: {name} is {leaves[name].dtype}, expected {leaf.dtype}: use the set saved before it"
+                f"{path}: {name} is {leaves[name].dtype}, expected {leaf.dtype}: use the checkpoint saved before it"
             )
     return rebuild(template, {name: _like(leaf, leaves[name]) for name, leaf in wanted.items()}), facts
 
 
 def _with_names_of_today(leaves: dict[str, np.ndarray], wanted: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Leaves with the names of today's default ensemble, where the file has those of version 0.1."""
+    """Leaves with the names of today's default ensemble, where the file has earlier ones."""
 
     def only(names: Mapping[str, Any], own: str, other: str) -> bool:
         return any(name.startswith(own) for name in names) and not any(name.startswith(other) for name in names)
@@ -163,12 +164,12 @@ def _with_names_of_today(leaves: dict[str, np.ndarray], wanted: Mapping[str, Any
 
 
 def checkpoints(folder: str | Path) -> list[Path]:
-    """The parameter sets in a folder, oldest first (sorted by name, which increases)."""
+    """The checkpoints in a folder, oldest first (sorted by name, which increases)."""
     return sorted(Path(folder).glob(f"*{SUFFIX}"))
 
 
 def restore_newest(folder: str | Path, template: Any, estimator: str | None = None) -> tuple[Any, dict[str, Any]]:
-    """Restore the newest readable parameter set of a folder; unreadable ones are skipped with a warning.
+    """Restore the newest readable checkpoint of a folder; unreadable ones are skipped with a warning.
 
     Raises:
         CheckpointError: none can be read.
@@ -177,14 +178,14 @@ def restore_newest(folder: str | Path, template: Any, estimator: str | None = No
 
 
 def newest(folder: str | Path, read: Callable[[Path], tuple[Any, dict[str, Any]]]) -> tuple[Any, dict[str, Any]]:
-    """The result of `read` for the newest parameter set of a folder for which it raises no CheckpointError.
+    """The result of `read` for the newest checkpoint of a folder for which it raises no CheckpointError.
 
-    Without sets of its own, the folder may be a run's: that of its only boat is read.
+    Without checkpoints of its own, the folder may be a run's: that of its only boat is read.
     """
     paths = checkpoints(folder)
     if not paths and (boats := sorted({path.parent for path in Path(folder).glob(f"*/*/*{SUFFIX}")})):
         if len(boats) > 1:
-            raise CheckpointError(f"{folder}: holds the parameter sets of several boats: give {_either(boats)}")
+            raise CheckpointError(f"{folder}: holds the checkpoints of several boats: give {_either(boats)}")
         paths = checkpoints(boats[0])
     for path in reversed(paths):
         try:

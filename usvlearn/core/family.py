@@ -1,7 +1,7 @@
 """What a family of estimators declares, once: the leaves of its state, its numbers, its choices, and what is legal.
 
 The layer reads the names, the kernel the places, the engine both, and `engine.check` the ranges. A family is an
-estimator, a wrapper, a rule, or another part of an ensemble. It declares in its `state.py`
+estimator, a wrapper, a combiner, or another part of an ensemble. It declares in its `state.py`
 
     class Number(Numbers):          numbers, by name; each has its legal range
         GAIN = POSITIVE
@@ -13,7 +13,7 @@ estimator, a wrapper, a rule, or another part of an ensemble. It declares in its
     AT = FAMILY.at                  an AIDState that holds places
 
 `engine.program` writes a row of integers for each part: the places of its leaves, numbers and vectors, and its choices.
-A kernel receives this row as `node`, and the state `s` and the numbers `q` of one lane:
+A kernel receives this row as `node`, and the state `s` and the numbers `q` of one batch element:
 
     numbers = q[node[Node.NUMBERS] :]
     numbers[Number.GAIN], s[node[AT.surge]], q[node[Vector.SPREAD] + i], node[Choice.FEEDBACK]
@@ -43,13 +43,13 @@ class Range:
 
     Attributes:
         diagonal: the least number on the diagonal of a square matrix.
-        sleeps: whether NaN, infinity, and numbers beyond ±1e30 are legal too.
+        diverged: whether NaN, infinity, and numbers beyond ±1e30 are legal too.
     """
 
     least: float
     most: float
     diagonal: float = -inf
-    sleeps: bool = False
+    diverged: bool = False
 
     def wrong(self, array: np.ndarray) -> np.ndarray:
         """The numbers that are not legal, `(count,)`.
@@ -60,7 +60,7 @@ class Range:
         legal = (array >= self.least) & (array <= self.most)
         if self.diagonal > -inf:
             legal &= (array >= self.diagonal) | ~np.eye(array.shape[-1], dtype=bool)
-        if self.sleeps:
+        if self.diverged:
             legal |= ~(np.abs(array) <= MOST)
         return array[~legal]
 
@@ -68,9 +68,9 @@ class Range:
         ends = f"{self.least:.9g} … {self.most:.9g}"
         return ends if self.diagonal == -inf else f"{ends}, and {self.diagonal:.9g} or more on the diagonal"
 
-    def asleep(self) -> Range:
-        """This range, and the values of a member that has diverged (it sleeps)."""
-        return replace(self, sleeps=True)
+    def inactive(self) -> Range:
+        """This range, and the values of a member that has diverged (it is inactive)."""
+        return replace(self, diverged=True)
 
 
 FINITE = Range(-MOST, MOST)
@@ -84,7 +84,7 @@ BELOW_ONE = Range(0.0, 1 - 2.0**-24)  # in float32, too
 AT_MOST_TEN = Range(0.0, 10.0)  # the exponent of a factor that is applied at every step
 WEIGHT = Range(0.0, 1.001)  # a share, with room for rounding
 TRIANGLE = Range(-MOST, MOST, diagonal=LEAST)  # the Cholesky factor of a covariance
-ANY = Range(-inf, inf, sleeps=True)
+ANY = Range(-inf, inf, diverged=True)
 
 
 class Node(IntEnum):
@@ -220,7 +220,8 @@ class Family(Generic[S]):
         work: from the size, the length of the work array that its kernel needs.
         heading: from its entries, whether it needs the heading.
         remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
-        frozen: the leaves, by dotted name, that a free run needs: those that `free_step` reads or changes; None: all.
+        frozen: the leaves, by dotted name, that an open-loop simulation needs: those that `free_step` reads or changes;
+            None: all.
 
     >>> from usvlearn.estimators.aid.state import FAMILY
     >>> FAMILY.at.surge - FAMILY.at.theta, list(FAMILY.leaves(9))

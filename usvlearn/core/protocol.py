@@ -30,7 +30,7 @@ class Estimator(nn.Module, abc.ABC):
 
     Attributes:
         surge_limit: a measured speed at or beyond it, m/s, counts as missing.
-        frozen: the leaves of the state, by dotted name, that a free run needs; None: all of them.
+        frozen: the leaves of the state, by dotted name, that an open-loop simulation needs; None: all of them.
     """
 
     surge_limit: float = PLAUSIBLE
@@ -53,7 +53,9 @@ class Estimator(nn.Module, abc.ABC):
         return state
 
     def free_step(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
-        """One step of a free run: as `predict`, but only the leaves `frozen` of the state need to be right."""
+        """One step of an open-loop simulation: as `predict`, but only the leaves `frozen` of the state need to be
+        right.
+        """
         return self.predict(state, inputs)
 
     def inflate_covariance(self, state: State, factor: Tensor) -> State:
@@ -105,7 +107,7 @@ class Step(NamedTuple):
 
 
 class Kinds(NamedTuple):
-    """Which of the four cases occur in at least one lane of a step."""
+    """Which of the four cases occur in at least one batch element of a step."""
 
     learns: bool
     coasts: bool
@@ -127,10 +129,10 @@ def clean(sample: Sample, surge_limit: float = PLAUSIBLE) -> Step:
 
 
 def advance(estimator: Estimator, state: State, step: Step, some: Kinds) -> tuple[State, Tensor]:
-    """`Estimator.forward` of a clean sample; cases that occur in no lane are skipped."""
+    """`Estimator.forward` of a clean sample; cases that occur in no batch element are skipped."""
     if some == Kinds(learns=True, coasts=False, starts=False, holds=False):
         return estimator.learn(state, step.inputs, step.surge)
-    # Each state replaces those before it in the lanes of its mask; the first has no mask.
+    # Each state replaces those before it in the batch elements of its mask; the first has no mask.
     layers: list[tuple[Tensor | None, State]] = [(None, state)] if some.holds or not any(some) else []
     if some.starts:
         layers.append((step.starts, estimator.start(state, step.surge)))

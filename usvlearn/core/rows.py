@@ -1,4 +1,4 @@
-"""Samples in the form that the kernels read, prepared once for all estimators and lanes that share a sample.
+"""Samples in the form that the kernels read, prepared once for all estimators and batch elements that share a sample.
 
 `prepare` decides as `usvlearn.core.samples.masks` does, and a test compares the two.
 """

@@ -98,7 +98,7 @@ def masks(sample: Sample, surge_limit: float = PLAUSIBLE) -> Masks:
 
 
 class Run(NamedTuple):
-    """A mission of one boat, or of a fleet with one lane per boat, on the grid of `dt`."""
+    """A mission of one boat, or of a fleet with one batch element per boat, on the grid of `dt`."""
 
     time: np.ndarray  # (time, boats) s since each log's first step; NaN where padded
     samples: Sample  # leaves (time, *batch)

@@ -12,11 +12,11 @@ A tag is the same for all boats and estimators. What concerns the boat is in the
     1 overview/…       over the last minutes: MAE, skill and share of measurements in the 90 % intervals, one step and
                        10 s ahead; alarms so far
     2 identified/…     quantities of `usvlearn.engine.identified`, with their units
-    3 weights/…        of the ensemble and the other rules, and of forecasts; the run is the member that is weighed
+    3 weights/…        of the ensemble and the other combiners, and of forecasts; the run is the member that is weighed
     4 contraction/…    of RNNs: margins by condition, rate, time constant, number of equilibria at rest, the nearest
     5 data/…           shares of steps with a measured speed and with stale inputs so far; rejected messages by cause
     6 diagnostics/…    whiteness and scale of errors, excitation, thrusters, what the estimators report about themselves
-    7 figures/…        of a boat: prediction with its worst minute, free run, forecast, identified curves, thrusters
+    7 figures/…        of a boat: predictions, open-loop simulation, forecast, identified curves, thrusters
     8 results/…        of the whole run, for the HPARAMS page
     9 all/…            with `log: all`: every number of every estimator, the nine parameters, all horizons;
                        equilibrium_class counts from 0 in the order of certify.proofs.equilibria.CLASSES

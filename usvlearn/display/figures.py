@@ -19,7 +19,8 @@ SEVEN = {  # the colours of TensorBoard's runs, in its order, and who has them: 
     ("joint",): "#9334e6", ("rnn",): "#7cb342", ("arx",): "#e8710a",
 }  # fmt: skip
 KNOWN = {name: colour for names, colour in SEVEN.items() for name in names} | {  # visible on white and on black
-    "average": "#5C6BC0", "weighted": "#1E88E5", "joint_quick": "#BA68C8", "reader": "#00897B",
+    "average": "#5C6BC0", "weighted": "#1E88E5", "joint_quick": "#BA68C8",
+    "joint_averaged": "#00897B", "reader": "#00897B",  # its name in version 0.2
 }  # fmt: skip
 # The paper's methods. `sift_map` is the thruster map of the default ensemble, which forgets by SIFt.
 PAPER = ("aid", "rls", "sift_map", "rnn")
@@ -50,8 +51,8 @@ def colours(names: Sequence[str]) -> dict[str, str]:
 def main_estimators(weighed: Sequence[str], output: str) -> list[str]:
     """The estimators in figures of a run: the first members that the ensemble's output weighs, and the output last.
 
-    >>> main_estimators(["joint", "joint_quick", "arx", "reader", "aid"], "ensemble")
-    ['joint', 'joint_quick', 'arx', 'reader', 'ensemble']
+    >>> main_estimators(["joint", "joint_quick", "arx", "joint_averaged", "aid"], "ensemble")
+    ['joint', 'joint_quick', 'arx', 'joint_averaged', 'ensemble']
     """
     return [*list(weighed)[:MOST_MEMBERS], output]
 

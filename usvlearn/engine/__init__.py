@@ -2,12 +2,12 @@
 
 The engine knows the layout of no family. Each declares its own (`usvlearn.core.family`), and its `kernel.py` makes its
 steps. A table describes the parts of an estimator, and the kernels interpret it, so another ensemble needs no new
-compilation. A state is one row of numbers per lane; its leaves are views of that row. The files, in the order in which
-they build on each other:
+compilation. A state is one row of numbers per batch element; its leaves are views of that row. The files, in the order
+in which they build on each other:
 
     kinds         the families that have a kernel; whether a specification consists of them alone
     chains        one function for each verb, which calls the kernel of the right family
-    dispatch      one estimator with its wrappers, one ensemble, one step; runs over (time, lanes)
+    dispatch      one estimator with its wrappers, one ensemble, one step; runs over (time, elements)
     leaves        the leaves of the state of a specified estimator
     program       from a specification (`Estimator.spec`) to the table, the numbers and the places of the leaves
     check         checks a specification and a state from a file
@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 
-def of_lane(description: Any, lanes: int, lane: int, depth: int = 0) -> Any:
-    """The description of one lane: where a number differs by lane, that of this lane.
+def of_element(description: Any, elements: int, element: int, depth: int = 0) -> Any:
+    """The description of one batch element: where a number differs by batch element, that of this batch element.
 
     >>> many = {"kind": "aid", "numbers": {"gain": [1.0, 2.0], "scale": 28.0}, "vectors": {"spread": [[1.0], [3.0]]}}
-    >>> of_lane(many, 2, 1)
+    >>> of_element(many, 2, 1)
     {'kind': 'aid', 'numbers': {'gain': 2.0, 'scale': 28.0}, 'vectors': {'spread': [3.0]}}
     """
     if not isinstance(description, Mapping):
@@ -35,14 +35,17 @@ def of_lane(description: Any, lanes: int, lane: int, depth: int = 0) -> Any:
     own = {}
     for key, value in description.items():
         if key in ("numbers", "vectors"):
-            axes = depth + (key == "vectors")  # behind that of the lanes: a bank's settings, a vector's entries
+            axes = depth + (
+                key == "vectors"
+            )  # behind that of the batch elements: a bank's settings, a vector's entries
             own[key] = {
-                name: x if np.ndim(x) <= axes else (x[lane] if len(x) == lanes else x[0]) for name, x in value.items()
+                name: x if np.ndim(x) <= axes else (x[element] if len(x) == elements else x[0])
+                for name, x in value.items()
             }
         elif key == "inner":
-            own[key] = of_lane(value, lanes, lane, depth + (description["kind"] == "bank"))
+            own[key] = of_element(value, elements, element, depth + (description["kind"] == "bank"))
         elif key in ("members", "rules"):
-            own[key] = {name: of_lane(x, lanes, lane) for name, x in value.items()}
+            own[key] = {name: of_element(x, elements, element) for name, x in value.items()}
         else:
             own[key] = value
     return own

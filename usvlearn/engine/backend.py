@@ -31,7 +31,7 @@ def choose(estimator: Estimator, state: Any, samples: Sample, backend: str) -> d
     tensors = [*tensors_in(state), *tensors_in(samples), *own]
     obstacle = out_of_reach(tensors) or _derivative(tensors)
     if not obstacle and samples.surge.numel() == 0:
-        obstacle = "there are no lanes"
+        obstacle = "there are no batch elements"
     return description_of(estimator, obstacle, backend)
 
 

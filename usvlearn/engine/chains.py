@@ -11,7 +11,7 @@ The functions are written here from the list of families. For two families, `pre
 Numba inlines such a chain; it could not inline a call through a table of functions. The arguments of the verbs are
 
     node      the row of this estimator in the table (`usvlearn.core.family`)
-    s, q      the state and the numbers of a lane
+    s, q      the state and the numbers of a batch element
     x         the inputs of the step (`usvlearn.core.rows`)
     work      an array of the length that the family declares; `predict` may leave there what `learn` needs
     surge     measured speed, m/s, with which a segment starts
@@ -33,9 +33,10 @@ VERBS = {
     "predict": "node, s, q, x, work",
     "coast": "node, s, q, x, predicted, work",
     "learn": "node, s, q, x, estimate, target, work",
-    # Without one of its own, a family makes a step of a free run by `predict` and `coast`.
+    # Without one of its own, a family makes a step of an open-loop simulation by `predict` and `coast`.
     "free_step": "node, s, q, x, work",
-    # Optional: only a family with a covariance has the first; the second is a faster loop over all steps of one lane.
+    # Optional: only a family with a covariance has the first; the second is a faster loop over all steps of one batch
+    # element.
     "inflate_covariance": "node, s, q, factor",
     "run_alone": "node, s, q, rows, free, predictions, picked, picks, work",
 }

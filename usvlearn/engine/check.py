@@ -25,8 +25,10 @@ from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 
-LARGEST = 2**20  # numbers of a lane: its state, its parameters, its table
-CELLS = 3 * WIDTH  # of the table, for each estimator or rule with its wrappers; the members of a rule come on top
+LARGEST = 2**20  # numbers of a batch element: its state, its parameters, its table
+CELLS = (
+    3 * WIDTH
+)  # of the table, for each estimator or combiner with its wrappers; the members of a combiner come on top
 SETTINGS = Range(1, LARGEST)  # of a bank
 DTYPES = (np.dtype(np.float64), np.dtype(np.float32))
 
@@ -225,7 +227,7 @@ class _Reading:
             _choose(f"{entry}.{choice.key}", found, choice.allowed)
 
     def _rule(self, entry: str, name: str, rule: Any, count: int) -> int:
-        """Check a rule of an ensemble of `count` columns; returns how many it combines."""
+        """Check a combiner of an ensemble of `count` columns; returns how many it combines."""
         if not name or "." in name:
             raise wrong("kernel.rules", name, "names without a dot")
         family = RULES[_choose(f"{entry}.kind", _kind(entry, rule), list(RULES))]
@@ -284,9 +286,9 @@ def _kind(entry: str, found: Any) -> str:
     if not isinstance(found, dict):
         raise wrong(entry, found, "a dictionary")
     if "kind" not in found:
-        raise CheckpointError(f"{entry}: found no 'kind', expected the kind of an estimator or a rule")
+        raise CheckpointError(f"{entry}: found no 'kind', expected the kind of an estimator or a combiner")
     if not isinstance(found["kind"], str):
-        raise wrong(f"{entry}.kind", found["kind"], "the kind of an estimator or a rule")
+        raise wrong(f"{entry}.kind", found["kind"], "the kind of an estimator or a combiner")
     return found["kind"]
 
 

@@ -1,8 +1,8 @@
-"""One step of one estimator or of an ensemble, and runs of many lanes through many steps.
+"""One step of one estimator or of an ensemble, and runs of many batch elements through many steps.
 
 The table (`program`, integers) lists the parts: the first row describes the whole; then comes a row for each estimator,
-one for each rule, and one for each wrapper and other part of an ensemble. `q` holds the tuned and known numbers, `s`
-the state of one lane.
+one for each combiner, and one for each wrapper and other part of an ensemble. `q` holds the tuned and known numbers,
+`s` the state of one batch element.
 """
 
 from enum import IntEnum
@@ -17,7 +17,7 @@ from usvlearn.core.samples import PLAUSIBLE
 from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.chains import start as start_estimator
 from usvlearn.engine.forecasting import PLACE, coasted, forecast_step, forget_forecasts
-from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_sleeping, learn_rule
+from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_inactive, learn_rule
 from usvlearn.estimators.ensemble.conformal.kernel import conformal, published
 from usvlearn.estimators.ensemble.forecasts.state import AT as FORECAST
 from usvlearn.estimators.ensemble.monitors.kernel import observe_innovations, observe_thrusters
@@ -114,17 +114,17 @@ def step(program, s, q, row, mode, work):
 
 @jit
 def aggregate(program, s, q, predictions, row, learns, work):
-    """The steps of an `Ensemble` after those of its members: rules, intervals, monitors."""
+    """The steps of an `Ensemble` after those of its members: combiners, intervals, monitors."""
     whole = program[0]
     n, names = whole[Whole.ESTIMATORS], whole[Whole.NAMES]
-    awake, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
-    mask_diverged(predictions, surge_max(program, q), awake)
+    active, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
+    mask_diverged(predictions, surge_max(program, q), active)
     for r in range(whole[Whole.RULES]):
         rule = program[1 + n + r]
-        asleep = fill_sleeping(rule, s, q, awake, x)
+        inactive = fill_inactive(rule, s, q, active, x)
         predictions[n + r] = combine(rule, s, q, x)
         if learns:
-            learn_rule(rule, s, q, x, asleep, row[SURGE], row[DT], rest)
+            learn_rule(rule, s, q, x, inactive, row[SURGE], row[DT], rest)
     if whole[Whole.FORECASTS] >= 0 and s[program[whole[Whole.FORECASTS], COASTED]] > 0:
         made = program[whole[Whole.FORECASTS]]
         predictions[whole[Whole.OUTPUT]] = coasted(made, s, q, predictions, row[DT], surge_max(program, q), work)
@@ -148,10 +148,10 @@ def surge_max(program, q):
 
 
 @jit
-def mask_diverged(predictions, limit, awake):
-    """Write the members' predictions, NaN where one has diverged (it sleeps)."""
-    for i in range(len(awake)):
-        awake[i] = predictions[i] if abs(predictions[i]) < limit else NAN
+def mask_diverged(predictions, limit, active):
+    """Write the members' predictions, NaN where one has diverged (it is inactive)."""
+    for i in range(len(active)):
+        active[i] = predictions[i] if abs(predictions[i]) < limit else NAN
 
 
 @jit(entry=True)
@@ -170,31 +170,33 @@ def step_once(program, s, q, work, left, right, heading, yaw_rate, dt, surge, fr
 
 @jit(entry=True)
 def run(program, states, q, rows, columns, free, picked, predictions, picks, work, first, last):
-    """Lanes first … last − 1 through all steps, in place.
+    """Batch elements first … last − 1 through all steps, in place.
 
     Args:
         program: the table.
-        states: (lanes, size).
-        q: (lanes, numbers), or (1, numbers) for all.
+        states: (elements, size).
+        q: (elements, numbers), or (1, numbers) for all.
         rows: prepared samples, (columns, time, ROW).
-        columns: (lanes,) the column of `rows` that each lane sees.
+        columns: (elements,) the column of `rows` that each batch element sees.
         free: whether nothing is learned.
         picked: places of the state that are recorded after each step.
-        predictions: (lanes, time), m/s, is written.
-        picks: (lanes, time, picked), is written.
+        predictions: (elements, time), m/s, is written.
+        picks: (elements, time, picked), is written.
         work: array of length `Plan.work`.
     """
     node = program[1]
     wrapped = node[Node.MEMORY] >= 0 or node[Node.ROBUST] >= 0
     bare = program[0, Whole.RULES] == 0 and not wrapped and ALONE >> node[Node.FAMILY] & 1
-    for lane in range(first, last):
-        s, numbers = states[lane], q[lane if len(q) > 1 else 0]
+    for element in range(first, last):
+        s, numbers = states[element], q[element if len(q) > 1 else 0]
         if bare:  # its family has a loop of its own over all steps
-            run_alone(node, s, numbers, rows[columns[lane]], free, predictions[lane], picked, picks[lane], work)
+            run_alone(
+                node, s, numbers, rows[columns[element]], free, predictions[element], picked, picks[element], work
+            )
             continue
         for k in range(rows.shape[1]):
-            row = rows[columns[lane], k]
+            row = rows[columns[element], k]
             mode = PREDICT if free and row[MODE] == LEARN else row[MODE]
-            predictions[lane, k] = step(program, s, numbers, row, mode, work)
+            predictions[element, k] = step(program, s, numbers, row, mode, work)
             for i in range(len(picked)):
-                picks[lane, k, i] = s[picked[i]]
+                picks[element, k, i] = s[picked[i]]

@@ -21,7 +21,7 @@ PLACE = CHOICES + 8  # in the first row of the table: there stands the index of 
 
 @jit
 def freeze(node, s, slot):
-    """Copy what the members' free runs need into the numbers of a slot."""
+    """Copy what the members' open-loop simulations need into the numbers of a slot."""
     tail = node[WIDTH + 1 + 2 * node[Choice.MEMBERS] :]
     for i in range(tail[0]):
         source, place, length = tail[1 + 3 * i], tail[2 + 3 * i], tail[3 + 3 * i]
@@ -31,7 +31,7 @@ def freeze(node, s, slot):
 
 @jit
 def step_frozen(program, node, slot, q, row, limit, x, work):
-    """One step of all members of a slot; writes their predictions, NaN where one sleeps."""
+    """One step of all members of a slot; writes their predictions, NaN where one is inactive."""
     for m in range(node[Choice.MEMBERS]):
         member = program[node[WIDTH + 1 + m]]
         if member[Node.MEMORY] >= 0:

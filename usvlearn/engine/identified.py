@@ -1,6 +1,6 @@
-"""`identified`: the physical quantities of a boat, from the reader among an ensemble's members. Imports no torch.
+"""`identified`: the physical quantities of a boat, from the averaged joint EKF of an ensemble. Imports no torch.
 
-The reader is the first member that is a joint filter with readings (`usvlearn.estimators.joint.reading`).
+That is the first member that is a joint EKF with periodic estimates (`usvlearn.estimators.joint.reading`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from usvlearn.engine import of_lane
+from usvlearn.engine import of_element
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.reading import Identified, identify, reader_of
 
@@ -25,17 +25,17 @@ def members_of(description: Mapping[str, Any]) -> Members:
 def reader_leaves(
     members: Members, leaves: Mapping[str, np.ndarray]
 ) -> tuple[Mapping[str, Any], dict[str, np.ndarray]]:
-    """The description of the reader, and its own leaves of the state.
+    """The description of the averaged joint EKF, and its own leaves of the state.
 
     Raises:
-        ConfigError: none of the members is a reader.
+        ConfigError: none of the members is an averaged joint EKF.
     """
     name = reader_of(members)
     if name is None:
         raise ConfigError(
-            "identified: found no joint filter with read_every among the estimators, expected one that is itself a "
+            "identified: found no joint EKF with read_every among the estimators, expected one that is itself a "
             "member, not inside a Bank or Robust: add JointEKF(..., read_every=600.0), or "
-            "+estimator@estimators.reader=joint_reader on the command line, and learn anew"
+            "+estimator@estimators.joint_averaged=joint_averaged on the command line, and learn anew"
         )
     prefix, description = f"members.{name}." if name else "", members[name]
     assert description is not None
@@ -44,20 +44,20 @@ def reader_leaves(
 
 
 def identified(members: Members, leaves: Mapping[str, np.ndarray]) -> list[Identified]:
-    """What the reader has identified of each boat.
+    """What the averaged joint EKF has identified of each boat.
 
     Args:
         members: descriptions by name; see `members_of`.
         leaves: of the state by dotted name, `(boats, …)`.
 
     Raises:
-        ConfigError: none of the members is a reader.
+        ConfigError: none of the members is an averaged joint EKF.
     """
     description, own = reader_leaves(members, leaves)
     boats = len(own["mean"])
     return [
-        identify(of_lane(description, boats, lane), {key: leaf[lane] for key, leaf in own.items()})
-        for lane in range(boats)
+        identify(of_element(description, boats, element), {key: leaf[element] for key, leaf in own.items()})
+        for element in range(boats)
     ]
 
 

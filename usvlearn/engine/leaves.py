@@ -52,7 +52,7 @@ def leaves_of(description: Description) -> dict[str, Field]:
     found: dict[str, Field] = {}
     for name, member in description["members"].items():
         own = _member(member, f"members.{name}.")
-        found |= {name: replace(each, legal=each.legal.asleep()) for name, each in own.items()}
+        found |= {name: replace(each, legal=each.legal.inactive()) for name, each in own.items()}
     for name, rule in description["rules"].items():
         found |= RULES[rule["kind"]].leaves(len(rule["columns"]), f"combiners.{name}.")
     names = len(description["columns"]) + len(description["rules"])
@@ -62,7 +62,7 @@ def leaves_of(description: Description) -> dict[str, Field]:
 
 
 def frozen(description: Description) -> dict[str, Field]:
-    """The leaves of an estimator that its free run needs, by name.
+    """The leaves of an estimator that its open-loop simulation needs, by name.
 
     >>> list(frozen({"kind": "robust", "inner": {"kind": "persistence", "size": 0}}))
     ['inner.surge']
@@ -87,7 +87,7 @@ def _forecasts(description: Description) -> dict[str, Field]:
     for column in made["members"]:
         name = description["columns"][column]
         for leaf, field in frozen(description["members"][name]).items():
-            legal = field.legal.asleep()
+            legal = field.legal.inactive()
             found[f"forecasts.frozen.{name}.{leaf}"] = replace(field, shape=(made["slots"], *field.shape), legal=legal)
     return found | forecasts.FAMILY.leaves(forecast_size(made), "forecasts.")
 

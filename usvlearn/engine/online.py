@@ -64,7 +64,7 @@ class Online:
         """Continue from a checkpoint with compiled code, without torch.
 
         Args:
-            path: a parameter set; or a folder of them, or the run's folder if it has one boat: the newest readable one.
+            path: a checkpoint; or a folder of them, or the run's folder if it has one boat: the newest readable one.
 
         Raises:
             CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
@@ -129,7 +129,8 @@ class Online:
         return self._live.leaf(name)
 
     def last_predictions(self) -> dict[str, tuple[float | np.ndarray, float | np.ndarray]]:
-        """What each member and rule of an ensemble predicted in the last step, and the half-width of its 90 % interval.
+        """What each member and combiner of an ensemble predicted in the last step, and the half-width of its 90 %
+        interval.
 
         NaN where a member made no prediction; a half-width is infinite before ten measurements.
 
@@ -196,7 +197,7 @@ class Online:
         """Physical quantities with 90 % intervals; of a batch a list, one entry for each boat.
 
         Raises:
-            ConfigError: no member is a joint filter with `read_every`.
+            ConfigError: no member is a joint EKF with `read_every`.
 
         >>> from usvlearn import JointEKF
         >>> Online(JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)).identified()["steady_speed_full"].unit
@@ -208,11 +209,11 @@ class Online:
         leaves = {name: leaf.reshape(-1, *leaf.shape[len(batch) :]) for name, leaf in self._live.leaves.items()}
         if self.description is not None:
             members = members_of(self.description)
-        else:  # an ensemble that runs in torch; its reader alone is described
+        else:  # an ensemble that runs in torch; its averaged joint EKF alone is described
             from usvlearn.core.protocol import spec_of
 
             ensemble: Any = getattr(self._template, "estimator", None)
-            name = getattr(ensemble, "reader", None)
+            name = getattr(ensemble, "averaged", None)
             members = {} if name is None else {name: spec_of(ensemble.members[name])}
         found = identified(members, leaves)
         return found if batch else found[0]
@@ -232,7 +233,7 @@ class Online:
 
 
 def read_set(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The leaves and the metadata of a parameter set from which compiled code can continue.
+    """The leaves and the metadata of a checkpoint from which compiled code can continue.
 
     Raises:
         CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
@@ -251,6 +252,6 @@ def read_set(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         check(facts["kernel"], leaves)
     except CheckpointError as error:
         raise CheckpointError(
-            f"{path}: {str(error)[: checkpoint.QUOTED]}: use the set saved before it, or {torch}"
+            f"{path}: {str(error)[: checkpoint.QUOTED]}: use the checkpoint saved before it, or {torch}"
         ) from error
     return leaves, facts

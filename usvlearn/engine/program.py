@@ -32,7 +32,7 @@ Setting = tuple[int, int] | None  # index of a bank's setting, and how many it h
 
 
 class Leaf(NamedTuple):
-    """Where a leaf lies in the row of a lane."""
+    """Where a leaf lies in the row of a batch element."""
 
     place: int
     shape: tuple[int, ...]
@@ -60,9 +60,9 @@ class Plan:
 
     Attributes:
         program: the table, int64.
-        numbers: `(1, …)`, or `(lanes, …)` where some differ by lane.
+        numbers: `(1, …)`, or `(elements, …)` where some differ by batch element.
         leaves: where each leaf lies, by dotted name.
-        size: of a lane's row.
+        size: of a batch element's row.
         slot: length of a slot of forecasts.
         work: length of the array that the kernels work in.
 
@@ -76,10 +76,10 @@ class Plan:
 
     def __init__(self, description: Description, batch: Sequence[int] = (), dtype: DTypeLike = np.float64):
         self.batch, self.dtype = tuple(batch), np.dtype(dtype)
-        self.lanes = int(np.prod(self.batch, dtype=int))
+        self.elements = int(np.prod(self.batch, dtype=int))
         self.leaves: dict[str, Leaf] = {}
         self.size = self.slot = 0
-        self._columns: list[np.ndarray] = []  # (1,) or (lanes,) each
+        self._columns: list[np.ndarray] = []  # (1,) or (elements,) each
         self._largest, self._kept = 0, 1
         self._estimators: list[list[int]] = []
         self._rules: list[list[int]] = []
@@ -88,8 +88,8 @@ class Plan:
         whole[Whole.KEPT] = self._largest
         self.program = self._table(whole)
         self.work = self._largest + self._kept + ROW
-        lanes = max((len(column) for column in self._columns), default=1)
-        self.numbers = np.empty((lanes, len(self._columns)), self.dtype)
+        elements = max((len(column) for column in self._columns), default=1)
+        self.numbers = np.empty((elements, len(self._columns)), self.dtype)
         for place, column in enumerate(self._columns):
             self.numbers[:, place] = column
         item = self.dtype.itemsize
@@ -100,7 +100,7 @@ class Plan:
         }
 
     def pack(self, leaves: Mapping[str, np.ndarray]) -> np.ndarray:
-        """States, `(lanes, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
+        """States, `(elements, size)`, from leaves `(*batch, …)` by dotted name; a ShapeError where they do not fit."""
         if other := sorted(self.leaves.keys() ^ leaves.keys()):
             raise ShapeError(
                 f"leaves: found {', '.join(other[:4])} in only one of the state and the specification, "
@@ -109,7 +109,7 @@ class Plan:
         for name, (shape, _, _) in self._layout.items():
             if leaves[name].shape != shape:
                 raise ShapeError(f"{name}: found the shape {leaves[name].shape}, expected {shape}")
-        states = np.empty((self.lanes, self.size), self.dtype)
+        states = np.empty((self.elements, self.size), self.dtype)
         for name, view in self._views(states).items():
             view[...] = leaves[name]
         return states
@@ -128,7 +128,7 @@ class Plan:
         return array.astype(bool) if self.leaves[name].flag else array
 
     def places(self, name: str) -> np.ndarray:
-        """The places of a leaf's numbers in a lane's row, in the leaf's shape."""
+        """The places of a leaf's numbers in a batch element's row, in the leaf's shape."""
         leaf = self.leaves[name]
         found = np.full(leaf.shape, leaf.place)
         for axis, (length, stride) in enumerate(zip(leaf.shape, leaf.strides, strict=True)):
@@ -197,7 +197,7 @@ class Plan:
             array = np.broadcast_to(np.asarray(value, float), (*self.batch, *bank, length))
         except ValueError as error:
             raise ShapeError(f"{name}: found the shape {np.shape(value)}, expected one for {self.batch}") from error
-        array = (array if setting is None else array[..., setting[0], :]).reshape(self.lanes, length)
+        array = (array if setting is None else array[..., setting[0], :]).reshape(self.elements, length)
         self._columns += list((array[:1] if (array == array[:1]).all() else array).T)
         return first
 
@@ -241,7 +241,7 @@ class Plan:
         return family.heading(own)
 
     def _ensemble(self, description: Description) -> list[int]:
-        """Add members, rules, intervals and monitors; returns the row of the whole."""
+        """Add members, combiners, intervals and monitors; returns the row of the whole."""
         heads = [self._member(member, f"members.{name}.") for name, member in description["members"].items()]
         count, rules = len(self._estimators), description["rules"]
         names = count + len(rules)
@@ -308,7 +308,7 @@ class Plan:
         return at(own, KINDS[part.own["kind"]], part.own["size"], part.prefix), block
 
     def _rule(self, rule: Description, name: str, count: int) -> list[int]:
-        """Add a rule of an ensemble of `count` columns; returns its row, followed by the columns of its members."""
+        """Add a combiner of an ensemble of `count` columns; returns its row, followed by the columns of its members."""
         family, columns = RULES[rule["kind"]], rule["columns"]
         vectors, begin = {}, 0
         for vector in family.vectors:

@@ -95,7 +95,7 @@ def simulate(
 
 
 def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
-    """Forecast lanes under plans, with intervals; the states are unchanged.
+    """Forecast batch elements under plans, with intervals; the states are unchanged.
 
     Args:
         estimator: an `Ensemble` with forecasts.
@@ -104,7 +104,7 @@ def forecast(estimator: Any, state: State, inputs: Inputs) -> Forecast:
             rates, rad/s, and lengths of the steps, s.
 
     Returns:
-        Tensors; `time` is `(time, *batch)` here, because lanes may have different steps.
+        Tensors; `time` is `(time, *batch)` here, because batch elements may have different steps.
 
     Raises:
         ConfigError: the estimator makes no forecasts, or a number is outside its legal range.

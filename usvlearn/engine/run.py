@@ -1,4 +1,4 @@
-"""Runs of many lanes over samples by the kernels."""
+"""Runs of many batch elements over samples by the kernels."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ def roll(
         samples: arrays `(time, *batch)`; axes of the batch along which they are the same may have the stride 0.
         free: whether nothing is learned.
         record: names of leaves that are recorded after every step.
-        threads: how many threads share the lanes.
+        threads: how many threads share the batch elements.
     """
     steps, *batch = samples.surge.shape
     plan = plan_for(description, batch, samples.surge.dtype)
     states = plan.pack(leaves)
     places = {name: plan.places(name) for name in record}
     picked = np.concatenate([np.zeros(0, np.int64), *(x.reshape(-1) for x in places.values())])
-    predictions = np.empty((plan.lanes, steps), plan.dtype)
-    picks = np.empty((plan.lanes, steps, len(picked)), plan.dtype)
+    predictions = np.empty((plan.elements, steps), plan.dtype)
+    picks = np.empty((plan.elements, steps, len(picked)), plan.dtype)
 
     def some(first: int, last: int) -> None:
         work = np.empty(plan.work, plan.dtype)
@@ -56,7 +56,7 @@ def roll(
 
     compile_runs(plan.dtype)
     rows, columns = prepared(samples, plan)
-    in_parallel(some, plan.lanes, threads)
+    in_parallel(some, plan.elements, threads)
     kept, begin = {}, 0
     for name, place in places.items():
         part = picks[..., begin : begin + place.size].reshape(*batch, steps, *place.shape)
@@ -67,9 +67,9 @@ def roll(
 
 
 def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
-    """Prepared samples, `(columns, time, ROW)`, and the column that each lane sees, `(lanes,)`.
+    """Prepared samples, `(columns, time, ROW)`, and the column that each batch element sees, `(elements,)`.
 
-    Lanes that share their samples, along an axis of stride 0, share a column.
+    Batch elements that share their samples, along an axis of stride 0, share a column.
     """
     arrays = [leaf for _, leaf in named_leaves(samples)]
     steps, *batch = arrays[0].shape
@@ -84,11 +84,11 @@ def prepared(samples: Sample, plan: Plan) -> tuple[np.ndarray, np.ndarray]:
     return rows, np.broadcast_to(np.arange(count).reshape(own), batch).flatten()
 
 
-def in_parallel(work: Callable[[int, int], None], lanes: int, threads: int) -> None:
-    """Call `work(first, last)` over all lanes on `threads` threads; kernels do not hold the GIL."""
-    if threads <= 1 or lanes == 1:
-        work(0, lanes)
+def in_parallel(work: Callable[[int, int], None], elements: int, threads: int) -> None:
+    """Call `work(first, last)` over all batch elements on `threads` threads; kernels do not hold the GIL."""
+    if threads <= 1 or elements == 1:
+        work(0, elements)
         return
-    edges = np.linspace(0, lanes, min(threads * 4, lanes) + 1).astype(int)
+    edges = np.linspace(0, elements, min(threads * 4, elements) + 1).astype(int)
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(work, edges[:-1], edges[1:]))

@@ -117,15 +117,17 @@ class Live:
         if not self._description.get("forecasts"):
             raise ConfigError(NONE)
         compile_plans(dtype)
-        steps, lanes = len(inputs.dt), plan.lanes
-        found, slot = np.empty((lanes, steps, 2), dtype), np.empty(plan.slot, dtype)
+        steps, elements = len(inputs.dt), plan.elements
+        found, slot = np.empty((elements, steps, 2), dtype), np.empty(plan.slot, dtype)
         current = self.current
-        columns = [np.ascontiguousarray(x.reshape(steps, lanes).T, dtype) for x in inputs]
+        columns = [np.ascontiguousarray(x.reshape(steps, elements).T, dtype) for x in inputs]
         heads, limit = bool(plan.program[0, step.Whole.HEADS] > 0), step.surge_limit(plan.program, plan.numbers[0])
         with self._lock:
-            for lane, (program, s, q, work) in enumerate(self._steps):
-                left, right, heading, yaw_rate, dt = (x[lane] for x in columns)
-                forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, found[lane], work)
+            for element, (program, s, q, work) in enumerate(self._steps):
+                left, right, heading, yaw_rate, dt = (x[element] for x in columns)
+                forecast_plan(
+                    program, s, q, left, right, heading, yaw_rate, dt, heads, limit, slot, found[element], work
+                )
         if not current:
             found[..., 1] = np.inf
         if not plan.batch:
@@ -134,33 +136,33 @@ class Live:
         return wide[..., 0], wide[..., 1]
 
     def _arguments(self, states: np.ndarray) -> list[Lane]:
-        """The first arguments of each lane's step; those of the sample follow."""
+        """The first arguments of each batch element's step; those of the sample follow."""
         numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
         return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
 
-    def _advance(self, lanes: list[Lane], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
+    def _advance(self, elements: list[Lane], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
         if self.plan.batch:
             check_sample(Sample(inputs, surge, fresh, measured), self.plan.batch)
-            return self._each(lanes, (*inputs, surge), (fresh, measured))
+            return self._each(elements, (*inputs, surge), (fresh, measured))
         left, right, heading, yaw_rate, dt = inputs
         if type(fresh) is bool is type(measured):  # compiled code takes any number, even NaN, for a bool
             try:
-                return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
+                return LIVE(*elements[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
             except (TypeError, ValueError, OverflowError, NumbaError):  # not plain numbers
                 pass
         check_sample(Sample(inputs, surge, fresh, measured))
         left, right, heading, yaw_rate, dt, surge = (float(one_number(x)) for x in (*inputs, surge))
         fresh, measured = bool(one_number(fresh)), bool(one_number(measured))
-        return LIVE(*lanes[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
+        return LIVE(*elements[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
 
-    def _each(self, lanes: list[Lane], numbers: tuple[Any, ...], masks: tuple[Any, ...]) -> np.ndarray:
+    def _each(self, elements: list[Lane], numbers: tuple[Any, ...], masks: tuple[Any, ...]) -> np.ndarray:
         fields = map(one_number, (*numbers, *masks))
         wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in fields]
         found = []
-        for lane, sample in zip(lanes, zip(*wide, strict=True), strict=True):
+        for element, sample in zip(elements, zip(*wide, strict=True), strict=True):
             *own, fresh, measured = sample
             left, right, heading, yaw_rate, dt, surge = map(float, own)
-            found.append(LIVE(*lane, left, right, heading, yaw_rate, dt, surge, bool(fresh), bool(measured)))
+            found.append(LIVE(*element, left, right, heading, yaw_rate, dt, surge, bool(fresh), bool(measured)))
         return np.array(found, self.plan.dtype).reshape(self.plan.batch)
 
 

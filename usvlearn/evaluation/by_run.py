@@ -79,12 +79,12 @@ def run_errors(
                   for j, horizon in enumerate(ahead.horizons)]  # fmt: skip
     kinds += [] if free is None else [(FREE, names, free.errors, free.steps)]
     for kind, columns, total, count in kinds:
-        for lane, boat in enumerate(fleet.boats):
+        for element, boat in enumerate(fleet.boats):
             for index, run in enumerate(fleet.runs):
-                if steps := int(count[index, lane]):
-                    maes = dict(zip(columns, (total[index, lane] / steps).tolist(), strict=True))
+                if steps := int(count[index, element]):
+                    maes = dict(zip(columns, (total[index, element] / steps).tolist(), strict=True))
                     known = {name: mae for name, mae in maes.items() if np.isfinite(mae)}
-                    yield RunError(boat, run.names[lane], kind, steps, known)
+                    yield RunError(boat, run.names[element], kind, steps, known)
 
 
 def as_csv(errors: Iterable[RunError], names: Sequence[str]) -> str:

@@ -1,11 +1,11 @@
-"""Cross-validation: saved parameter sets, simulated free on runs that they were not saved in (paper, section VI-B).
+"""Cross-validation: saved checkpoints, simulated free on runs that they were not saved in (paper, section VI-B).
 
-The definitions are in `docs/theory.md`, section 16. Each pair of a set and a run is a lane of one batch. A simulation
-uses the inputs, and the speed at which each segment starts.
+The definitions are in `docs/theory.md`, section 16. Each pair of a checkpoint and a run is an element of one batch. A
+simulation uses the inputs, and the speed at which each segment starts.
 
-A rule that weighs the members has two rows in the tables: with the saved weights, and as NAME+, with weights that
+A combiner that weighs the members has two rows in the tables: with the saved weights, and as NAME+, with weights that
 continue to learn along the run, each prediction before its measurement. The paper's weighted ensemble was evaluated in
-the second way. NAME+ is no free run, since its weights use the measured speed.
+the second way. NAME+ is no open-loop simulation, since its weights use the measured speed.
 
 A simulation *diverges* if it leaves ± surge_max of the ensemble, or is not finite. It is counted. While it is beyond
 the limit, its error is that of the limit, so that means are finite and no simulation is left out.
@@ -42,21 +42,21 @@ class FreeErrors(NamedTuple):
     steps: np.ndarray  # (runs,) measured steps
 
     def pooled(self, errors: np.ndarray, some: np.ndarray | None = None) -> np.ndarray:
-        """`mae` or `mse` of each set over its runs, with equal weight for every step, `(sets, methods)`.
+        """`mae` or `mse` of each checkpoint over its runs, with equal weight for every step, `(sets, methods)`.
 
         Args:
             errors: `(sets, runs, methods)`.
-            some: bool, `(sets, runs)`, the runs that count for each set; all by default.
+            some: bool, `(sets, runs)`, the runs that count for each checkpoint; all by default.
         """
         weight = np.broadcast_to(self.steps, errors.shape[:2]) * (1.0 if some is None else some)
         with np.errstate(invalid="ignore"):
             return (weight[..., None] * np.nan_to_num(errors)).sum(1) / weight.sum(1)[:, None]
 
     def unseen(self, season: Season) -> dict[str, float | None]:
-        """MAE of the runs of a boat, each with the newest set that has not learned from it, m/s, by method.
+        """MAE of the runs of a boat, each with the newest checkpoint that has not learned from it, m/s, by method.
 
         Args:
-            season: of the boat; runs without such a set are left out. None if all are.
+            season: of the boat; runs without such a checkpoint are left out. None if all are.
         """
         some = np.zeros(self.mae.shape[:2], bool)
         for run in np.flatnonzero(self.steps > 0).tolist():
@@ -70,7 +70,7 @@ class FreeErrors(NamedTuple):
 
 
 def methods(ensemble: Ensemble) -> tuple[str, ...]:
-    """The ensemble's names, and NAME+ for each rule whose weights can continue to learn.
+    """The ensemble's names, and NAME+ for each combiner whose weights can continue to learn.
 
     >>> from usvlearn import AID, BOA, Average, Persistence
     >>> members = {"aid": AID(), "persistence": Persistence()}
@@ -90,18 +90,18 @@ def cross_validate(
     ensemble: Ensemble,
     state: Any,
     runs: Sequence[Sample],
-    lanes: int = LANES,
+    elements: int = LANES,
     advance: Callable[[int], object] = lambda steps: None,
     backend: str = "auto",
 ) -> FreeErrors:
-    """Simulate every parameter set free on every run.
+    """Simulate every checkpoint free on every run.
 
     Args:
-        ensemble: to which the sets belong.
-        state: the sets, leaves `(sets, ...)`; torch simulates on its device.
+        ensemble: to which the checkpoints belong.
+        state: the checkpoints, leaves `(sets, ...)`; torch simulates on its device.
         runs: samples of one run each, leaves `(time,)`, NumPy arrays or tensors.
-        lanes: simulations in a batch, at most, or all sets on one run.
-        advance: receives the number of measured steps done, over all lanes, for a progress bar.
+        batch elements: simulations in a batch, at most, or all checkpoints on one run.
+        advance: receives the number of measured steps done, over all batch elements, for a progress bar.
         backend: "kernel", "torch" or "auto", as of `rollout`.
 
     Raises:
@@ -121,7 +121,7 @@ def cross_validate(
         names, np.full(shape, np.nan), np.full(shape, np.nan), np.zeros(shape, bool), np.zeros(len(runs))
     )
     order = np.argsort([-len(run.surge) for run in runs], kind="stable")
-    at_once = max(1, lanes // sets)
+    at_once = max(1, elements // sets)
     for first in range(0, len(runs), at_once):
         some = order[first : first + at_once]  # of nearly the same length
         absolute, square, diverged, steps = _simulated(ensemble, state, [runs[k] for k in some], advance, backend)
@@ -166,7 +166,7 @@ def _simulated(ensemble: Ensemble, state: Any, runs: Sequence[Sample], advance: 
 
 
 def _reweighed(ensemble: Ensemble, weights: dict, published: Tensor, step, learning: Sequence[str]):
-    """The rules' final states, and their predictions with weights that learn, `(time, *batch, rules)`."""
+    """The combiners' final states, and their predictions with weights that learn, `(time, *batch, rules)`."""
     combined = []
     for k, predictions in enumerate(published[..., : len(ensemble.columns)]):
         seen = ensemble.seen(predictions)
@@ -178,18 +178,18 @@ def _reweighed(ensemble: Ensemble, weights: dict, published: Tensor, step, learn
 
 
 def _side_by_side(runs: Sequence[Sample], dtype: torch.dtype) -> Sample:
-    """Runs as lanes `(time, runs)`, padded to the longest with samples that are never fresh."""
+    """Runs as batch elements `(time, runs)`, padded to the longest with samples that are never fresh."""
     longest = max(len(run.surge) for run in runs)
 
     def padded(*leaves) -> Tensor:
-        lanes = [torch.as_tensor(leaf) for leaf in leaves]
-        whole = torch.zeros((longest, len(lanes)), dtype=dtype if lanes[0].is_floating_point() else torch.bool)
-        for lane, leaf in enumerate(lanes):
-            whole[: len(leaf), lane] = leaf
+        elements = [torch.as_tensor(leaf) for leaf in leaves]
+        whole = torch.zeros((longest, len(elements)), dtype=dtype if elements[0].is_floating_point() else torch.bool)
+        for element, leaf in enumerate(elements):
+            whole[: len(leaf), element] = leaf
         return whole
 
     inputs = Inputs(*(padded(*leaves) for leaves in zip(*(run.inputs for run in runs), strict=True)))
     surge, fresh, measured = (padded(*leaves) for leaves in zip(*(run[1:] for run in runs), strict=True))
-    for lane, run in enumerate(runs):
-        inputs.dt[len(run.surge) :, lane] = 1.0  # 0 would start a segment
+    for element, run in enumerate(runs):
+        inputs.dt[len(run.surge) :, element] = 1.0  # 0 would start a segment
     return Sample(inputs, surge, fresh, measured)

@@ -1,4 +1,6 @@
-"""Free runs, simulated from commands alone; nothing is learned there. Errors of the second half of a fleet's runs."""
+"""Open-loop simulations, simulated from commands alone; nothing is learned there. Errors of the second half of a
+fleet's runs.
+"""
 
 from __future__ import annotations
 
@@ -29,16 +31,22 @@ class FreeErrors(NamedTuple):
         squares, count, speeds = (x.sum(0) for x in (self.squares, self.steps, self.speeds))
         spread = speeds[:, 1] - speeds[:, 0] ** 2 / np.maximum(count, 1)
         return {
-            boat: {name: fit(squares[lane, k], spread[lane]) if count[lane] else None for k, name in enumerate(names)}
-            for lane, boat in enumerate(boats)
+            boat: {
+                name: fit(squares[element, k], spread[element]) if count[element] else None
+                for k, name in enumerate(names)
+            }
+            for element, boat in enumerate(boats)
         }
 
     def mae(self, boats: Sequence[str], names: Sequence[str]) -> dict[str, dict[str, float | None]]:
         """By boat and estimator, m/s; None where a boat has no measured step."""
         total, count = self.errors.sum(0), self.steps.sum(0)
         return {
-            boat: {name: float(total[lane, k] / count[lane]) if count[lane] else None for k, name in enumerate(names)}
-            for lane, boat in enumerate(boats)
+            boat: {
+                name: float(total[element, k] / count[element]) if count[element] else None
+                for k, name in enumerate(names)
+            }
+            for element, boat in enumerate(boats)
         }
 
 
@@ -85,7 +93,7 @@ def free_runs(ensemble: Ensemble, season: Season) -> Iterator[FreeRun]:
     """Simulate each run of a boat with the newest parameters of `Season.set_before`.
 
     Args:
-        ensemble: to which the sets belong.
+        ensemble: to which the checkpoints belong.
         season: of the boat.
     """
     import torch
@@ -109,17 +117,18 @@ def middle(runs: Sequence[Any]) -> int:
     return len(runs) // 2
 
 
-def has_halves(fleet: Fleet, lane: int) -> bool:
+def has_halves(fleet: Fleet, element: int) -> bool:
     """Whether a boat has runs in both halves."""
     first = middle(fleet.runs)
-    return all(any(run.lengths[lane] for run in half) for half in (fleet.runs[:first], fleet.runs[first:]))
+    return all(any(run.lengths[element] for run in half) for half in (fleet.runs[:first], fleet.runs[first:]))
 
 
 def check_halves(fleet: Fleet) -> None:
     """Raise a ConfigError unless each boat has runs in both halves."""
-    for lane, boat in enumerate(fleet.boats):
-        if not has_halves(fleet, lane):
+    for element, boat in enumerate(fleet.boats):
+        if not has_halves(fleet, element):
             raise ConfigError(
-                f"objective: found free runs, and too few logs of {boat}, expected two or more of each boat, about as "
+                f"objective: found open-loop simulations, and too few logs of {boat}, expected two or more of each "
+                "boat, about as "
                 "many as of the others: the first half is learned, the second one is simulated"
             )

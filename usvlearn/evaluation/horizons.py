@@ -61,7 +61,7 @@ def horizon_sums(
         made = made.reshape(*made.shape[:2], H, K)
         due = np.isfinite(made[..., -1]) & np.isfinite(surge)
         errors = np.where(due[..., None], np.abs(made - surge[..., None]), 0.0)
-        found.errors[run] += errors.sum(0)  # NaN where a member sleeps: it has no errors then
+        found.errors[run] += errors.sum(0)  # NaN where a member is inactive: it has no errors then
         found.steps[run] += due.sum(0)
         finite = due & np.isfinite(widths)
         found.known[run] += finite.sum(0)
@@ -89,20 +89,20 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
     total, count, known, inside, width = (x.sum(0) for x in sums[2:])
     names, K = sums.names, len(sums.names)
     found: Scores = {}
-    for lane, boat in enumerate(boats):
+    for element, boat in enumerate(boats):
         found[boat] = {name: {} for name in names}
         for j, horizon in enumerate(sums.horizons):
-            steps = int(count[lane, j])
-            maes = total[lane, j] / steps if steps >= LEAST else np.full(K, np.nan)
+            steps = int(count[element, j])
+            maes = total[element, j] / steps if steps >= LEAST else np.full(K, np.nan)
             base = maes[names.index(PERSISTENCE)]
             for k, name in enumerate(names):
                 row: dict[str, float | int | None] = {"mae": _known(maes[k]), "skill": None, "steps": steps}
                 if np.isfinite(maes[k]) and base > 0:
                     row["skill"] = float(1 - maes[k] / base)
                 if k == K - 1:
-                    some = known[lane, j] if known[lane, j] >= LEAST else 0
-                    row["covers"] = float(inside[lane, j] / some) if some else None
-                    row["halfwidth"] = float(width[lane, j] / some) if some else None
+                    some = known[element, j] if known[element, j] >= LEAST else 0
+                    row["covers"] = float(inside[element, j] / some) if some else None
+                    row["halfwidth"] = float(width[element, j] / some) if some else None
                 found[boat][name][f"{horizon:g}"] = row
     return found
 

@@ -1,4 +1,4 @@
-"""What an ensemble's reader has identified of each boat."""
+"""What an ensemble's averaged joint EKF has identified of each boat."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ Truth = Mapping[str, Mapping[str, float]]  # boat -> quantity -> value
 def identified_boats(
     ensemble: Ensemble, state: Any, boats: Sequence[str], required: bool = False
 ) -> dict[str, Identified]:
-    """The quantities of each boat by name; {} if the ensemble has no reader.
+    """The quantities of each boat by name; {} if the ensemble has no averaged joint EKF.
 
     Args:
         ensemble: with its members.
         state: leaves `(boats, …)`.
         boats: their names.
-        required: whether a missing reader raises a ConfigError.
+        required: whether a missing one raises a ConfigError.
     """
-    name = ensemble.reader
+    name = ensemble.averaged
     if name is None and not required:
         return {}
     members = {} if name is None else {name: spec_of(ensemble.members[name])}
@@ -36,7 +36,7 @@ def identified_boats(
 
 def as_results(found: Mapping[str, Identified], truth: Truth) -> dict[str, Any]:
     """The entries of `results.json`: `identified`, boat -> quantity -> value, low, high, unit, and truth if known; and
-    `lacks`, boat -> what its log lacks. {} without a reader.
+    `lacks`, boat -> what its log lacks. {} without an averaged joint EKF.
     """
     if not found:
         return {}

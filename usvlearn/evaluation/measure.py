@@ -1,12 +1,12 @@
 """The objective: which error of which estimator a run, a sweep or a tuning minimises.
 
-objective=null                  the MAE of the rule that predicts; in a sweep, of the member that it varies
-objective=rnn                   the MAE of this member or rule one step ahead; so does rnn.mae
+objective=null                  the MAE of the combiner that predicts; in a sweep, of the member that it varies
+objective=rnn                   the MAE of this member or combiner one step ahead; so does rnn.mae
 objective=rnn.skill             1 − MAE/MAE(persistence), one step ahead; greater is better
 objective=rnn.coverage          the share of measured speeds within its 90 % intervals; 0.9 is best
 objective=rnn.forecast.10       the MAE of its forecasts over 10 s, one of forecasts.horizons
-objective=rnn.free              the MAE of its free runs: the second half of each boat's runs, from commands alone, with
-                                the parameters learned by the end of the first half
+objective=rnn.free              the MAE of its open-loop simulations: each boat's second half of runs, from commands,
+                                with the parameters learned by the end of the first half
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NOMINAL = 0.9  # of the intervals
 
 
 class Measure(NamedTuple):
-    """An estimator of an ensemble, a member or a rule, and which of its errors counts."""
+    """An estimator of an ensemble, a member or a combiner, and which of its errors counts."""
 
     estimator: str
     kind: str = ONE_STEP
@@ -58,7 +58,8 @@ class Measure(NamedTuple):
         >>> Measure("rnn", "forecast", 10.0).title()
         'MAE of rnn 10 s ahead'
         """
-        name = {SKILL: "skill of {}", COVERAGE: "coverage of the 90 % intervals of {}", FREE: "MAE of free runs of {}",
+        name = {SKILL: "skill of {}", COVERAGE: "coverage of the 90 % intervals of {}",
+            FREE: "MAE of open-loop simulations of {}",
                 FORECAST: f"MAE of {{}} {self.horizon:g} s ahead"}.get(self.kind, "MAE of {}")  # fmt: skip
         return name.format(self.estimator)
 
@@ -109,7 +110,7 @@ class Measure(NamedTuple):
 
 
 def own_columns(estimator: str, names: Iterable[str]) -> list[str]:
-    """The rows of a table of errors that belong to a member or rule; those of a bank are called NAME_LABEL.
+    """The rows of a table of errors that belong to a member or combiner; those of a bank are called NAME_LABEL.
 
     >>> own_columns("wind", ["aid", "wind_short", "wind_long"])
     ['wind_short', 'wind_long']

@@ -92,20 +92,20 @@ def fleet_scores(
     found, at_once = {}, max(1, AT_ONCE // max(1, 2 * fleet.steps * len(names)))
     nothing = np.empty((0, len(names)))
     for first in range(0, len(fleet.boats), at_once):
-        lanes = range(len(fleet.boats))[first : first + at_once]
-        parts: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]] = {lane: [] for lane in lanes}
+        elements = range(len(fleet.boats))[first : first + at_once]
+        parts: dict[int, list[tuple[np.ndarray, np.ndarray, np.ndarray | None]]] = {element: [] for element in elements}
         for run, step, arrays in published:
             predictions, widths = arrays["predictions"], arrays.get("halfwidths")
             part = slice(step, step + len(predictions))
             samples = tree_map(lambda x, part=part: x[part], fleet.runs[run].samples)
             surge = np.where(masks(samples, surge_limit).learns, samples.surge, np.nan)
-            for lane in lanes:
-                width = None if widths is None else widths[:, lane].copy()
-                parts[lane].append((predictions[:, lane].copy(), surge[:, lane], width))
-        for lane in lanes:
-            predictions, surge, widths = zip(*parts.pop(lane) or [(nothing, nothing[:, 0], nothing)], strict=True)
+            for element in elements:
+                width = None if widths is None else widths[:, element].copy()
+                parts[element].append((predictions[:, element].copy(), surge[:, element], width))
+        for element in elements:
+            predictions, surge, widths = zip(*parts.pop(element) or [(nothing, nothing[:, 0], nothing)], strict=True)
             widths = None if widths[0] is None else np.concatenate(widths)
-            found[fleet.boats[lane]] = scores(np.concatenate(predictions), np.concatenate(surge), names, widths)
+            found[fleet.boats[element]] = scores(np.concatenate(predictions), np.concatenate(surge), names, widths)
     return found
 
 
@@ -122,20 +122,20 @@ def alarms(fleet: Fleet, published: Iterable[Stretch]) -> dict[str, list[dict]]:
         if (health := arrays.get("thrusters")) is None:
             continue
         run = fleet.runs[index]
-        for lane, boat in enumerate(fleet.boats):
-            stepped = np.flatnonzero(np.isfinite(health[:, lane, 4]))
-            raised = health[stepped, lane, 4] > 0
-            for k in stepped[raised & ~np.append(on[lane], raised[:-1])]:
-                side = int(health[k, lane, 2] < health[k, lane, 3])
+        for element, boat in enumerate(fleet.boats):
+            stepped = np.flatnonzero(np.isfinite(health[:, element, 4]))
+            raised = health[stepped, element, 4] > 0
+            for k in stepped[raised & ~np.append(on[element], raised[:-1])]:
+                side = int(health[k, element, 2] < health[k, element, 3])
                 found[boat].append(
                     {
-                        "run": run.names[lane],
-                        "time": float(run.time[step + k, lane]),
+                        "run": run.names[element],
+                        "time": float(run.time[step + k, element]),
                         "side": ("left", "right")[side],
-                        "effectiveness": float(health[k, lane, side]),
+                        "effectiveness": float(health[k, element, side]),
                     }
                 )
-            on[lane] = raised[-1] if len(raised) else on[lane]
+            on[element] = raised[-1] if len(raised) else on[element]
     return found
 
 

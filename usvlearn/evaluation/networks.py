@@ -14,7 +14,7 @@ from certify.proofs import exact
 from certify.proofs.rounding import float_above, float_below
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
-from usvlearn.estimators.rnn.layer import RNN, lane_weights
+from usvlearn.estimators.rnn.layer import RNN, element_weights
 
 
 class Verdict(NamedTuple):
@@ -37,7 +37,7 @@ def verdicts(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> 
     Args:
         ensemble: to which the state belongs.
         state: leaves `(boats, …)`.
-        boats: their names; the first lanes of the state.
+        boats: their names; the first batch elements of the state.
 
     >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
     >>> verdicts(ensemble, ensemble.init((1,)), ["heron"])["heron"]["rnn"].json()["contracting"]
@@ -48,9 +48,9 @@ def verdicts(ensemble: Ensemble, state: EnsembleState, boats: Sequence[str]) -> 
     for name, member in members.items():
         learned = state.members[name]
         monitored = {key: value.tolist() for key, value in member.monitor(learned).items()}
-        for lane, boat in enumerate(boats):
-            numbers = (monitored[key][lane] for key in ("time_constant", "equilibrium"))
-            found[boat][name] = verdict(lane_weights(learned, lane), *numbers)
+        for element, boat in enumerate(boats):
+            numbers = (monitored[key][element] for key in ("time_constant", "equilibrium"))
+            found[boat][name] = verdict(element_weights(learned, element), *numbers)
     return found
 
 

@@ -1,4 +1,5 @@
-"""What ranks the jobs of a sweep: `objective`, else the error of the member, or of the rule, that the swept keys name.
+"""What ranks the jobs of a sweep: `objective`, else the error of the member, or of the combiner, that the swept keys
+name.
 
 They are ranked by the MAE of their outputs if the keys name no member (`align.inputs`), several, or one that is not in
 every job.
@@ -25,7 +26,7 @@ def differing(settings: Sequence[Mapping[str, str]]) -> list[str]:
 
 
 def named(key: str) -> str | None:
-    """The member or rule that a key of a command names, or None.
+    """The member or combiner that a key of a command names, or None.
 
     >>> [named(key) for key in ("estimators.rnn.neurons", "+estimator@estimators.x", "~combiners.average", "align.dt")]
     ['rnn', 'x', 'average', None]

@@ -1,4 +1,4 @@
-"""The data of a season for each boat: its runs, and the parameter sets that were saved during them."""
+"""The data of a season for each boat: its runs, and the checkpoints that were saved during them."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class Season(NamedTuple):
 
     boat: str
     runs: tuple[SeasonRun, ...]
-    state: Any  # the parameter sets in the order in which they were saved, leaves (sets, ...)
-    paths: tuple[Path, ...]  # of the sets
+    state: Any  # the checkpoints in the order in which they were saved, leaves (sets, ...)
+    paths: tuple[Path, ...]  # of the checkpoints
     own: np.ndarray  # (sets,) index of the run in which each was saved, -1 if it is none of `runs`
-    hours: np.ndarray  # (sets,) h on the water until the set was saved
+    hours: np.ndarray  # (sets,) h on the water until the checkpoint was saved
 
     @property
     def replayed(self) -> tuple[Fleet, list[tuple[int, int, dict[str, np.ndarray]]]]:
@@ -57,11 +57,13 @@ class Season(NamedTuple):
 
     @property
     def later(self) -> np.ndarray:
-        """Which runs a set has not learned from, bool `(sets, runs)`: those after its own, or all if it has none."""
+        """Which runs a checkpoint has not learned from, bool `(sets, runs)`: those after its own, or all if it has
+        none.
+        """
         return self.own[:, None] < np.arange(len(self.runs))
 
     def set_before(self, run: int) -> tuple[int, bool]:
-        """The newest set that has not learned from a run, and False; else the first saved since, and True.
+        """The newest checkpoint that has not learned from a run, and False; else the first saved since, and True.
 
         Args:
             run: index of the run.
@@ -71,5 +73,5 @@ class Season(NamedTuple):
 
     @property
     def others(self) -> np.ndarray:
-        """Which runs a set was not saved in, bool `(sets, runs)`."""
+        """Which runs a checkpoint was not saved in, bool `(sets, runs)`."""
         return self.own[:, None] != np.arange(len(self.runs))

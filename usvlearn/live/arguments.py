@@ -14,17 +14,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add them to the parser of a middleware."""
     group = parser.add_argument_group("the node")
     add = group.add_argument
-    add("--folder", default="usvlearn_live", help="folder for parameter sets, status and records (usvlearn_live)")
-    add("--start", metavar="SET", help="a set, a folder of sets or a run's folder, if the node's folder has no set yet")
-    add("--mass", type=float, help="mass in kg, added mass included; needed only without a set")
-    add("--surge-max", type=float, help="top speed in m/s; needed only without a set")
+    add("--folder", default="usvlearn_live", help="folder for checkpoints, status and records (usvlearn_live)")
+    add(
+        "--start",
+        metavar="CHECKPOINT",
+        help="a checkpoint, a folder of checkpoints or a run's folder, if the node's folder has no checkpoint yet",
+    )
+    add("--mass", type=float, help="mass in kg, added mass included; needed only without a checkpoint")
+    add("--surge-max", type=float, help="top speed in m/s; needed only without a checkpoint")
     add("--channels", metavar="FILE.yaml", help="channels as usvlearn inspect writes them")
     add("--channel", action="append", default=[], metavar="KEY=VALUE",
         help="an option of a channel, such as surge=NAV_SPEED or command_left.span=100; repeatable")  # fmt: skip
     add("--boat", default="boat", help="name of the boat")
     add("--record", action="store_true", help="record all messages, so that train.py can replay the session")
-    add("--save-period", type=float, default=300.0, metavar="S", help="time between two sets, s (300)")
-    add("--keep", type=int, default=100, metavar="N", help="number of sets that are kept (100)")
+    add("--save-period", type=float, default=300.0, metavar="S", help="time between two checkpoints, s (300)")
+    add("--keep", type=int, default=100, metavar="N", help="number of checkpoints that are kept (100)")
     add("--patience", type=float, default=PATIENCE, metavar="S",
         help=f"time for which a step waits for late messages, s ({PATIENCE})")  # fmt: skip
     add("--tensorboard", metavar="DIR", help="also write TensorBoard files there, where TensorBoard is installed")

@@ -48,7 +48,7 @@ class Step(NamedTuple):
     next_high: float
     forecasts: Ends  # under the commands in force, with intervals that hold whatever is commanded meanwhile
     if_held: Ends  # the same, with intervals that hold where the commands stay
-    members: dict[str, float]  # the prediction of each member and rule, m/s
+    members: dict[str, float]  # the prediction of each member and combiner, m/s
     alarms: tuple[str, ...]  # sentences about alarms that were raised in this step
 
 

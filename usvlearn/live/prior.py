@@ -1,4 +1,4 @@
-"""Where a node starts that has no parameter set: the default ensemble before its first measurement, without torch.
+"""Where a node starts that has no checkpoint: the default ensemble before its first measurement, without torch.
 
 The ensemble is made of the boat's mass m and top speed U. Each number of its state and of its description is
 
@@ -30,7 +30,7 @@ def prior(mass: float, surge_max: float) -> tuple[dict[str, np.ndarray], dict[st
         surge_max: its top speed, m/s.
 
     Returns:
-        The leaves of the state by dotted name, and the estimator's name and description, as in a parameter set.
+        The leaves of the state by dotted name, and the estimator's name and description, as in a checkpoint.
 
     Raises:
         ConfigError: one of them is no positive number.

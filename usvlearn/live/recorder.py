@@ -1,7 +1,8 @@
-"""Records a live session as a MOOS log, with the set and the configuration by which train.py replays it bit for bit.
+"""Records a live session as a MOOS log, with the checkpoint and the configuration by which train.py replays it bit for
+bit.
 
 Of record 3 of a folder there are `record_0003.alog`, all messages as they came; `record_0003.yaml`, a configuration of
-data; `record_0003.safetensors`, the parameter set with which it began. Stamps and values have all their digits.
+data; `record_0003.safetensors`, the checkpoint with which it began. Stamps and values have all their digits.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Recorder:
     Args:
         folder: of the records.
         setup: of the messages.
-        save: writes the parameter set with which the record begins to a path.
+        save: writes the checkpoint with which the record begins to a path.
         boat: its name.
 
     Attributes:

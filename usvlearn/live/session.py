@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from usvlearn.live.live_board import Board
     from usvlearn.live.node import Node, Step
 
-HELD = "held"  # of a set's metadata: what the node knows of forecasts under held commands
+HELD = "held"  # of a checkpoint's metadata: what the node knows of forecasts under held commands
 REPORT = 5.0  # s between two reports of what is identified and of the networks
 TELL = 10.0  # s between two status files
 RETRY = 60.0  # s after a save that failed, at most
@@ -91,7 +91,7 @@ class Session:
         self._background = Background()
         self._began = time.monotonic()
         self._early: Counter[tuple[str, str]] = Counter()  # part and cause of messages that came before it was ready
-        self._saved, self._due = -math.inf, self._began  # when a set was saved, and when the next period begins
+        self._saved, self._due = -math.inf, self._began  # when a checkpoint was saved, and when the next period begins
         self._reported = self._told = -math.inf
         self._closed = False
         self._checked = False  # whether the data were checked once
@@ -193,7 +193,7 @@ class Session:
         return health
 
     def save(self) -> Path | None:
-        """Write a set now; None before the node is ready, or if it could not be written."""
+        """Write a checkpoint now; None before the node is ready, or if it could not be written."""
         if self._node is None:
             return None
         try:
@@ -352,7 +352,7 @@ class Session:
         return node.online.state, facts
 
     def _save_soon(self, clock: float) -> None:
-        """Write a set in the thread, unless one is being written, and check the data."""
+        """Write a checkpoint in the thread, unless one is being written, and check the data."""
         node = self._node
         assert node is not None
         if self._background.submit("save", self._sets.save, *self._set()):

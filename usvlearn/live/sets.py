@@ -1,4 +1,4 @@
-"""The folder of a node: its parameter sets, the newest of which it starts from, and its status."""
+"""The folder of a node: its checkpoints, the newest of which it starts from, and its status."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ LARGEST = 1_000_000  # bytes of a status
 
 
 class Sets:
-    """The parameter sets of a folder. Those that a node has written are numbered; the oldest of them are removed.
+    """The checkpoints of a folder. Those that a node has written are numbered; the oldest of them are removed.
 
     Args:
         folder: it is made.
-        keep: how many of its own sets a node keeps, at least 2.
+        keep: how many of its own checkpoints a node keeps, at least 2.
 
     Raises:
         ConfigError: the folder holds a `status.json` of another program.
@@ -46,14 +46,14 @@ class Sets:
 
     @property
     def any(self) -> bool:
-        """Whether there is a set, readable or not."""
+        """Whether there is a checkpoint, readable or not."""
         return bool(checkpoint.checkpoints(self.folder))
 
     def save(self, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
-        """Write a set, then remove the oldest of the node's own.
+        """Write a checkpoint, then remove the oldest of the node's own.
 
         Raises:
-            OSError: the disk is full, or the like; the sets that are there stay.
+            OSError: the disk is full, or the like; the checkpoints that are there stay.
         """
         path = self.folder / f"live_{next(self._count):08d}{checkpoint.SUFFIX}"
         checkpoint.save(path, dict(leaves), **facts)
@@ -69,16 +69,16 @@ class Sets:
 
 
 def unsaved(folder: Path, error: BaseException | None) -> str:
-    """That no set can be saved, and why."""
+    """That no checkpoint can be saved, and why."""
     cause = getattr(error, "strerror", None) or error
-    return f"no set can be saved in {folder} ({cause}): make room on the disk; the sets saved before are complete"
+    return f"no checkpoint can be saved in {folder} ({cause}): make room on the disk; the earlier ones are complete"
 
 
 def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, list[str]]:
-    """A set, or the newest readable one of a folder or of a run with one boat.
+    """A checkpoint, or the newest readable one of a folder or of a run with one boat.
 
     Returns:
-        Leaves, metadata, the path, and sentences about newer sets that cannot be read.
+        Leaves, metadata, the path, and sentences about newer checkpoints that cannot be read.
 
     Raises:
         CheckpointError: none can be read.
@@ -89,8 +89,8 @@ def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, lis
         return *_read(path), path, []
     if not checkpoint.checkpoints(path) and not any(path.glob(f"*/*/*{checkpoint.SUFFIX}")):
         below = sorted({each.parent for each in path.glob(f"**/*{checkpoint.SUFFIX}")})
-        hint = " or ".join(map(str, below[:4])) or "a set, a folder of sets, or the folder of a run"
-        raise CheckpointError(f"{path}: found no parameter set there: give {hint}")
+        hint = " or ".join(map(str, below[:4])) or "a checkpoint, a folder of checkpoints, or the folder of a run"
+        raise CheckpointError(f"{path}: found no checkpoint there: give {hint}")
     last: list[Path] = []
 
     def read(each: Path) -> tuple[Any, dict[str, Any]]:
@@ -104,13 +104,15 @@ def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, lis
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """A set whose setup is legal, too."""
+    """A checkpoint whose setup is legal, too."""
     leaves, facts = read_set(path)
     try:
         if (setup := Setup.of_set(facts)) is not None:
             setup.check_alignment()
     except ConfigError as error:
-        raise CheckpointError(f"{path}: its setup is not legal ({error}): use the set saved before it") from error
+        raise CheckpointError(
+            f"{path}: its setup is not legal ({error}): use the checkpoint saved before it"
+        ) from error
     return leaves, facts
 
 

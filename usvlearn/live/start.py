@@ -1,4 +1,6 @@
-"""From where a node starts: the newest readable set of its folder, else a given one, else a prior; and its setup."""
+"""From where a node starts: the newest readable checkpoint of its folder, else a given one, else a prior; and its
+setup.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,15 @@ class Options:
     """What the user of a node gives, whatever the middleware.
 
     Attributes:
-        folder: of the node: its sets, status and records.
-        start: a set, a folder of sets or a run's folder, to start from if the folder has no set.
-        mass, surge_max: kg and m/s, of a prior, if there is no set at all.
+        folder: of the node: its checkpoints, status and records.
+        start: a checkpoint, a folder of checkpoints or a run's folder, to start from if the folder has no checkpoint.
+        mass, surge_max: kg and m/s, of a prior, if there is no checkpoint at all.
         channels: changes to the channels: channel -> option of a `Source` -> value. `throttle`, or `throttle` and
             `steering`, stand for the commands of both sides (`usvlearn.logs.alignment.mixing.sides_of`).
         boat: its name.
         record: whether to record the session.
-        save_period: s between two sets.
-        keep: how many sets are kept.
+        save_period: s between two checkpoints.
+        keep: how many checkpoints are kept.
         patience: s, for which a step waits for late messages.
         tensorboard: a folder, or None.
         warp: how many times faster than a clock the stamps run.
@@ -66,14 +68,14 @@ class Options:
         check_not_negative("patience", self.patience, "of s")
         check_positive("warp", self.warp)
         if isinstance(self.keep, bool) or not isinstance(self.keep, int) or self.keep < 2:
-            raise ConfigError(f"keep: found {self.keep!r}, expected a number of sets, 2 or more")
+            raise ConfigError(f"keep: found {self.keep!r}, expected a number of checkpoints, 2 or more")
 
 
 class Middleware(NamedTuple):
-    """What a node assumes of a middleware where neither a set nor the user says otherwise."""
+    """What a node assumes of a middleware where neither a checkpoint nor the user says otherwise."""
 
     name: str
-    reader: str  # the class that reads its logs; the names in a set that was learned from such logs are its own
+    reader: str  # the class that reads its logs; the names in a checkpoint that was learned from such logs are its own
     channels: Mapping[str, Mapping[str, Any]]
 
 
@@ -88,11 +90,11 @@ class Begin(NamedTuple):
 
 
 def begin(sets: Sets, options: Options, middleware: Middleware) -> Begin:
-    """Read the set from which a node starts, or make a prior.
+    """Read the checkpoint from which a node starts, or make a prior.
 
     Raises:
         CheckpointError: there are sets, and none of them can be read.
-        ConfigError: there is no set, and no mass and top speed for a prior; or a channel is not legal.
+        ConfigError: there is no checkpoint, and no mass and top speed for a prior; or a channel is not legal.
     """
     leaves, facts, sentence, told = _set(sets, options)
     setup = _setup(facts, options, middleware)
@@ -117,7 +119,7 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
         return leaves, facts, f"starting from {path}", [*damaged, *told]
     if options.mass is None or options.surge_max is None:
         raise ConfigError(
-            f"{sets.folder}: found no parameter set, and no mass and top speed for a prior: give a set to start from "
+            f"{sets.folder}: found no checkpoint, and no mass and top speed for a prior: give a set to start from "
             "(start), or mass in kg and surge_max in m/s"
         )
     from usvlearn.live.prior import prior
@@ -128,15 +130,15 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
 
 
 def _setup(facts: Mapping[str, Any], options: Options, middleware: Middleware) -> Setup:
-    """The set's own setup, with what depends on the middleware, and with the changes of the user."""
+    """The checkpoint's own setup, with what depends on the middleware, and with the changes of the user."""
     try:
         known = Setup.of_set(facts)
     except ConfigError as error:
-        raise CheckpointError(f"the set's {error}: use another set") from error
+        raise CheckpointError(f"the checkpoint's {error}: use another checkpoint") from error
     own = {} if known is None else known.json()["channels"]
     if known is not None and known.reader == middleware.reader:
         channels = {name: dict(each) for name, each in own.items()}
-    else:  # the names in the set are those of another kind of log
+    else:  # the names in the checkpoint are those of another kind of log
         channels = {name: dict(each) for name, each in middleware.channels.items()}
         for name, given in own.items():
             if name in channels:
@@ -176,13 +178,13 @@ def _sided(channels: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, 
 
 
 def _check_alike(channels: Mapping[str, Mapping[str, Any]], changes: Mapping[str, Any]) -> None:
-    """Refuse a throttle that would have two meanings, because the sides of the set differ in an option."""
+    """Refuse a throttle that would have two meanings, because the sides of the checkpoint differ in an option."""
     left, right = (channels[side] for side in COMMANDS)
     for key in sorted(left.keys() | right.keys()):
         if key not in changes and left.get(key) != right.get(key):
             raise ConfigError(
                 f"{THROTTLE}: found {key} {left.get(key)!r} of {COMMANDS[0]} and {right.get(key)!r} of {COMMANDS[1]} "
-                f"in the set, expected one for both: give {THROTTLE}.{key}"
+                f"in the checkpoint, expected one for both: give {THROTTLE}.{key}"
             )
 
 

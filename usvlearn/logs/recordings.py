@@ -1,4 +1,4 @@
-"""Recordings to a `Fleet`: each boat is a lane, with its runs one after the other."""
+"""Recordings to a `Fleet`: each boat is a batch element, with its runs one after the other."""
 
 from __future__ import annotations
 
@@ -83,11 +83,13 @@ class Lane(NamedTuple):
     position: np.ndarray | None  # (time, 2) m
 
 
-def _side_by_side(lanes: list[Lane | None]) -> Run:
+def _side_by_side(elements: list[Lane | None]) -> Run:
     """One run per boat, padded to the longest with samples that are neither fresh nor measured."""
-    lengths = [0 if lane is None else len(lane.aligned.time) for lane in lanes]
-    longest = max((lane.aligned for lane in lanes if lane is not None), key=lambda aligned: len(aligned.time))
-    shape = (max(lengths), len(lanes))
+    lengths = [0 if element is None else len(element.aligned.time) for element in elements]
+    longest = max(
+        (element.aligned for element in elements if element is not None), key=lambda aligned: len(aligned.time)
+    )
+    shape = (max(lengths), len(elements))
 
     def empty(fill) -> np.ndarray:
         return np.full(shape, fill, dtype=type(fill))
@@ -100,15 +102,15 @@ def _side_by_side(lanes: list[Lane | None]) -> Run:
         empty(False),
     )
     time, position = empty(np.nan), np.full((*shape, 2), np.nan)
-    for lane, one in enumerate(lanes):
+    for element, one in enumerate(elements):
         if one is not None:
-            part = slice(lengths[lane]), lane
+            part = slice(lengths[element]), element
             time[part] = one.aligned.time - one.aligned.time[0]
             tree_map(lambda whole, x, part=part: whole.__setitem__(part, x), padded, one.aligned.samples)
             if one.position is not None:
                 position[part] = one.position
-    names = tuple("" if lane is None else lane.name for lane in lanes)
-    known = any(lane is not None and lane.position is not None for lane in lanes)
+    names = tuple("" if element is None else element.name for element in elements)
+    known = any(element is not None and element.position is not None for element in elements)
     return Run(time, padded, names, tuple(lengths), position if known else None)
 
 

@@ -1,7 +1,7 @@
 """How the messages of one boat become samples: its channels, the options of the alignment, its mass and top speed.
 
-Each parameter set contains it, so that a node aboard needs no other configuration, and a live boat is aligned as the
-logs were from which the set was learned.
+Each checkpoint contains it, so that a node aboard needs no other configuration, and a live boat is aligned as the
+logs were from which the checkpoint was learned.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, SURGE, Chan
 from usvlearn.logs.channels.derived_surge import LIVE_PAIRS, pair_of
 from usvlearn.logs.read import sources_of
 
-KEY = "setup"  # of a set's metadata
+KEY = "setup"  # of a checkpoint's metadata
 LEAST_STEP, MOST_STEP = 0.01, 2.0  # s, of a live step, as of the plans of `Online.forecast`
 
 
@@ -76,7 +76,7 @@ class Setup:
 
     @classmethod
     def of_set(cls, facts: Mapping[str, Any]) -> Setup | None:
-        """That of a parameter set, from its metadata; None if it has none.
+        """That of a checkpoint, from its metadata; None if it has none.
 
         Sets that a run of an older version has saved have its configuration, where a period may not be settled.
 

@@ -1,4 +1,4 @@
-"""The identified boats of a run, of a node's folder, or of one parameter set."""
+"""The identified boats of a run, of a node's folder, or of one checkpoint."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ LONGEST = 100  # bytes of a boat's name in that of a file
 
 
 class IdentifiedBoat(NamedTuple):
-    """A boat as its newest parameter set knows it."""
+    """A boat as its newest checkpoint knows it."""
 
     name: str
-    path: Path  # of the set
+    path: Path  # of the checkpoint
     found: Identified
-    model: SurgeModel  # at the means of the readings
+    model: SurgeModel  # at the means of the periodic estimates
     setup: Setup | None  # None in sets of old versions
     leaves: dict[str, np.ndarray]  # of the state, by dotted name
-    facts: dict[str, Any]  # the set's metadata
+    facts: dict[str, Any]  # the checkpoint's metadata
 
     @property
     def stem(self) -> str:
@@ -56,25 +56,26 @@ class IdentifiedBoat(NamedTuple):
 
 
 def read_boats(path: str | Path, boat: str | None = None) -> list[IdentifiedBoat]:
-    """The boats of a run's folder, of a folder of sets, or of a set; each from its newest readable set.
+    """The boats of a run's folder, of a folder of checkpoints, or of a checkpoint; each from its newest readable
+    checkpoint.
 
     Args:
-        path: of the set or the folder.
+        path: of the checkpoint or the folder.
         boat: the name of the only one that is read.
 
     Raises:
-        CheckpointError: there is no readable set.
+        CheckpointError: there is no readable checkpoint.
         ConfigError: there is no boat of this name, or nothing of it is identified.
     """
     path = Path(os.path.expanduser(path))
     if not path.exists():
-        raise CheckpointError(f"{path}: there is no such file or folder: give the folder of a run, or a parameter set")
+        raise CheckpointError(f"{path}: there is no such file or folder: give the folder of a run, or a checkpoint")
     if path.is_dir() and not checkpoint.checkpoints(path):
         folders = {each.name: each for each in sorted((path / CHECKPOINTS).glob("*")) if each.is_dir()}
         if not folders:
             below = sorted({each.parent.parent for each in path.glob(f"**/{CHECKPOINTS}/*") if each.is_dir()})
-            hint = " or ".join(map(str, below[:4])) or "the folder of a run, or a parameter set"
-            raise CheckpointError(f"{path}: found no parameter set there: give {hint}")
+            hint = " or ".join(map(str, below[:4])) or "the folder of a run, or a checkpoint"
+            raise CheckpointError(f"{path}: found no checkpoint there: give {hint}")
         if boat is not None and boat not in folders:
             raise ConfigError(
                 f"--boat: found {boat!r}, expected one of {', '.join(folders)}{did_you_mean(boat, folders)}"
@@ -103,7 +104,7 @@ def _apart(boats: Mapping[str, IdentifiedBoat]) -> list[IdentifiedBoat]:
 
 
 def _read(path: Path) -> IdentifiedBoat:
-    """The newest readable set of a folder, or a set."""
+    """The newest readable set of a folder, or a checkpoint."""
     used = [path]
 
     def read(each: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

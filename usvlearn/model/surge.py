@@ -6,7 +6,7 @@ With the speed v through the water, commands ξ as shares of full scale, the yaw
     dv/dt = f,   J = ∂f/∂v,   z = min(h J, 1)
     v⁺ = v + h φ₁(z) f,   φ₁(z) = (e^z − 1)/z                                                              (2)
 
-(2) is the step of the joint filter (`usvlearn.estimators.joint.state`, equation (3)) without disturbance, current and
+(2) is the step of the joint EKF (`usvlearn.estimators.joint.state`, equation (3)) without disturbance, current and
 lag of the commands. See `docs/theory.md`, section 19.
 """
 
@@ -37,7 +37,7 @@ class SurgeModel:
     Attributes:
         mass: m of (1), kg, added mass included.
         coefficients: of (1), by the names of `usvlearn.estimators.regressors.terms`: kg/m, kg/s, kg/rad, N, N s/m.
-            Drag is negative and thrust ahead is positive. Without the even terms, e is 0.
+            Drag is negative and thrust ahead is positive. Without the fore-aft asymmetry terms, e is 0.
 
     Raises:
         ConfigError: the mass is not positive, a coefficient is missing or unknown, or a number is not finite.
@@ -80,12 +80,12 @@ class SurgeModel:
 
     @property
     def even(self) -> bool:
-        """Whether it has the even terms."""
+        """Whether it has the fore-aft asymmetry terms."""
         return len(self.coefficients) == len(WITH_EVEN)
 
     @property
     def per_mass(self) -> np.ndarray:
-        """The coefficients per unit mass, and a lag of 0, as a joint filter has them, `(m,)`."""
+        """The coefficients per unit mass, and a lag of 0, as a joint EKF has them, `(m,)`."""
         return np.array([*self.coefficients.values(), 0.0]) / self.mass
 
     @property
@@ -120,7 +120,7 @@ class SurgeModel:
         rows = np.zeros((arrays[0].size, ROW))
         for place, array in zip((SURGE, LEFT, RIGHT, YAW_RATE, DT), arrays, strict=True):
             rows[:, place] = array.reshape(-1)
-        mean = np.concatenate([np.zeros(THETA), self.per_mass])  # x of a joint filter
+        mean = np.concatenate([np.zeros(THETA), self.per_mass])  # x of a joint EKF
         out = np.empty(len(rows))
         _steps(self.even, mean, rows, chained, np.empty_like(mean), out)
         return out.reshape(arrays[0].shape)

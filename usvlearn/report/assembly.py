@@ -33,7 +33,9 @@ from usvlearn.runs.tensorboard.run_figures import Traces, runs_figure
 
 
 def simulations(ensemble: Ensemble, seasons: Sequence[Season]) -> int:
-    """The steps that are simulated: every set and one more on every run of its boat, and one set per boat on all."""
+    """The steps that are simulated: every checkpoint and one more on every run of its boat, and one checkpoint per boat
+    on all.
+    """
     steps = {season.boat: sum(int(run.steps.sum()) for run in season.runs) for season in seasons}
     matrices = len(_compared(ensemble)) * len(seasons) * sum(steps.values()) if len(seasons) > 1 else 0
     return sum((len(season.own) + 1) * steps[season.boat] for season in seasons) + matrices
@@ -46,7 +48,7 @@ def facts(seasons: Sequence[Season], folders: Sequence[Path]) -> list[str]:
     sets = sum(len(season.own) for season in seasons)
     boats = "1 boat" if len(seasons) == 1 else f"{len(seasons)} boats"
     return [
-        f"{boats}, {len(runs)} runs, {hours:.1f} h measured, {sets} parameter sets, of {', '.join(map(str, folders))}."
+        f"{boats}, {len(runs)} runs, {hours:.1f} h measured, {sets} checkpoints, of {', '.join(map(str, folders))}."
     ]
 
 
@@ -60,7 +62,7 @@ def assemble(
     """Simulate, compare and draw.
 
     Args:
-        ensemble: to which all sets belong.
+        ensemble: to which all checkpoints belong.
         seasons: of all boats.
         truth: true parameters of simulated boats (see `usvlearn.simulate.truth`), else empty.
         advance: receives the number of simulated steps, for a progress bar.
@@ -127,10 +129,10 @@ def _picture(ensemble: Ensemble, season: Season) -> Drawn:
 
 
 def best_start(ensemble: Ensemble, seasons: Sequence[Season]) -> Path:
-    """The boat's last set whose free runs, on the runs of all boats, have the least MSE.
+    """The boat's last checkpoint whose open-loop simulations, on the runs of all boats, have the least MSE.
 
     Args:
-        ensemble: to which the sets belong.
+        ensemble: to which the checkpoints belong.
         seasons: of all boats.
     """
     last = [len(season.own) - 1 for season in seasons]
@@ -151,7 +153,7 @@ def _each_on_all(
     chosen: Sequence[int],
     advance: Callable[[int], object] = lambda steps: None,
 ) -> dict[str, FreeErrors]:
-    """The errors of one set of each boat on all runs of each boat."""
+    """The errors of one checkpoint of each boat on all runs of each boat."""
     states = [tree_map(lambda x, k=k: x[k], season.state) for season, k in zip(seasons, chosen, strict=True)]
     return {
         season.boat: cross_validate(ensemble, stack(states), [run.samples for run in season.runs], advance=advance)

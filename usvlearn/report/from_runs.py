@@ -81,7 +81,7 @@ def evaluate(
     commands: Sequence[str] = (),
     paper: bool = False,
 ) -> Path:
-    """Judge every parameter set of some runs and write the report; returns its page.
+    """Judge every checkpoint of some runs and write the report; returns its page.
 
     Args:
         folders, tools, data: as of `read`.
@@ -106,7 +106,7 @@ def evaluate(
         else:
             ensemble, seasons, truth = read(folders, tools, data)
         with Activity(tools.console) as activity:
-            activity.begin("simulating each set on each run", total=simulations(ensemble, seasons))
+            activity.begin("simulating each checkpoint on each run", total=simulations(ensemble, seasons))
             known = known_quantities(found[-1]) if data is None else {}
             sections, errors = assemble(ensemble, seasons, truth, activity.advance, known)
             front = front_of(ensemble, seasons, checks, activity.advance)
@@ -133,6 +133,6 @@ def known_quantities(found: Mapping[str, Any]) -> dict[str, dict[str, float]]:
 
 
 def start_of(folder: Path, tools: Tools) -> Path:
-    """The parameter set of a finished run that is best for all of its boats (`best_start`)."""
+    """The checkpoint of a finished run that is best for all of its boats (`best_start`)."""
     ensemble, seasons, _ = read([folder], tools)
     return best_start(ensemble, seasons)

@@ -228,7 +228,7 @@ def _runs(front: Front, images: Mapping[str, bytes]) -> str:
         options += "</optgroup>"
     heads = "".join(
         f'<th class="n">{each}</th>'
-        for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, free run, m/s")
+        for each in ("measured, min", "mean speed, m/s", "error, next step, m/s", "error, open-loop simulation, m/s")
     )
     coded = ((drawn.caption, base64.b64encode(images[drawn.name]).decode()) for drawn in front.pictures)
     pictures = "".join(f'<img alt="{escape(alt)}" src="data:image/png;base64,{png}">' for alt, png in coded)
@@ -242,21 +242,18 @@ def _runs(front: Front, images: Mapping[str, bytes]) -> str:
     return f"""<section id="runs"><h2>Run by run</h2>
 <div class="rows"><table class="runs"><thead><tr><th>run</th>{"<th>boat</th>" if several else ""}{heads}</tr></thead>
 <tbody>{"".join(rows)}</tbody></table></div>
-<p class="facts">A free run is simulated from the commands alone. * Its parameters have learned from this run.</p>
-<noscript><p>Without JavaScript, these are the last runs of each boat.</p>{pictures}</noscript>
-<div id="viewer" hidden>
-<form class="tools" autocomplete="off">
-<label>Run <select id="viewer-run">{options}</select></label>
-<label>beside it <select id="viewer-beside"><option value="">none</option>{options}</select></label>
-<label>Errors of <select id="viewer-error"><option value="error">the next step</option>
-<option value="free error">a free run</option></select></label>
-<button type="button" id="viewer-reset">Reset the zoom</button>
-<span id="viewer-names"><span>{_chip("var(--ink)")}measured</span>{names}{sides}</span></form>
-<p class="facts">Drag, scroll or pinch to move and zoom. Keys: arrows, + and −, 0 for the whole run. The shaded band is
-the 90 % interval.</p><div id="viewer-columns"></div>
-<p class="facts">Size of the error on the tracks: 0 <span class="scale"></span> <span id="viewer-largest"></span>. The
-tracks and the axes of two runs have one scale. Errors are predicted − measured: lines are means, bands 90 % of
-them.</p></div>
+<p class="facts">An open-loop simulation is simulated from the commands alone. * Its parameters have learned from this
+run.</p> <noscript><p>Without JavaScript, these are the last runs of each boat.</p>{pictures}</noscript> <div
+id="viewer" hidden> <form class="tools" autocomplete="off"> <label>Run <select
+id="viewer-run">{options}</select></label> <label>beside it <select id="viewer-beside"><option
+value="">none</option>{options}</select></label> <label>Errors of <select id="viewer-error"><option value="error">the
+next step</option> <option value="free error">an open-loop simulation</option></select></label> <button type="button"
+id="viewer-reset">Reset the zoom</button> <span
+id="viewer-names"><span>{_chip("var(--ink)")}measured</span>{names}{sides}</span></form> <p class="facts">Drag, scroll
+or pinch to move and zoom. Keys: arrows, + and −, 0 for the whole run. The shaded band is the 90 % interval.</p><div
+id="viewer-columns"></div> <p class="facts">Size of the error on the tracks: 0 <span class="scale"></span> <span
+id="viewer-largest"></span>. The tracks and the axes of two runs have one scale. Errors are predicted − measured: lines
+are means, bands 90 % of them.</p></div>
 <script type="application/json" id="viewer-data">{embedded(front.viewer)}</script></section>"""
 
 

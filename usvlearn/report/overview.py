@@ -43,8 +43,8 @@ class RunRow(NamedTuple):
     minutes: float  # in which the speed was measured
     speed: float | None  # m/s, the mean
     mae: float | None  # m/s, one step ahead
-    free: float | None  # m/s, in a free run
-    learned: bool  # whether the free run's parameters have learned from it
+    free: float | None  # m/s, in an open-loop simulation
+    learned: bool  # whether the open-loop simulation's parameters have learned from it
 
 
 class Overview(NamedTuple):
@@ -55,9 +55,9 @@ class Overview(NamedTuple):
     runs: Sequence[RunRow]
     identified: Identified | None
     ahead: Sequence[Ahead]  # the next step first; empty if no run was replayed
-    free: float | None  # m/s, MAE of the free runs with parameters that have not learned from them
+    free: float | None  # m/s, MAE of the open-loop simulations with parameters that have not learned from them
     fit: float | None  # percent, one step ahead (`usvlearn.evaluation.metrics.fit`)
-    free_fit: float | None  # percent, of the same free runs
+    free_fit: float | None  # percent, of the same open-loop simulations
     alarms: Sequence[Mapping[str, Any]] | None  # None if nobody watched
     findings: Sequence[Mapping[str, Any]] | None  # of the data check; None if there was none
 
@@ -73,7 +73,7 @@ def overviews(
     Args:
         ensemble: that was replayed.
         seasons: of all boats.
-        free: each boat's free runs.
+        free: each boat's open-loop simulations.
         checks: the lists of findings of data checks; None where there was none.
     """
     checks = [check for check in checks if isinstance(check, list)]
@@ -134,7 +134,7 @@ def _mean(x: np.ndarray) -> float | None:
 
 
 def _free_fit(season: Season, free: Sequence[FreeRun], column: int) -> float | None:
-    """The fit of the free runs whose parameters have not learned from them; None without."""
+    """The fit of the open-loop simulations whose parameters have not learned from them; None without."""
     unseen = [(run, made) for run, made in zip(season.runs, free, strict=True) if not made.learned]
     predictions = [made.predictions[run.steps, column] for run, made in unseen]
     if not sum(map(len, predictions)):

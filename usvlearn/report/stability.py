@@ -12,7 +12,7 @@ from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.evaluation.networks import Verdict, verdicts
 
 SHOWN = 8  # most boats with a line each
-FAR = 2.0  # times the error of the rule that predicts: free runs that are far off
+FAR = 2.0  # times the error of the combiner that predicts: open-loop simulations that are far off
 
 
 def stability(
@@ -23,13 +23,13 @@ def stability(
 ) -> list[str]:
     """A line for each RNN and boat, decided in rational arithmetic; for large fleets only the first boats.
 
-    Beside the proof stands the error of its free runs: a network that is contracting may still be wrong.
+    Beside the proof stands the error of its open-loop simulations: a network that is contracting may still be wrong.
 
     Args:
         ensemble: to which the state belongs.
         state: leaves `(boats, …)`.
         boats: their names.
-        free: MAE of free runs, m/s, by boat and estimator; None if they are unknown.
+        free: MAE of open-loop simulations, m/s, by boat and estimator; None if they are unknown.
 
     >>> from usvlearn import RNN
     >>> ensemble = Ensemble({"rnn": RNN(surge_max=2.7)})
@@ -48,20 +48,20 @@ def stability(
 
 
 def free_words(name: str, free: Mapping[str, float | None], output: str) -> str:
-    """How good a network's free runs are, in words; "" if that is unknown.
+    """How good a network's open-loop simulations are, in words; "" if that is unknown.
 
-    They are far off if they err FAR times as much as the rule that predicts, or no less than persistence, which keeps
-    the speed at which a segment starts.
+    They are far off if they err FAR times as much as the combiner that predicts, or no less than persistence, which
+    keeps the speed at which a segment starts.
 
     Args:
         name: of the network.
-        free: MAE of free runs, m/s, by estimator.
-        output: the rule that predicts.
+        free: MAE of open-loop simulations, m/s, by estimator.
+        output: the combiner that predicts.
 
     >>> free_words("rnn", {"rnn": 0.17, "ensemble": 0.16}, "ensemble")
-    'free runs err by 0.170 m/s (ensemble 0.160)'
+    'open-loop simulations err by 0.170 m/s (ensemble 0.160)'
     >>> free_words("rnn", {"rnn": 0.6, "ensemble": 0.1, "persistence": 0.5}, "ensemble")
-    'free runs are far off: they err by 0.600 m/s (ensemble 0.100, persistence 0.500)'
+    'open-loop simulations are far off: they err by 0.600 m/s (ensemble 0.100, persistence 0.500)'
     """
     if (own := free.get(name)) is None:
         return ""
@@ -69,7 +69,7 @@ def free_words(name: str, free: Mapping[str, float | None], output: str) -> str:
     far = own > FAR * others.get(output, math.inf) or own >= others.get(PERSISTENCE, math.inf)
     shown = {each: x for each, x in others.items() if far or each != PERSISTENCE}
     beside = f" ({', '.join(f'{each} {x:.3f}' for each, x in shown.items())})" if shown else ""
-    return f"free runs {'are far off: they ' if far else ''}err by {own:.3f} m/s{beside}"
+    return f"open-loop simulations {'are far off: they ' if far else ''}err by {own:.3f} m/s{beside}"
 
 
 def _sentence(verdict: Verdict) -> str:

@@ -157,17 +157,20 @@ def error_tables(
 
 
 def fit_lines(results: Mapping[str, Any]) -> list[str]:
-    """The fit of the rule that predicts, one step ahead and in free runs, mean over boats; none without a speed.
+    """The fit of the combiner that predicts, one step ahead and in open-loop simulations, mean over boats; none without
+    a speed.
 
     >>> own = {"fit": 95.25}
     >>> free = {"a": {"ensemble": 61.0}}
     >>> print(*fit_lines({"output": "ensemble", "boats": {"a": {"ensemble": own}}, "free_fit": free}))
-    Fit of ensemble, 100 (1 - NRMSE): 95.2 % one step ahead, 61.0 % in free runs
+    Fit of ensemble, 100 (1 - NRMSE): 95.2 % one step ahead, 61.0 % in open-loop simulations
     """
     name = results["output"]
     near = mean(rows[name]["fit"] for rows in results["boats"].values())
     free = mean(rows[name] for rows in results.get("free_fit", {}).values())
-    said = [f"{x:.1f} % {how}" for x, how in ((near, "one step ahead"), (free, "in free runs")) if x is not None]
+    said = [
+        f"{x:.1f} % {how}" for x, how in ((near, "one step ahead"), (free, "in open-loop simulations")) if x is not None
+    ]
     return [f"Fit of {name}, 100 (1 - NRMSE): {', '.join(said)}"] if said else []
 
 

@@ -36,7 +36,7 @@ def viewer_data(ensemble: Ensemble, seasons: Sequence[Season], free: Mapping[str
     Args:
         ensemble: that was replayed.
         seasons: of all boats.
-        free: each boat's free runs (`usvlearn.evaluation.free_simulation.free_runs`).
+        free: each boat's open-loop simulations (`usvlearn.evaluation.free_simulation.free_runs`).
     """
     own = main_estimators(ensemble.weighed, ensemble.output)
     hidden = [name for name in PAPER if name in ensemble.names and name not in own]

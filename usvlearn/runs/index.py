@@ -126,7 +126,7 @@ def check_own(folder: Path, option: str = "hydra.run.dir") -> None:
         return
     for name in INDEXED:
         for path in _all(folder / name):
-            begins = name == CHECKPOINTS and position(path) == BEGIN  # the set from which a run was to start
+            begins = name == CHECKPOINTS and position(path) == BEGIN  # the checkpoint from which a run was to start
             if not (path.is_dir() or begins or LEFT.fullmatch(path.name)):
                 raise no_run(path, option)
 

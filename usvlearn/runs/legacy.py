@@ -22,7 +22,10 @@ TARGETS = {  # of several names of one class the last is the first one that it h
     "usvlearn.Forecasts": "usvlearn.ForecastSettings",
     "usvlearn.logs.fleet.align_fleet": "usvlearn.logs.recordings.align_fleet",
 }
-MEMBERS = {"sift_map": "rls"}  # of the default ensemble, the name of today and the first one
+MEMBERS = {
+    "sift_map": "rls",
+    "joint_averaged": "reader",
+}  # of the default ensemble, the name of today and the first one
 ADDED: dict[str, dict[str, Any]] = {  # arguments, and what they were before
     "usvlearn.SurgeDynamics": {"cubic": False, "exponential": False},
     "usvlearn.RNN": {"replay_size": 0, "replay_steps": 8},

@@ -60,11 +60,11 @@ def judged(
 
 
 def _free(ensemble: Ensemble, fleet: Fleet, halfway: Callable[[int], EnsembleState | None]) -> FreeErrors | None:
-    """Errors of free runs of the boats that have runs in both halves; None if there are none."""
+    """Errors of open-loop simulations of the boats that have runs in both halves; None if there are none."""
     first = middle(fleet.runs)
-    lanes = [has_halves(fleet, lane) for lane in range(len(fleet.boats))]
-    if not any(lanes) or (state := halfway(first)) is None:
+    elements = [has_halves(fleet, element) for element in range(len(fleet.boats))]
+    if not any(elements) or (state := halfway(first)) is None:
         return None
     found = free_errors(ensemble, state, fleet, first)
-    found.steps[:, [not each for each in lanes]] = 0
+    found.steps[:, [not each for each in elements]] = 0
     return found

@@ -26,7 +26,7 @@ class Chunk(NamedTuple):
     end: Position
     state: EnsembleState  # at the end; leaves (boats, ...)
     published: dict[str, np.ndarray]  # see `runs.published`, (time, boats, …), NaN where no step was made
-    save: bool  # whether parameter sets are saved at the end
+    save: bool  # whether checkpoints are saved at the end
 
     @property
     def predictions(self) -> np.ndarray:
@@ -42,7 +42,7 @@ def replay(
     every: int = 750,
     save_every: int = 750,
 ) -> Iterator[Chunk]:
-    """Run a fleet's samples through an ensemble, all boats as lanes, and yield it in chunks.
+    """Run a fleet's samples through an ensemble, all boats as batch elements, and yield it in chunks.
 
     The state is carried from run to run, as a boat carries its parameters from mission to mission.
 
@@ -52,7 +52,7 @@ def replay(
         state: to start from, leaves `(boats, ...)`.
         begin: the place up to which the replay is already done.
         every: steps in a chunk, at most.
-        save_every: steps between two parameter sets; sets are also saved at the end of each run.
+        save_every: steps between two checkpoints; sets are also saved at the end of each run.
 
     Yields:
         Chunks in order; together they cover each run once.

@@ -1,4 +1,4 @@
-"""A run's folder: saves parameter sets and predictions during a replay, and resumes from them."""
+"""A run's folder: saves checkpoints and predictions during a replay, and resumes from them."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import usvlearn
 from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
 from usvlearn.core.checkpoint import save as save_checkpoint
 from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
-from usvlearn.engine import of_lane
+from usvlearn.engine import of_element
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -42,7 +42,7 @@ class Start(NamedTuple):
 
 
 class Set(NamedTuple):
-    """A parameter set that is to be written."""
+    """A checkpoint that is to be written."""
 
     path: Path
     state: Any  # a tree of arrays, a copy
@@ -60,7 +60,7 @@ class RunFolder:
         names: of the estimators, as `Ensemble.names`.
         forecasts: as `Ensemble.forecasts`.
         data_check: what the data check found, for `results.json`; None if nothing was checked.
-        setups: boat -> `usvlearn.logs.setup.Setup.json`, which its sets contain.
+        setups: boat -> `usvlearn.logs.setup.Setup.json`, which its checkpoints contain.
     """
 
     def __init__(
@@ -92,10 +92,10 @@ class RunFolder:
         """Where to start: from `state`, or from what `resume` ("latest", a run's folder or a checkpoint) names.
 
         With unchanged samples and ensemble, a folder continues bit for bit from where it stopped. Otherwise learning
-        starts from its newest parameter sets, in another folder.
+        starts from its newest checkpoints, in another folder.
 
         Raises:
-            ConfigError: the folder already holds parameter sets that this run would mix with its own, files of no run
+            ConfigError: the folder already holds checkpoints that this run would mix with its own, files of no run
                 under the names of its own, or links.
             CheckpointError: nothing readable is found to resume from, or it does not fit.
         """
@@ -117,7 +117,7 @@ class RunFolder:
                 raise CheckpointError(f"resume: {source} does not exist: give a run's folder, a checkpoint or latest")
         if _has_sets(self.path) and not (continued and source.resolve() == self.path.resolve()):
             raise ConfigError(
-                f"{self.path}: already holds the parameter sets of a run: continue from them with resume=latest, "
+                f"{self.path}: already holds the checkpoints of a run: continue from them with resume=latest, "
                 "or choose another hydra.run.dir"
             )
         own = own_predictions(self.path)
@@ -125,9 +125,9 @@ class RunFolder:
             raise no_run(foreign[0])
         if continued:
             start = self._continued(source, start)
-        elif resume is not None:  # saved in case the run stops before its first set
-            for lane, boat in enumerate(self.fleet.boats):
-                first = self._lane_set(start.state, lane, boat, BEGIN)
+        elif resume is not None:  # saved in case the run stops before its first checkpoint
+            for element, boat in enumerate(self.fleet.boats):
+                first = self._element_set(start.state, element, boat, BEGIN)
                 save_checkpoint(first.path, first.state, **first.facts)
         self._saved = self._reached = start.position
         self.state = start.state
@@ -146,20 +146,20 @@ class RunFolder:
             self._hand_on()
 
     def _hand_on(self) -> None:
-        """Start to write the pending predictions and every boat's parameter set."""
+        """Start to write the pending predictions and every boat's checkpoint."""
         self._wait()
         index, step = self._reached
         run, before = self.fleet.runs[index], self._saved.step if self._saved.run == index else 0
         sets = [
-            self._lane_set(self.state, lane, boat, Position(index, min(step, run.lengths[lane])))
-            for lane, boat in enumerate(self.fleet.boats)
-            if run.lengths[lane] > before
+            self._element_set(self.state, element, boat, Position(index, min(step, run.lengths[element])))
+            for element, boat in enumerate(self.fleet.boats)
+            if run.lengths[element] > before
         ]
         self._writing = self._writer.submit(self._write, self._reached, self._pending, sets)
         self._pending, self._saved = [], self._reached
 
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
-        """Write the predictions and sets of one place, in a thread, while the replay continues."""
+        """Write the predictions and checkpoints of one place, in a thread, while the replay continues."""
         run = self.fleet.runs[place.run]
         content = packed(joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts)
         folder = self.path / PREDICTIONS
@@ -208,29 +208,29 @@ class RunFolder:
         return found | self._checked | {"seconds": time.perf_counter() - began}, errors
 
     def _after(self, runs: int) -> EnsembleState | None:
-        """The state of every boat after the first `runs` runs, from its parameter sets; None if they are not done.
+        """The state of every boat after the first `runs` runs, from its checkpoints; None if they are not done.
 
         A boat that has no run among them keeps its newest state.
         """
         if self._reached.run < runs and self._reached != Position(runs - 1, len(self.fleet.runs[runs - 1].time)):
             return None
-        lanes = []
-        for lane, boat in enumerate(self.fleet.boats):
+        elements = []
+        for element, boat in enumerate(self.fleet.boats):
             paths = [
                 path
                 for path in checkpoints(self.path / CHECKPOINTS / boat)
                 if (place := position(path)) is not None and place.run < runs and place.step
             ]
-            now = _lane(self.state, lane)
-            lanes.append(restore(paths[-1], now, ESTIMATOR)[0] if paths else now)
-        return stack(lanes)
+            now = _element(self.state, element)
+            elements.append(restore(paths[-1], now, ESTIMATOR)[0] if paths else now)
+        return stack(elements)
 
-    def _lane_set(self, state: EnsembleState, lane: int, boat: str, place: Position) -> Set:
+    def _element_set(self, state: EnsembleState, element: int, boat: str, place: Position) -> Set:
         run = self.fleet.runs[place.run]
-        time = float(run.time[place.step - 1, lane]) if place.step else 0.0
-        facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[lane], "step": place.step, "time": time}
-        copied = tree_map(lambda leaf: leaf[lane].detach().numpy().copy(), state)
-        built = {"kernel": of_lane(self.metadata.get("kernel"), len(self.fleet.boats), lane)}
+        time = float(run.time[place.step - 1, element]) if place.step else 0.0
+        facts = {"estimator": ESTIMATOR, "boat": boat, "run": run.names[element], "step": place.step, "time": time}
+        copied = tree_map(lambda leaf: leaf[element].detach().numpy().copy(), state)
+        built = {"kernel": of_element(self.metadata.get("kernel"), len(self.fleet.boats), element)}
         if boat in self._setups:
             built["setup"] = self._setups[boat]
         return Set(_set(self.path, boat, place), copied, facts | self.metadata | built)
@@ -243,48 +243,48 @@ class RunFolder:
         parts += [made] if (made := configuration.get("forecasts")) else []  # runs without forecasts keep their digest
         ensemble = json.dumps(first_named(parts))
         boats = {
-            boat: [[run.names[lane], run.lengths[lane], digest(run, lane)] for run in self.fleet.runs]
-            for lane, boat in enumerate(self.fleet.boats)
+            boat: [[run.names[element], run.lengths[element], digest(run, element)] for run in self.fleet.runs]
+            for element, boat in enumerate(self.fleet.boats)
         }
         return {"boats": boats, "ensemble": hashlib.sha256(ensemble.encode()).hexdigest()}
 
     def _latest(self) -> Path:
-        """The run that began or resumed last: this folder if it has one, else a sibling with parameter sets."""
+        """The run that began or resumed last: this folder if it has one, else a sibling with checkpoints."""
         if (self.path / RUNS).exists():
             return self.path
         found = [path.parent for path in self.path.parent.glob(f"*/{RUNS}")]
         found = [folder for folder in found if any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))]
         if not found:
             raise CheckpointError(
-                f"resume=latest: no run with parameter sets in {self.path.parent}: give a run's folder, or leave it out"
+                f"resume=latest: no run with checkpoints in {self.path.parent}: give a run's folder, or leave it out"
             )
         return max(found, key=begun)
 
     def _from_file(self, source: Path, start: Start) -> Start:
-        """Every boat starts from one parameter set."""
+        """Every boat starts from one checkpoint."""
         state, facts = from_sets(start.state, [source] * len(self.fleet.boats))
         of = ", run ".join(str(facts[0][name]) for name in ("boat", "run") if name in facts[0])
-        return start._replace(state=state, note=f"starting from {of or 'a set'}, {source}")
+        return start._replace(state=state, note=f"starting from {of or 'a checkpoint'}, {source}")
 
     def _from_newest(self, source: Path, start: Start) -> Start:
-        """Every boat starts from its newest readable parameter set, at the first run."""
-        lanes = []
-        for lane, boat in enumerate(self.fleet.boats):
+        """Every boat starts from its newest readable checkpoint, at the first run."""
+        elements = []
+        for element, boat in enumerate(self.fleet.boats):
             folder = source / CHECKPOINTS / boat
             if not checkpoints(folder):
                 boats = ", ".join(sorted(path.name for path in (source / CHECKPOINTS).glob("*"))) or "none"
                 raise CheckpointError(
-                    f"{source}: has no parameter set of {boat} (it has: {boats}): give the checkpoint to start from"
+                    f"{source}: has no checkpoint of {boat} (it has: {boats}): give the checkpoint to start from"
                 )
             try:
-                lanes.append(restore_newest(folder, _lane(start.state, lane), ESTIMATOR)[0])
+                elements.append(restore_newest(folder, _element(start.state, element), ESTIMATOR)[0])
             except CheckpointError as error:
                 raise CheckpointError(f"{error}{_own_settings(source)}") from error
-        note = f"starting from the newest parameter sets of {source}, from the first run on"
-        return start._replace(state=stack(lanes), note=note)
+        note = f"starting from the newest checkpoints of {source}, from the first run on"
+        return start._replace(state=stack(elements), note=note)
 
     def _continued(self, source: Path, start: Start) -> Start:
-        """Resume from the newest place at which every boat's set and all predictions can be read."""
+        """Resume from the newest place at which every boat's checkpoint and all predictions can be read."""
         published, readable, before = self._published(source), [], BEGIN
         for run, step, end in published.places():
             try:
@@ -299,7 +299,7 @@ class RunFolder:
         paths: list[Path] = []
         while readable:
             place = readable[-1]
-            paths = [_set(source, boat, self._own(lane, place)) for lane, boat in enumerate(self.fleet.boats)]
+            paths = [_set(source, boat, self._own(element, place)) for element, boat in enumerate(self.fleet.boats)]
             try:
                 for path in paths:
                     verify(path)
@@ -310,24 +310,24 @@ class RunFolder:
         if not readable:
             place, note = BEGIN, "learning from the start"
             paths = [_set(source, boat, BEGIN) for boat in self.fleet.boats]
-            if not all(path.exists() for path in paths):  # it began without saved sets
+            if not all(path.exists() for path in paths):  # it began without saved checkpoints
                 self._bring(source, BEGIN)
                 return start
         else:
             note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
-        lanes = [restore(path, _lane(start.state, lane), ESTIMATOR)[0] for lane, path in enumerate(paths)]
+        elements = [restore(path, _element(start.state, element), ESTIMATOR)[0] for element, path in enumerate(paths)]
         self._bring(source, place)
-        return Start(stack(lanes), place, note)
+        return Start(stack(elements), place, note)
 
-    def _own(self, lane: int, place: Position) -> Position:
+    def _own(self, element: int, place: Position) -> Position:
         """A boat's own place when the fleet is at `place`: its runs may be shorter, or fewer."""
         for run in range(place.run, -1, -1):
-            if length := self.fleet.runs[run].lengths[lane]:
+            if length := self.fleet.runs[run].lengths[element]:
                 return Position(run, min(length, place.step) if run == place.run else length)
-        raise AssertionError(f"{self.fleet.boats[lane]} has no run up to {place}")
+        raise AssertionError(f"{self.fleet.boats[element]} has no run up to {place}")
 
     def _bring(self, source: Path, place: Position) -> None:
-        """Copy the sets and predictions up to `place` from another folder, so that this one is complete."""
+        """Copy the checkpoints and predictions up to `place` from another folder, so that this one is complete."""
         if source.resolve() == self.path.resolve():
             return
         for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
@@ -347,18 +347,18 @@ class RunFolder:
 
 
 def from_sets(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleState, list[dict[str, Any]]]:
-    """The state of all boats from one saved parameter set for each, and the metadata of these sets.
+    """The state of all boats from one saved checkpoint for each, and the metadata of these checkpoints.
 
-    The monitors start anew, because the sets may be of other boats, or of an earlier day.
+    The monitors start anew, because the checkpoints may be of other boats, or of an earlier day.
 
     Args:
         state: of a fresh start, leaves `(boats, ...)`.
-        paths: of each boat a parameter set, or a folder of them, of which the newest readable one is taken.
+        paths: of each boat a checkpoint, or a folder of them, of which the newest readable one is taken.
 
     Raises:
-        CheckpointError: a set cannot be read, or belongs to another ensemble.
+        CheckpointError: a checkpoint cannot be read, or belongs to another ensemble.
     """
-    template = _lane(state, 0)
+    template = _element(state, 0)
     sets = {
         path: (restore_newest if path.is_dir() else restore)(path, template, ESTIMATOR) for path in dict.fromkeys(paths)
     }
@@ -377,19 +377,19 @@ def _set(folder: Path, boat: str, place: Position) -> Path:
     return folder / CHECKPOINTS / boat / f"{stem(place)}{SUFFIX}"
 
 
-def digest(run: Run, lane: int) -> str:
+def digest(run: Run, element: int) -> str:
     """A sha256 of one boat's samples."""
     total = hashlib.sha256()
     for name, leaf in named_leaves(run.samples):
-        total.update(name.encode() + leaf[: run.lengths[lane], lane].tobytes())
+        total.update(name.encode() + leaf[: run.lengths[element], element].tobytes())
     return total.hexdigest()
 
 
 def _has_sets(folder: Path) -> bool:
-    """Whether a folder contains parameter sets that must be kept, besides those from which a run was to start."""
+    """Whether a folder contains checkpoints that must be kept, besides those from which a run was to start."""
     sets = [position(path) for path in (folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")]
     return any(at is None or at > BEGIN for at in sets) or (bool(sets) and (folder / RUNS).exists())
 
 
-def _lane(state: EnsembleState, lane: int) -> EnsembleState:
-    return tree_map(lambda x: x[lane], state)
+def _element(state: EnsembleState, element: int) -> EnsembleState:
+    return tree_map(lambda x: x[element], state)

@@ -60,14 +60,14 @@ def is_sweep(folder: Path) -> bool:
 
 
 def configuration(folder: Path, trust: str | Sequence[str] | None = None) -> dict[str, Any]:
-    """The settings of a run, from its newest readable parameter set; they can be instantiated.
+    """The settings of a run, from its newest readable checkpoint; they can be instantiated.
 
     Args:
         folder: of the run.
         trust: see `usvlearn.runs.trust.check_settings`.
 
     Raises:
-        CheckpointError: it has no parameter set, none can be read, or its settings name code that is not trusted.
+        CheckpointError: it has no checkpoint, none can be read, or its settings name code that is not trusted.
     """
     path, found = _configuration(folder)
     check_settings(str(path), found, trust)
@@ -77,7 +77,7 @@ def configuration(folder: Path, trust: str | Sequence[str] | None = None) -> dic
 
 
 def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
-    """The newest readable parameter set, and the settings in it."""
+    """The newest readable checkpoint, and the settings in it."""
     paths = [path for boat in sorted((folder / CHECKPOINTS).glob("*")) for path in reversed(checkpoints(boat))]
     for path in paths:
         try:
@@ -88,10 +88,10 @@ def _configuration(folder: Path) -> tuple[Path, dict[str, Any]]:
         except CheckpointError as error:
             last = error
     if paths:
-        cause = f"none of its {len(paths)} parameter sets can be read ({last})"
+        cause = f"none of its {len(paths)} checkpoints can be read ({last})"
         raise CheckpointError(f"{folder}: {cause}: make the run anew")
     raise CheckpointError(
-        f"{folder}: has no parameter sets ({CHECKPOINTS}/BOAT/*.safetensors): let train.py finish a run there"
+        f"{folder}: has no checkpoints ({CHECKPOINTS}/BOAT/*.safetensors): let train.py finish a run there"
     )
 
 
@@ -126,33 +126,33 @@ def _results_file(folder: Path) -> dict[str, Any]:
 
 
 def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[Fleet]) -> list[Season]:
-    """Each boat's parameter sets from all folders, and its runs from all fleets.
+    """Each boat's checkpoints from all folders, and its runs from all fleets.
 
-    A damaged set or file of predictions is skipped with a warning.
+    A damaged checkpoint or file of predictions is skipped with a warning.
 
     Args:
         folders: of the runs, the oldest first.
-        ensemble: to which all sets belong.
-        fleets: on which the sets are evaluated; a run that is in several of them counts once.
+        ensemble: to which all checkpoints belong.
+        fleets: on which the checkpoints are evaluated; a run that is in several of them counts once.
 
     Raises:
-        CheckpointError: a boat has no readable set; sets of another ensemble or schema.
-        ConfigError: the folders contain no set of a boat of the fleets.
+        CheckpointError: a boat has no readable checkpoint; sets of another ensemble or schema.
+        ConfigError: the folders contain no checkpoint of a boat of the fleets.
     """
     runs: dict[str, dict[str, SeasonRun]] = {}
     for fleet in fleets:
-        for lane, boat in enumerate(fleet.boats):
+        for element, boat in enumerate(fleet.boats):
             for run in fleet.runs:
-                if length := run.lengths[lane]:
-                    samples = tree_map(lambda x, n=length, k=lane: x[:n, k], run.samples)
-                    track = None if run.position is None else run.position[:length, lane]
-                    key, time = digest(run, lane), run.time[:length, lane]
-                    one = SeasonRun(run.names[lane], key, samples, {}, time, track, ensemble.surge_limit)
+                if length := run.lengths[element]:
+                    samples = tree_map(lambda x, n=length, k=element: x[:n, k], run.samples)
+                    track = None if run.position is None else run.position[:length, element]
+                    key, time = digest(run, element), run.time[:length, element]
+                    one = SeasonRun(run.names[element], key, samples, {}, time, track, ensemble.surge_limit)
                     runs.setdefault(boat, {}).setdefault(key, one)
     known = sorted({path.name for folder in folders for path in (folder / CHECKPOINTS).glob("*")})
     if missing := [boat for boat in runs if boat not in known]:
         raise ConfigError(
-            f"data: found the boat {', '.join(missing)}, of which the runs contain no parameter set (they have "
+            f"data: found the boat {', '.join(missing)}, of which the runs contain no checkpoint (they have "
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
     lengths = {key: len(run.samples.surge) for found in runs.values() for key, run in found.items()}
@@ -218,19 +218,17 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
         before += ends[-1]
         runs = _with_predictions(folder, boat, runs)
     if not sets:
-        raise CheckpointError(
-            f"{', '.join(str(each.path) for each in folders)}: no parameter set of {boat} can be read"
-        )
+        raise CheckpointError(f"{', '.join(str(each.path) for each in folders)}: no checkpoint of {boat} can be read")
     return Season(boat, tuple(runs), stack(sets), tuple(paths), np.array(own), np.array(hours))
 
 
 def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list[SeasonRun]:
     """The runs, each with its published arrays if the folder has them for all of its steps."""
     complete = {}
-    lane = list(folder.learned).index(boat) if boat in folder.learned else 0
+    element = list(folder.learned).index(boat) if boat in folder.learned else 0
     for index, (_, length, key) in enumerate(folder.learned.get(boat, [])):
         some = folder.published.get(index, [])
         if some and sum(len(part["predictions"]) for part in some) >= length:
             names = [name for name in some[0] if all(name in part for part in some)]
-            complete[key] = {name: np.concatenate([part[name][:, lane] for part in some])[:length] for name in names}
+            complete[key] = {name: np.concatenate([part[name][:, element] for part in some])[:length] for name in names}
     return [run._replace(published=complete.get(run.key, run.published)) for run in runs]

@@ -1,7 +1,7 @@
 """A season of a simulated fleet: boats of one plant, their missions, and their logs.
 
-All missions of all boats are lanes of one batch `(missions, boats)`, stepped together. Boat k and mission j draw from
-generators seeded by (seed, purpose, j, k), so that a boat does not depend on the number of boats.
+All missions of all boats are elements of one batch `(missions, boats)`, stepped together. Boat k and mission j draw
+from generators seeded by (seed, purpose, j, k), so that a boat does not depend on the number of boats.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""All missions with the autopilot in the loop, compiled by numba: `autopilot` and `vessel.step`, lane by lane.
+"""All missions with the autopilot in the loop, compiled by numba: `autopilot` and `vessel.step`, one batch element
+after the other.
 
 The motion is computed as in `vessel.step`, operation by operation, so that both give the same bits. Constants of the
 steps are computed once, by torch, because its exponential differs from that of the C library.
@@ -19,7 +20,7 @@ from usvlearn.simulate.vessel import Vessel
 
 
 class Known(NamedTuple):
-    """Constants for steering and stepping, besides the vessel's parameters. Leaves are `(lanes,)`."""
+    """Constants for steering and stepping, besides the vessel's parameters. Leaves are `(elements,)`."""
 
     decay: np.ndarray  # of a thruster's lag over a step
     lag: np.ndarray  # of a thruster, in steps
@@ -32,7 +33,7 @@ class Known(NamedTuple):
 def known(
     vessel: Vessel, batch: tuple[int, ...], dt: float, top: Tensor, current: Tensor, direction: Tensor
 ) -> tuple[Vessel, Known]:
-    """The vessel as arrays `(lanes, …)`, and the constants that follow from it.
+    """The vessel as arrays `(elements, …)`, and the constants that follow from it.
 
     Args:
         vessel: leaves broadcast against `(*batch, …)`, as do `top`, `current` and `direction`.
@@ -44,14 +45,14 @@ def known(
     (6, 2, 11)
     """
 
-    def lanes(leaf: Tensor, *last: int) -> np.ndarray:
+    def elements(leaf: Tensor, *last: int) -> np.ndarray:
         return leaf.expand(*batch, *last).reshape(-1, *last).contiguous().numpy()
 
     last: dict[str, tuple[int, ...]] = dict.fromkeys(("thrust_linear", "thrust_quadratic", "thrust_speed"), (2,))
     last["thrust_table"] = tuple(vessel.thrust_table.shape[-2:])
     leaves = torch.exp(-dt / vessel.lag), vessel.lag / dt, torch.exp(-dt / vessel.yaw_lag), top, current, direction
-    arrays: Any = {name: lanes(leaf, *last.get(name, ())) for name, leaf in vessel._asdict().items()}
-    return Vessel(**arrays), Known(*map(lanes, leaves))
+    arrays: Any = {name: elements(leaf, *last.get(name, ())) for name, leaf in vessel._asdict().items()}
+    return Vessel(**arrays), Known(*map(elements, leaves))
 
 
 def gains(autopilot: Autopilot) -> tuple[float, ...]:
@@ -95,7 +96,7 @@ def steer(gains, integral, surge_reference, throttle, heading_reference, power, 
 
 @jit(memory=True)
 def surge_dot(vessel, n, surge, cross, static, lift):
-    """Equation (1) of `vessel` for lane n, m/s²: the thrust is static + lift |v|, N."""
+    """Equation (1) of `vessel` for batch element n, m/s²: the thrust is static + lift |v|, N."""
     speed = abs(surge)
     if speed > vessel.knee[n]:
         quadratic, linear = vessel.drag_quadratic_fast[n], vessel.drag_linear_fast[n]
@@ -106,17 +107,17 @@ def surge_dot(vessel, n, surge, cross, static, lift):
 
 @jit(entry=True, memory=True)
 def sail_on(gains, reference, vessel, known, dt, substeps, integral, state, surge, heading, commands):
-    """Steer and step all lanes over all ticks of the reference.
+    """Steer and step all batch elements over all ticks of the reference.
 
     Args:
         gains: see `gains`.
-        reference: leaves `(ticks, lanes)`.
+        reference: leaves `(ticks, elements)`.
         vessel, known: see `known`.
         dt: step, s.
         substeps: steps of a tick.
-        integral, state: of the autopilot, `(lanes,)`, and of the vessel, leaves `(lanes, …)`; updated in place.
-        surge, heading: output, through the water, m/s, and rad, `(ticks · substeps, lanes)`.
-        commands: output, `(ticks, lanes, 2)`.
+        integral, state: of the autopilot, `(elements,)`, and of the vessel, leaves `(elements, …)`; updated in place.
+        surge, heading: output, through the water, m/s, and rad, `(ticks · substeps, elements)`.
+        commands: output, `(ticks, elements, 2)`.
     """
     nodes = vessel.thrust_table.shape[-1]
     static, lift = np.empty(2), np.empty(2)

@@ -103,10 +103,10 @@ def courses(rng: np.random.Generator, steps: int, dt: float, batch: tuple[int, .
     """
     width = int(np.prod(batch, dtype=int))
     found = np.empty((steps, width, 2))
-    for lane in range(width):
+    for element in range(width):
         throttle = _held(rng, steps, dt, lambda n: rng.uniform(-0.3, 1.0, n) * (rng.random(n) > 1 / 8))
         turn = _held(rng, steps, dt, lambda n: rng.uniform(-0.3, 0.3, n) * (rng.random(n) > 1 / 4))
-        found[:, lane] = np.stack([throttle + turn, throttle - turn], -1)
+        found[:, element] = np.stack([throttle + turn, throttle - turn], -1)
     return np.clip(found, -1.0, 1.0).reshape(steps, *batch, 2)
 
 

@@ -9,7 +9,7 @@ traceback.txt    of an unexpected error
 In the sweep's folder:
 
 sweep.json       the keys with several values, their values without the sweep, the objective
-lanes.json       of version 0.2: jobs that were run as lanes of one batch; they have no folders
+lanes.json       of version 0.2: jobs that were run as elements of one batch; they have no folders
 """
 
 from __future__ import annotations
@@ -237,7 +237,7 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
     """
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
     if not paths and (folder / LANES).exists():
-        return _lanes(folder / LANES)
+        return _elements(folder / LANES)
     if not paths:
         raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
     found = []
@@ -250,7 +250,7 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
     return found
 
 
-def _lanes(path: Path) -> list[Job]:
+def _elements(path: Path) -> list[Job]:
     """The jobs of a `lanes.json`.
 
     Raises:

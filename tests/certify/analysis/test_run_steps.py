@@ -26,7 +26,7 @@ def test_the_networks_of_a_run_have_its_own_steps(tmp_path):
     one, other = given([run / "checkpoints" / "otter", run_folder(tmp_path / "more" / "run")])
     assert (one.name, one.steps, other.name, other.steps) == ("otter", [0.5], "run", [0.25])
     assert [each.name for each in given([run, tmp_path / "more" / "run"])] == ["run", "run'"]
-    (whole,) = given([tmp_path])  # as a sweep: each set with the step of its own run
+    (whole,) = given([tmp_path])  # as a sweep: each checkpoint with the step of its own run
     assert sorted(whole.steps) == [0.25, 0.25, 0.5]
     (part,) = given([tmp_path], most=2)
     assert len(part.networks) == 2 and "2 of 3 files, evenly spaced" in part.notes[-1]

@@ -21,7 +21,7 @@ BOATS = ("anna", "bert")
 
 
 def saved(file: Path, rate: float, member: str = "rnn") -> None:
-    """A parameter set of one neuron whose exact rate is given; `simple` holds below 1/8, `gershgorin` below 1/4."""
+    """A checkpoint of one neuron whose exact rate is given; `simple` holds below 1/8, `gershgorin` below 1/4."""
     w1 = 0.5 if rate < 0.25 else 1.0
     network = ShallowWeights(np.array([rate / w1]), np.array([w1]), np.zeros((1, 4)), np.zeros(1))
     save(file, {"members": {member: {"weights": network}, "aid": {"gain": np.ones(1)}}}, boat=file.parent.name)
@@ -98,7 +98,7 @@ def test_all_sets_are_judged_when_asked(sweep, capsys):
     assert [row["sets"] for row in rows] == [4] * 4 and {row["rate"] for row in rows} == {4.0}
     assert [row["jobs"] for row in rows] == [["3"], ["2"], ["1"], ["0"]]  # none is certified: by error
     main([str(sweep), "--all"])
-    assert "the largest of all parameter sets" in capsys.readouterr().out
+    assert "the largest of all checkpoints" in capsys.readouterr().out
 
 
 def test_a_job_that_a_sweep_has_run_is_read(tmp_path, capsys):
@@ -193,7 +193,7 @@ def test_jobs_that_failed_or_have_not_finished_are_named_below(sweep, capsys):
     assert main([str(sweep)]) == 1
     text = capsys.readouterr().out
     assert "job 3 (condition=tight" in text and "failed: data: found no \\x1b[31mlogs" in text and "\x1b" not in text
-    assert "job 10 (condition=late" in text and "not finished, judged by the sets saved so far: job 2" in text
+    assert "job 10 (condition=late" in text and "not finished, judged by the checkpoints saved so far: job 2" in text
     assert "3 of 3 rows certified" in text
     code, rows = told(capsys, sweep)
     assert code == 1 and [row["jobs"] for row in rows] == [["1"], ["0"], ["2"], ["3"], ["10"]]  # without error last
@@ -207,7 +207,7 @@ def test_a_sweep_without_a_parameter_set_is_bad_input(tmp_path, capsys):
         (tmp_path / str(k) / "job.json").write_text('{"overrides": []}')
         (tmp_path / str(k) / "results.json").write_text('{"error": "no data"}')
     assert main([str(tmp_path)]) == 2
-    assert "none of its 2 jobs holds a parameter set (job 0: failed: no data)" in capsys.readouterr().err
+    assert "none of its 2 jobs holds a checkpoint (job 0: failed: no data)" in capsys.readouterr().err
 
 
 DAMAGED = {
@@ -286,7 +286,7 @@ def test_every_network_has_its_row_and_its_own_error(tmp_path, capsys):
 def test_options_of_single_sets_are_refused(sweep, capsys, option):
     assert main([str(sweep), *option]) == 2
     error = capsys.readouterr().err
-    assert error.startswith(f"error: {option[0]}: is about single parameter sets") and error.count("\n") == 1
+    assert error.startswith(f"error: {option[0]}: is about single checkpoints") and error.count("\n") == 1
 
 
 def test_certificates_of_a_sweep_are_of_the_judged_sets(sweep, capsys):
@@ -319,7 +319,7 @@ def test_the_figure_has_a_mark_for_each_job_by_verdict(sweep, capsys):
         "simple: 1": {place["0"]}, "lmi: 1": {place["1"]}, "tight: 1": {place["2"]},
         "no condition: 1": {place["3"]},
     }  # fmt: skip
-    assert axes.get_ylabel() == "MAE of free runs, m/s" and axes.get_yscale() == "log"
+    assert axes.get_ylabel() == "MAE of open-loop simulations, m/s" and axes.get_yscale() == "log"
     limits = {
         line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1 and len(line.get_xdata()) == 2
     }

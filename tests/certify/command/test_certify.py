@@ -176,19 +176,24 @@ def test_errors_that_nobody_foresaw_stop_no_other_set(files, capsys, monkeypatch
 
 
 def test_verification_compares_no_more_than_some_thousand_sets(files, capsys, monkeypatch):
-    """Told from the shapes: 250,000 sets of one neuron are 8 MB."""
+    """Told from the shapes: 250,000 checkpoints of one neuron are 8 MB."""
     monkeypatch.chdir(files)
     assert main(["good.npz", "--certificate", "proofs"]) == 0
     (proof,) = map(str, Path("proofs").iterdir())
-    lanes = {"a": np.full((250_000, 1), 0.6), "w1": np.ones((250_000, 1)), "b": np.zeros((250_000, 1))}
-    np.savez("many.npz", **lanes, W2=np.zeros((250_000, 1, 0)))
-    wide = {"A": lanes["a"][:, None], "W": lanes["w1"][..., None], "b": lanes["b"], "W2": np.zeros((250_000, 1, 0))}
+    elements = {"a": np.full((250_000, 1), 0.6), "w1": np.ones((250_000, 1)), "b": np.zeros((250_000, 1))}
+    np.savez("many.npz", **elements, W2=np.zeros((250_000, 1, 0)))
+    wide = {
+        "A": elements["a"][:, None],
+        "W": elements["w1"][..., None],
+        "b": elements["b"],
+        "W2": np.zeros((250_000, 1, 0)),
+    }
     np.savez("wide.npz", **wide)
     capsys.readouterr()
     for name in ("many", "wide"):
         began = time.perf_counter()
         assert main([f"{name}.npz", "--verify", proof]) == 2 and time.perf_counter() - began < 5
-        assert "found 250000 parameter sets, expected at most 10000" in capsys.readouterr().err
+        assert "found 250000 checkpoints, expected at most 10000" in capsys.readouterr().err
     text = Path(proof).read_text().replace("good.npz", "many.npz")
     Path("named.json").write_text(text)
     assert main(["--verify", "named.json", proof]) == 2
@@ -283,7 +288,7 @@ def test_pictures(files, capsys):
         (["nowhere"], "nowhere: no such file"),
         (["good.npz", "nowhere*"], "no such file"),
         (["text.npz"], "text.npz: cannot be read"),
-        (["notes.txt"], "notes.txt: is no parameter set"),
+        (["notes.txt"], "notes.txt: is no checkpoint"),
         (["nan.npz"], "nan.npz: found 1 NaN"),
         (["empty.npz"], "without neurons"),
         (["shapes.npz"], "found the shapes"),
@@ -301,7 +306,7 @@ def test_pictures(files, capsys):
         (["good.npz", "--certificate", ""], "expected a folder"),
         (["good.npz", "--input", "-inf"], "expected 1 finite"),
         (["compare", "--seed", "-1"], "--seed"),
-        (["empty", "--json"], "holds no parameter sets"),
+        (["empty", "--json"], "holds no checkpoints"),
         (["good.npz", "--plot", "map.xyz"], "map.xyz"),
         (["good.npz", "--certificate", "good.npz"], "is a file"),
         (["good.npz", "--certificate", "/dev/null/proofs"], "cannot be written"),

@@ -31,7 +31,7 @@ def test_a_checkpoint_of_an_ensemble_with_two_networks(tmp_path):
     assert np.array_equal(found[0].weights.W2, ensemble.init().members["rnn"].weights.W2.detach().numpy())
 
 
-def test_lanes_are_parameter_sets(tmp_path):
+def test_elements_are_parameter_sets(tmp_path):
     found = load(save(tmp_path / "lanes.safetensors", RNN(5).init((2, 3))))
     assert len(found) == 6 and found[-1].path.endswith("lanes.safetensors[1,2]")
     assert found[0].weights.W2.shape == (5, 4)

@@ -162,7 +162,7 @@ def test_gradients(condition, gauge):
     assert torch.autograd.gradcheck(leaves, (a, w1), eps=1e-7, atol=1e-4)
 
 
-def test_lanes_equal_single_networks():
+def test_elements_equal_single_networks():
     weights = networks((2, 3), seed=7)
     near, kappa = project(weights, "tight", torch.full((2, 1), 0.7)), 0.7
     for i, j in np.ndindex(2, 3):

@@ -370,7 +370,7 @@ def test_a_full_disk_is_a_warning(tmp_path, monkeypatch):
             monkeypatch.setattr(Sets, "save", full)
             await sea.steps(20)
             sea.database.post("APPCAST_REQ", ASK)
-            await until(lambda: "run_warnings=1:no set can be saved" in str(sea.posted("APPCAST")[-1:]))
+            await until(lambda: "run_warnings=1:no checkpoint can be saved" in str(sea.posted("APPCAST")[-1:]))
             await sea.steps(20)
 
     asyncio.run(work())

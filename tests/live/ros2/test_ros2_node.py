@@ -218,7 +218,7 @@ def test_a_name_that_is_no_topic_is_refused(sea, name):
         (["-p", "mass:=28.0", "-p", "surge_max:=2.7", "-p", "channels.surge.unit:=furlong"], "found 'furlong'"),
         (["-p", "mass"], "--ros-args: "),
         (["--params-file", "missing.yaml"], "--ros-args: "),
-        ([], "found no parameter set, and no mass and top speed for a prior"),
+        ([], "found no checkpoint, and no mass and top speed for a prior"),
     ],
 )
 def test_what_a_user_mistypes_ends_the_command_with_a_sentence(tmp_path, arguments, sentence):

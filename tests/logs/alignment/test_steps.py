@@ -57,16 +57,16 @@ def test_a_slow_speed_is_met_exactly_within_its_window():
 
 
 def test_boats_of_one_fleet_step_by_their_own_speeds():
-    """A row is the k-th step of each boat, not one moment of all boats: each lane has its own time and dt."""
+    """A row is the k-th step of each boat, not one moment of all boats: each batch element has its own time and dt."""
     recordings = []
     for seed, boat in enumerate("ab"):
         stamps = jittered(20, 9, seed)
         recordings.append(Recording(boat, "run", log(20, surge=channel(stamps, 0.1 * stamps)), {}))
     fleet = align_fleet(recordings, steps="speed")
     (run,) = fleet.runs
-    for lane, one in enumerate(recordings):
+    for element, one in enumerate(recordings):
         alone = align(one.channels, steps="speed")
-        part = slice(run.lengths[lane]), lane
+        part = slice(run.lengths[element]), element
         np.testing.assert_array_equal(run.time[part], alone.time - alone.time[0])
         np.testing.assert_array_equal(run.samples.inputs.dt[part], alone.samples.inputs.dt)
     assert (run.samples.inputs.dt[1:30, 0] != run.samples.inputs.dt[1:30, 1]).all()

@@ -15,7 +15,7 @@ from usvlearn.live.moos.mission import Mission
 
 @pytest.fixture(scope="module")
 def learned(tmp_path_factory):
-    """A set of a boat that was learned from a simulated hour."""
+    """A checkpoint of a boat that was learned from a simulated hour."""
     logs = usvlearn.read(data="simulated", hours=1.0, seed=3, spread=0.0)
     reader = JointEKF(surge_max=2.74, mass=28.0, read_every=600.0, current=0.15, even=0.2, lag=0.3)
     return usvlearn.learn(logs, reader).save(tmp_path_factory.mktemp("sets") / "heron.safetensors")

@@ -106,10 +106,10 @@ def test_bad_input_is_told_in_one_sentence(run, tmp_path, capsys):
     assert "there is no such file or folder" in told(capsys, tmp_path / "none", "--to", "c")
     assert f"give {run}" in told(capsys, run.parent, "--to", "c")
     assert "expected one of heron1, heron2" in told(capsys, run, "--to", "c", "--boat", "anna")
-    (tmp_path / "text.safetensors").write_text("no set")
+    (tmp_path / "text.safetensors").write_text("no checkpoint")
     assert "text.safetensors" in told(capsys, tmp_path / "text.safetensors", "--to", "c")
     alone = Online(AID(28.0)).save(tmp_path / "aid.safetensors")
-    assert "found no joint filter with read_every" in told(capsys, alone, "--to", "c")
+    assert "found no joint EKF with read_every" in told(capsys, alone, "--to", "c")
 
 
 def test_predictions_need_the_run(run, tmp_path, capsys):
@@ -128,7 +128,9 @@ def test_a_foreign_name_of_a_boat_leads_nowhere_else(run, tmp_path, capsys):
 
 def test_a_filter_that_diverged_is_no_boat(run, tmp_path, capsys):
     leaves, facts = checkpoint.load(checkpoints(run / "checkpoints" / "heron1")[-1])
-    broken = {name: leaf * float("nan") if name == "members.reader.mean" else leaf for name, leaf in leaves.items()}
+    broken = {
+        name: leaf * float("nan") if name == "members.joint_averaged.mean" else leaf for name, leaf in leaves.items()
+    }
     path = checkpoint.save(tmp_path / "a.safetensors", broken, **facts)
     assert "The filter has diverged" in told(capsys, path, "--to", "c")
 

@@ -41,7 +41,7 @@ int main(void) {
 
 
 def without_even(boat):
-    """The same boat with a model that has no even terms."""
+    """The same boat with a model that has no fore-aft asymmetry terms."""
     return boat._replace(model=SurgeModel(boat.model.mass, {k: boat.model.coefficients[k] for k in WITHOUT_EVEN}))
 
 
@@ -132,18 +132,18 @@ def test_mat_is_read_again_by_scipy(boat):
     assert isinstance(found["model"]["drag_linear"]["value"], float)
 
 
-@pytest.mark.parametrize("lane", [0, 1])
-def test_csv_has_what_the_run_published(boat, run, lane):
-    name = f"heron{lane + 1}"
+@pytest.mark.parametrize("batch element", [0, 1])
+def test_csv_has_what_the_run_published(boat, run, element):
+    name = f"heron{element + 1}"
     rows = list(csv.DictReader(csv_table(stretches(run, name)).decode().splitlines()))
     arrays = [np.load(path) for path in sorted((run / "predictions").glob("*.npz"))]
     for key, column in (("time", "time"), ("measured_surge", "measured_surge"), ("command_left", "command_left")):
         found = np.array([float(row[column] or "nan") for row in rows])
-        np.testing.assert_array_equal(found, np.concatenate([each[key][:, lane] for each in arrays]))
+        np.testing.assert_array_equal(found, np.concatenate([each[key][:, element] for each in arrays]))
     place = arrays[0]["estimators"].tolist().index("ensemble")
     for column, key in (("ensemble", "predictions"), ("ensemble_halfwidth", "halfwidths")):
         found = np.array([float(row[column] or "nan") for row in rows])
-        expected = np.concatenate([each[key][:, lane, place] for each in arrays])
+        expected = np.concatenate([each[key][:, element, place] for each in arrays])
         np.testing.assert_array_equal(found, np.where(np.isinf(expected), np.nan, expected))  # the first ten intervals
     assert len({row["run"] for row in rows}) == 3
 

@@ -1,4 +1,4 @@
-"""A boat that has sailed 15 min of simulated missions, and its saved set."""
+"""A boat that has sailed 15 min of simulated missions, and its saved checkpoint."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from usvlearn.model.read_boats import IdentifiedBoat, read_boats
 
 @pytest.fixture(scope="session")
 def reader() -> JointEKF:
-    """As in configs/estimator/joint_reader.yaml."""
+    """As in configs/estimator/joint_averaged.yaml."""
     return JointEKF(surge_max=2.7, mass=28.0, disturbance=0.05, current=0.15, lag=0.3, cubic=1.0, even=0.2,
                     read_every=600.0)  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The rehearsal is the joint filter's own recursion; the search keeps its bounds and finds a local optimum."""
+"""The rehearsal is the joint EKF's own recursion; the search keeps its bounds and finds a local optimum."""
 
 import math
 

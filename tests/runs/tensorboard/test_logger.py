@@ -103,8 +103,8 @@ def test_a_boat_has_few_tags_with_units_and_descriptions(whole, fleet):
 
 def test_steps_are_seconds_on_the_water_and_increase(whole, fleet):
     read, _, _ = whole
-    for lane, boat in enumerate(fleet.boats):
-        total = sum(run.time[run.lengths[lane] - 1, lane] for run in fleet.runs if run.lengths[lane])
+    for element, boat in enumerate(fleet.boats):
+        total = sum(run.time[run.lengths[element] - 1, element] for run in fleet.runs if run.lengths[element])
         for run, events in read.items():
             if run.startswith(f"{boat}/"):
                 for tag in events.Tags()["scalars"]:
@@ -137,10 +137,12 @@ def test_the_last_points_are_the_errors_of_the_last_steps(fleet, tmp_path):
 
 def test_data_and_rejected_messages_are_counted(whole, fleet):
     read, _, _ = whole
-    for lane, boat in enumerate(fleet.boats):
+    for element, boat in enumerate(fleet.boats):
         steps_, measured = (
             sum(x)
-            for x in zip(*((run.lengths[lane], run.samples.measured[:, lane].sum()) for run in fleet.runs), strict=True)
+            for x in zip(
+                *((run.lengths[element], run.samples.measured[:, element].sum()) for run in fleet.runs), strict=True
+            )
         )
         events = read[f"{boat}/ensemble"]
         assert values(events, "5 data/measured speed (share)")[-1] == pytest.approx(measured / steps_)
@@ -192,14 +194,16 @@ def test_log_all_writes_every_number_and_figure(tmp_path, fleet):
     assert "9 all/weight 30 s ahead" in tags(read["heron1/joint"])
     figures = read["heron2/ensemble"]
     assert len(figures.Images("7 figures/prediction")) == sum(run.lengths[1] > 0 for run in fleet.runs)
-    assert {"forecast", "free run", "thrusters"} <= {tag.partition("/")[2] for tag in figures.Tags()["images"]}
+    assert {"forecast", "open-loop simulation", "thrusters"} <= {
+        tag.partition("/")[2] for tag in figures.Tags()["images"]
+    }
     with pytest.raises(ConfigError, match="log: found 'al', expected one of main, all"):
         TensorBoardLogger(tmp_path, fleet, ensemble, log="al")
 
 
-@pytest.mark.parametrize("stop", [2, 3, 5, 8])  # the first before any parameter set
+@pytest.mark.parametrize("stop", [2, 3, 5, 8])  # the first before any checkpoint
 def test_a_resumed_run_has_every_point_once(tmp_path, fleet, stop):
-    """Points after the last parameter set are written again; TensorBoard keeps those that were written last."""
+    """Points after the last checkpoint are written again; TensorBoard keeps those that were written last."""
     log(tmp_path / "whole", fleet, model())
     log(tmp_path / "run", fleet, model(), stop=stop)
     log(tmp_path / "run", fleet, model(), resume="latest")

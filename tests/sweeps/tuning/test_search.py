@@ -13,7 +13,7 @@ from tests.support.commands import ENVIRONMENT, command
 from tests.support.configured import TWO_BOATS, replayed, request
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.sweeps.tuning import search
-from usvlearn.sweeps.tuning.lanes import Objective
+from usvlearn.sweeps.tuning.batches import Objective
 
 
 def searched(fleet, folder, evaluations, asked=None, **options):

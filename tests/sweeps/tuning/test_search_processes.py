@@ -17,7 +17,7 @@ from tests.support.commands import ENVIRONMENT, command
 from tests.support.configured import TWO_BOATS
 from usvlearn.core.hyper import Positive
 from usvlearn.sweeps.tuning import search
-from usvlearn.sweeps.tuning.lanes import Evaluation, Hyperparameter
+from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter
 
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="this system has no SIGKILL")
 COMPLETE = 1  # Optuna's number of the state

@@ -14,7 +14,7 @@ from usvlearn import Persistence, Positive
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.sweeps.tuning import tune as tuning
-from usvlearn.sweeps.tuning.lanes import Evaluation, Hyperparameter, Objective, lane_errors
+from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, element_errors
 from usvlearn.sweeps.tuning.sensitivities import COST, descend, sensitivity, updated
 
 
@@ -36,7 +36,7 @@ def difference(fleet, estimator, path, h=1e-5) -> float:
     for step in (h, -h):
         with torch.no_grad():
             leaf += step
-            sides.append(float(lane_errors(estimator, fleet).mae.mean()))
+            sides.append(float(element_errors(estimator, fleet).mae.mean()))
             leaf -= step
     return (sides[0] - sides[1]) / (2 * h)
 

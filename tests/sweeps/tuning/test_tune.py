@@ -1,4 +1,4 @@
-"""Tuning: lanes are replays, refinement keeps the best, the gradient is the derivative."""
+"""Tuning: batch elements are replays, refinement keeps the best, the gradient is the derivative."""
 
 import csv
 import itertools
@@ -19,10 +19,10 @@ from usvlearn import RNN, Estimator, Persistence, Positive, UnitInterval, Usvlea
 from usvlearn.errors import ConfigError
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.sweeps.tuning import backprop as fit
-from usvlearn.sweeps.tuning import lanes, winners
+from usvlearn.sweeps.tuning import batches, winners
 from usvlearn.sweeps.tuning import tune as tuning
+from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, element_errors, hyperparameter
 from usvlearn.sweeps.tuning.grid import counts, grid
-from usvlearn.sweeps.tuning.lanes import Evaluation, Hyperparameter, Objective, hyperparameter, lane_errors
 
 GAIN = Hyperparameter("gain", Positive, 1.0, 0.01, 100.0)
 
@@ -36,13 +36,13 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("member", SETTINGS)
-def test_lanes_are_single_replays(fleet, member, monkeypatch):
+def test_elements_are_single_replays(fleet, member, monkeypatch):
     """Also where a batch holds less than all settings, and where errors are added up in short chunks."""
     build, settings = request(f"grid={member}").build, SETTINGS[member]
     expected = [replayed(fleet, build(setting)) for setting in settings]
-    for lane_limit, chunk in ((4096, 500), (4, 500), (4096, 37)):
-        monkeypatch.setattr(lanes, "CHUNK_STEPS", chunk)
-        found = Objective(build, fleet, lanes=lane_limit)(settings)
+    for element_limit, chunk in ((4096, 500), (4, 500), (4096, 37)):
+        monkeypatch.setattr(batches, "CHUNK_STEPS", chunk)
+        found = Objective(build, fleet, elements=element_limit)(settings)
         np.testing.assert_allclose([each.maes for each in found], expected, rtol=1e-12)
         assert [each.setting for each in found] == settings
 
@@ -74,7 +74,7 @@ class Explodes(Estimator):
         return surge
 
 
-def test_a_lane_that_diverges_is_infinite_and_shown(fleet):
+def test_a_element_that_diverges_is_infinite_and_shown(fleet):
     found = Objective(lambda values: Explodes(**values), fleet)([{"gain": 1.0}, {"gain": 2.0}])
     assert [math.isfinite(each.mae) for each in found] == [True, False]
     np.testing.assert_allclose(found[0].maes, replayed(fleet, Persistence()), rtol=1e-12)
@@ -136,13 +136,13 @@ def test_counts():
 def epoch(fleet, estimator, window):
     """The losses of an epoch's windows, from the starts of the pass in order; and that pass's MAE."""
     starts = []
-    mae = lane_errors(estimator, fleet, at_run=starts.append).mae.mean()
-    side = fit.run_lanes(fleet, torch.zeros((), dtype=torch.float64))
+    mae = element_errors(estimator, fleet, at_run=starts.append).mae.mean()
+    side = fit.run_elements(fleet, torch.zeros((), dtype=torch.float64))
     return list(fit.window_losses(estimator, side, starts, len(fleet.boats), window)), mae
 
 
 @pytest.mark.parametrize("member", ["aid", "sift_map", "arx", "joint", "rnn"])
-def test_lanes_of_runs_add_up_to_the_pass_in_order(fleet, member):
+def test_elements_of_runs_add_up_to_the_pass_in_order(fleet, member):
     losses, mae = epoch(fleet, request(f"learn={member}").build({}), 40)
     assert len(losses) > 4
     assert float(sum(loss.detach() for loss, _ in losses)) == pytest.approx(float(mae), rel=1e-10)
@@ -167,7 +167,7 @@ def test_the_gradient_is_the_finite_difference(fleet, member, paths):
         for h in (1e-5, -1e-5):
             with torch.no_grad():
                 leaf += h
-                sides.append(float(lane_errors(estimator, one).mae.mean()))
+                sides.append(float(element_errors(estimator, one).mae.mean()))
                 leaf -= h
         assert float(found) == pytest.approx((sides[0] - sides[1]) / 2e-5, rel=1e-3, abs=1e-7), path
         assert abs(float(found)) > 1e-7
@@ -263,7 +263,7 @@ BAD_INPUT = {
     "no path": (["grid={aid: [1]}"], ["aid", "gain"]),
     "words": (["grid={aid.gain: [fast]}"], ["aid.gain", "fast", "numbers"]),
     "not legal": (["grid={aid.gain: [-1, 1]}"], ["aid.gain", "-1", "positive"]),
-    "no lane": (["grid={aid.sigma: [1, 2]}"], ["aid.sigma", "gain"]),
+    "no batch element": (["grid={aid.sigma: [1, 2]}"], ["aid.sigma", "gain"]),
     "unknown path": (["grid={aid.gian: [1, 2]}"], ["aid.gian", "gain"]),
     "illegal range": (["grid=aid", "tuning.ranges.aid.gain=[-1,1]"], ["ranges.aid.gain", "-1", "positive"]),
     "beyond one": (["grid=rnn", "tuning.ranges.rnn.contraction_rate=[0.5,1]"], ["contraction_rate", "between 0 and 1"]),
@@ -277,7 +277,7 @@ BAD_INPUT = {
     "persistence": (["learn=persistence"], ["persistence", "no hyperparameter"]),
     "a bank": (["search=ambient_rls", *added("ambient_rls")], ["ambient_rls", "bank"]),
     "no ranges": (["grid=aid", "~tuning.ranges.aid"], ["tuning.ranges.aid", "gain"]),
-    "weights as lanes": (["grid=rnn", "+tuning.ranges.rnn.initial=[-1,1]"], ["initial", "learn=rnn"]),
+    "weights as batch elements": (["grid=rnn", "+tuning.ranges.rnn.initial=[-1,1]"], ["initial", "learn=rnn"]),
     "several values": (["grid=aid", "estimators.aid.gain=[[1],[2]]"], ["gain", "2 values"]),
     "no seed": (["search=aid", "tuning.seed=abc"], ["tuning.seed", "abc"]),
     "window": (["learn=aid", "tuning.window=0"], ["tuning.window", "0"]),
@@ -313,7 +313,7 @@ def test_bad_input_ends_with_code_2_and_another_folder_is_left_alone(tmp_path):
     done = subprocess.run(
         command("grid=aid", f"hydra.run.dir={folder}"), cwd=tmp_path, env=ENVIRONMENT, capture_output=True, text=True
     )
-    assert done.returncode == 2 and "parameter sets" in done.stderr and "Traceback" not in done.stderr
+    assert done.returncode == 2 and "checkpoints" in done.stderr and "Traceback" not in done.stderr
     (tmp_path / "tuning.json").write_text(json.dumps({"way": "grid", "member": "sift_map"}))
     for way, member in (("grid", "aid"), ("grid", "sift_map"), ("search", "sift_map")):
         with pytest.raises(ConfigError, match="grid=sift_map"):

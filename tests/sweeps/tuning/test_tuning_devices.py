@@ -13,9 +13,9 @@ from usvlearn import AID, BOA, RLS, RNN, Ensemble, RecursiveWeights
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.measure import Measure
-from usvlearn.sweeps.tuning.backprop import fit, run_lanes
+from usvlearn.sweeps.tuning.backprop import fit, run_elements
+from usvlearn.sweeps.tuning.batches import Objective, element_errors
 from usvlearn.sweeps.tuning.grid import grid
-from usvlearn.sweeps.tuning.lanes import Objective, lane_errors
 from usvlearn.sweeps.tuning.sensitivities import descend
 
 
@@ -38,16 +38,16 @@ def meta():
 
 
 @pytest.mark.parametrize("measure", [Measure(""), Measure("", "forecast", 2.0), Measure("", "free")])
-def test_errors_of_lanes_are_on_the_device_of_the_estimator(short, measure):
+def test_errors_of_elements_are_on_the_device_of_the_estimator(short, measure):
     with read_as_ones():
-        found = lane_errors(AID(28.0, gain=[[0.1], [1.0], [10.0]]).to("meta"), short, (3,), measure=measure)
+        found = element_errors(AID(28.0, gain=[[0.1], [1.0], [10.0]]).to("meta"), short, (3,), measure=measure)
     assert found.errors.is_meta and found.errors.shape == found.steps.shape == (2, 3, 2)
     assert found.steps.is_meta and found.mae.is_meta
     assert {leaf.device.type for _, leaf in named_leaves(found.state)} == {"meta"}
 
 
-def test_lanes_of_runs_are_on_the_device_of_the_hyperparameters(fleet):
-    here, there = (run_lanes(fleet, torch.zeros((), dtype=torch.float64, device=x)) for x in ("cpu", "meta"))
+def test_elements_of_runs_are_on_the_device_of_the_hyperparameters(fleet):
+    here, there = (run_elements(fleet, torch.zeros((), dtype=torch.float64, device=x)) for x in ("cpu", "meta"))
     expected = dict(named_leaves(here))
     for name, leaf in named_leaves(there):
         assert leaf.is_meta and (leaf.shape, leaf.dtype) == (expected[name].shape, expected[name].dtype), name

@@ -34,7 +34,7 @@ def coast(node, s, q, x, predicted, work):
 
 @jit
 def free_step(node, s, q, x, work):
-    """One step of a free run: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
+    """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
     predicted, _ = predict(node, s, q, x, work)
     s[node[AT.surge]] = predicted
     return predicted
@@ -92,7 +92,7 @@ def adapt(theta, numbers, gamma, inverse_spread, theta0, lower, upper, feedback,
 
 @jit
 def run_alone(node, s, q, rows, free, predictions, picked, picks, work):
-    """One lane of AID alone through all steps, as `engine.dispatch.run` makes them; constants are read once."""
+    """One batch element of AID alone through all steps, as `engine.dispatch.run` does; constants are read once."""
     p, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
     phi, gamma, theta = work[:p], work[p : 2 * p], s[node[AT.theta] : node[AT.theta] + p]
     adaptation(numbers, q[node[Vector.SPREAD] :], gamma)

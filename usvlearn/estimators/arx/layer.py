@@ -48,7 +48,7 @@ class ARX(Estimator):
         even: adds four features that are the same forwards and backwards.
         turning: adds the yaw rate and its change.
         thrust_speed: adds each side's command times |v|.
-        project: keeps the weights of the drag where drag slows the boat, so that free runs do not run away.
+        project: keeps the weights of the drag where drag slows the boat, so that open-loop simulations do not run away.
         scale: s, of the prior deviations of the weights, as multiples of the noise; broadcasts against the batch.
         walk: variance by which the weights walk in 0.4 s, as a share of the prior's; broadcasts against the batch.
         degrees: ν of Student's t distribution of the noise; broadcasts against the batch. None and infinity:

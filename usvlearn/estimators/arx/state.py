@@ -20,11 +20,11 @@ w is 1 for all e where ν is infinite. With `project` drag slows the boat: the w
 that of the even v², are not positive: in turn, each is projected in the metric of P (`usvlearn.estimators.factored`,
 (3)). Without it a model may grow without bound beyond the speeds that it has seen.
 
-Before the first sample P is diagonal, with the deviations `scale` × (1 for the bias and the even terms, 30/j for a_j,
-10 for all others): as multiples of the noise.
+Before the first sample P is diagonal, with the deviations `scale` × (1 for the bias and the fore-aft asymmetry terms,
+30/j for a_j, 10 for all others): as multiples of the noise.
 
 Weights walk at random: of variance `walk` P₀ per step of 0.4 s. The factored covariance takes one of the p weights per
-learned step, in turn, with p times its share; its variance grows up to the prior's and no further:
+update step, in turn, with p times its share; its variance grows up to the prior's and no further:
 
     P_ii ← P_ii + min(p h walk P₀_ii, P₀_ii − P_ii)                                                                 (4)
 

@@ -1,1 +1,1 @@
-"""The ensemble: its rules, its intervals, its monitors."""
+"""The ensemble: its combiners, its intervals, its monitors."""

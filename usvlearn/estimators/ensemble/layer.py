@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from usvlearn.core.plans import NONE
 from usvlearn.core.protocol import Estimator, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves
-from usvlearn.errors import ConfigError, check_positive, under
+from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
 from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step, published
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
@@ -24,11 +24,11 @@ from usvlearn.estimators.wrappers.bank import Bank
 class Ensemble(Estimator):
     """Estimators side by side; predicts by one of its combiners and publishes every prediction in its state.
 
-    A member whose prediction is not finite, or at `surge_max` and beyond, sleeps: the combiners leave it out.
+    A member whose prediction is not finite, or at `surge_max` and beyond, is inactive: the combiners leave it out.
 
     Args:
         members: estimators, or banks of them, by name.
-        combiners: rules by name, `{"average": Average()}` by default.
+        combiners: combiners by name, `{"average": Average()}` by default.
         output: the combiner whose prediction is the ensemble's own; the last by default.
         coverage: share of the measurements that the intervals are to cover, 0 … 1.
         surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
@@ -38,7 +38,7 @@ class Ensemble(Estimator):
     Attributes:
         columns: names of the members' predictions; a bank has several.
         names: those and the combiners'.
-        reader: the first member that reads parameters, or None.
+        averaged: name of the first averaged joint EKF (`read_every`), or None.
 
     Raises:
         ConfigError: no members, a name that is used twice, or a combiner of members that do not exist.
@@ -88,7 +88,7 @@ class Ensemble(Estimator):
         if not 0 < coverage < 1:
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
         reads = (name for name, member in members.items() if math.isfinite(getattr(member, "read_every", math.inf)))
-        self.reader = next(reads, None)
+        self.averaged = next(reads, None)
         # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
         self.members = cast("Mapping[str, Estimator | Bank]", nn.ModuleDict(members))
         self.combiners = cast("Mapping[str, Combiner]", nn.ModuleDict(rules))
@@ -108,10 +108,10 @@ class Ensemble(Estimator):
         known = {column: [column] for column in self.columns} | self._columns
         chosen = list(self._columns) if members is None else list(members)
         if not chosen or (unknown := sorted(set(chosen) - set(known))):
+            hint = chosen and (did_you_mean(unknown[0], known) or f": correct the members of {combiner}")
             raise ConfigError(
                 f"combiners.{combiner}.members: found {', '.join(chosen) or 'none'}, "
-                f"expected some of {', '.join(known)}"
-                + (f" (unknown: {', '.join(unknown)}): correct the members of {combiner}" if chosen else "")
+                f"expected some of {', '.join(known)}" + (f" (unknown: {', '.join(unknown)}){hint}" if chosen else "")
             )
         columns = [column for name in chosen for column in known[name]]
         if len(set(columns)) < len(columns):
@@ -212,8 +212,10 @@ class Ensemble(Estimator):
         shown: dict[str, Tensor] = {}
         for name, member in self.members.items():
             for key, value in member.monitor(state.members[name]).items():
-                lanes = value.unbind(-1) if isinstance(member, Bank) else [value]
-                shown |= {f"{column}/{key}": lane for column, lane in zip(self._columns[name], lanes, strict=True)}
+                elements = value.unbind(-1) if isinstance(member, Bank) else [value]
+                shown |= {
+                    f"{column}/{key}": element for column, element in zip(self._columns[name], elements, strict=True)
+                }
         for name, combiner in self.combiners.items():
             shown |= {f"{name}/{key}": value for key, value in combiner.monitor(state.combiners[name]).items()}
         if self.watched:
@@ -225,28 +227,28 @@ class Ensemble(Estimator):
         return shown
 
     def seen(self, predictions: Tensor) -> dict[str, Tensor]:
-        """The predictions of each rule's members, m/s, `(*batch, columns)`, NaN where they sleep."""
-        awake = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
-        every, columns = list(range(len(self.columns))), awake.unbind(-1)
+        """The predictions of each combiner's members, m/s, `(*batch, columns)`, NaN where they are inactive."""
+        active = torch.where(predictions.abs() < self.surge_max, predictions, torch.nan)
+        every, columns = list(range(len(self.columns))), active.unbind(-1)
         return {  # no index that is a list: it would be copied to the device at every step
-            name: awake if places == every else torch.stack([columns[k] for k in places], -1)
+            name: active if places == every else torch.stack([columns[k] for k in places], -1)
             for name, places in self._places.items()
         }
 
     def combine(self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The prediction of each rule, m/s, `(*batch,)`."""
+        """The prediction of each combiner, m/s, `(*batch,)`."""
         return {name: rule.combine(combiners[name], seen[name]) for name, rule in self.combiners.items()}
 
     def reweigh(
         self, combiners: Mapping[str, Any], seen: Mapping[str, Tensor], surge: Tensor, dt: Tensor
     ) -> dict[str, Any]:
-        """The rules' states after `surge`, m/s, was measured, `dt` s after the measurement before."""
+        """The combiners' states after `surge`, m/s, was measured, `dt` s after the measurement before."""
         return {name: rule.learn(combiners[name], seen[name], surge, dt) for name, rule in self.combiners.items()}
 
     def _publish(
         self, state: EnsembleState, surges: Mapping[str, Tensor], dt: Tensor
     ) -> tuple[Tensor, dict[str, Tensor], Tensor]:
-        """All predictions, `(*batch, names)`; the predictions that each rule sees; the ensemble's own."""
+        """All predictions, `(*batch, names)`; the predictions that each combiner sees; the ensemble's own."""
         parts = [s if isinstance(self.members[name], Bank) else s[..., None] for name, s in surges.items()]
         single = torch.cat(parts, -1)
         seen = self.seen(single)

@@ -1,4 +1,4 @@
-"""An ensemble: estimators side by side, rules that combine their predictions, an interval for each, and monitors."""
+"""An ensemble: estimators side by side, combiners of their predictions, an interval for each, and monitors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class EnsembleState(NamedTuple):
-    """The members' states, the rules' states, and what was predicted last."""
+    """The members' states, the combiners' states, and what was predicted last."""
 
     members: dict[str, Any]
     combiners: dict[str, Any]
@@ -36,7 +36,7 @@ FAMILY = Family(
         members=NONE,
         combiners=NONE,
         conformal=NONE,
-        predictions=leaf(names, legal=ANY),  # NaN where a member sleeps
+        predictions=leaf(names, legal=ANY),  # NaN where a member is inactive
         halfwidths=leaf(names, legal=POSITIVE_OR_INFINITE),
         monitors=NONE,
         forecasts=NONE,

@@ -1,1 +1,1 @@
-"""The joint filter: speed, disturbance, current and parameters in one extended Kalman filter."""
+"""The joint EKF: speed, disturbance, current and parameters in one extended Kalman filter."""

@@ -1,4 +1,4 @@
-"""The covariance P = U D Uᵀ of the joint filter: what its F, its noise and its H make faster than `factored`, in place.
+"""The covariance P = U D Uᵀ of the joint EKF: what its F, its noise and its H make faster than `factored`, in place.
 
 A is the leaf `factor`: U_ij at A[j, i] for i < j, D_j at A[j, j].
 """

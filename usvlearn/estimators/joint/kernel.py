@@ -1,4 +1,4 @@
-"""The joint filter: the step of `layer`, equations (1) to (7) of `state`.
+"""The joint EKF: the step of `layer`, equations (1) to (7) of `state`.
 
 `predict` leaves g, w⁺ and e^(−h/τ_c) in `work`. A is the leaf `factor`.
 """
@@ -68,7 +68,7 @@ def coast(node, s, q, x, predicted, work):
 
 @jit
 def free_step(node, s, q, x, work):
-    """One step of a free run: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
+    """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
     n, commands = node[Node.SIZE], node[AT.commands]
     mean, predicted = s[node[AT.mean] : node[AT.mean] + n], forecast(node, s, q, x, work)
     if s[node[AT.started]] > 0:
@@ -272,7 +272,7 @@ def project_signs(mean, A, even, t):
 
 @jit
 def read(node, s, parameters):
-    """One reading of the parameters."""
+    """One periodic estimate of the parameters."""
     m = len(parameters)
     reading, spread = s[node[AT.reading] : node[AT.reading] + m], s[node[AT.spread] : node[AT.spread] + m * m]
     s[node[AT.learned]] = 0.0

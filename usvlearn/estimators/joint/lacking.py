@@ -1,4 +1,4 @@
-"""What a log lacks, in sentences: from a joint filter's covariance, and from what was identified. Imports no torch.
+"""What a log lacks, in sentences: from a joint EKF's covariance, and from what was identified. Imports no torch.
 
 The equations are those of `reading`.
 """
@@ -17,7 +17,7 @@ from usvlearn.estimators.joint.state import NOISE_LEAST, NORTH, THETA, names
 from usvlearn.estimators.regressors.terms import SURGE
 
 SILENT = 2 * NOISE_LEAST  # m/s, of the noise: no sensor is as good
-FEW = 100  # learned steps below which nothing else is said
+FEW = 100  # update steps below which nothing else is said
 UNUSED = 0.8  # of (3): no step told anything
 VAGUE_DRAG, VAGUE_THRUST = 0.1, 0.3  # of (3), beyond which an interval contains the prior's
 ONE_HEADING = 0.9  # share of the current's variance across the heading, after some 10 min without a turn
@@ -52,7 +52,7 @@ class Lacking(NamedTuple):
 
     lacks: tuple[str, ...]
     vague: bool  # whether the drag or the thrust is not informed
-    astern: np.ndarray  # (m,) variance of even terms, to be added where the boat never went ahead
+    astern: np.ndarray  # (m,) variance of fore-aft asymmetry terms, to be added where the boat never went ahead
     blind: float  # m/s, standard deviation of a current that cannot be separated from the speed
 
 

@@ -1,4 +1,4 @@
-"""The joint filter in torch: equations (1) to (7) of `state`."""
+"""The joint EKF in torch: equations (1) to (7) of `state`."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class JointEKF(Estimator):
             changes, 1e5 for one that does not.
         lag: prior standard deviation of μ.
         cubic: that of κ, in units of the force per mass of one side at full.
-        even: ρ, that of the even terms, in units of the drag's and that force; None: without these terms.
+        even: ρ, that of the fore-aft asymmetry terms, in units of the drag's and that force; None: without these terms.
         outlier: k, standard deviations beyond which a measurement is an outlier; None: none is. Broadcasts, too.
-        read_every: s of learned steps under way between two readings of the parameters; None: none.
+        read_every: s of update steps under way between two periodic estimates of the parameters; None: none.
         known: forces by name, or by a sum of names, in N, as `{"thrust_full_left": 33.6}`: the mass is identified too
             (`usvlearn.estimators.mass`); the names are those of `quantities.sums`.
 
@@ -344,7 +344,7 @@ class JointEKF(Estimator):
         return torch.cat([mean[..., :-1], mean[..., -1:].clamp(at.LAG_LEAST, at.LAG_MOST)], -1)
 
     def _read(self, state: JointState) -> JointState:
-        """With one reading of the parameters more, where it is time for one."""
+        """With one periodic estimate of the parameters more, where it is time for one."""
         due = state.learned >= self.read_every
         readings = state.readings + due
         counts = due & (readings > at.DROPPED)

@@ -1,8 +1,8 @@
-"""Physical quantities of a boat that moves ahead, from the parameters of a joint filter. Imports no torch.
+"""Physical quantities of a boat that moves ahead, from the parameters of a joint EKF. Imports no torch.
 
-All parameters are per unit mass, in the order of `state.names`. Ahead (w > 0, ξ > 0) an even term adds to the odd one
-beside it, q + e₀, α + e₁, β + e₂, γ + e₃. The paper's two terms of thrust are the least-squares fit of all three over
-commands from 0 to 1, as `usvlearn.simulate.truth` fits a thrust table:
+All parameters are per unit mass, in the order of `state.names`. Ahead (w > 0, ξ > 0) a fore-aft asymmetry term adds to
+the odd one beside it, q + e₀, α + e₁, β + e₂, γ + e₃. The paper's two terms of thrust are the least-squares fit of all
+three over commands from 0 to 1, as `usvlearn.simulate.truth` fits a thrust table:
 
     ξ³ ≈ −0.4 ξ + 1.33 ξ²,   α' = α − 0.4 κ,   β' = β + 1.33 κ                                         (1)
 
@@ -55,7 +55,7 @@ def sums(even: bool) -> dict[str, np.ndarray]:
     """Coefficients of the quantities that are sums of parameters: the nine of motion ahead, and each side's pull, (1).
 
     Args:
-        even: whether the filter has even terms.
+        even: whether the filter has fore-aft asymmetry terms.
 
     Returns:
         `(m,)` by name.

@@ -1,17 +1,17 @@
-"""What a joint filter has identified: every physical quantity with a 90 % interval. Imports no torch.
+"""What a joint EKF has identified: every physical quantity with a 90 % interval. Imports no torch.
 
-θ̄ is the mean of n readings and C their covariance (`state`), P the filter's own covariance of the parameters. With the
-gradient ∇g of a quantity g the interval is
+θ̄ is the mean of n periodic estimates and C their covariance (`state`), P the filter's own covariance of the
+parameters. With the gradient ∇g of a quantity g the interval is
 
     g(θ̄) ± 1.645 √(∇gᵀ (λ²P + ν²C) ∇g),   λ² = 1 + 8/n,   ν² = 1 + 2/n                                (1)
 
-Before the first reading that counts, θ̄ is the filter's present mean, C = 0, and after t s of learned steps
+Before the first periodic estimate that counts, θ̄ is the filter's present mean, C = 0, and after t s of update steps
 
     λ = √5 (1 + 600/(t + 300))                                                                         (2)
 
-λ and ν were chosen on simulated boats (`docs/benchmarks/identify.md`); of many readings P + C is left. Positive
-quantities have their intervals on the log scale. An interval always contains the filter's present estimate, so that a
-boat that has changed is not missed.
+λ and ν were chosen on simulated boats (`docs/benchmarks/identify.md`); of many periodic estimates P + C is left.
+Positive quantities have their intervals on the log scale. An interval always contains the filter's present estimate, so
+that a boat that has changed is not missed.
 
 A log that lacks something must not give a narrow interval. What it lacks is seen in P. The least share of its prior
 variance that is left in any combination of some parameters is small as soon as the log informs about one combination,
@@ -183,7 +183,7 @@ def tells_sides(name: str) -> bool:
 
 
 def reader_of(members: Mapping[str, Mapping[str, Any] | None]) -> str | None:
-    """The name of the member whose readings are used: the first joint filter that reads. None without one.
+    """The name of the member whose periodic estimates are used: the first joint EKF that reads. None without one.
 
     Args:
         members: descriptions by name (`Estimator.spec`).
@@ -192,7 +192,7 @@ def reader_of(members: Mapping[str, Mapping[str, Any] | None]) -> str | None:
 
 
 def reads(description: Mapping[str, Any]) -> bool:
-    """Whether a description is that of a joint filter with readings."""
+    """Whether a description is that of a joint EKF with periodic estimates."""
     return description.get("kind") == "joint" and math.isfinite(description["numbers"]["read_every"])
 
 
@@ -200,7 +200,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     """All quantities of one boat.
 
     Args:
-        description: of a joint filter, of one lane (`JointEKF.spec`).
+        description: of a joint EKF, of one batch element (`JointEKF.spec`).
         leaves: of its state, by name, without batch axes.
 
     >>> from usvlearn import JointEKF
@@ -221,13 +221,13 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         return _nothing(mass, inverse, now, P[THETA:, THETA:])
     if used:
         theta, spread, inflation = state["reading"], (1 + FEW_C / used) * state["spread"], 1 + FEW_P / used
-        many = "Values of 1 reading" if used == 1 else f"Means of {used:.0f} readings"
-        basis = f"{many}, one in {every / 60:g} min of learned steps, with 90 % intervals."
+        many = "Values of 1 periodic estimate" if used == 1 else f"Means of {used:.0f} periodic estimates"
+        basis = f"{many}, one in {every / 60:g} min of update steps, with 90 % intervals."
     else:
         theta, spread, inflation = now, np.zeros_like(state["spread"]), 5 * (1 + FIRST / (learned + FADES)) ** 2
         basis = (
-            "Present values, with wider 90 % intervals: a mean of readings needs "
-            f"{(DROPPED + 1) * every / 60:g} min of learned steps."
+            "Present values, with wider 90 % intervals: a mean of periodic estimates needs "
+            f"{(DROPPED + 1) * every / 60:g} min of update steps."
         )
     silent = float(state["noise"]) <= SILENT**2
     found = lacking(P, variance, float(numbers["current"]), float(state["updates"]), silent)

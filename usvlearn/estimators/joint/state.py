@@ -1,6 +1,6 @@
-"""The joint filter: an extended Kalman filter over the speed, a disturbance, the current and the parameters.
+"""The joint EKF: an extended Kalman filter over the speed, a disturbance, the current and the parameters.
 
-State, all per unit mass (n = 16, or 23 with even terms):
+State, all per unit mass (n = 16, or 23 with fore-aft asymmetry terms):
 
     x = [w, b, c_N, c_E, θ (9), κ_L, κ_R, (e (7),) μ]                                                  (1)
 
@@ -37,9 +37,9 @@ A segment starts at a measured speed. Its first step knows the heading: there P 
 b becomes 0, P_ww 4 m²/s², each variance of c grows by 0.05² m²/s², and the speed is measured. A step of more than 10 s
 is predicted; its speed starts a segment. A speed beyond ±20 m/s is that limit, with P_ww = 400 m²/s².
 
-*Readings.* After each `read_every` s of learned steps, without those at rest, the parameters are read; the first
-three readings are dropped. With weights 0.9^age, θ̄ is their mean and C their covariance; `reading` makes intervals of
-them.
+*Periodic estimates.* After each `read_every` s of update steps, without those at rest, the parameters are read; the
+first three periodic estimates are dropped. With weights 0.9^age, θ̄ is their mean and C their covariance; `reading`
+makes intervals of them.
 
 The derivation is in `docs/theory.md`, section 19.
 """
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 W, B, NORTH, EAST, THETA = range(5)  # places in x; κ, e and μ follow the nine of θ
 KAPPA = THETA + len(SURGE)
 E = KAPPA + len(CUBIC)
-SIZES = (E + 1, E + len(EVEN) + 1)  # n without and with even terms
+SIZES = (E + 1, E + len(EVEN) + 1)  # n without and with fore-aft asymmetry terms
 SPEED_VARIANCE, CURRENT_VARIANCE, FIRST_DISTURBANCE = 4.0, 0.05**2, 1e-2  # m²/s² at a start; (m/s²)² before the first
 NOISE, NOISE_LEAST, NOISE_SHARE, NOISE_COUNT, NOISE_MOST = 0.03, 1e-4, 0.005, 20.0, 9.0  # m/s, m/s; of (6)
 STEP, SPEED_NOISE = 0.4, 0.05  # s, for which the noise of w and b is stated; that of w, in σ²
@@ -78,25 +78,25 @@ EVERY = 4  # steps from one parameter's walk to the next's
 LONGEST, SPEED_MAX = 10.0, 20.0  # s, m/s
 DECAYED = 20.0  # exponent of the longest decay, so that no factor of P is 0
 LAG_LEAST, LAG_MOST = -0.5, 1.5
-DROPPED, AGEING = 3.0, 0.9  # readings; their weight from one to the next
+DROPPED, AGEING = 3.0, 0.9  # periodic estimates; their weight from one to the next
 LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most
 
 
 class JointState(NamedTuple):
-    """The state of the joint filter."""
+    """The state of the joint EKF."""
 
     mean: Tensor  # (*batch, n) x
     factor: Tensor  # (*batch, n, n) U and D, a column of U in each row: U_ij at [j, i] for i < j, D_j at [j, j], else 0
     noise: Tensor  # (*batch,) σ², m²/s²
-    updates: Tensor  # (*batch,) count of learned steps, without those at rest
+    updates: Tensor  # (*batch,) count of update steps, without those at rest
     surge: Tensor  # (*batch,) measured speed with which the last segment started, m/s
     started: Tensor  # (*batch,) bool: no step since then
     commands: Tensor  # (*batch, 2) of the last step, left and right
     turn: Tensor  # (*batch,) steps in the round in which each parameter walks once
     deviation: Tensor  # (*batch,) standard deviation of the last prediction, m/s
-    learned: Tensor  # (*batch,) s of such steps since the last reading
-    readings: Tensor  # (*batch,) count of readings, with those that were dropped
-    weight: Tensor  # (*batch,) sum of the weights of the readings
+    learned: Tensor  # (*batch,) s of such steps since the last periodic estimate
+    readings: Tensor  # (*batch,) count of periodic estimates, with those that were dropped
+    weight: Tensor  # (*batch,) sum of the weights of the periodic estimates
     reading: Tensor  # (*batch, n − 4) θ̄: mean of the parameters read, in the order of x
     spread: Tensor  # (*batch, n − 4, n − 4) C: their covariance
 

@@ -29,7 +29,7 @@ SURGE = {
 CUBIC = {"thrust_cubic_left": 0, "thrust_cubic_right": 0}  # κ_L, κ_R, N: bends a thrust curve either way
 MEMORY = {"memory_surge_dot": 0, "memory_left": 0, "memory_right": 0}  # kg, N, N
 AMBIENT = {"ambient_bias": 0, "ambient_sin": 0, "ambient_cos": 0}  # N
-EVEN = {  # e of the joint filter: what does not change its sign with the speed and the commands
+EVEN = {  # e of the joint EKF: what does not change its sign with the speed and the commands
     "drag_even": "kg/m",
     **{f"thrust_even_{kind}_{side}": unit for side in ("left", "right")
        for kind, unit in {"linear": "N", "quadratic": "N", "speed": "N s/m"}.items()},

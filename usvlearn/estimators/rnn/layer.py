@@ -98,7 +98,8 @@ def gradient(
 
 
 def clipped(grad: Tensor, c: float) -> Tensor:
-    """Each lane's gradient g, `(*batch, 7n)`, as g/√(1 + ‖g‖²/c²): no longer than c, and hardly changed where short.
+    """Each batch element's gradient g, `(*batch, 7n)`, as g/√(1 + ‖g‖²/c²): no longer than c, and hardly changed where
+    short.
 
     >>> clipped(torch.tensor([[3.0, 4.0], [0.03, 0.04]]), 1.0)
     tensor([[0.5883, 0.7845],
@@ -108,9 +109,9 @@ def clipped(grad: Tensor, c: float) -> Tensor:
     return grad * (1 + (grad * grad).sum(-1, keepdim=True) / c**2).rsqrt()
 
 
-def lane_weights(state: RNNState, lane: int | tuple[int, ...]) -> ShallowWeights:
-    """The weights of one lane as float64 arrays, for `certify`."""
-    return ShallowWeights(*(w[lane].detach().cpu().double().numpy() for w in state.weights))
+def element_weights(state: RNNState, element: int | tuple[int, ...]) -> ShallowWeights:
+    """The weights of one batch element as float64 arrays, for `certify`."""
+    return ShallowWeights(*(w[element].detach().cpu().double().numpy() for w in state.weights))
 
 
 class RNN(Estimator):
@@ -131,7 +132,7 @@ class RNN(Estimator):
             w₁ and W₂ also scale the neurons of "persistence".
         decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
         momentum: Adam's β₁, in [0, 1).
-        clip: c, the norm that no lane's gradient exceeds; None or infinity for no limit.
+        clip: c, the norm that no batch element's gradient exceeds; None or infinity for no limit.
         stability: "project" onto `condition` after every update, "penalty" (the paper's), or "none".
         condition: simple, gershgorin, lmi, tight (all activation patterns, the weakest that (a, w₁) alone can tell), or
             interval (the same for |x| ≤ 1, where a speed that coasts is kept, and commands of up to 1.2).
@@ -296,16 +297,16 @@ class RNN(Estimator):
         """The equilibrium without thrust, at the last heading, that is nearest to the speed: its place and class."""
         rest = pad(state.inputs_before[..., :2], (0, 2))
         found = torch.full((*state.surge.shape, 3), torch.nan, dtype=torch.float64)
-        for lane in np.ndindex(*state.surge.shape):
-            weights = lane_weights(state, lane)
-            x = float(self.scale * state.surge[lane])
+        for element in np.ndindex(*state.surge.shape):
+            weights = element_weights(state, element)
+            x = float(self.scale * state.surge[element])
             if not all(np.isfinite(w).all() for w in weights):
                 continue
-            every = equilibria(weights, rest[lane].tolist(), -1.0, 1.0)
-            found[(*lane, 0)] = len(every)
+            every = equilibria(weights, rest[element].tolist(), -1.0, 1.0)
+            found[(*element, 0)] = len(every)
             if every:
                 nearest = every[int(np.argmin([abs(each.x - x) for each in every]))]
-                found[(*lane, 1)], found[(*lane, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
+                found[(*element, 1)], found[(*element, 2)] = nearest.x / self.scale, list(CLASSES).index(nearest.kind)
         columns = found.to(state.surge.device).unbind(-1)
         return dict(zip(("equilibria", "equilibrium", "equilibrium_class"), columns, strict=True))
 

@@ -100,14 +100,14 @@ class VectorRNN(nn.Module):
         rate: Adam's learning rate at the first update; broadcasts against the batch.
         rate_ratio: relative rates of R, A, W, W₂ and b; those of W and W₂ also scale the initial neurons.
         decay: the rate falls as 1/√(1 + ⌊k/decay⌋) after k updates; None keeps it.
-        clip: the norm that no lane's gradient exceeds; None for no limit.
+        clip: the norm that no batch element's gradient exceeds; None for no limit.
         stability: "project" onto `condition` after every update, or "none".
         condition: "exact" (all activation patterns, in the norm (4)) or "gershgorin" (the paper's lemma).
         contraction_rate: κ; broadcasts against the batch.
         scaling: t of (4), one number a component; ones by default. `certify.search.vector_scaling` finds one.
         importance: of the squared error of each divided component in the loss; ones by default.
         kept: M, samples that are kept.
-        window: H, steps of a free run in the loss.
+        window: H, steps of an open-loop simulation in the loss.
         windows: B, of which all but one are learned again.
         seed: of the initial neurons.
 
@@ -285,7 +285,8 @@ class VectorRNN(nn.Module):
         Args:
             state: leaves `(*batch, …)`.
             samples: leaves `(time, *batch)`, and `(time, *batch, q)`.
-            learn: False for a free run: the velocity is taken only where a segment starts, and nothing is learned.
+            learn: False for an open-loop simulation: the velocity is taken only where a segment starts, and nothing is
+                learned.
 
         Returns:
             The last state, and the predictions, `(time, *batch, q)`, NaN where no step was made.

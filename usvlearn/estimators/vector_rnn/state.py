@@ -4,9 +4,9 @@ With x_i = v_i/v_max,i for surge, sway and yaw rate, and u = [ξ_L, ξ_R], or [�
 
     z = W x + W₂ u + b,   x⁺ = R x + A relu(z)                                                            (1)
 
-The last M samples are kept. The loss is that of free runs over windows of H of them: a window starts at the velocity
-from which its first step departed, and each later step departs from the network's own velocity, unless the samples are
-not successive. With w_ki = `importance` of component i where it was measured, else 0,
+The last M samples are kept. The loss is that of open-loop simulations over windows of H of them: a window starts at the
+velocity from which its first step departed, and each later step departs from the network's own velocity, unless the
+samples are not successive. With w_ki = `importance` of component i where it was measured, else 0,
 
     L = 1/(2 B H) Σ_windows Σ_k Σ_i w_ki (x̂_{k+1,i} − x_meas,k+1,i)²                                       (2)
 

@@ -16,7 +16,7 @@ from usvlearn.errors import ConfigError
 
 
 class Bank(nn.Module):
-    """One estimator with several settings as lanes: a member of an ensemble with one column for each setting.
+    """One estimator with several settings as batch elements: a member of an ensemble with one column for each setting.
 
     Args:
         estimator: some hyperparameters of which have the shape `(settings,)`; what differs by boat is `(boats, 1)`.

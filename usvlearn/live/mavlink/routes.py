@@ -31,7 +31,8 @@ NED, GLOBAL, HUD, ATTITUDE = (
 )
 VELOCITIES = {"vx": 0, "vy": 1}  # fields of LOCAL_POSITION_NED that others can give: north, east
 
-# What a vehicle of ArduPilot sends, where neither a set nor the user says otherwise: as in configs/data/tlog.yaml
+# What a vehicle of ArduPilot sends, where neither a checkpoint nor the user says otherwise: as in
+# configs/data/tlog.yaml
 CHANNELS: dict[str, dict[str, Any]] = {
     "command_left": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_left"},
     "command_right": {"name": "SERVO_OUTPUT_RAW", "field": "throttle_right"},

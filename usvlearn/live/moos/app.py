@@ -286,7 +286,7 @@ def main(arguments: Sequence[str]) -> int:
 
     Raises:
         ConfigError: an argument, the mission file or what the node starts from is not legal.
-        CheckpointError: no set can be read.
+        CheckpointError: no checkpoint can be read.
     """
     given = parser().parse_args(arguments)
     if given.example or given.interface:

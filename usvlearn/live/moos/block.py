@@ -45,18 +45,18 @@ ProcessConfig = {NAME}
   AppTick   = 4                       // Hz; messages are handled as they come
   CommsTick = 4
 
-  folder      = /home/boat/usvlearn   // sets, status and records; the newest readable set is continued
+  folder      = /home/boat/usvlearn   // sets, status and records; the newest readable checkpoint is continued
   start       = /home/boat/heron      // a set to start from, while the folder has none
-  // mass     = 36.0                  // kg, added mass included: of a prior, if there is no set at all
+  // mass     = 36.0                  // kg, added mass included: of a prior, if there is no checkpoint at all
   // surge_max = 3.0                  // m/s, top speed, likewise
-  save_period = 300                   // s between two sets
+  save_period = 300                   // s between two checkpoints
   keep        = 100                   // sets
   record      = false                 // true: record all messages, so that train.py can replay the session
   prefix      = {PREFIX}                  // of what is published
   plan        = {PLAN}         // variable: a plan that is posted there is answered by a forecast
   members     = false                 // true: publish the prediction of each member, too
 
-  // only where other than in the set; VARIABLE@app keeps the posts of one app
+  // only where other than in the checkpoint; VARIABLE@app keeps the posts of one app
   // surge         = NAV_SPEED
   // surge.unit    = knots            // m/s, km/h, knots, cm/s or mm/s
   // command_left  = DESIRED_THRUST_L
@@ -210,7 +210,7 @@ def _switch(mission: Mission, entry: Entry | None) -> bool:
 
 def interface() -> str:
     """The variables that the app subscribes to and publishes, as text."""
-    lines = ["Subscribed, unless the set or the mission file names others:"]
+    lines = ["Subscribed, unless the checkpoint or the mission file names others:"]
     lines += [f"  {each['name']:<24} {part}, {each['unit']}" for part, each in MIDDLEWARE.channels.items()]
     lines += [
         f"  {'APPCAST_REQ':<24} who asks for AppCasts",

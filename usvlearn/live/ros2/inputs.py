@@ -17,7 +17,7 @@ NS = 1_000_000_000
 SIMULATED_LIMIT = 60.0  # s between a stamp and a simulated clock, which may be published seldom, or have been reset
 LISTED = 5  # topics in a sentence
 
-# What is read where neither a parameter set nor a parameter says otherwise. Units are those of REP 103.
+# What is read where neither a checkpoint nor a parameter says otherwise. Units are those of REP 103.
 DEFAULTS: dict[str, dict[str, Any]] = {
     "command_left": {"name": "*thrusters/left/thrust"},
     "command_right": {"name": "*thrusters/right/thrust"},

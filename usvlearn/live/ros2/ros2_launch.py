@@ -9,7 +9,7 @@ import importlib
 from typing import Any
 
 ARGUMENTS = {  # name -> default and meaning
-    "folder": ("~/usvlearn", "folder of the node: parameter sets, status, records"),
+    "folder": ("~/usvlearn", "folder of the node: checkpoints, status, records"),
     "params": ("", "file of parameters; `usvlearn live ros2 --example` prints one"),
     "namespace": ("", "namespace of the node; topics with * are looked for below it"),
     "name": ("usvlearn", "name of the node, with which its topics begin"),

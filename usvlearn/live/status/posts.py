@@ -44,7 +44,7 @@ TABLE = (
               "speeds under the commands in force, intervals whatever is commanded: 10=1.23:1.10:1.36,…"),
     Published("FORECAST_IF_HELD", TEXT, "s: m/s", STEP, "the same, intervals where the commands stay"),
     Published(PLANNED, TEXT, "s: m/s", ASKED, "speeds under a plan that was posted, or why there are none"),
-    Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and rule, where members are asked for"),
+    Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and combiner, where members are asked for"),
     Published("ALARM", TEXT, "", RAISED, "a thruster seems to have failed, and how much of its thrust is left"),
     Published("PARAMS", TEXT, "", SELDOM, "identified quantities, as drag_linear=-20.7,thrust_full_left=18.2,…"),
     Published("CONTRACTING", TEXT, "", SELDOM, "verdict on each network, by which condition"),

@@ -72,10 +72,10 @@ def stale(e: Evidence) -> Iterator[Finding]:
         shares = {name: float(not e.settings(name)["held"] and _interval(e, name, 0.5) > _window(e, name) + EPSILON)
                   for name in CHANNELS}  # fmt: skip
     else:
-        lane, counts = e.fleet.boats.index(e.boat) if e.boat in e.fleet.boats else 0, _rejected(e)
-        used = [(run.samples, slice(run.lengths[lane]), lane) for run in e.fleet.runs]
+        element, counts = e.fleet.boats.index(e.boat) if e.boat in e.fleet.boats else 0, _rejected(e)
+        used = [(run.samples, slice(run.lengths[element]), element) for run in e.fleet.runs]
         steps, fresh, measured = (
-            sum(int(leaf(samples)[part, lane].sum()) for samples, part, lane in used)
+            sum(int(leaf(samples)[part, element].sum()) for samples, part, element in used)
             for leaf in (lambda x: x.inputs.dt > 0, lambda x: x.fresh, lambda x: x.measured)
         )
         shares = {name: counts.get(name, Counter())["stale"] / max(steps, 1) for name in CHANNELS}

@@ -96,13 +96,13 @@ def _rows(fleet: Fleet) -> dict[tuple[int, int, int], tuple[float, ...]]:
     found: dict[tuple[int, int, int], tuple[float, ...]] = {}
     for number, run in enumerate(fleet.runs):
         samples = run.samples
-        for lane in range(len(fleet.boats)):
-            inputs = [each[:, lane] for each in samples.inputs]
-            surge, good = samples.surge[:, lane], (samples.measured & samples.fresh)[:, lane]
-            time, step = run.time[:, lane], inputs[4]
+        for element in range(len(fleet.boats)):
+            inputs = [each[:, element] for each in samples.inputs]
+            surge, good = samples.surge[:, element], (samples.measured & samples.fresh)[:, element]
+            time, step = run.time[:, element], inputs[4]
             after = (
                 np.flatnonzero(
-                    good[1:] & samples.measured[:-1, lane] & (np.abs(np.diff(time) - step[:-1]) < 0.6 * step[:-1])
+                    good[1:] & samples.measured[:-1, element] & (np.abs(np.diff(time) - step[:-1]) < 0.6 * step[:-1])
                 )
                 + 1
             )
@@ -112,7 +112,7 @@ def _rows(fleet: Fleet) -> dict[tuple[int, int, int], tuple[float, ...]]:
                  np.ones(len(after)), (surge[after] - before) / step[after]], 1,
             )  # fmt: skip
             finite = np.isfinite(table).all(1)
-            keys = [(number, lane, round(float(each) * 100)) for each in time[after[finite]]]
+            keys = [(number, element, round(float(each) * 100)) for each in time[after[finite]]]
             found.update(zip(keys, map(tuple, table[finite]), strict=True))
     return found
 

@@ -160,7 +160,7 @@ def _range(name: str, forward: Feedforward, wanted: Wanted) -> tuple[float, floa
 
 def _dt(name: str, setup: Setup | None) -> float:
     if setup is None:
-        raise ConfigError(f"{name}: the set does not tell the step of its samples: give --delay")
+        raise ConfigError(f"{name}: the checkpoint does not tell the step of its samples: give --delay")
     return float(setup.align["dt"])
 
 

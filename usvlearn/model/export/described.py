@@ -70,7 +70,7 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
 
 
 def _commands(boat: IdentifiedBoat) -> dict[str, Any]:
-    """How a logged value becomes a command: (value − zero)/span, from the set's setup; {} if that is unknown."""
+    """How a logged value becomes a command: (value − zero)/span, from the checkpoint's setup; {} if that is unknown."""
     found: dict[str, Any] = {}
     for side in COMMANDS:
         each = None if boat.setup is None else boat.setup.channels.get(side)

@@ -53,7 +53,7 @@ def stretches(folder: Path, boat: str) -> Iterator[Stretch]:
     if not found:
         raise ConfigError(
             f"{folder}: found no predictions of {boat} ({PREDICTIONS}/*.npz), expected the folder of a run "
-            "of train.py: give it in place of a parameter set"
+            "of train.py: give it in place of a checkpoint"
         )
 
 
@@ -63,8 +63,8 @@ def _read(path: Path, boat: str) -> Stretch | None:
         boats, names, runs = (_names(archive[each]) for each in ("boats", "estimators", "runs"))
         if boat not in boats:
             return None
-        lane = boats.index(boat)
-        run = runs[lane]
+        element = boats.index(boat)
+        run = runs[element]
         columns = {name: archive[name] for name in COLUMNS}
         tables = [archive[name] for name in ("predictions", "halfwidths")]
     shape = (*columns["time"].shape[:1], len(boats))
@@ -74,9 +74,9 @@ def _read(path: Path, boat: str) -> Stretch | None:
             raise ValueError(f"found {each.dtype} {each.shape}, expected numbers {wanted}")
     if (np.abs(np.nan_to_num(columns["time"] - LATEST / 2, nan=0.0)) > LATEST / 2).any():
         raise ValueError(f"found a time beyond 0 to {LATEST:g} s")
-    made = np.isfinite(columns["time"][:, lane])  # a boat's shorter run has ended
-    columns = {name: each[made, lane] for name, each in columns.items()}
-    return Stretch(run, names, columns, *(each[made, lane] for each in tables)) if run else None
+    made = np.isfinite(columns["time"][:, element])  # a boat's shorter run has ended
+    columns = {name: each[made, element] for name, each in columns.items()}
+    return Stretch(run, names, columns, *(each[made, element] for each in tables)) if run else None
 
 
 def _names(array: np.ndarray) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
-"""What a boat's reader would know after a mission that has not been sailed: its filter goes through the course.
+"""What a boat's averaged joint EKF would know after a mission that has not been sailed: it goes through the course.
 
-The covariance recursion of the joint filter (`usvlearn.estimators.joint.state`) depends on the inputs and on the mean,
+The covariance recursion of the joint EKF (`usvlearn.estimators.joint.state`) depends on the inputs and on the mean,
 and not on what is measured. So each step predicts the speed and learns that prediction: the mean stays at the model's,
 and the covariance falls by the Fisher information of the step, as if the step had been measured. The noise σ² stays as
 it is. `identify` makes the intervals, as after a mission. See `docs/theory.md`, section 27.
@@ -15,7 +15,7 @@ import numpy as np
 
 from usvlearn.core.jit import announced, jit
 from usvlearn.core.rows import COS, DT, LEARN, LEFT, MODE, RIGHT, ROW
-from usvlearn.engine import of_lane
+from usvlearn.engine import of_element
 from usvlearn.engine.identified import reader_leaves
 from usvlearn.engine.program import plan_for
 from usvlearn.estimators.joint.kernel import forecast, learn, start
@@ -31,19 +31,19 @@ class Rehearsed(NamedTuple):
 
 
 class Rehearsal:
-    """Rehearses courses from the state of a boat's reader.
+    """Rehearses courses from the state of a boat's averaged joint EKF.
 
     Args:
         members: descriptions of the estimators by name.
         leaves: of the state, by dotted name, without batch axes.
 
     Raises:
-        ConfigError: none of the members is a reader.
+        ConfigError: none of the members is an averaged joint EKF.
     """
 
     def __init__(self, members: Mapping[str, Mapping[str, Any] | None], leaves: Mapping[str, np.ndarray]):
         description, own = reader_leaves(members, leaves)
-        self.description = of_lane(description, 1, 0)
+        self.description = of_element(description, 1, 0)
         self._plan = plan_for(self.description, (), np.dtype(float))
         self._node = self._plan.program[1]
         self._state = self._plan.pack({key: leaf.astype(float) for key, leaf in own.items()})

@@ -1,4 +1,4 @@
-"""Cross-validation between boats: the best set of each on the runs of all (paper, figure 5)."""
+"""Cross-validation between boats: the best checkpoint of each on the runs of all (paper, figure 5)."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ from usvlearn.report.sections.season_figures import matrix_figure
 from usvlearn.report.sections.section import Drawn, Section, on
 
 PAPER_RESULT = (
-    "The MSE of AVE with the best set of each boat on the runs of all boats, which had started the season from equal "
+    "The MSE of AVE with the best checkpoint of each boat on the runs of all boats, which had started the season "
+    "from equal "
     "parameters: the learned models suit the boats on which they were learned (encouraging, in the paper's word), and "
     "show that some have a thruster bias."
 )
 
 
 def best_sets(seasons: Sequence[Season], errors: Mapping[str, FreeErrors], method: str) -> list[int]:
-    """Each boat's set with the least MSE on the boat's other runs, equal weight per step; its last, if it has no other.
+    """Each boat's checkpoint with the least MSE on the boat's other runs, equal weight per step; its last, if it has no
+    other.
 
     Args:
         seasons: of all boats.
-        errors: of the sets of each boat on all of its runs.
+        errors: of the checkpoints of each boat on all of its runs.
         method: whose error decides.
     """
     chosen = []
@@ -36,11 +38,11 @@ def best_sets(seasons: Sequence[Season], errors: Mapping[str, FreeErrors], metho
 
 
 def fleet_matrices(seasons: Sequence[Season], between: Mapping[str, FreeErrors], methods: Sequence[str]):
-    """MSE of the best set of each boat (rows) on all runs of each boat (columns), m²/s², by method.
+    """MSE of the best checkpoint of each boat (rows) on all runs of each boat (columns), m²/s², by method.
 
     Args:
         seasons: of all boats.
-        between: of the best sets, in the order of the seasons, on all runs of each boat.
+        between: of the best checkpoints, in the order of the seasons, on all runs of each boat.
         methods: those to show.
     """
     columns = [between[season.boat].pooled(between[season.boat].mse) for season in seasons]  # (sets, methods) each
@@ -51,12 +53,12 @@ def fleet_matrices(seasons: Sequence[Season], between: Mapping[str, FreeErrors],
 def fleet_section(
     seasons: Sequence[Season], matrices: Mapping[str, np.ndarray], best: Mapping[str, Sequence[float]]
 ) -> Section:
-    """The matrices, and how far each boat's own set is ahead of the others'.
+    """The matrices, and how far each boat's own checkpoint is ahead of the others'.
 
     Args:
         seasons: of all boats.
         matrices: of `fleet_matrices`; the first is the paper's.
-        best: hours at which each boat's best set was saved, by method.
+        best: hours at which each boat's best checkpoint was saved, by method.
     """
     boats = [season.boat for season in seasons]
     here: list[str] = []
@@ -66,17 +68,20 @@ def fleet_section(
         away = matrix[~np.eye(len(boats), dtype=bool)]
         ratio = np.nanmean(away) / np.nanmean(np.diag(matrix))
         here.append(
-            f"{name}: {on(own, len(boats))} the boat's own set is the best; on average another boat's set has "
-            f"{ratio:.2f} × the MSE of the own set."
+            f"{name}: {on(own, len(boats))} the boat's own checkpoint is the best; on average another boat's "
+            "checkpoint has "
+            f"{ratio:.2f} × the MSE of the own checkpoint."
         )
         for boat, row, hours in zip(boats, matrix, best[name], strict=True):
             rows.append((name, boat, hours, *map(float, row)))
     caption = (
-        "Row: the boat of the set. Column: the boat of the runs, all of them, simulated free. The best of each column "
-        "is framed. A boat's best set has the least MSE of that method on the runs in which it was not saved, so the "
+        "Row: the boat of the checkpoint. Column: the boat of the runs, all of them, simulated free. The best of "
+        "each column "
+        "is framed. A boat's best checkpoint has the least MSE of that method on the runs in which it was not saved, "
+        "so the "
         "diagonal was chosen on these runs and the rest of a column was not. The ensemble has the weights that it had "
-        "when the set was saved."
+        "when the checkpoint was saved."
     )
-    columns = ("method", "best set of", "saved after, h", *(f"MSE on {boat}, m²/s²" for boat in boats))
+    columns = ("method", "best checkpoint of", "saved after, h", *(f"MSE on {boat}, m²/s²" for boat in boats))
     drawn = [Drawn("fleet", matrix_figure(matrices, boats), caption)]
     return Section("fleet", "Between boats", PAPER_RESULT, here, drawn, [ResultTable("fleet", columns, rows)])

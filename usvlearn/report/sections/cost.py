@@ -41,7 +41,7 @@ def cost_section(ensemble: Ensemble) -> Section:
     """The time of one boat, one sample at a time, as in live use: the median over passes.
 
     Args:
-        ensemble: whose members and rules are timed.
+        ensemble: whose members and combiners are timed.
     """
     sample = Sample(Inputs(0.5, 0.4, 1.0, 0.05, 0.4), 0.8, True, True)
     rows: list[tuple[Cell, ...]] = []
@@ -49,8 +49,8 @@ def cost_section(ensemble: Ensemble) -> Section:
     for name, member in ensemble.members.items():
         inner, core = unwrapped(member, member.init(()))
         orders = next((found for kind, found in ORDERS.items() if isinstance(inner, kind)), ("1", "1"))
-        lanes = len(member.labels) if isinstance(member, Bank) else 1
-        kind = f"{type(inner).__name__}, {lanes} settings" if lanes > 1 else type(inner).__name__
+        elements = len(member.labels) if isinstance(member, Bank) else 1
+        kind = f"{type(inner).__name__}, {elements} settings" if elements > 1 else type(inner).__name__
         alone = member if isinstance(member, Estimator) else Ensemble({name: member}, watched=False)
         total += (count := _parameters(core))
         rows.append((name, kind, count, *(f"O({o})" for o in orders), *_times(alone, sample)))
@@ -70,7 +70,7 @@ def cost_section(ensemble: Ensemble) -> Section:
     machine = f"{platform.machine()}, Python {platform.python_version()}, torch {torch.__version__}, one thread"
     here = [
         f"Measured on {machine}: one boat, one sample at a time from Python, the median of {PASSES} passes.",
-        f"As lanes of one batch {MANY} boats take {wide / MANY:.2g} µs each for a step of all together.",
+        f"As elements of one batch {MANY} boats take {wide / MANY:.2g} µs each for a step of all together.",
     ]
     return Section(
         "cost", "Parameters and time per sample", PAPER_RESULT, here, (), [ResultTable("cost", columns, rows)]
@@ -87,7 +87,7 @@ def _times(estimator: Estimator, sample: Sample) -> tuple[float, float, float]:
 
 
 def _many(ensemble: Ensemble, sample: Sample) -> float:
-    """µs a step of MANY lanes."""
+    """µs a step of MANY batch elements."""
     dtype, shape = ensemble.init(()).predictions.dtype, (EAGER, MANY)
     inputs = Inputs(*(torch.full(shape, x, dtype=dtype) for x in sample.inputs))
     yes = torch.ones(shape, dtype=torch.bool)
@@ -97,7 +97,7 @@ def _many(ensemble: Ensemble, sample: Sample) -> float:
 
 
 def _parameters(state: Any) -> int:
-    """The identified parameters of a method: θ, the network's weights, or what a joint filter reads of its state."""
+    """The identified parameters of a method: θ, the network's weights, or what a joint EKF reads of its state."""
     identified = [
         leaf for name, leaf in named_leaves(state) if name in ("theta", "reading") or name.startswith("weights.")
     ]

@@ -1,4 +1,4 @@
-"""Cross-validation of every saved set on every other run of its boat (paper, figure 4)."""
+"""Cross-validation of every saved checkpoint on every other run of its boat (paper, figure 4)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from usvlearn.report.sections.season_figures import Box, box, boxes_figure
 from usvlearn.report.sections.section import Drawn, Section, mean_errors, on, summary, tally
 
 PAPER_RESULT = (
-    "43 to 82 saved sets per boat. AID had the lowest error on seven of eight boats and the smallest range on six; "
+    "43 to 82 saved checkpoints per boat. AID had the lowest error on seven of eight boats and the smallest range on "
+    "six; "
     "RNN and RLS had many outliers; AVE was no better than AID; the RLS-weighted ensemble, whose weights were learned "
     "offline, step by step as if online, was better than all of them."
 )
@@ -26,11 +27,11 @@ SEES = "sees the speed"  # of NAME+
 def cross_section(
     seasons: Sequence[Season], errors: Mapping[str, FreeErrors], remarks: Mapping[str, str] | None = None
 ) -> Section:
-    """The distribution of the free-run MAE over (set, other run), per boat and method.
+    """The distribution of the open-loop MAE over (set, other run), per boat and method.
 
     Args:
         seasons: of all boats.
-        errors: of the sets of each boat on all of its runs.
+        errors: of the checkpoints of each boat on all of its runs.
         remarks: on methods; see `usvlearn.evaluation.members.remarks`.
     """
     boxes: dict[str, dict[str, Box | None]] = {}
@@ -51,14 +52,16 @@ def cross_section(
                              float(np.median(later)) if len(later) else None,
                              remarks.get(name, "")))  # fmt: skip
     if not rows:
-        here = ["There is no other run to simulate: each boat has one, from which all of its sets came."]
+        here = ["There is no other run to simulate: each boat has one, from which all of its checkpoints came."]
         return Section("crossval", "Cross-validation", PAPER_RESULT, here)
     columns = ("boat", "method", "median MAE, m/s", "mean, m/s", "lower quartile, m/s", "upper quartile, m/s",
                "5 %, m/s", "95 %, m/s", "outliers", "diverged", "simulations",
                "median over later runs, m/s", "remark")  # fmt: skip
     caption = (
-        "Every saved set is simulated on every run of its boat except the one in which it was saved. A simulation uses "
-        "the inputs, and the speed at which each segment starts. Some of these runs were learned before the set was "
+        "Every saved checkpoint is simulated on every run of its boat except the one in which it was saved. A "
+        "simulation uses "
+        "the inputs, and the speed at which each segment starts. Some of these runs were learned before the "
+        "checkpoint was "
         "saved; the table also has the median over later runs only. The lowest mean over boats comes first. Box: "
         "quartiles of the MAE; line: 5 to 95 %; diamond: mean; dots: beyond; div.: simulations that left the physical "
         "limit, which count with the error of the limit. NAME+ (hollow) weighs the free members by the speeds measured "
@@ -71,11 +74,14 @@ def cross_section(
     boxes = {boat: {name: row[name] for name in order} for boat, row in boxes.items()}
     return Section(
         "crossval",
-        "Cross-validation: free runs of every saved set",
+        "Cross-validation: open-loop simulations of every saved checkpoint",
         PAPER_RESULT,
         _findings(known),
-        [Drawn("crossval", boxes_figure(boxes, subtitles, "MAE of a free run, m/s"), caption)],
-        [summary("crossval_fleet", means, "MAE of a free run, m/s", remarks), ResultTable("crossval", columns, rows)],
+        [Drawn("crossval", boxes_figure(boxes, subtitles, "MAE of an open-loop simulation, m/s"), caption)],
+        [
+            summary("crossval_fleet", means, "MAE of an open-loop simulation, m/s", remarks),
+            ResultTable("crossval", columns, rows),
+        ],
     )
 
 
@@ -100,7 +106,11 @@ def _findings(boats: Mapping[str, Mapping[str, Box]]) -> list[str]:
     free = [name for name in names if not name.endswith("+")]
     means = {name: float(np.mean([row[name].mean for row in boats.values()])) for name in free}
     best = sorted(means, key=means.__getitem__)[:3]
-    here.append("Lowest of all free runs, mean over boats: " + ", ".join(f"{n} {means[n]:.3f} m/s" for n in best) + ".")
+    here.append(
+        "Lowest of all open-loop simulations, mean over boats: "
+        + ", ".join(f"{n} {means[n]:.3f} m/s" for n in best)
+        + "."
+    )
     diverged = {name: sum(row[name].diverged for row in boats.values()) for name in names}
     total = sum(row[names[0]].number for row in boats.values())
     bad = ", ".join(f"{name} {number}" for name, number in diverged.items() if number)

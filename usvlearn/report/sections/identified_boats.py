@@ -21,11 +21,11 @@ CAPTION = "Lines: identified. Bands: 90 %."
 
 
 def identified_section(seasons: Sequence[Season], ensemble: Ensemble, truth: Truth) -> Section | None:
-    """A table of all quantities, and a figure of curves per boat; None if no member is a reader.
+    """A table of all quantities, and a figure of curves per boat; None if no member is an averaged joint EKF.
 
     Args:
         seasons: of all boats.
-        ensemble: to which the sets belong.
+        ensemble: to which the checkpoints belong.
         truth: quantities of simulated boats, else empty.
     """
     rows, drawn, held, boats = [], [], [], {}

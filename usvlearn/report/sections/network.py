@@ -13,7 +13,7 @@ from certify.proofs.equilibria import surge_inputs, sweep
 from certify.proofs.rounding import above, below, float_above, float_below
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.rnn.layer import RNN, lane_weights
+from usvlearn.estimators.rnn.layer import RNN, element_weights
 from usvlearn.evaluation.crossval import FreeErrors
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.season_figures import certificates_figure
@@ -29,13 +29,13 @@ HEADINGS = 24  # at which equilibria are looked for
 
 
 def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mapping[str, FreeErrors]) -> Section | None:
-    """Margins at every saved set, in rational arithmetic, and the equilibria of each boat's last network.
+    """Margins at every saved checkpoint, in rational arithmetic, and the equilibria of each boat's last network.
 
     None where the ensemble has no network.
 
     Args:
         seasons: of all boats.
-        ensemble: to which the sets belong; its first RNN is looked at.
+        ensemble: to which the checkpoints belong; its first RNN is looked at.
         errors: of each boat's cross-validation.
     """
     members = {name: member for name, member in ensemble.members.items() if isinstance(member, RNN)}
@@ -43,7 +43,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
         return None
     name, network = next(iter(members.items()))
     surge_max = 0.5 / network.scale
-    networks = {s.boat: [lane_weights(s.state.members[name], k) for k in range(len(s.own))] for s in seasons}
+    networks = {s.boat: [element_weights(s.state.members[name], k) for k in range(len(s.own))] for s in seasons}
     margins: dict[str, dict[str, np.ndarray]] = {}
     for boat, some in networks.items():
         found = [exact.conditions(weights.a, weights.w1) for weights in some]
@@ -65,7 +65,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
         rows.append((season.boat, above(rates[season.boat][-1], 4), len(rest) / HEADINGS, min(places, default=None),
                      max(places, default=None), kinds or "none"))  # fmt: skip
     steps = sum(len(boats) for boats in rates.values())
-    here = [f"Certified, of {steps} saved sets: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
+    here = [f"Certified, of {steps} saved checkpoints: " + ", ".join(f"{c} {n}" for c, n in held.items()) + "."]
     beside = {s.boat: free_words(name, errors[s.boat].unseen(s), ensemble.output) for s in seasons[:SHOWN]}
     here += [f"{boat}, {name}: {words}." for boat, words in beside.items() if words]
     if any(beside.values()):
@@ -83,7 +83,8 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
         Drawn(
             "certificates",
             certificates_figure({s.boat: s.hours for s in seasons}, {**margins, "rate": rates}),
-            "Margins of the conditions at every saved set, computed in rational arithmetic: certified above the red "
+            "Margins of the conditions at every saved checkpoint, computed in rational arithmetic: certified above "
+            "the red "
             "line. The last panel is the exact rate over all activation patterns: certified below the line.",
         ),
         Drawn(
@@ -95,7 +96,7 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
     ]
     columns = (
         "boat",
-        "K of the last set, per step",
+        "K of the last checkpoint, per step",
         "equilibria per heading",
         "least, m/s",
         "greatest, m/s",

@@ -61,7 +61,7 @@ def functionals(names: Sequence[str], speed: float, command: float) -> dict[str,
 
 
 def course(hours: np.ndarray, state: Any, weights: np.ndarray) -> Course:
-    """wᵀθ over the sets and, if the state has a covariance, its standard deviation √(σ² wᵀPw).
+    """wᵀθ over the checkpoints and, if the state has a covariance, its standard deviation √(σ² wᵀPw).
 
     Args:
         hours: `(sets,)`.
@@ -85,7 +85,7 @@ def parameters_section(
 
     Args:
         seasons: of all boats.
-        ensemble: to which the sets belong.
+        ensemble: to which the checkpoints belong.
         truth: of simulated boats, else empty.
         mission: of each boat with a truth, the mission of each of its runs.
     """

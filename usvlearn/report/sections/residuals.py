@@ -19,7 +19,7 @@ UNEVEN = 0.05  # relative scatter of the lengths of steps, from which on they ar
 
 
 def residual_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
-    """The autocorrelation of the errors of the rule that predicts; None if no run was replayed.
+    """The autocorrelation of the errors of the combiner that predicts; None if no run was replayed.
 
     Args:
         seasons: of all boats.

@@ -132,7 +132,8 @@ def _draw_box(panel, place: int, found: Box | None, colour: str, learning: bool,
 
 
 def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
-    """MSE of the best set of each boat (rows) on the runs of each boat (columns); the least of a column is framed.
+    """MSE of the best checkpoint of each boat (rows) on the runs of each boat (columns); the least of a column is
+    framed.
 
     The colours of all methods have one scale.
 
@@ -173,7 +174,7 @@ def matrix_figure(matrices: Mapping[str, np.ndarray], boats: Sequence[str]):
             panel.tick_params(length=0)
             panel.spines[:].set_visible(False)
             panel.set_title(name, loc="left", fontsize=10)
-            panel.set(xlabel="runs of", ylabel="best set of")
+            panel.set(xlabel="runs of", ylabel="best checkpoint of")
         bar = figure.colorbar(image, ax=panels, shrink=0.75, ticks=LogLocator(subs=(1, 2, 5)))
         bar.ax.yaxis.set_major_formatter(lambda x, _: f"{1000 * x:g}")
         bar.ax.minorticks_off()
@@ -192,10 +193,10 @@ def boat_colours(boats: Sequence[str]) -> dict[str, Any]:
 
 
 def certificates_figure(hours: Mapping[str, np.ndarray], margins: Mapping[str, Mapping[str, np.ndarray]]):
-    """The margin of each condition at every saved set, a line per boat: certified where it is above zero.
+    """The margin of each condition at every saved checkpoint, a line per boat: certified where it is above zero.
 
     Args:
-        hours: of the sets, `(sets,)`, by boat.
+        hours: of the checkpoints, `(sets,)`, by boat.
         margins: by condition and boat, `(sets,)`; the rate K under the name "rate", which has to be below one.
 
     >>> figure = certificates_figure({"heron": np.arange(2.0)}, {"tight": {"heron": np.array([0.1, 0.2])}})

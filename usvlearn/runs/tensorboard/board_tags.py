@@ -20,7 +20,7 @@ from usvlearn.evaluation import measure
 from usvlearn.evaluation.measure import Measure
 
 IDENTIFIED, LOW, HIGH, TRUTH = "identified", "identified low", "identified high", "truth"
-SECOND = ((TRUTH,), (LOW,), (IDENTIFIED,), ("weighted",), ("joint_quick",), ("reader",), (HIGH,))
+SECOND = ((TRUTH,), (LOW,), (IDENTIFIED,), ("weighted",), ("joint_quick",), ("joint_averaged",), (HIGH,))
 FLEET, RESULTS = "fleet", "results"
 # settings that do not say how it is learned, with all below them, and those below them that are named
 BESIDE = ("data", "vehicle", "hydra", "sweep", "save_minutes", "threads", "resume", "log", "objective")
@@ -98,7 +98,7 @@ def place(key: str, output: str, horizon: float | None) -> tuple[str, str]:
 
     Args:
         key: NAME/NUMBER.
-        output: the ensemble's rule, in whose run is what concerns the boat.
+        output: the ensemble's combiner, in whose run is what concerns the boat.
         horizon: the one that is shown, s.
 
     >>> place("ensemble/weight_aid", "ensemble", 10.0), place("rnn/margin_tight", "ensemble", 10.0)
@@ -196,11 +196,11 @@ def label(settings: Mapping[str, str]) -> str:
 
 
 def results_of(results: Mapping[str, Any], name: str) -> dict[str, float]:
-    """The results of a job by title, of one estimator or rule, means over boats; those that are known.
+    """The results of a job by title, of one estimator or combiner, means over boats; those that are known.
 
     Args:
         results: of `results.json`.
-        name: of the estimator or rule; the rule `output` has those that it lacks.
+        name: of the estimator or combiner; the combiner `output` has those that it lacks.
 
     >>> results_of({"boats": {"heron": {"rnn": {"mae": 0.1, "skill": 0.5}}}, "seconds": 3.0}, "rnn")
     {'MAE (m/s)': 0.1, 'skill': 0.5, 'seconds': 3.0}

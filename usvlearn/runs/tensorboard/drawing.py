@@ -3,7 +3,7 @@
     runs                measured and predicted speed of every run, and its worst minute, RUNS in a figure
     identified curves   with bands, over the season
     forecast            some forecasts of the last run
-    free run            the last run, simulated with the parameters before it
+    open-loop simulation            the last run, simulated with the parameters before it
     prediction          a run, with intervals and some members
     thrusters           a run with an alarm
 
@@ -73,9 +73,9 @@ def figures(
         MissingExtraError: matplotlib is not installed; while it is gone through.
     """
     drawing = _Drawing(replayed, data, alarms, published)
-    for lane, boat in enumerate(replayed.fleet.boats):
+    for element, boat in enumerate(replayed.fleet.boats):
         if alarms.get(boat):
-            yield drawing.thrusters(drawing.index_of(lane, alarms[boat][0]["run"]), lane)
+            yield drawing.thrusters(drawing.index_of(element, alarms[boat][0]["run"]), element)
     allowed = (
         max(LEAST_FIGURES, len(replayed.fleet.boats))
         + replayed.fleet.steps * len(replayed.fleet.boats) // STEPS_PER_FIGURE
@@ -99,64 +99,70 @@ class _Drawing:
 
     def every(self) -> Iterator[Figure]:
         """All figures but those of alarms."""
-        lanes = range(len(self.fleet.boats))
-        ends = [max(k for k, run in enumerate(self.fleet.runs) if run.lengths[lane]) for lane in lanes]
+        elements = range(len(self.fleet.boats))
+        ends = [max(k for k, run in enumerate(self.fleet.runs) if run.lengths[element]) for element in elements]
         *earlier, last = range(len(self.fleet.runs) % RUNS or RUNS, len(self.fleet.runs) + 1, RUNS)
-        yield from (self.runs(last, lane) for lane in lanes if any(self._lengths(last, lane)))
+        yield from (self.runs(last, element) for element in elements if any(self._lengths(last, element)))
         if self.replayed.seasons:
-            yield from (self.identified(ends[lane], lane) for lane in lanes)
+            yield from (self.identified(ends[element], element) for element in elements)
         if self.ensemble.forecasts is not None:
-            yield from (self.forecast(ends[lane], lane) for lane in lanes)
+            yield from (self.forecast(ends[element], element) for element in elements)
         if self.replayed.before_last is not None:
             final = len(self.fleet.runs) - 1
-            yield from (self.free(final, lane) for lane in lanes if ends[lane] == final)
+            yield from (self.free(final, element) for element in elements if ends[element] == final)
         for stop in reversed(earlier):
-            yield from (self.runs(stop, lane) for lane in lanes if any(self._lengths(stop, lane)))
-        yield from (self.prediction(ends[lane], lane) for lane in lanes)
+            yield from (self.runs(stop, element) for element in elements if any(self._lengths(stop, element)))
+        yield from (self.prediction(ends[element], element) for element in elements)
         if self.replayed.everything:
             for index, run in enumerate(self.fleet.runs):
-                yield from (self.prediction(index, lane) for lane in lanes if run.lengths[lane] and index < ends[lane])
+                yield from (
+                    self.prediction(index, element)
+                    for element in elements
+                    if run.lengths[element] and index < ends[element]
+                )
             if self.ensemble.watched:
-                yield from (self.thrusters(ends[lane], lane) for lane in lanes)
+                yield from (self.thrusters(ends[element], element) for element in elements)
 
-    def _lengths(self, stop: int, lane: int) -> list[int]:
+    def _lengths(self, stop: int, element: int) -> list[int]:
         """Of a boat's last RUNS runs before a number."""
-        return [run.lengths[lane] for run in self.fleet.runs[max(0, stop - RUNS) : stop]]
+        return [run.lengths[element] for run in self.fleet.runs[max(0, stop - RUNS) : stop]]
 
-    def index_of(self, lane: int, name: str) -> int:
-        return next(k for k, run in enumerate(self.fleet.runs) if run.names[lane] == name)
+    def index_of(self, element: int, name: str) -> int:
+        return next(k for k, run in enumerate(self.fleet.runs) if run.names[element] == name)
 
-    def runs(self, stop: int, lane: int) -> Figure:
+    def runs(self, stop: int, element: int) -> Figure:
         """The ensemble's prediction of RUNS runs, those before a number."""
-        indices = [max(0, stop - RUNS) + k for k, length in enumerate(self._lengths(stop, lane)) if length]
+        indices = [max(0, stop - RUNS) + k for k, length in enumerate(self._lengths(stop, element)) if length]
 
         def draw():
             column, name = self.ensemble.names.index(self.ensemble.output), self.ensemble.output
             shown = []
             for index in indices:
-                time, surge, found = self._of(index, lane, ("predictions",))
-                shown.append(Traces(self.fleet.runs[index].names[lane], time, surge, found["predictions"][:, column]))
-            return runs_figure(shown, name, f"{self.fleet.boats[lane]}: {len(shown)} runs")
+                time, surge, found = self._of(index, element, ("predictions",))
+                shown.append(
+                    Traces(self.fleet.runs[index].names[element], time, surge, found["predictions"][:, column])
+                )
+            return runs_figure(shown, name, f"{self.fleet.boats[element]}: {len(shown)} runs")
 
-        return self._figure(indices[-1], lane, "runs", draw)
+        return self._figure(indices[-1], element, "runs", draw)
 
-    def prediction(self, index: int, lane: int) -> Figure:
+    def prediction(self, index: int, element: int) -> Figure:
         """The ensemble's prediction and interval, and three members: the paper's, or else the first ones."""
 
         def draw():
-            time, surge, found = self._of(index, lane)
+            time, surge, found = self._of(index, element)
             names, places = self._shown()
             own = found["halfwidths"][:, places[-1]]
-            title = self._title(index, lane)
+            title = self._title(index, element)
             return prediction_figure(time, surge, found["predictions"][:, places], names, title, own)
 
-        return self._figure(index, lane, "prediction", draw)
+        return self._figure(index, element, "prediction", draw)
 
-    def free(self, index: int, lane: int) -> Figure:
+    def free(self, index: int, element: int) -> Figure:
         """The last run, simulated from the parameters before it."""
 
         def draw():
-            time, surge, _ = self._of(index, lane)
+            time, surge, _ = self._of(index, element)
             names, places = self._shown()
             if index not in self._free:
                 run, state = self.fleet.runs[index], self.replayed.before_last
@@ -165,49 +171,49 @@ class _Drawing:
                 with torch.no_grad():
                     _, _, kept = simulate(self.ensemble, state, samples, record=["predictions"])
                 self._free[index] = kept["predictions"].double().numpy()
-            predictions = self._free[index][: len(time), lane][:, places]
-            title = f"{self._title(index, lane)}: free run, parameters as before it"
+            predictions = self._free[index][: len(time), element][:, places]
+            title = f"{self._title(index, element)}: open-loop simulation, parameters as before it"
             return free_figure(time, surge, predictions, names, title)
 
-        return self._figure(index, lane, "free run", draw)
+        return self._figure(index, element, "open-loop simulation", draw)
 
-    def forecast(self, index: int, lane: int) -> Figure:
+    def forecast(self, index: int, element: int) -> Figure:
         """Forecasts of some origins."""
 
         def draw():
-            time, surge, found = self._of(index, lane)
+            time, surge, found = self._of(index, element)
             made = self.ensemble.forecasts
             if made is None or "forecasts" not in found:
                 return None
             horizons = made.horizons.tolist()
             own = found["forecasts"].reshape(len(time), len(horizons), -1)[..., -1]
-            title = f"{self._title(index, lane)}: forecasts up to {max(horizons):g} s ahead"
+            title = f"{self._title(index, element)}: forecasts up to {max(horizons):g} s ahead"
             return forecast_figure(
                 time, surge, own, found["forecast_halfwidths"], horizons, self.ensemble.output, title
             )
 
-        return self._figure(index, lane, "forecast", draw)
+        return self._figure(index, element, "forecast", draw)
 
-    def identified(self, index: int, lane: int) -> Figure:
+    def identified(self, index: int, element: int) -> Figure:
         """Curves of forces at some times of the season."""
-        boat, seasons = self.fleet.boats[lane], self.replayed.seasons
+        boat, seasons = self.fleet.boats[element], self.replayed.seasons
 
         def draw():
             chosen = np.unique(np.linspace(0, len(seasons) - 1, SEASONS + 1).astype(int)[1:])
             shown = [each for k in chosen if (each := curves(seasons[k][1][boat]))]
             if not shown:
                 return None
-            hours = seasons[-1][0][lane] / 3600
+            hours = seasons[-1][0][element] / 3600
             title = f"{boat} after {hours:.2g} h" + (" (fainter: earlier)" if len(shown) > 1 else "")
             return identified_figure(shown, seasons[-1][1][boat], self.replayed.truth.get(boat, {}), title)
 
-        return self._figure(index, lane, "identified curves", draw)
+        return self._figure(index, element, "identified curves", draw)
 
-    def thrusters(self, index: int, lane: int) -> Figure:
+    def thrusters(self, index: int, element: int) -> Figure:
         """Health of the thrusters; if the log is simulated, also the fault."""
 
         def draw():
-            time, surge, found = self._of(index, lane)
+            time, surge, found = self._of(index, element)
             names = self.ensemble.names
             shown = [name for name in ("aid", self.ensemble.output) if name in names]  # the ensemble is drawn last
             health, fault = found["thrusters"], self.data.get("fault")
@@ -221,18 +227,18 @@ class _Drawing:
                 health[:, 2:4],
                 THRESHOLD,
                 began if began is not None and time[0] <= began <= time[-1] else None,
-                [each["time"] for each in self.alarms[self.fleet.boats[lane]] if each["run"] == run.names[lane]],
-                self._title(index, lane),
+                [each["time"] for each in self.alarms[self.fleet.boats[element]] if each["run"] == run.names[element]],
+                self._title(index, element),
             )
 
-        return self._figure(index, lane, "thrusters", draw)
+        return self._figure(index, element, "thrusters", draw)
 
-    def _figure(self, index: int, lane: int, tag: str, draw: Callable[[], Any]) -> Figure:
-        step = int(self.replayed.clocks[-1, lane]) + index  # after all points, so that a resumed run replaces it
-        return Figure(self.fleet.boats[lane], f"7 figures/{tag}", step, draw)
+    def _figure(self, index: int, element: int, tag: str, draw: Callable[[], Any]) -> Figure:
+        step = int(self.replayed.clocks[-1, element]) + index  # after all points, so that a resumed run replaces it
+        return Figure(self.fleet.boats[element], f"7 figures/{tag}", step, draw)
 
-    def _title(self, index: int, lane: int) -> str:
-        return f"{self.fleet.boats[lane]}, {self.fleet.runs[index].names[lane]}"
+    def _title(self, index: int, element: int) -> str:
+        return f"{self.fleet.boats[element]}, {self.fleet.runs[index].names[element]}"
 
     def _shown(self) -> tuple[list[str], list[int]]:
         """The estimators in figures, and their columns: the ensemble last."""
@@ -240,13 +246,13 @@ class _Drawing:
         return shown, [self.ensemble.names.index(name) for name in shown]
 
     def _of(
-        self, index: int, lane: int, names: Sequence[str] = PUBLISHED
+        self, index: int, element: int, names: Sequence[str] = PUBLISHED
     ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """Time, measured speed, and what was published of a boat's run; all `(time, …)`."""
         if self._held[0] != (index, names):
             places = self._places.get(index, [])
             self._held = (index, names), joined([self.published.read(*place, names).arrays for place in places])
         run: Run = self.fleet.runs[index]
-        part = slice(0, run.lengths[lane])
-        surge = np.where(masks(run.samples, self.ensemble.surge_limit).learns, run.samples.surge, np.nan)[part, lane]
-        return run.time[part, lane], surge, {name: array[part, lane] for name, array in self._held[1].items()}
+        part = slice(0, run.lengths[element])
+        surge = np.where(masks(run.samples, self.ensemble.surge_limit).learns, run.samples.surge, np.nan)[part, element]
+        return run.time[part, element], surge, {name: array[part, element] for name, array in self._held[1].items()}

@@ -117,7 +117,9 @@ class TensorBoardLogger:
         """All runs, in the order of their colours."""
         own, every = list(self._names.values()), {}
         for boat, folder in self.folders.items():
-            read = [board_tags.LOW, board_tags.IDENTIFIED, board_tags.HIGH] if self.ensemble.reader is not None else []
+            read = (
+                [board_tags.LOW, board_tags.IDENTIFIED, board_tags.HIGH] if self.ensemble.averaged is not None else []
+            )
             every[folder] = [*own, *read, *([board_tags.TRUTH] if read and boat in self.truth else [])]
         if len(self.folders) > 1:
             every[self.fleet_run] = own
@@ -219,12 +221,12 @@ class TensorBoardLogger:
 
     def _write_point(self, point: Point, rows: np.ndarray) -> None:
         later = point.clock > self._last
-        if self.ensemble.reader is not None and self._due(point):
+        if self.ensemble.averaged is not None and self._due(point):
             self._show_identified(point, later)
-        for lane, folder in enumerate(self.folders.values()):
-            if later[lane]:
+        for element, folder in enumerate(self.folders.values()):
+            if later[element]:
                 for run, tags, columns in self._plan:
-                    self._scalars(f"{folder}/{run}", tags, rows[lane, columns], int(point.clock[lane]))
+                    self._scalars(f"{folder}/{run}", tags, rows[element, columns], int(point.clock[element]))
         if len(self.folders) > 1 and later.any():
             for run, tags, columns in self._plan:
                 own = [k for k, tag in enumerate(tags) if tag.startswith("1 ")]
@@ -249,10 +251,10 @@ class TensorBoardLogger:
         """Write one point of every quantity, with the ends of its interval, and the truth."""
         found = identified_boats(self.ensemble, point.state, self.fleet.boats)
         self.seasons.append((point.clock, found))
-        for lane, (boat, quantities) in enumerate(found.items()):
+        for element, (boat, quantities) in enumerate(found.items()):
             tags = {name: board_tags.quantity_tag(name) for name in quantities}
             tags = {name: tag for name, tag in tags.items() if self.everything or not tag.startswith("9 all/")}
-            if later[lane]:
+            if later[element]:
                 known = {board_tags.TRUTH: self.truth.get(boat, {})}
                 known[board_tags.IDENTIFIED] = {name: quantities[name].value for name in tags}
                 for run, field in ((board_tags.LOW, "low"), (board_tags.HIGH, "high")):
@@ -261,7 +263,7 @@ class TensorBoardLogger:
                 for run, values in known.items():
                     row = {tags[name]: x for name, x in values.items() if name in tags}
                     numbers = np.array(list(row.values()), float)
-                    self._scalars(f"{self.folders[boat]}/{run}", list(row), numbers, int(point.clock[lane]))
+                    self._scalars(f"{self.folders[boat]}/{run}", list(row), numbers, int(point.clock[element]))
 
     def finish(
         self,
@@ -343,7 +345,9 @@ def check_log(log: Any) -> None:
 
 def _clocks(fleet: Fleet) -> np.ndarray:
     """Whole seconds of run time before each run, and at the end, `(runs + 1, boats)`; runs never share a second."""
-    lengths = [[int(run.time[n - 1, lane]) + 1 if n else 0 for lane, n in enumerate(run.lengths)] for run in fleet.runs]
+    lengths = [
+        [int(run.time[n - 1, element]) + 1 if n else 0 for element, n in enumerate(run.lengths)] for run in fleet.runs
+    ]
     return np.concatenate([np.zeros((1, len(fleet.boats)), int), np.cumsum(lengths, axis=0)])
 
 
@@ -374,11 +378,12 @@ def _data(fleet: Fleet) -> str:
     """What the logs contain, and what was rejected, as Markdown."""
     rows = ["| boat | runs | hours | steps | measured speed | stale inputs |", "|---|---|---|---|---|---|"]
     counts, clocks = np.sum([_count(run, slice(None)) for run in fleet.runs], axis=0), _clocks(fleet)[-1]
-    for lane, boat in enumerate(fleet.boats):
-        steps, measured, stale = counts[lane].tolist()
-        runs = sum(run.lengths[lane] > 0 for run in fleet.runs)
+    for element, boat in enumerate(fleet.boats):
+        steps, measured, stale = counts[element].tolist()
+        runs = sum(run.lengths[element] > 0 for run in fleet.runs)
         rows.append(
-            f"| {boat} | {runs} | {clocks[lane] / 3600:.2f} | {steps} | {measured / steps:.1%} | {stale / steps:.1%} |"
+            f"| {boat} | {runs} | {clocks[element] / 3600:.2f} | {steps} | {measured / steps:.1%} | "
+            f"{stale / steps:.1%} |"
         )
     rows += ["", "| boat | channel | rejected messages, by cause |", "|---|---|---|"]
     for boat, channels in fleet.rejected.items():

@@ -1,4 +1,4 @@
-"""Figures of a boat's run: what a free run and forecasts predicted, and the forces that were identified."""
+"""Figures of a boat's run: what open-loop simulation and forecasts predicted, and the forces that were identified."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.joint.reading import Identified
 
-READ, LEFT, RIGHT = KNOWN["reader"], *SIDES.values()  # colours: of the boat as its reader has it, of its thrusters
+READ, LEFT, RIGHT = (
+    KNOWN["joint_averaged"],
+    *SIDES.values(),
+)  # colours: of the boat as its averaged joint EKF has it, of its thrusters
 SPAN, ORIGINS = 240.0, 6  # s of a figure of forecasts, and how many forecasts it shows
 
 

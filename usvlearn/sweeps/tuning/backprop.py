@@ -1,13 +1,13 @@
-"""Hyperparameters by gradient: truncated back-propagation through the online run, with one lane per run.
+"""Hyperparameters by gradient: truncated back-propagation through the online run, with one batch element per run.
 
 It is for parameters that are too many for `sensitivities`: the thousands of initial weights of a network. For a gain
 with a long memory, a truncated gradient is biased.
 
-Every run of every boat is a lane, `(time, runs)`. A lane starts from the state that the boat has at that run when all
-runs are replayed in order with the present hyperparameters. The first run starts from `init`, so that the gradient
-reaches the initial state. The loss of a window is its share of the objective,
+Every run of every boat is a batch element, `(time, runs)`. A batch element starts from the state that the boat has at
+that run when all runs are replayed in order with the present hyperparameters. The first run starts from `init`, so that
+the gradient reaches the initial state. The loss of a window is its share of the objective,
 
-    L = Σ_lanes w Σ_k |v_k − v̂_k|,   w = 1/(boats · measured steps of the lane's boat)                  (1)
+    L = Σ_elements w Σ_k |v_k − v̂_k|,   w = 1/(boats · measured steps of the batch element's boat)                  (1)
 
 so that the losses of an epoch add up to the MAE, averaged over boats. After each window Adam (Kingma & Ba 2015) makes a
 step on the scale of each hyperparameter (logarithm or logit), within its range, and the gradient is truncated.
@@ -31,7 +31,7 @@ from usvlearn.core.samples import PLAUSIBLE, Fleet, Sample, masks, tree_map
 from usvlearn.engine.rollouts import rollout, tensors
 from usvlearn.errors import ConfigError, check_choice
 from usvlearn.estimators.rnn.layer import RNN
-from usvlearn.sweeps.tuning.lanes import Evaluation, Hyperparameter, Objective, lane_errors
+from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, element_errors
 
 EPOCH_COST, PASS_COST = 3, 1  # evaluations: forward and backward through all samples; forward alone
 RATE, WEIGHT_RATE = 0.1, 0.003  # Adam's, on the scale, and for initial weights; they fall to 0 at the last window
@@ -44,14 +44,16 @@ STARTS = ("default", "middle")
 class Lanes(NamedTuple):
     """All runs of a fleet, side by side."""
 
-    samples: Sample  # (time, lanes), padded with samples that are never fresh
-    run: Tensor  # (lanes,) index of each lane's run
-    boat: Tensor  # (lanes,) index of its boat
-    weight: Tensor  # (lanes,) w of (1)
+    samples: Sample  # (time, elements), padded with samples that are never fresh
+    run: Tensor  # (elements,) index of each batch element's run
+    boat: Tensor  # (elements,) index of its boat
+    weight: Tensor  # (elements,) w of (1)
 
 
-def run_lanes(fleet: Fleet, like: Tensor, surge_limit: float = PLAUSIBLE) -> Lanes:
-    """Every run of every boat as a lane, of the dtype and device of `like`; `surge_limit`, m/s, is the estimator's."""
+def run_elements(fleet: Fleet, like: Tensor, surge_limit: float = PLAUSIBLE) -> Lanes:
+    """Every run of every boat as a batch element, of the dtype and device of `like`; `surge_limit`, m/s, is the
+    estimator's.
+    """
     longest, boats = max(len(run.time) for run in fleet.runs), len(fleet.boats)
 
     def padded(x: Tensor) -> Tensor:
@@ -69,28 +71,28 @@ def run_lanes(fleet: Fleet, like: Tensor, surge_limit: float = PLAUSIBLE) -> Lan
 
 
 def window_losses(
-    estimator: Estimator, lanes: Lanes, starts: Sequence[Any], boats: int, window: int
+    estimator: Estimator, elements: Lanes, starts: Sequence[Any], boats: int, window: int
 ) -> Iterator[tuple[Tensor, float]]:
     """The loss (1) of each window, and its share of all steps; the hyperparameters may change between windows.
 
     Args:
         estimator: its hyperparameters receive the gradient.
-        lanes: see `run_lanes`.
+        batch elements: see `run_elements`.
         starts: the states at the start of each run, leaves `(boats, ...)`; the first is recomputed, with gradient.
         boats: their number.
         window: steps.
     """
-    place = lanes.run * boats + lanes.boat
+    place = elements.run * boats + elements.boat
     states = [estimator.init((boats,)), *starts[1:]]
     state = tree_map(lambda *x: torch.cat(x)[place], *states)
     limit = estimator.surge_limit
-    total = masks(lanes.samples, limit).learns.sum()
-    for begin in range(0, len(lanes.samples.surge), window):
-        part = tree_map(lambda x, a=begin: x[a : a + window], lanes.samples)
+    total = masks(elements.samples, limit).learns.sum()
+    for begin in range(0, len(elements.samples.surge), window):
+        part = tree_map(lambda x, a=begin: x[a : a + window], elements.samples)
         step = clean(part, limit)
         state, predicted, _ = rollout(estimator, state, part)
         errors = torch.where(step.learns, (predicted - step.surge).abs(), 0.0)
-        yield (errors * lanes.weight).sum(), float(step.learns.sum() / total)
+        yield (errors * elements.weight).sum(), float(step.learns.sum() / total)
         state = tree_map(Tensor.detach, state)
 
 
@@ -139,13 +141,15 @@ def fit(
         learner.to_middle()
     best = learner.evaluated(extra)
     found, curve, used = [default, best.evaluation][: 1 + extra], [], extra
-    lanes = run_lanes(objective.fleet, learner.leaves[0], learner.estimator.surge_limit)
-    windows = -(-len(lanes.samples.surge) // window)
+    elements = run_elements(objective.fleet, learner.leaves[0], learner.estimator.surge_limit)
+    windows = -(-len(elements.samples.surge) // window)
     optimizer = torch.optim.Adam(learner.groups, betas=BETAS, eps=1e-12)
     rates, current, steps = [group["lr"] for group in optimizer.param_groups], best, 0
     for _ in range(epochs):
         unit = max(min(default.mae, best.evaluation.mae), 1e-6)
-        for loss, share in window_losses(learner.estimator, lanes, current.starts, len(objective.fleet.boats), window):
+        for loss, share in window_losses(
+            learner.estimator, elements, current.starts, len(objective.fleet.boats), window
+        ):
             objective.advance(EPOCH_COST / windows)
             if not share:
                 continue
@@ -251,7 +255,7 @@ class _Learner:
         starts: list[Any] = []
         advance = self.objective.advance
         fleet = self.objective.fleet
-        maes = lane_errors(self.estimator, fleet, (), lambda share: advance(cost * share), starts.append).mae
+        maes = element_errors(self.estimator, fleet, (), lambda share: advance(cost * share), starts.append).mae
         for each in self.networks:
             setting[pretrained(each.path)] = self._save(each, self._weights(each))
         return _Evaluated(

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 
-from usvlearn.sweeps.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting
+from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, Setting
 
 
 def counts(points: int, dimensions: int) -> list[int]:

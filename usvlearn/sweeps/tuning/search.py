@@ -1,8 +1,8 @@
 """Search of hyperparameters by Optuna: a journal in the folder, resumable, with one budget for several processes.
 
-Each process takes a batch of trials and evaluates them as lanes. Trials are numbered over all processes. A trial counts
-if fewer trials than the budget have a lower number and were not given back. Each process touches a file while it works
-(its heartbeat). When that file is old, the process was killed, and its unfinished trials are given back.
+Each process takes a batch of trials and evaluates them as batch elements. Trials are numbered over all processes. A
+trial counts if fewer trials than the budget have a lower number and were not given back. Each process touches a file
+while it works (its heartbeat). When that file is old, the process was killed, and its unfinished trials are given back.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError, MissingExtraError
 from usvlearn.runs.layout import JOURNAL, WORKERS
 from usvlearn.runs.trust import check_setting
-from usvlearn.sweeps.tuning.lanes import Evaluation, Hyperparameter, Objective
+from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective
 
 STALE = 60.0  # s without a heartbeat after which a process counts as dead; a chunk of steps takes a few s
 STUDY = "tuning"
@@ -97,7 +97,7 @@ def search(
         evaluations: the budget.
         folder: of the journal.
         facts: JSON values that identify the search; another search must not continue in the same folder.
-        batch: trials that are evaluated as lanes of one batch.
+        batch: trials that are evaluated as elements of one batch.
         seed: of the sampler, the same for every process.
 
     Returns:

@@ -8,10 +8,10 @@ sensitivity S_k = ds_k/dx is carried along the run with the state (Williams & Zi
 The memory does not grow with the run, and the effect of a gain many minutes later is included. Truncated
 back-propagation omits that effect, and is biased where the memory is long.
 
-Dual numbers carry the sensitivity: each of the p hyperparameters is a lane of one batch, with tangent 1 in its own
-lane. A pass gives the error and its gradient. Its arithmetic is that of `COST` evaluations for each hyperparameter,
-because a product needs two more products for its tangent. With few boats the time goes into the calls of operations,
-not into arithmetic; a pass then takes the time of four to seven single replays.
+Dual numbers carry the sensitivity: each of the p hyperparameters is an element of one batch, with tangent 1 in its own
+batch element. A pass gives the error and its gradient. Its arithmetic is that of `COST` evaluations for each
+hyperparameter, because a product needs two more products for its tangent. With few boats the time goes into the calls
+of operations, not into arithmetic; a pass then takes the time of four to seven single replays.
 
 The descent is a damped quasi-Newton method (BFGS; Nocedal & Wright 2006, procedure 18.2) inside the ranges, with a
 bound on the step. The first step has the same length along each scale, whatever the size of the gradient, because the
@@ -33,7 +33,7 @@ from usvlearn.core.protocol import Estimator
 from usvlearn.errors import ConfigError, check_choice
 from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.sweeps.tuning.backprop import STARTS, Fitted
-from usvlearn.sweeps.tuning.lanes import Evaluation, Hyperparameter, Objective, Setting, lane_errors
+from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, Setting, element_errors
 
 COST = 3  # evaluations for each hyperparameter and pass
 FIRST = 1.0  # length of the first step, along each scale
@@ -47,14 +47,14 @@ MIXING |= {name for each in ("add", "sub", "mul", "div", "truediv") for name in 
 
 
 class _FleetMae(nn.Module):
-    """The MAE of `lane_errors` as a module's forward, so that dual numbers can replace its parameters."""
+    """The MAE of `element_errors` as a module's forward, so that dual numbers can replace its parameters."""
 
     def __init__(self, estimator: Estimator):
         super().__init__()
         self.estimator = estimator
 
     def forward(self, *arguments) -> Tensor:
-        return lane_errors(self.estimator, *arguments).mae
+        return element_errors(self.estimator, *arguments).mae
 
 
 class _AllDual(TorchFunctionMode):

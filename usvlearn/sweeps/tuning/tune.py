@@ -25,8 +25,7 @@ from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.tuning.backprop import Fitted, fit
-from usvlearn.sweeps.tuning.grid import grid, product
-from usvlearn.sweeps.tuning.lanes import (
+from usvlearn.sweeps.tuning.batches import (
     NEXT,
     Build,
     Hyperparameter,
@@ -35,6 +34,7 @@ from usvlearn.sweeps.tuning.lanes import (
     hyperparameter,
     hyperparameters,
 )
+from usvlearn.sweeps.tuning.grid import grid, product
 from usvlearn.sweeps.tuning.search import search
 from usvlearn.sweeps.tuning.sensitivities import descend
 from usvlearn.sweeps.tuning.winners import EXPERIMENT, record, report, write
@@ -182,7 +182,7 @@ def _listed(key: str, given: Any) -> list[float]:
 def check_folder(folder: Path, way: str, member: str) -> None:
     """Raise a ConfigError if a folder already holds something else."""
     if (folder / CHECKPOINTS).exists():
-        raise ConfigError(f"{folder}: already holds the parameter sets of a run: choose another hydra.run.dir")
+        raise ConfigError(f"{folder}: already holds the checkpoints of a run: choose another hydra.run.dir")
     try:
         old = json.loads((folder / TUNING).read_text())
     except (OSError, ValueError):
@@ -270,7 +270,7 @@ def run(
             return descend(objective, parameters, request.evaluations, options["start"])
         initial = folder / "initial"
         return fit(objective, parameters, request.evaluations, options["window"], options["start"], initial)
-    samples = [digest(run, lane) for run in fleet.runs for lane in range(len(fleet.boats))]
+    samples = [digest(run, element) for run in fleet.runs for element in range(len(fleet.boats))]
     facts = {"member": request.member, "configuration": request.node, "ranges": request.ranges, "samples": samples}
     trials, seed = options["trials"], options["seed"]
     return Fitted(*search(objective, parameters, request.evaluations, folder, facts, trials, seed), [])

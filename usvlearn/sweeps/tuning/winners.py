@@ -23,7 +23,7 @@ from usvlearn.display.terminal import Blocks
 from usvlearn.evaluation.metrics import PERSISTENCE
 from usvlearn.report.tables import tuning_table
 from usvlearn.runs.layout import TENSORBOARD, TUNING, save_results
-from usvlearn.sweeps.tuning.lanes import Evaluation
+from usvlearn.sweeps.tuning.batches import Evaluation
 
 LEADERBOARD, EXPERIMENT = "leaderboard.csv", "experiment.yaml"
 SHOWN, MOST_RECORDS = 10, 20  # settings in the terminal, and on the HPARAMS page

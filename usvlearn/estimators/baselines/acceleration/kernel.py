@@ -30,7 +30,7 @@ def coast(node, s, q, x, predicted, work):
 
 @jit
 def free_step(node, s, q, x, work):
-    """One step of a free run: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
+    """One step of an open-loop simulation: `predict`, and the leaves `frozen` after it; returns the speed, m/s."""
     predicted, _ = predict(node, s, q, x, work)
     s[node[AT.surge]] = predicted
     return predicted

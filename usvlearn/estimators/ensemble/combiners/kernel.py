@@ -1,6 +1,6 @@
-"""The rules of an ensemble: the steps of `layer`, equations (1) to (4) of `state`.
+"""The combiners of an ensemble: the steps of `layer`, equations (1) to (4) of `state`.
 
-`node` is the row of a rule; the columns of its members stand behind it. x holds their predictions.
+`node` is the row of a combiner; the columns of its members stand behind it. x holds their predictions.
 """
 
 import numpy as np
@@ -22,7 +22,7 @@ SQUARE = state.LOSSES.index("square")
 
 @jit
 def share(node, s, q, k):
-    """The weight of member k among those that are awake."""
+    """The weight of member k among those that are active."""
     rule, numbers = node[Node.FAMILY], q[node[Node.NUMBERS] :]
     if rule == AVERAGE:
         return numbers[Plain.TINY] + 1.0
@@ -36,16 +36,17 @@ def share(node, s, q, k):
 
 
 @jit
-def fill_sleeping(node, s, q, predictions, x):
-    """Write x: a member that sleeps (NaN) is replaced by the weighted mean of the others, NaN where all sleep.
+def fill_inactive(node, s, q, predictions, x):
+    """Write x: a member that is inactive (NaN) is replaced by the weighted mean of the others, NaN where all are
+    inactive.
 
-    Returns whether all sleep.
+    Returns whether all are inactive.
     """
-    m, asleep = node[Node.SIZE], 0
+    m, inactive = node[Node.SIZE], 0
     for k in range(m):
         x[k] = predictions[node[WIDTH + k]]
-        asleep += np.isnan(x[k])
-    if asleep == 0:
+        inactive += np.isnan(x[k])
+    if inactive == 0:
         return False
     total, together = 0.0, 0.0
     for k in range(m):
@@ -57,7 +58,7 @@ def fill_sleeping(node, s, q, predictions, x):
     for k in range(m):
         if np.isnan(x[k]):
             x[k] = together
-    return asleep == m
+    return inactive == m
 
 
 @jit
@@ -79,13 +80,13 @@ def combine(node, s, q, x):
 
 
 @jit
-def learn_rule(node, s, q, x, asleep, surge, dt, work):
-    """`Combiner.learn` of x; `asleep`: all its members are."""
+def learn_rule(node, s, q, x, inactive, surge, dt, work):
+    """`Combiner.learn` of x; `inactive`: all its members are."""
     m, rule = node[Node.SIZE], node[Node.FAMILY]
-    if rule == RECURSIVE and not asleep:
+    if rule == RECURSIVE and not inactive:
         learn_recursive(node, s, q, x[:m], surge, work)
     if rule == EXPONENTIAL or rule == BOA:
-        if asleep:
+        if inactive:
             fill(x[:m], surge)
         if rule == EXPONENTIAL:
             learn_exponential(node, s, q, x, surge, dt, work)

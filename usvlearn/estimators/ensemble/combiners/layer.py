@@ -1,4 +1,4 @@
-"""The rules in torch: equations (1) to (4) of `state`."""
+"""The combiners in torch: equations (1) to (4) of `state`."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from usvlearn.estimators.ensemble.combiners.state import LOSSES, TINY, BOAState,
 from usvlearn.estimators.least_squares.rls import rls_step
 
 
-def fill_sleeping(predictions: Tensor, weights: Tensor) -> Tensor:
-    """Replace each NaN (a member that sleeps) by the weighted mean of the other members, `(*batch, members)`.
+def fill_inactive(predictions: Tensor, weights: Tensor) -> Tensor:
+    """Replace each NaN (a member that is inactive) by the weighted mean of the other members, `(*batch, members)`.
 
-    >>> fill_sleeping(torch.tensor([1.0, 2.0, torch.nan]), torch.tensor([0.5, 0.25, 0.25]))
+    >>> fill_inactive(torch.tensor([1.0, 2.0, torch.nan]), torch.tensor([0.5, 0.25, 0.25]))
     tensor([1.0000, 2.0000, 1.3333])
     """
-    awake = ~predictions.isnan()
-    present = torch.where(awake, predictions, 0.0)
-    shares = awake * (weights + TINY)
+    active = ~predictions.isnan()
+    present = torch.where(active, predictions, 0.0)
+    shares = active * (weights + TINY)
     total = shares.sum(-1, keepdim=True)
     together = (shares * present).sum(-1, keepdim=True) / torch.where(total > 0, total, 1.0)
-    return torch.where(awake, present, torch.where(total > 0, together, torch.nan))
+    return torch.where(active, present, torch.where(total > 0, together, torch.nan))
 
 
 def members_or_target(predictions: Tensor, weights: Tensor, surge: Tensor) -> Tensor:
-    """`fill_sleeping`; where all sleep, `surge`, m/s, `(*batch,)`, so that every loss is 0."""
-    x = fill_sleeping(predictions, weights)
+    """`fill_inactive`; where all are inactive, `surge`, m/s, `(*batch,)`, so that every loss is 0."""
+    x = fill_inactive(predictions, weights)
     return torch.where(x.isnan(), surge[..., None], x)
 
 
 class Combiner(nn.Module, abc.ABC):
-    """A rule; `members` names the members that it combines, all by default.
+    """A combiner; `members` names the members that it combines, all by default.
 
     An `Ensemble` binds it to the names of its members. `predictions` are m/s, `(*batch, its members)`, NaN where a
-    member sleeps.
+    member is inactive.
     """
 
     def __init__(self, members: str | Sequence[str] | None = None):
@@ -65,7 +65,7 @@ class Combiner(nn.Module, abc.ABC):
         return state
 
     def spec(self) -> dict[str, Any] | None:
-        """As `Estimator.spec`, of the rule."""
+        """As `Estimator.spec`, of the combiner."""
         return None
 
     def monitor(self, state: Any) -> dict[str, Tensor]:
@@ -80,7 +80,7 @@ class Average(Combiner):
     """AVE: the mean of the predictions (paper, section V)."""
 
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
-        return fill_sleeping(predictions, torch.ones_like(predictions)).mean(-1)
+        return fill_inactive(predictions, torch.ones_like(predictions)).mean(-1)
 
     def spec(self) -> dict[str, Any]:
         return {"kind": "average", "numbers": numbers(tiny=TINY)}
@@ -108,7 +108,7 @@ class FixedWeights(Combiner):
         super().bind(names)
 
     def combine(self, state: Any, predictions: Tensor) -> Tensor:
-        return (self.weights * fill_sleeping(predictions, self.weights.abs())).sum(-1)
+        return (self.weights * fill_inactive(predictions, self.weights.abs())).sum(-1)
 
     def spec(self) -> dict[str, Any]:
         return {"kind": "fixed", "numbers": numbers(tiny=TINY), "vector": self.weights.tolist()}
@@ -148,13 +148,13 @@ class RecursiveWeights(Combiner):
         return WeightsState(like.new_full((*batch, count), 1.0 / count), factor)
 
     def combine(self, state: WeightsState, predictions: Tensor) -> Tensor:
-        awake = fill_sleeping(predictions, torch.ones_like(predictions))
-        return (state.weights * awake).sum(-1).clamp(-self.surge_max, self.surge_max)
+        active = fill_inactive(predictions, torch.ones_like(predictions))
+        return (state.weights * active).sum(-1).clamp(-self.surge_max, self.surge_max)
 
     def learn(self, state: WeightsState, predictions: Tensor, surge: Tensor, dt: Tensor) -> WeightsState:
-        asleep = predictions.isnan().all(-1)
-        x = torch.where(asleep[..., None], 0.0, fill_sleeping(predictions, torch.ones_like(predictions)))
-        forgetting = torch.where(asleep, 1.0, self.forgetting())
+        inactive = predictions.isnan().all(-1)
+        x = torch.where(inactive[..., None], 0.0, fill_inactive(predictions, torch.ones_like(predictions)))
+        forgetting = torch.where(inactive, 1.0, self.forgetting())
         innovation = surge - (state.weights * x).sum(-1)
         return WeightsState(*rls_step(state.weights, state.factor, x, innovation, forgetting, self.trace_max))
 
@@ -169,7 +169,7 @@ class RecursiveWeights(Combiner):
 
 
 class Prior(Combiner):
-    """A rule with a prior weight for each member, which a subclass uses.
+    """A combiner with a prior weight for each member, which a subclass uses.
 
     Args:
         members: names of those that count, all by default.
@@ -241,7 +241,7 @@ class ExponentialWeights(Prior):
         return ExponentialState(self.log_prior.exp().expand_as(zeros), zeros)
 
     def combine(self, state: ExponentialState, predictions: Tensor) -> Tensor:
-        return (state.weights * fill_sleeping(predictions, state.weights)).sum(-1)
+        return (state.weights * fill_inactive(predictions, state.weights)).sum(-1)
 
     def learn(self, state: ExponentialState, predictions: Tensor, surge: Tensor, dt: Tensor) -> ExponentialState:
         error = members_or_target(predictions, state.weights, surge) - surge[..., None]
@@ -290,7 +290,7 @@ class BOA(Prior):
         return BOAState(self.log_prior.exp().expand_as(zeros), zeros, zeros, zeros + self.scale)
 
     def combine(self, state: BOAState, predictions: Tensor) -> Tensor:
-        return (state.weights * fill_sleeping(predictions, state.weights)).sum(-1)
+        return (state.weights * fill_inactive(predictions, state.weights)).sum(-1)
 
     def learn(self, state: BOAState, predictions: Tensor, surge: Tensor, dt: Tensor) -> BOAState:
         x = members_or_target(predictions, state.weights, surge)

@@ -1,7 +1,8 @@
-"""Rules that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
+"""Combiners that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
 
-A member whose prediction is NaN sleeps: the others share its weight, and its loss is that of their weighted mean. Where
-all sleep, the prediction is NaN, and nothing is learned from the step.
+A member whose prediction is NaN is inactive: the others share its weight, and its loss is that of their weighted mean.
+    Where
+all are inactive, the prediction is NaN, and nothing is learned from the step.
 
 BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
 has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size
@@ -43,12 +44,12 @@ from usvlearn.core.family import (
 if TYPE_CHECKING:
     from torch import Tensor
 
-TINY = 1e-12  # added to each weight, so that members that are awake share it where all their weights are 0
+TINY = 1e-12  # added to each weight, so that members that are active share it where all their weights are 0
 LOSSES = ("absolute", "square")
 
 
 class NoState(NamedTuple):
-    """A rule that learns nothing."""
+    """A combiner that learns nothing."""
 
 
 class WeightsState(NamedTuple):
@@ -75,7 +76,7 @@ class BOAState(NamedTuple):
 
 
 class Plain(Numbers):
-    """The number that every rule has."""
+    """The number that every combiner has."""
 
     TINY = POSITIVE
 

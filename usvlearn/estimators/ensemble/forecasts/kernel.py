@@ -41,17 +41,17 @@ def weights_after(node, s, q, time, weights):
 
 @jit
 def combine(node, q, weights, x):
-    """(1) of the members' predictions x, m/s, NaN where one sleeps."""
+    """(1) of the members' predictions x, m/s, NaN where one is inactive."""
     tiny, total, together, combined = q[node[Node.NUMBERS] :][Number.TINY], 0.0, 0.0, 0.0
-    asleep = 0.0
+    inactive = 0.0
     for m in range(node[Choice.MEMBERS]):
         if np.isnan(x[m]):
-            asleep += weights[m]
+            inactive += weights[m]
         else:
             total += weights[m] + tiny
             together += (weights[m] + tiny) * x[m]
             combined += weights[m] * x[m]
-    return combined + asleep * (together / total) if total > 0 else np.nan
+    return combined + inactive * (together / total) if total > 0 else np.nan
 
 
 @jit

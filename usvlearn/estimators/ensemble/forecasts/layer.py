@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from usvlearn.core.protocol import Estimator, spec_of
 from usvlearn.core.samples import Inputs, named_leaves, rebuild, tree_map, where
 from usvlearn.errors import ConfigError, check_not_negative, check_positive
-from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_sleeping
+from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_inactive
 from usvlearn.estimators.ensemble.combiners.state import TINY
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts import state as at
@@ -20,11 +20,12 @@ from usvlearn.estimators.ensemble.forecasts.state import ForecastState
 
 
 class ForecastSettings(nn.Module):
-    """Free runs of an ensemble's members from regular origins; weighs them, and makes intervals, for each horizon.
+    """Open-loop simulations of an ensemble's members from regular origins; weighs them, and makes intervals, for each
+    horizon.
 
     Args:
         horizons: s, increasing.
-        members: names of the members that are weighed; those of the ensemble's output rule by default.
+        members: names of the members that are weighed; those of the ensemble's output combiner by default.
         overlap: n, how many forecasts over a horizon are under way at the same time: an origin goes on to the horizon h
             every h/n s. Each costs one step of all members at every step.
         memory: s over which losses are forgotten at horizon 0,
@@ -156,7 +157,7 @@ class ForecastSettings(nn.Module):
         before, after, half = state.elapsed[..., None], (state.elapsed + dt)[..., None], dt[..., None] / 2
         horizons = self.horizons.to(dt.dtype)
         due = under_way[..., None] & (before + half < horizons) & (horizons <= after + half)
-        combined = (state.weights * fill_sleeping(x[..., None, :], state.weights)).sum(-1)  # (1)
+        combined = (state.weights * fill_inactive(x[..., None, :], state.weights)).sum(-1)  # (1)
         wide = [x[..., None, :].expand(*combined.shape, -1), state.origin[..., None].expand_as(combined), combined]
         rows = torch.cat([wide[0], wide[1][..., None], wide[2][..., None]], -1)  # (*batch, slots, H, M + 2)
         predictions = torch.full_like(state.predictions, math.nan)
@@ -189,7 +190,7 @@ class ForecastSettings(nn.Module):
     def combine(self, state: ForecastState, predictions: Tensor, time: Tensor) -> Tensor:
         """The forecast over `time`, s, of members' predictions, m/s, `(*batch, M)`."""
         weights = self.weights_after(state, time)
-        return (weights * fill_sleeping(self._awake(predictions), weights)).sum(-1)
+        return (weights * fill_inactive(self._awake(predictions), weights)).sum(-1)
 
     def plan(
         self, state: ForecastState, members: Mapping[str, Any], states: Mapping[str, Any], inputs: Inputs
@@ -244,7 +245,7 @@ class ForecastSettings(nn.Module):
         return found
 
     def _leaves(self, member: str, state: Any) -> dict[str, Tensor]:
-        """The leaves of a member's state that its free run needs, by dotted name."""
+        """The leaves of a member's state that its open-loop simulation needs, by dotted name."""
         leaves, names = dict(named_leaves(state)), self._frozen[member]
         return leaves if names is None else {name: leaves[name] for name in names}
 

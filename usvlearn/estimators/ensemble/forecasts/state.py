@@ -1,6 +1,7 @@
 """Forecasts over several horizons, with weights and intervals for each.
 
-At an origin the members are frozen: their leaves that a free run needs are copied. From then on each copy takes one
+At an origin the members are frozen: their leaves that an open-loop simulation needs are copied. From then on each copy
+    takes one
 step with every step of the boat, with the commands that come, and learns nothing. After h s it is member m's forecast
 x_m of the speed over the horizon h, made at the origin and told only the commands between. Every step with a measured
 speed is an origin of the shortest horizon; it goes on to the horizon h if the last one that did was h/n s ago, n being
@@ -28,7 +29,7 @@ first's; beyond the last one the weights are the last's, and the interval is inf
 measured speed.
 
 *After steps without measured speed* the ensemble's own prediction has the weights of the time since the last measured
-speed, because it is a forecast over that time. So has a free run.
+speed, because it is a forecast over that time. So has an open-loop simulation.
 
 The derivation is in `docs/theory.md`, section 22.
 """

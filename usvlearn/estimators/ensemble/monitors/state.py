@@ -95,7 +95,7 @@ class ThrusterState(NamedTuple):
     sums: Tensor  # (*batch, 2, 2) side, both sums of (6) since g was 0
     raised: Tensor  # (*batch, 2) 1 where an alarm is on, else 0
     alarms: Tensor  # (*batch,) count of alarms so far
-    since: Tensor  # (*batch,) s of learned steps since the last alarm, or since the start where there was none
+    since: Tensor  # (*batch,) s of update steps since the last alarm, or since the start where there was none
 
 
 class MonitorState(NamedTuple):

@@ -137,7 +137,7 @@ class Robust(Estimator):
 
 
 def finite(tree: Any, batch_dims: int) -> Tensor:
-    """Whether all numbers of each lane are finite, `(*batch,)` bool.
+    """Whether all numbers of each batch element are finite, `(*batch,)` bool.
 
     >>> finite(torch.tensor([[1.0, 2.0], [1.0, torch.nan]]), 1)
     tensor([ True, False])

@@ -1,8 +1,9 @@
-"""Settings of one estimator as lanes of one batch, and the error of each over a fleet's runs.
+"""Settings of one estimator as elements of one batch, and the error of each over a fleet's runs.
 
-A setting has one lane per boat: state and samples are `(settings, boats)`, the samples as views of the fleet's own. The
+A setting has one batch element per boat: state and samples are `(settings, boats)`, the samples as views of the fleet's
+    own. The
 objective is the MAE over all measured steps, averaged over boats: one step ahead, predicted before learning, or as
-`usvlearn.evaluation.measure` says, of forecasts over a horizon or of free runs.
+`usvlearn.evaluation.measure` says, of forecasts over a horizon or of open-loop simulations.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ Setting = dict[str, float]  # dotted path -> value
 Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
 NEXT, DUE = Measure(""), "forecasts.predictions"  # the error one step ahead; the leaf with forecasts that are due
 LANES = 4096  # settings × boats in one batch, at most
-CHUNK_STEPS, CHUNK_CELLS = 500, 2**20  # steps, and steps × lanes, after which errors are added up, to bound the memory
+CHUNK_STEPS, CHUNK_CELLS = (
+    500,
+    2**20,
+)  # steps, and steps × batch elements, after which errors are added up, to bound the memory
 
 
 class Hyperparameter(NamedTuple):
@@ -170,12 +174,14 @@ class LaneErrors(NamedTuple):
 
     @property
     def mae(self) -> Tensor:
-        """m/s, `(*settings, boats)`; infinite if a prediction was not finite, so that a lane cannot win by the rest."""
+        """m/s, `(*settings, boats)`; infinite if a prediction was not finite, so that a batch element cannot win by the
+        rest.
+        """
         found = self.errors.sum(0) / self.steps.sum(0)
         return torch.where(found.isfinite(), found, math.inf)
 
 
-def lane_errors(
+def element_errors(
     estimator: Estimator,
     fleet: Fleet,
     settings: Sequence[int] = (),
@@ -234,13 +240,13 @@ def lane_errors(
 
 
 class Objective:
-    """Evaluates settings of one estimator over a fleet, as lanes.
+    """Evaluates settings of one estimator over a fleet, as batch elements.
 
     Args:
         build: makes the estimator.
         fleet: aligned runs.
         advance: receives the number of evaluations completed since the last call, as a float.
-        lanes: settings × boats in one batch, at most.
+        batch elements: settings × boats in one batch, at most.
         measure: which error counts.
     """
 
@@ -249,11 +255,11 @@ class Objective:
         build: Build,
         fleet: Fleet,
         advance: Callable[[float], None] = lambda evaluations: None,
-        lanes: int = LANES,
+        elements: int = LANES,
         measure: Measure = NEXT,
     ):
         self.build, self.fleet, self.advance, self.measure = build, fleet, advance, measure
-        self.batch = max(1, lanes // len(fleet.boats))  # settings
+        self.batch = max(1, elements // len(fleet.boats))  # settings
 
     def __call__(self, settings: Sequence[Setting]) -> list[Evaluation]:
         """Each setting's MAE per boat."""
@@ -262,7 +268,7 @@ class Objective:
             part = settings[begin : begin + self.batch]
             estimator = self.build({path: [[setting[path]] for setting in part] for path in part[0]})
             advance = partial(self._advance, len(part))
-            maes = lane_errors(estimator, self.fleet, (len(part),), advance, measure=self.measure).mae
+            maes = element_errors(estimator, self.fleet, (len(part),), advance, measure=self.measure).mae
             found += [Evaluation(setting, tuple(row)) for setting, row in zip(part, maes.tolist(), strict=True)]
         return found
 
