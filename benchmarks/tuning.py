@@ -22,8 +22,7 @@ SEASON = ("data.n=8", "data.hours=0.5", "data.seed=2021", "data.mission_minutes=
 MEMBERS = ("aid", "sift_map", "rnn", "joint", "arx")
 WAYS = {
     "grid": ("grid",),
-    "gradient, cut after 100 steps": ("learn", "tuning.window=100"),
-    "gradient, exact": ("learn", "tuning.window=null"),
+    "gradient": ("learn",),
     "Optuna": ("search",),
 }
 
@@ -45,7 +44,7 @@ def rows(member: str) -> Iterator[str]:
             yield f"| {member} | default | {maes[0]:.6f} | 0 | | | |"
         # Of the gradient each evaluation that is listed is a pass, and a pass costs its share of what was used.
         reached = next((k for k, mae in enumerate(maes) if mae <= goal), None)
-        if label == "gradient, exact":
+        if label == "gradient":
             worth, reached = used / len(found), None if reached is None else reached + 1
         else:
             worth = used / max(1, len(found) - 1)

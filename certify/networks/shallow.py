@@ -43,9 +43,7 @@ class Network(NamedTuple):
 
     path: str  # of the file; with the tensors' prefix or the batch element if a file contains more than one checkpoint
     weights: ShallowWeights  # float64 arrays, no batch
-    tensors: str = (
-        ""  # before the names of its tensors (`members.rnn.weights`), and the batch element if there are several
-    )
+    tensors: str = ""  # before the names of its tensors (`members.rnn.weights`), and the index of several
 
     @property
     def inputs(self) -> int:

@@ -22,6 +22,7 @@ MISTAKES = {
     "key of a chosen group": (["data=csv", "data.reader.tiem=t"], ["data.reader.tiem", "data.reader.time?"]),
     "last key alone": (["neurons=3"], ["neurons", "did you mean estimators.rnn.neurons?"]),
     "key of version 0.2": (["sweep.lanes=auto"], ["sweep.lanes: is no key any more", "grid="]),
+    "window of version 0.2": (["tuning.window=100"], ["tuning.window: is no key any more", "exact"]),
     "member of version 0.2": (
         ["estimators.reader.read_every=60"],
         ["estimators.reader.read_every", "it is named estimators.joint_averaged.read_every now"],

@@ -19,6 +19,7 @@ from usvlearn.cli.stopping import Stopped, check_stopped, stoppable, stoppable_w
 from usvlearn.core import checkpoint
 from usvlearn.runs.saved import results as finished
 from usvlearn.runs.tensorboard.logger import TensorBoardLogger
+from usvlearn.sweeps.tuning import sensitivities
 from usvlearn.sweeps.tuning.batches import Objective
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are those of POSIX")
@@ -85,14 +86,14 @@ def test_before_the_replay_nothing_is_saved(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize("way", ["grid", "learn", "search"])
 def test_tuning_ends_at_once_and_a_search_goes_on(way, tmp_path, monkeypatch, capsys):
     arguments = [f"{way}=aid", *QUICK, "tuning.evaluations=8", "tuning.trials=4", "hydra.run.dir=run"]
-    arguments += ["tuning.window=100"]
     monkeypatch.chdir(tmp_path)
     with monkeypatch.context() as patch:
-        signalled(patch, Objective, "__call__", signal.SIGINT, after=1)
+        where = (sensitivities, "sensitivity") if way == "learn" else (Objective, "__call__")
+        signalled(patch, *where, signal.SIGINT, after=1)
         code, error = called(train.main, arguments, patch, capsys)
     assert code == 130 and len(error.splitlines()) == 1
     absolute = f"hydra.run.dir={tmp_path}/run"  # where there is something to go on with
-    assert sorted(again(error)) == sorted([*arguments[:-2], arguments[-1], absolute if way == "search" else RUN[-1]])
+    assert sorted(again(error)) == sorted([*arguments[:-1], absolute if way == "search" else RUN[-1]])
     assert not (tmp_path / "run" / "tuning.json").exists()
     code, error = called(train.main, again(error), monkeypatch, capsys)
     assert code == 0, error

@@ -47,7 +47,7 @@ def test_a_member_of_before_goes_on_under_its_name_of_today(member, before, tmp_
     now = Ensemble({member: RLS()})
     state, _ = store.restore(old, now.init())
     assert list(state.members) == [member]
-    with pytest.raises(CheckpointError, match="lacks .*members.aid"):
+    with pytest.raises(CheckpointError, match=r"lacks .*members\.aid"):
         store.restore(old, Ensemble({"aid": AID(28.0)}).init())
 
 

@@ -1,8 +1,7 @@
 """Checkpoints whose checksum is right, but not what they say of their estimator, or its state.
 
 Whatever is changed, a checkpoint is refused by one CheckpointError, or it is legal: then it opens and steps, and its
-    state
-stays finite.
+state stays finite.
 """
 
 import copy

@@ -28,6 +28,7 @@ from usvlearn.errors import ConfigError, did_you_mean
 
 GONE = {  # a key of earlier versions -> what does its work now
     "sweep.lanes": "grid={aid.gain: [1, 3]} tries the numbers of one member as elements of one batch",
+    "tuning.window": "the gradient of learn is exact: leave it out",
 }
 KEY = re.compile(r"Could not (?:override|delete(?: from config\.)?) '([^']+)'|config group '([^']+)' does not exist")
 

@@ -26,9 +26,7 @@ from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 
 LARGEST = 2**20  # numbers of a batch element: its state, its parameters, its table
-CELLS = (
-    3 * WIDTH
-)  # of the table, for each estimator or combiner with its wrappers; the members of a combiner come on top
+CELLS = 3 * WIDTH  # of the table, for each estimator or combiner with its wrappers, without a combiner's members
 SETTINGS = Range(1, LARGEST)  # of a bank
 DTYPES = (np.dtype(np.float64), np.dtype(np.float32))
 

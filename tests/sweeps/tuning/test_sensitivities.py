@@ -151,13 +151,12 @@ class Foreign(Persistence):
 
 def test_an_estimator_without_forward_derivatives_is_told(fleet):
     objective = Objective(lambda values: Foreign(**values), fleet)
-    with pytest.raises(ConfigError, match=r"tuning\.window.*100"):
+    with pytest.raises(ConfigError, match=r"no forward derivative .*: use grid or search"):
         descend(objective, [Hyperparameter("gain", Positive, 1.0, 0.5, 2.0)], 12)
 
 
-def test_it_is_the_way_by_default(tmp_path):
+def test_it_is_the_way_of_learn(tmp_path):
     given = configured("learn=aid", "tuning.evaluations=6")
-    assert given["tuning"]["window"] is None
     made = tuning.tune(given, tmp_path, instantiate, align_fleet)
     found = json.loads((tmp_path / "tuning.json").read_text())
     assert made == results(tmp_path)["objective"] == found["best"]["mae"] and found["evaluations"] == 6

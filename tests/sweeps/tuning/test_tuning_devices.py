@@ -13,7 +13,6 @@ from usvlearn import AID, BOA, RLS, RNN, Ensemble, RecursiveWeights
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.evaluation.crossval import cross_validate
 from usvlearn.evaluation.measure import Measure
-from usvlearn.sweeps.tuning.backprop import fit, run_elements
 from usvlearn.sweeps.tuning.batches import Objective, element_errors
 from usvlearn.sweeps.tuning.grid import grid
 from usvlearn.sweeps.tuning.sensitivities import descend
@@ -46,25 +45,10 @@ def test_errors_of_elements_are_on_the_device_of_the_estimator(short, measure):
     assert {leaf.device.type for _, leaf in named_leaves(found.state)} == {"meta"}
 
 
-def test_elements_of_runs_are_on_the_device_of_the_hyperparameters(fleet):
-    here, there = (run_elements(fleet, torch.zeros((), dtype=torch.float64, device=x)) for x in ("cpu", "meta"))
-    expected = dict(named_leaves(here))
-    for name, leaf in named_leaves(there):
-        assert leaf.is_meta and (leaf.shape, leaf.dtype) == (expected[name].shape, expected[name].dtype), name
-
-
 def test_a_grid_runs_on_the_device_of_its_estimators(short, meta):
     build, parameters = meta("aid")
     with read_as_ones():
         assert [each.mae for each in grid(Objective(build, short), parameters, 3, 1)[0]] == [1.0] * 3
-
-
-@pytest.mark.parametrize("member, overrides", [("sift_map", []), ("rnn", ["+tuning.ranges.rnn.initial=[-3,3]"])])
-def test_backpropagation_runs_on_the_device_of_the_estimator(short, meta, member, overrides, tmp_path):
-    build, parameters = meta(member, *overrides, "tuning.window=20")
-    with read_as_ones():
-        found = fit(Objective(build, short), parameters, 4, 20, folder=tmp_path)
-    assert found.used == 4 and len(found.curve) == 3
 
 
 def test_the_exact_gradient_runs_on_the_device_of_the_estimator(short, meta):

@@ -117,9 +117,7 @@ class TensorBoardLogger:
         """All runs, in the order of their colours."""
         own, every = list(self._names.values()), {}
         for boat, folder in self.folders.items():
-            read = (
-                [board_tags.LOW, board_tags.IDENTIFIED, board_tags.HIGH] if self.ensemble.averaged is not None else []
-            )
+            read = [board_tags.LOW, board_tags.IDENTIFIED, board_tags.HIGH] if self.ensemble.averaged else []
             every[folder] = [*own, *read, *([board_tags.TRUTH] if read and boat in self.truth else [])]
         if len(self.folders) > 1:
             every[self.fleet_run] = own

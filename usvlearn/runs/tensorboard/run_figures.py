@@ -12,10 +12,7 @@ from usvlearn.estimators.joint.curves import Curve
 from usvlearn.estimators.joint.quantities import COMMANDS
 from usvlearn.estimators.joint.reading import Identified
 
-READ, LEFT, RIGHT = (
-    KNOWN["joint_averaged"],
-    *SIDES.values(),
-)  # colours: of the boat as its averaged joint EKF has it, of its thrusters
+READ, LEFT, RIGHT = KNOWN["joint_averaged"], *SIDES.values()  # colours: of what is identified, of the thrusters
 SPAN, ORIGINS = 240.0, 6  # s of a figure of forecasts, and how many forecasts it shows
 
 

@@ -1,9 +1,8 @@
 """Settings of one estimator as elements of one batch, and the error of each over a fleet's runs.
 
 A setting has one batch element per boat: state and samples are `(settings, boats)`, the samples as views of the fleet's
-    own. The
-objective is the MAE over all measured steps, averaged over boats: one step ahead, predicted before learning, or as
-`usvlearn.evaluation.measure` says, of forecasts over a horizon or of open-loop simulations.
+own. The objective is the MAE over all measured steps, averaged over boats: one step ahead, predicted before learning,
+or as `usvlearn.evaluation.measure` says, of forecasts over a horizon or of open-loop simulations.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from usvlearn.core.hyper import Positive, UnitInterval, as_tensor
+from usvlearn.core.hyper import Positive, UnitInterval
 from usvlearn.core.protocol import Estimator, check_estimator, clean
 from usvlearn.core.samples import Fleet, named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout, simulate, tensors
@@ -25,7 +24,6 @@ from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.combiners.layer import Average
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.estimators.wrappers.bank import Bank
 from usvlearn.evaluation.free_simulation import middle
 from usvlearn.evaluation.measure import FORECAST, FREE, Measure
@@ -33,18 +31,15 @@ from usvlearn.evaluation.measure import FORECAST, FREE, Measure
 Setting = dict[str, float]  # dotted path -> value
 Build = Callable[[Mapping[str, Any]], Estimator]  # from values by dotted path; numbers, or a list (settings, 1) of them
 NEXT, DUE = Measure(""), "forecasts.predictions"  # the error one step ahead; the leaf with forecasts that are due
-LANES = 4096  # settings × boats in one batch, at most
-CHUNK_STEPS, CHUNK_CELLS = (
-    500,
-    2**20,
-)  # steps, and steps × batch elements, after which errors are added up, to bound the memory
+BATCH = 4096  # settings × boats in one batch, at most
+CHUNK_STEPS, CHUNK_CELLS = 500, 2**20  # steps, and steps × elements, after which errors are added up
 
 
 class Hyperparameter(NamedTuple):
     """A tuned number and its place."""
 
     path: str  # inside the estimator and its configuration
-    kind: type[nn.Module]  # Positive: the scale is the logarithm; UnitInterval: the logit; RNN: its initial weights
+    kind: type[nn.Module]  # Positive: the scale is the logarithm; UnitInterval: the logit
     default: float
     low: float
     high: float
@@ -105,7 +100,7 @@ def hyperparameter(
 
     Args:
         estimator: with the default settings.
-        path: dotted, as in its configuration; `initial` of an RNN means its initial weights.
+        path: dotted, as in its configuration.
         low, high: the range; by default only the default value.
         key: its name in an error; by default the path.
 
@@ -122,40 +117,29 @@ def hyperparameter(
             f"{key}: is no hyperparameter that can be tuned, expected one of {', '.join(known) or 'none'}"
         )
     part = known[path]
-    kind: type[nn.Module]
-    check: Callable[[Any, str], object]
-    if isinstance(part, RNN):
-        default, kind, check = math.nan, RNN, as_tensor
-    else:
-        values = part().detach().reshape(-1)
-        if len(values) != 1:
-            raise ConfigError(f"{key}: found {len(values)} values, expected one: a range is searched around one")
-        # A number loses its last digits through the logarithm and back: 0.3, not 0.30000000000000004.
-        default, kind, check = float(f"{values.item():.12g}"), type(part), type(part)
+    values = part().detach().reshape(-1)
+    if len(values) != 1:
+        raise ConfigError(f"{key}: found {len(values)} values, expected one: a range is searched around one")
+    # A number loses its last digits through the logarithm and back: 0.3, not 0.30000000000000004.
+    default, kind = float(f"{values.item():.12g}"), type(part)
     low, high = (default if x is None else x for x in (low, high))
     for value in (low, high):
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ConfigError(f"{key}: found {value!r}, expected a number")
-        check(value, key)
+        kind(value, key)
     if low > high:
         raise ConfigError(f"{key}: found the range [{low}, {high}], expected the lower bound first")
     return Hyperparameter(path, kind, default, float(low), float(high))
 
 
-def hyperparameters(estimator: Estimator) -> dict[str, nn.Module]:
-    """All numbers of an estimator that can be tuned, by path, and the networks whose initial weights can be learned.
+def hyperparameters(estimator: Estimator) -> dict[str, Positive | UnitInterval]:
+    """All numbers of an estimator that can be tuned, by path.
 
     >>> from usvlearn import Robust, SIFtRLS
     >>> sorted(hyperparameters(Robust(SIFtRLS())))
     ['estimator.covariance', 'estimator.memory', 'inflation', 'scale']
     """
-    found: dict[str, nn.Module] = {}
-    for path, part in estimator.named_modules():
-        if isinstance(part, Positive | UnitInterval):
-            found[path] = part
-        elif isinstance(part, RNN):
-            found[".".join(filter(None, (path, "initial")))] = part
-    return found
+    return {path: part for path, part in estimator.named_modules() if isinstance(part, Positive | UnitInterval)}
 
 
 def check_one_estimator(name: str, value: Any) -> Estimator:
@@ -165,7 +149,7 @@ def check_one_estimator(name: str, value: Any) -> Estimator:
     return check_estimator(name, value)
 
 
-class LaneErrors(NamedTuple):
+class BatchErrors(NamedTuple):
     """Sums over the steps of each run, and the state at the end."""
 
     errors: Tensor  # (runs, *settings, boats) of |error|, m/s
@@ -186,9 +170,8 @@ def element_errors(
     fleet: Fleet,
     settings: Sequence[int] = (),
     advance: Callable[[float], None] = lambda share: None,
-    at_run: Callable[[Any], None] = lambda state: None,
     measure: Measure = NEXT,
-) -> LaneErrors:
+) -> BatchErrors:
     """Errors of each setting on each run and boat; the state is carried from run to run.
 
     Args:
@@ -196,7 +179,6 @@ def element_errors(
         fleet: aligned runs.
         settings: the batch before the boats.
         advance: receives the fraction completed since the last call.
-        at_run: receives the state at the start of each run.
         measure: which error counts.
     """
     batch, first = (*settings, len(fleet.boats)), middle(fleet.runs) if measure.kind == FREE else 0
@@ -214,7 +196,6 @@ def element_errors(
             free = measure.kind == FREE and index >= first
             own = state
             total, count = like.new_zeros(batch), like.new_zeros(batch)
-            at_run(state)
             samples = tensors(run.samples, like.dtype, like.device)
             for begin in range(0, len(run.time), length):
                 part = tree_map(lambda x, a=begin: x[a : a + length], samples)
@@ -236,7 +217,7 @@ def element_errors(
             errors.append(total)
             steps.append(count)
         made = torch.stack(errors), torch.stack(steps)
-    return LaneErrors(*made, state.members["member"] if measure.kind == FORECAST else state)
+    return BatchErrors(*made, state.members["member"] if measure.kind == FORECAST else state)
 
 
 class Objective:
@@ -255,7 +236,7 @@ class Objective:
         build: Build,
         fleet: Fleet,
         advance: Callable[[float], None] = lambda evaluations: None,
-        elements: int = LANES,
+        elements: int = BATCH,
         measure: Measure = NEXT,
     ):
         self.build, self.fleet, self.advance, self.measure = build, fleet, advance, measure

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -31,10 +31,9 @@ from torch.overrides import TorchFunctionMode
 
 from usvlearn.core.protocol import Estimator
 from usvlearn.errors import ConfigError, check_choice
-from usvlearn.estimators.rnn.layer import RNN
-from usvlearn.sweeps.tuning.backprop import STARTS, Fitted
 from usvlearn.sweeps.tuning.batches import Evaluation, Hyperparameter, Objective, Setting, element_errors
 
+STARTS = ("default", "middle")
 COST = 3  # evaluations for each hyperparameter and pass
 FIRST = 1.0  # length of the first step, along each scale
 GROW, SHRINK = 2.0, 0.5  # factors of the bound: after a step that reached it; after a failed step, of its length
@@ -44,6 +43,14 @@ LEAST = 1e-7  # share of the error; no step is made whose expected gain is small
 
 MIXING = {"minimum", "maximum", "linalg_solve_ex", "__radd__", "__rsub__", "__rmul__", "__rdiv__", "__rtruediv__"}
 MIXING |= {name for each in ("add", "sub", "mul", "div", "truediv") for name in (each, f"__{each}__")} | {"rsub"}
+
+
+class Fitted(NamedTuple):
+    """The result of tuning."""
+
+    evaluations: list[Evaluation]  # the default first
+    used: int  # evaluations used, without the default
+    curve: list[dict[str, float]]  # of the gradient, per pass: the MAE, m/s, and the hyperparameters
 
 
 class _FleetMae(nn.Module):
@@ -115,8 +122,7 @@ def sensitivity(
                 maes = torch.func.functional_call(module, duals, arguments)
         except NotImplementedError as error:
             raise ConfigError(
-                f"tuning.window: found null, which this estimator cannot do ({str(error).partition('.')[0]}): set the "
-                "steps after which the gradient is cut, as 100"
+                f"learn: this estimator has no forward derivative ({str(error).partition('.')[0]}): use grid or search"
             ) from error
         maes, gradient = unpack_dual(maes)
         gradient = torch.zeros_like(maes) if gradient is None else gradient
@@ -132,7 +138,7 @@ def descend(
 
     Args:
         objective: evaluates settings, and makes the estimator.
-        parameters: the learned hyperparameters, numbers only.
+        parameters: the learned hyperparameters.
         evaluations: the budget.
         start: "default" or "middle".
 
@@ -140,14 +146,9 @@ def descend(
         The evaluations, the default first, then those of the passes; the curve has a point for each pass.
 
     Raises:
-        ConfigError: fewer evaluations than two passes cost, initial weights, or an unknown start.
+        ConfigError: fewer evaluations than two passes cost, or an unknown start.
     """
     check_choice("tuning.start", start, STARTS)
-    if weights := [each.path for each in parameters if each.kind is RNN]:
-        raise ConfigError(
-            f"tuning.window: found null, and {weights[0]} in the ranges, expected a number of steps, such as 100: "
-            "initial weights are too many for the exact gradient"
-        )
     cost = COST * len(parameters)
     if evaluations < 2 * cost:
         raise ConfigError(f"tuning.evaluations: found {evaluations}, expected {2 * cost} or more, the cost of learn")

@@ -18,13 +18,11 @@ from usvlearn.display.activity_bar import Activity
 from usvlearn.display.terminal import show
 from usvlearn.errors import ConfigError, under
 from usvlearn.estimators.baselines.persistence.layer import Persistence
-from usvlearn.estimators.rnn.layer import RNN
 from usvlearn.evaluation.free_simulation import check_halves
 from usvlearn.evaluation.measure import COVERAGE, FREE, ONE_STEP, SKILL, Measure, measure_of
 from usvlearn.runs.layout import CHECKPOINTS, TUNING
 from usvlearn.runs.run_folder import digest
 from usvlearn.sweeps.launchers import set_threads
-from usvlearn.sweeps.tuning.backprop import Fitted, fit
 from usvlearn.sweeps.tuning.batches import (
     NEXT,
     Build,
@@ -36,7 +34,7 @@ from usvlearn.sweeps.tuning.batches import (
 )
 from usvlearn.sweeps.tuning.grid import grid, product
 from usvlearn.sweeps.tuning.search import search
-from usvlearn.sweeps.tuning.sensitivities import descend
+from usvlearn.sweeps.tuning.sensitivities import Fitted, descend
 from usvlearn.sweeps.tuning.winners import EXPERIMENT, record, report, write
 
 WAYS = ("grid", "learn", "search")
@@ -126,8 +124,6 @@ def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any])
         for path, each in ranges.items():
             low, high = _bounds(key := f"tuning.ranges.{member}.{path}", each)
             parameters.append(hyperparameter(estimator, path, low, high, key))
-    if way != "learn" and any(each.kind is RNN for each in parameters):
-        raise ConfigError(f"{way}={member}: initial weights are learned by gradient alone: use learn={member}")
     measure = measure_of(configuration.get("objective"), member)
     if measure.estimator != member:
         raise ConfigError(f"objective: found {measure} with {way}={member}, expected {member} or {member}.KIND")
@@ -266,10 +262,7 @@ def run(
     if request.way == "grid":
         return Fitted(*grid(objective, parameters, request.evaluations, options["rounds"]), [])
     if request.way == "learn":
-        if options["window"] is None:
-            return descend(objective, parameters, request.evaluations, options["start"])
-        initial = folder / "initial"
-        return fit(objective, parameters, request.evaluations, options["window"], options["start"], initial)
+        return descend(objective, parameters, request.evaluations, options["start"])
     samples = [digest(run, element) for run in fleet.runs for element in range(len(fleet.boats))]
     facts = {"member": request.member, "configuration": request.node, "ranges": request.ranges, "samples": samples}
     trials, seed = options["trials"], options["seed"]

@@ -148,8 +148,6 @@ def experiment(record: Mapping[str, Any]) -> str:
         f"# MAE {_error(best['mae'])} m/s, mean over {len(best['boats'])} boats, in {record['evaluations']} evaluations"
         f"; the default has {_error(default)}{change}; persistence {_error(base)}.",
     ]
-    files = [value for path, value in best["setting"].items() if path.rpartition(".")[2] == "pretrained"]
-    head += [f"# Its initial weights are in {file}: keep that file, and its path up to date." for file in files]
     tree: dict[str, Any] = {}
     for path, value in best["setting"].items():
         *parents, last = path.split(".")

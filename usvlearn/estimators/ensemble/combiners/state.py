@@ -1,8 +1,7 @@
 """Combiners that combine the predictions of an ensemble's members, x_k, into one, ŷ = Σ w_k x_k.
 
 A member whose prediction is NaN is inactive: the others share its weight, and its loss is that of their weighted mean.
-    Where
-all are inactive, the prediction is NaN, and nothing is learned from the step.
+Where all are inactive, the prediction is NaN, and nothing is learned from the step.
 
 BOA (Bernstein online aggregation; Wintenberger 2017, Machine Learning 106, with the gradient trick of its section 2.3)
 has, where it forgets nothing (κ = 1), a regret bound of second order against the best fixed mixture, and no step size

@@ -1,11 +1,10 @@
 """Forecasts over several horizons, with weights and intervals for each.
 
 At an origin the members are frozen: their leaves that an open-loop simulation needs are copied. From then on each copy
-    takes one
-step with every step of the boat, with the commands that come, and learns nothing. After h s it is member m's forecast
-x_m of the speed over the horizon h, made at the origin and told only the commands between. Every step with a measured
-speed is an origin of the shortest horizon; it goes on to the horizon h if the last one that did was h/n s ago, n being
-`overlap`. The ensemble's forecast has the weights w of that horizon as they were at the origin:
+takes one step with every step of the boat, with the commands that come, and learns nothing. After h s it is member m's
+forecast x_m of the speed over the horizon h, made at the origin and given only the commands between. Every step with a
+measured speed is an origin of the shortest horizon; it goes on to the horizon h if the last one that did was h/n s ago,
+n being `overlap`. The ensemble's forecast has the weights w of that horizon as they were at the origin:
 
     ŷ = Σ w_m x_m,     ŷ ± q s                                                                          (1)
 
