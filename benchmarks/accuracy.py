@@ -1,5 +1,4 @@
-"""How well the default ensemble predicts: recorded boats, simulated ones, and open-loop simulations from commands
-alone.
+"""How well the default ensemble predicts: recorded boats, simulated ones, and open-loop simulations.
 
 python benchmarks/accuracy.py LOGS        writes docs/benchmarks/accuracy.md
 

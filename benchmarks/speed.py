@@ -19,7 +19,7 @@ from timing import QUICK, WHOLE, Effort, Section, machine
 SECTIONS: dict[str, tuple[str, Callable[[Effort], Section]]] = {
     "steps": ("A step", speed_steps.steps),
     "others": ("Other libraries", speed_steps.others),
-    "batch elements": ("Batch elements", speed_jobs.elements),
+    "elements": ("Batch elements", speed_jobs.elements),
     "jobs": ("Whole jobs", speed_jobs.jobs),
     "memory": ("Memory", speed_jobs.memory),
     "growth": ("How a step grows", speed_steps.growth),

@@ -79,7 +79,7 @@ def elements(effort: Effort) -> Section:
         for (name, threads), by_elements in found.items()
     ]
     head = ["µs an element-step", *(counted(n, "batch element") for n in effort.elements)]
-    return Section(table(head, rows), {"batch elements": throughput(found)})
+    return Section(table(head, rows), {"elements": throughput(found)})
 
 
 def jobs(effort: Effort) -> Section:

@@ -1,1 +1,1 @@
-"""Many networks judged: sets, runs, sweeps, and the counts of a comparison."""
+"""Many networks judged: checkpoints, runs, sweeps, and the counts of a comparison."""

@@ -71,6 +71,6 @@ def test_the_peak_of_memory_is_that_since_it_was_reset():
 
 def test_the_page_has_its_sections_and_their_figures(tmp_path):
     pytest.importorskip("matplotlib")
-    text = speed.page(tmp_path, TINY, ["batch elements"])
-    assert "## Batch elements" in text and "| ensemble |" in text and "(speed_lanes.svg)" in text
-    assert (tmp_path / "speed_lanes.svg").read_text().count("µs an element-step") == 1
+    text = speed.page(tmp_path, TINY, ["elements"])
+    assert "## Batch elements" in text and "| ensemble |" in text and "(speed_elements.svg)" in text
+    assert (tmp_path / "speed_elements.svg").read_text().count("µs an element-step") == 1

@@ -417,14 +417,14 @@ def test_the_status_of_a_folder_is_told(tmp_path, start):
         lines = "\n".join(status_lines(folder))
         assert "Node        running" in lines and "Network     rnn: contracting by" in lines
     lines = "\n".join(status_lines(folder))
-    assert "Node        ended" in lines and "Identified  steady_speed_full" in lines and "Sets        1," in lines
+    assert "Node        ended" in lines and "Identified  steady_speed_full" in lines and "Checkpoints 1," in lines
     (sets,) = checkpoint.checkpoints(folder)
     newer = sets.with_name("live_00000002.safetensors")
     newer.write_bytes(sets.read_bytes())
-    assert f"Sets        2, the newest readable is {newer.name}" in "\n".join(status_lines(folder))
+    assert f"Checkpoints 2, the newest readable is {newer.name}" in "\n".join(status_lines(folder))
     assert "cannot be read" not in "\n".join(status_lines(folder))
     newer.write_bytes(sets.read_bytes()[:-7])
-    assert f"Sets        2, the newest readable is {sets.name}" in "\n".join(status_lines(folder))
+    assert f"Checkpoints 2, the newest readable is {sets.name}" in "\n".join(status_lines(folder))
     assert "; 1 newer cannot be read" in "\n".join(status_lines(folder))
     (folder / "status.json").write_text("[1]")
     with pytest.raises(CheckpointError, match="is not the status of a node"):

@@ -47,8 +47,8 @@ Learns online from logs, and saves errors, checkpoints and predictions.
   --hydra-help               every flag""",
     "evaluate": """\
 usage: {program} RUN [my_boat.yaml] [KEY=VALUE …]
-Writes a report of a run: errors, open-loop simulations, certificates, parameters. Of a
-sweep it prints the leaderboard.
+Writes a report of a run: errors, open-loop simulations, certificates,
+parameters. Of a sweep it prints the leaderboard.
 
   RUN                     a folder that train has written, or one of several
   my_boat.yaml            judge on other logs of the same boats

@@ -293,7 +293,7 @@ class Session:
         return True
 
     def _record(self) -> None:
-        """Begin a record, with a set of now."""
+        """Begin a record, with a checkpoint of now."""
         assert self._node is not None
         if self._recorder is not None:
             self._recorder.close()

@@ -93,7 +93,7 @@ def begin(sets: Sets, options: Options, middleware: Middleware) -> Begin:
     """Read the checkpoint from which a node starts, or make a prior.
 
     Raises:
-        CheckpointError: there are sets, and none of them can be read.
+        CheckpointError: there are checkpoints, and none of them can be read.
         ConfigError: there is no checkpoint, and no mass and top speed for a prior; or a channel is not legal.
     """
     leaves, facts, sentence, told = _set(sets, options)
@@ -119,7 +119,7 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
         return leaves, facts, f"starting from {path}", [*damaged, *told]
     if options.mass is None or options.surge_max is None:
         raise ConfigError(
-            f"{sets.folder}: found no checkpoint, and no mass and top speed for a prior: give a set to start from "
+            f"{sets.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to start from "
             "(start), or mass in kg and surge_max in m/s"
         )
     from usvlearn.live.prior import prior

@@ -30,7 +30,7 @@ class IdentifiedBoat(NamedTuple):
     path: Path  # of the checkpoint
     found: Identified
     model: SurgeModel  # at the means of the periodic estimates
-    setup: Setup | None  # None in sets of old versions
+    setup: Setup | None  # None in checkpoints of old versions
     leaves: dict[str, np.ndarray]  # of the state, by dotted name
     facts: dict[str, Any]  # the checkpoint's metadata
 

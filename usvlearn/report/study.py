@@ -4,7 +4,7 @@ Each stage has its own folder and is a run of `train.py` with some overrides:
 
 tune/MEMBER        settings of a member, on the tuning season, each member with the same budget
 tuned/initial      the ensemble with these settings, over the tuning season, learning from nothing
-tuned/season       the season, all boats from one checkpoint: of the last sets of the tuning season's boats that
+tuned/season       the season, all boats from one checkpoint: of the last checkpoints of the tuning season's boats that
                    which serves all of them best
 default/initial, default/season     the same without tuning: what was gained
 

@@ -52,7 +52,7 @@ def replay(
         state: to start from, leaves `(boats, ...)`.
         begin: the place up to which the replay is already done.
         every: steps in a chunk, at most.
-        save_every: steps between two checkpoints; sets are also saved at the end of each run.
+        save_every: steps between two checkpoints; others are saved at the end of each run.
 
     Yields:
         Chunks in order; together they cover each run once.
@@ -68,7 +68,7 @@ def replay(
 
 
 def _places(fleet: Fleet, begin: Position, every: int, save_every: int) -> Iterator[tuple[int, int, int, bool]]:
-    """For each chunk: index of the run, first step, end, and whether sets are saved there."""
+    """For each chunk: index of the run, first step, end, and whether checkpoints are saved there."""
     for index in range(begin.run, len(fleet.runs)):
         length, done = len(fleet.runs[index].time), begin.step if index == begin.run else 0
         for stop in sorted({*range(every, length, every), *range(save_every, length, save_every), length}):

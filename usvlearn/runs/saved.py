@@ -136,7 +136,7 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
         fleets: on which the checkpoints are evaluated; a run that is in several of them counts once.
 
     Raises:
-        CheckpointError: a boat has no readable checkpoint; sets of another ensemble or schema.
+        CheckpointError: a boat has no readable checkpoint; or those of another ensemble or schema.
         ConfigError: the folders contain no checkpoint of a boat of the fleets.
     """
     runs: dict[str, dict[str, SeasonRun]] = {}

@@ -132,7 +132,7 @@ def test_mat_is_read_again_by_scipy(boat):
     assert isinstance(found["model"]["drag_linear"]["value"], float)
 
 
-@pytest.mark.parametrize("batch element", [0, 1])
+@pytest.mark.parametrize("element", [0, 1])
 def test_csv_has_what_the_run_published(boat, run, element):
     name = f"heron{element + 1}"
     rows = list(csv.DictReader(csv_table(stretches(run, name)).decode().splitlines()))

@@ -45,12 +45,12 @@ ProcessConfig = {NAME}
   AppTick   = 4                       // Hz; messages are handled as they come
   CommsTick = 4
 
-  folder      = /home/boat/usvlearn   // sets, status and records; the newest readable checkpoint is continued
-  start       = /home/boat/heron      // a set to start from, while the folder has none
+  folder      = /home/boat/usvlearn   // checkpoints, status and records; the newest readable checkpoint is continued
+  start       = /home/boat/heron      // a checkpoint to start from, while the folder has none
   // mass     = 36.0                  // kg, added mass included: of a prior, if there is no checkpoint at all
   // surge_max = 3.0                  // m/s, top speed, likewise
   save_period = 300                   // s between two checkpoints
-  keep        = 100                   // sets
+  keep        = 100                   // checkpoints
   record      = false                 // true: record all messages, so that train.py can replay the session
   prefix      = {PREFIX}                  // of what is published
   plan        = {PLAN}         // variable: a plan that is posted there is answered by a forecast

@@ -38,7 +38,7 @@ def status_lines(folder: Path) -> list[str]:
         said = found.get(key)
         sentences = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
         lines += [f"{title:<11} {printable(each)}" for each in sentences]
-    return [*lines, f"Sets        {_sets(sets)}"]
+    return [*lines, f"Checkpoints {_sets(sets)}"]
 
 
 def _state(folder: Path, found: dict[str, Any]) -> str:

@@ -43,7 +43,7 @@ def cross_section(
             name: box(found.mae[..., k][others], int(found.diverged[..., k][others].sum()))
             for k, name in enumerate(found.methods)
         }
-        subtitles[season.boat] = f"{len(season.own)} sets × {len(season.runs)} runs"
+        subtitles[season.boat] = f"{len(season.own)} checkpoints × {len(season.runs)} runs"
         for name in by_error({name: each and each.mean for name, each in boxes[season.boat].items()}):
             if (each := boxes[season.boat][name]) is not None:
                 later = found.mae[..., found.methods.index(name)][season.later & (found.steps > 0)]
