@@ -12,6 +12,20 @@ torch.set_num_threads(1)
 os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
 
 
+WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """From an empty cache, one process compiles the kernels while the others run what needs none."""
+
+    def turn(item: pytest.Item) -> int:
+        if item.nodeid.startswith("tests/engine/test_kernels.py"):
+            return 0
+        return 1 if item.nodeid.startswith(WITHOUT_KERNELS) else 2
+
+    items.sort(key=turn)
+
+
 @pytest.fixture
 def real_logs() -> Path:
     """The folder of recorded logs beside the repository; the test is skipped where it is absent."""

@@ -96,6 +96,7 @@ def with_smoothing(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_new_estimator_of_contributing_has_every_property(with_smoothing):
     """The contracts; and the kernel equals torch in both precisions, over batch elements, faults, open-loop simulations
     and checkpoints on disk.
@@ -189,6 +190,7 @@ def test_yaml_defaults_are_the_signatures():
     assert seen == CHOSEN
 
 
+@pytest.mark.slow
 def test_real_logs_replay_to_the_figures_of_the_readme(real_logs, tmp_path):
     """Skill on the BlueBoat, untuned; the files are not part of the repository."""
     import json

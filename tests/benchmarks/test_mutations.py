@@ -43,12 +43,14 @@ def test_a_change_changes_its_place_alone(tmp_path):
     assert [place for place, *_ in mutations.places("any", lower)] == [place for place, *_ in found]
 
 
+@pytest.mark.slow
 def test_the_draw_is_the_same_each_time():
     known = mutations.every_place(mutations.ROOT)
     once, again = mutations.drawn(known), mutations.drawn(known)
     assert once == again and len(set(once)) == len(once) == 60
 
 
+@pytest.mark.slow
 def test_places_of_the_table_stay_and_missing_ones_are_drawn():
     known = mutations.every_place(mutations.ROOT)
     new = mutations.drawn(known)

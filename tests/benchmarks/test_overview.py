@@ -98,6 +98,7 @@ def test_a_ratio_is_that_of_the_rounds():
     assert timed("step", overview_sections.by_round(spent, reference), "C").value == ratio(spent, reference) == 2.0
 
 
+@pytest.mark.slow
 def test_a_quick_run_measures_all(tmp_path):
     assert overview.main(["--quick", "--folder", str(tmp_path)]) == 0
     text = (tmp_path / "index.md").read_text()

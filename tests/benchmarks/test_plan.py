@@ -13,6 +13,7 @@ def pair() -> Pair:
     return next(pairs(5, ["heron"]))
 
 
+@pytest.mark.slow
 def test_the_plan_reaches_the_intervals_of_a_lawn_mower_in_half_of_its_time(pair):
     after = pair.plan[round(60 * MINUTES / NOTED) - 1]
     names = derived(after)

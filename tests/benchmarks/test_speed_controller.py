@@ -1,11 +1,13 @@
 """Gains that were designed from identified boats hold on the true ones."""
 
 import numpy as np
+import pytest
 from speed_controller import cases
 
 MOST = {"ArduRover": 0.4, "MOOS-IvP": 0.15}  # overshoot, share of a step
 
 
+@pytest.mark.slow
 def test_the_gains_hold_on_the_true_boats():
     found = list(cases("otter", seed=3, hours=1.0))
     assert len(found) == 6

@@ -31,6 +31,7 @@ with Session(options, made) as session:
 """
 
 
+@pytest.mark.slow
 def test_a_run_and_a_node_after_it_compile_nothing(tmp_path):
     kept = {"NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": str(ROOT)}
     first = run("warm", folder=tmp_path, script="usvlearn/__main__.py", **kept)

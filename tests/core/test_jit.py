@@ -231,6 +231,7 @@ def test_a_numba_that_lacks_a_name_has_no_parts():
     assert python(f"{code}from usvlearn import jit\nprint(jit.Part)").stdout == "None\n"
 
 
+@pytest.mark.slow
 def test_warming_compiles_all_that_runs_steps_and_free_runs_need(tmp_path):
     done = python(WARM, NUMBA_CACHE_DIR=str(tmp_path))
     assert done.stdout == "[1, 1, 1, 1] [1, 1, 1, 1]\n"

@@ -12,7 +12,7 @@ from hydra import compose, initialize_config_dir
 from torch.func import functional_call, grad, vmap
 from torch.utils._pytree import tree_leaves
 
-from tests.support import ESTIMATORS, ROOT, over, random_samples
+from tests.support import ESTIMATORS, ROOT, few, over, random_samples
 from tests.support.kernel_cases import VARIANTS
 from tests.support.placement import on_device, read_as_ones
 from usvlearn import (
@@ -58,6 +58,7 @@ MORE = [  # what the estimators of `ESTIMATORS` leave out: rules, wrappers in wr
 ]  # fmt: skip
 CASES = ESTIMATORS | {name: VARIANTS[name] for name in MORE} | {"default": default, "small": small}
 SOME = ["aid", "projected", "robust_memory", "rnn_replay", "joint", "arx", "weighted", "small"]  # of each family one
+KINDS = (*SOME, "sift", "memory", "rnn", "pair", "persistence", "acceleration", "default")
 CALLS = {  # of an estimator with its state and a run
     "learn": lambda estimator, state, run: estimator.learn(state, at(run, 0).inputs, run.surge[0]),
     "free_step": lambda estimator, state, run: estimator.free_step(state, at(run, 0).inputs),
@@ -86,7 +87,7 @@ def assert_away(found, expected) -> None:
     assert described(found) == described(expected)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", few(CASES, KINDS))
 @over("batch", [(), (2, 3)])
 def test_every_step_stays_on_the_device_of_the_state(name, batch):
     here, there, run = CASES[name](), CASES[name]().to("meta"), random_samples(STEPS, *batch)
@@ -117,7 +118,7 @@ def test_every_number_of_an_estimator_moves_with_it(name):
         assert not [key for key, x in vars(part).items() if isinstance(x, torch.Tensor)], path
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", few(CASES, KINDS))
 def test_gradients_are_on_the_device_of_the_hyperparameters(name):
     estimator, run = CASES[name]().to("meta"), away(random_samples(STEPS, 2))
     parameters = [x for x in estimator.parameters() if x.requires_grad]

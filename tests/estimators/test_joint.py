@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.integrate import solve_ivp
 
-from tests.support import over
+from tests.support import few, over
 from tests.support.kernel_cases import mission
 from usvlearn import Bank, Ensemble, Inputs, JointEKF, Online, Sample, rollout
 from usvlearn.core import checkpoint
@@ -140,7 +140,7 @@ def dense(joint: JointEKF, samples: Sample):
         yield x.clone(), P.clone(), noise, predicted
 
 
-@each_setting
+@pytest.mark.parametrize("name", few(SETTINGS, ["even"]))
 def test_the_factored_filter_is_the_dense_one(name):
     """Over samples with starts, gaps, outliers, missing speeds and steps of a minute."""
     joint, samples = JointEKF(2.0, 28.0, **SETTINGS[name]), mission(700, seed=5)

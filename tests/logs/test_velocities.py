@@ -98,6 +98,7 @@ def test_components_and_limits_are_named(components, limits, message, tmp_path):
         read_velocities(write(tmp_path / "run.csv"), Table("t"), INPUTS, components, limits=limits)
 
 
+@pytest.mark.slow
 def test_real_bags_have_all_three(real_logs):
     inputs = {
         "command_left": {"name": "*left_thruster", "span": 36.5},

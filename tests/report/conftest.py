@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support import made_once
 from tests.support.commands import SMALL, run
 
 LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameters have a band
@@ -12,10 +13,12 @@ LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameter
 @pytest.fixture(scope="session")
 def saved(tmp_path_factory) -> Path:
     """A finished run of two simulated boats, two missions each, and its report; nobody changes it."""
-    folder = tmp_path_factory.mktemp("saved")
+    return made_once(tmp_path_factory, "saved", make) / "run"
+
+
+def make(folder: Path) -> None:
     done = run(*SMALL, LEAST_SQUARES, "data.n=2", f"hydra.run.dir={folder}/run", folder=folder)
     assert done.returncode == 0, done.stderr
     done = run(f"runs={folder}/run", folder=folder, script="evaluate.py")
     assert done.returncode == 0, done.stderr
     assert f"{folder}/run/report/index.html" in done.stdout.replace("\n", "")
-    return folder / "run"

@@ -5,9 +5,12 @@ A new estimator is one line in that list. Each module of this package holds one 
 
 import functools
 import inspect
-from collections.abc import Callable, Iterable
+import os
+import shutil
+from collections.abc import Callable, Container, Iterable
 from pathlib import Path
 
+import pytest
 import torch
 
 from usvlearn import (
@@ -34,6 +37,7 @@ from usvlearn import (
     SurgeDynamics,
     WithMemory,
 )
+from usvlearn.core.lock import Lock
 
 ROOT = Path(__file__).parents[2]
 REAL_LOGS = ROOT.parent / "shared" / "data"
@@ -97,6 +101,24 @@ def random_samples(steps: int, *batch: int, seed: int = 0, dtype=torch.float64) 
     yes = torch.ones(steps, *batch, dtype=torch.bool)
     inputs = Inputs(uniform(), uniform(), 6 * uniform(), uniform() - 0.5, torch.full((steps, *batch), 0.4, dtype=dtype))
     return Sample(inputs, 2 * uniform(), yes, yes)
+
+
+def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path], None]) -> Path:
+    """A folder that one of the processes that test at the same time has filled; the others wait for it."""
+    base = factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
+    with Lock(folder.with_name(f"{name}_lock"), "name", wait=True):
+        if not (folder / "made").exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            (folder / "made").touch()
+    return folder
+
+
+def few(values: Iterable, kept: Container) -> list:
+    """The values of `pytest.mark.parametrize`, of which those that are not kept run among the slow tests alone."""
+    return [value if value in kept else pytest.param(value, marks=pytest.mark.slow) for value in values]
 
 
 def over(argument: str, values: Iterable) -> Callable:

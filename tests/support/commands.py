@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from tests.support import ROOT
+from tests.support import ROOT, prefork
 from usvlearn.core import checkpoint
 
 ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "COLUMNS": "160"}
@@ -36,6 +36,9 @@ def command(*arguments: str, script: str = "train.py") -> list[str]:
 
 
 def run(*arguments: str, folder: Path, script: str = "train.py", **environment: str) -> subprocess.CompletedProcess:
+    """A command's end. Without an environment of its own it runs in a process that has imported the program already."""
+    if not environment:
+        return prefork.run(command(*arguments, script=script), folder, ENVIRONMENT, timeout=300)
     return subprocess.run(
         command(*arguments, script=script), cwd=folder, env=ENVIRONMENT | environment, capture_output=True, text=True,
         timeout=300,

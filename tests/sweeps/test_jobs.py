@@ -17,7 +17,7 @@ from hydra.experimental.callback import Callback
 from hydra.utils import instantiate
 from omegaconf import OmegaConf
 
-from tests.support import ROOT
+from tests.support import ROOT, few
 from tests.support.commands import (
     ENVIRONMENT,
     QUICK,
@@ -126,7 +126,7 @@ class Probe(Callback):
         (Path(config.hydra.runtime.output_dir) / "probe.json").write_text(json.dumps(told))
 
 
-@pytest.mark.parametrize("launcher", ["joblib", "submitit_local"])
+@pytest.mark.parametrize("launcher", few(["joblib", "submitit_local"], ["joblib"]))
 def test_launchers_do_the_same_in_workers_of_one_thread(launcher, swept, tmp_path):
     pytest.importorskip({"joblib": "joblib", "submitit_local": "submitit"}[launcher])
     arguments = [*GRID, "align.inputs=mean", f"hydra/launcher={launcher}"]

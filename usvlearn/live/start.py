@@ -119,8 +119,8 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
         return leaves, facts, f"starting from {path}", [*damaged, *told]
     if options.mass is None or options.surge_max is None:
         raise ConfigError(
-            f"{sets.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to start from "
-            "(start), or mass in kg and surge_max in m/s"
+            f"{sets.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to start "
+            "from (start), or mass in kg and surge_max in m/s"
         )
     from usvlearn.live.prior import prior
 

@@ -6,7 +6,7 @@ Values that are read there are 1, so that each method runs to its end (`tests/su
 import pytest
 import torch
 
-from tests.support import random_samples
+from tests.support import few, random_samples
 from tests.support.configured import request
 from tests.support.placement import read_as_ones
 from usvlearn import AID, BOA, RLS, RNN, Ensemble, RecursiveWeights
@@ -36,7 +36,9 @@ def meta():
     return made
 
 
-@pytest.mark.parametrize("measure", [Measure(""), Measure("", "forecast", 2.0), Measure("", "free")])
+@pytest.mark.parametrize(
+    "measure", few([Measure(""), Measure("", "forecast", 2.0), Measure("", "free")], [Measure("")])
+)
 def test_errors_of_elements_are_on_the_device_of_the_estimator(short, measure):
     with read_as_ones():
         found = element_errors(AID(28.0, gain=[[0.1], [1.0], [10.0]]).to("meta"), short, (3,), measure=measure)
@@ -51,6 +53,7 @@ def test_a_grid_runs_on_the_device_of_its_estimators(short, meta):
         assert [each.mae for each in grid(Objective(build, short), parameters, 3, 1)[0]] == [1.0] * 3
 
 
+@pytest.mark.slow
 def test_the_exact_gradient_runs_on_the_device_of_the_estimator(short, meta):
     build, parameters = meta("aid")
     with read_as_ones():

@@ -110,7 +110,9 @@ def network_section(seasons: Sequence[Season], ensemble: Ensemble, errors: Mappi
     sheets = [
         ResultTable("equilibria", columns, rows),
         ResultTable(
-            "certificates", ("boat", "condition", "checkpoints certified", "checkpoints", "least margin", "greatest"), conditions
+            "certificates",
+            ("boat", "condition", "checkpoints certified", "checkpoints", "least margin", "greatest"),
+            conditions,
         ),
     ]
     return Section("network", "The network: certificates and equilibria", PAPER_RESULT, here, drawn, sheets)
