@@ -1,8 +1,8 @@
 """Commands in forks of a process that has imported the program and loaded its machine code.
 
-So each starts some seconds sooner than a new Python. `python -m tests.support.prefork` reads a request in JSON from each
-line of its input. It answers with the number of the forked process, and then with its exit code. Only one thread runs
-before a fork.
+So each starts some seconds sooner than a new Python. `python -m tests.support.prefork` reads a request in JSON from
+each line of its input. It answers with the number of the forked process, and then with its exit code. Only one thread
+runs before a fork.
 """
 
 from __future__ import annotations
