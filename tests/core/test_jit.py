@@ -109,12 +109,16 @@ def copied(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(compiled, "HERE", root)
 
-    def folder(source: str = "engine/dispatch.py"):
+    def forget():
         compiled.folder.cache_clear()
+        compiled._imported.cache_clear()
+
+    def folder(source: str = "engine/dispatch.py"):
+        forget()
         return compiled.folder(root / source)
 
     yield root, folder
-    compiled.folder.cache_clear()
+    forget()
 
 
 @pytest.mark.parametrize(

@@ -96,14 +96,17 @@ def sources(path: Path) -> set[Path]:
     return found
 
 
-def _imported(path: Path) -> Iterator[Path]:
+@cache
+def _imported(path: Path) -> tuple[Path, ...]:
     """The files of this package that a source file imports."""
+    found: list[Path] = []
     for names in _import_names(path.read_bytes()):
         places = [HERE.parent.joinpath(*name.split(".")) for name in names if name.split(".")[0] == HERE.name]
-        files = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
-        yield from [file for file in files if file.is_file()][:1]
+        files = (file for place in places for file in (place.with_suffix(".py"), place / "__init__.py"))
+        found += [file for file in files if file.is_file()][:1]
         if f"{HERE.name}.estimators.COMPILED" in names:  # the kernels of this list are imported by name
-            yield from (HERE / "estimators").rglob("kernel.py")
+            found += (HERE / "estimators").rglob("kernel.py")
+    return tuple(found)
 
 
 @cache
