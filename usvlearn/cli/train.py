@@ -32,6 +32,7 @@ from usvlearn.report.tables import (
 from usvlearn.runs.layout import TENSORBOARD
 from usvlearn.sweeps.launchers import set_threads
 from usvlearn.sweeps.seeds import seeded
+from usvlearn.sweeps.tuning.ways import asked
 
 
 def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | None = None, quiet=False) -> float:
@@ -39,13 +40,13 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     check_settings(cfg)
     made = OmegaConf.create(seeded(plain(cfg)))
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
-    with Activity(console, "loading"):
-        from usvlearn.sweeps.tuning import tune as tuning
     with as_written(cfg):
-        if not tuning.asked(made):
+        if not asked(made):
             return train(made, folder, console, resume or cfg.resume, overrides)
+        with Activity(console, "loading"):
+            from usvlearn.sweeps.tuning.tune import tune
         settings = plain(made)
-        return tuning.tune(settings, folder, instantiate, CheckedAlignment(settings, console), overrides, console)
+        return tune(settings, folder, instantiate, CheckedAlignment(settings, console), overrides, console)
 
 
 def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, overrides: Sequence[str] = ()) -> float:

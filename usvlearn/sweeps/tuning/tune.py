@@ -35,9 +35,8 @@ from usvlearn.sweeps.tuning.batches import (
 from usvlearn.sweeps.tuning.grid import grid, product
 from usvlearn.sweeps.tuning.search import search
 from usvlearn.sweeps.tuning.sensitivities import Fitted, descend
+from usvlearn.sweeps.tuning.ways import WAYS, asked
 from usvlearn.sweeps.tuning.winners import EXPERIMENT, record, report, write
-
-WAYS = ("grid", "learn", "search")
 
 
 class Request(NamedTuple):
@@ -56,23 +55,6 @@ class Request(NamedTuple):
     @property
     def ranges(self) -> dict[str, list[float]]:
         return {each.path: [each.low, each.high] for each in self.parameters}
-
-
-def asked(configuration: Mapping[str, Any]) -> str | None:
-    """The method that a configuration asks for, or None.
-
-    Raises:
-        ConfigError: it asks for several methods, or for a study.
-
-    >>> asked({"grid": "aid", "learn": None, "search": None})
-    'grid'
-    """
-    if "study" in configuration:
-        raise ConfigError("experiment: found a study, expected settings: run `python evaluate.py experiment=…`")
-    found = [way for way in WAYS if configuration.get(way) is not None]
-    if len(found) > 1:
-        raise ConfigError(f"{' and '.join(found)}: found {len(found)} ways to tune, expected one: leave out the others")
-    return found[0] if found else None
 
 
 def request(configuration: Mapping[str, Any], instantiate: Callable[[Any], Any]) -> Request:
