@@ -137,7 +137,8 @@ def test_a_plan_is_answered_by_the_forecast_of_its_commands(start):
     ("0,60,60", "found left 60 in row 1, expected -1 to 1, shares of full scale"),
     ("0,1,1;0,1,1", "times t that do not rise"), ("-1,1,1", "times t that do not rise"),
     ("0,1,1;1,1,1,1", "found '1,1,1,1' in row 2"), ("0,nan,1", "found left nan in row 1"), ("inf,1,1", "found t inf"),
-    ("1000,1,1", "found t 1000, expected at most 239.6 s"), ("0,1,1;" * 2000, "found 2000 rows"),
+    ("1000,1,1", "found t 1000, expected at most 239.6 s"), ("1e308,1,1", "found t 1e+308, expected at most 239.6 s"),
+    ("0,1,1;" * 2000, "found 2000 rows"),
     ("0" * 200_000, "found 200000 characters"), ("{", "found no JSON"), ("[" * 5000, "no JSON"), ("[]", "without"),
     ('{"t": [0], "left": [1]}', "JSON without lists t, left and right"),
     ('{"t": [0], "left": [1], "right": [1, 1]}', "lists of different lengths"),
@@ -156,6 +157,16 @@ def test_a_bad_plan_is_answered_by_a_sentence_and_counted(start, text, sentence)
     found = json.loads(found)["error"] if text[:1] in ("{", "[") else found.removeprefix("error: ")
     assert sentence in found and len(found) < 300 and "\n" not in found
     assert one.counts["plan"] == {"refused": 1}
+
+
+def test_a_plan_is_answered_where_the_longest_forecast_has_more_steps_than_an_answer(start):
+    one = node(start)
+    setup = Setup.of({**one.setup.json(), "align": {**one.setup.align, "dt": 0.04}})
+    one = Node(setup, one.online)
+    for message in messages(boat(0.02), 0.0):
+        one.push(*message)
+    found = json.loads(one.answer('{"t": [0], "left": [1], "right": [1]}'))
+    assert len(found["surge"]) == 600 and found["t"][-1] == 24.0
 
 
 def test_a_plan_without_inputs_is_answered_so(start):

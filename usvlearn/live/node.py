@@ -260,9 +260,11 @@ class Node:
         return answer(text, self.last, found)
 
     def _planned(self, plan: Plan) -> Forecast:
-        steps = max(round(max(self.horizons, default=0.0) / self.dt), math.floor(plan.time[-1] / self.dt) + 1)
-        if steps > LONGEST:
+        last = float(plan.time[-1]) / self.dt  # steps until then; infinite where t is as large as numbers go
+        if last >= LONGEST:
             raise ConfigError(f"plan: found t {plan.time[-1]:g}, expected at most {(LONGEST - 1) * self.dt:g} s")
+        least = min(round(max(self.horizons, default=0.0) / self.dt), LONGEST)
+        steps = max(least, math.floor(last) + 1)
         ahead = self._aligner.ahead(steps)
         if not all(math.isfinite(float(x[0])) for x in ahead):
             raise ConfigError(
