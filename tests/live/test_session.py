@@ -454,6 +454,19 @@ def told(session: Session, posts) -> list[tuple[float, str, str, tuple[str, ...]
     return found
 
 
+def told_with_ages(session: Session, posts) -> list[tuple[float, str, str, tuple[str, ...]]]:
+    """As `told`, where a channel that is silent in the stamps is as old as they say."""
+    found, heard, begin = [], {}, time.monotonic()
+    for name, stamp, value in posts:
+        session.push(name, stamp, value)
+        heard[name] = begin + stamp - 1.7e9
+        if stamp - 1.7e9 >= len(found) + 1:
+            session._listening.heard = dict(heard)
+            health = session.tick(clock=begin + len(found) + 1)
+            found.append((len(found) + 1, health.state, health.sentence, health.warnings))
+    return found
+
+
 @pytest.mark.parametrize("part, every", [("heading", 0.25), ("heading", 1.0), ("command_left", 0.9), ("surge", 0.9)])
 def test_a_node_that_loses_many_steps_says_so_within_a_minute(tmp_path, start, part, every):
     """A fixed window of 0.01 s; the automatic one learns from the same messages."""
@@ -486,14 +499,7 @@ def test_a_channel_that_comes_too_seldom_is_never_ok(tmp_path, start):
 def test_a_channel_that_becomes_too_seldom_stays_so_between_its_messages(tmp_path, start):
     """It was ok after each heading, and stale before the next one, because two of them had once come quickly."""
     with ready(tmp_path, start) as session:
-        found, heard, begin = [], {}, time.monotonic()
-        for name, stamp, value in slowed("heading", 6.7, begin=40.0):
-            session.push(name, stamp, value)
-            heard[name] = begin + stamp - 1.7e9
-            if stamp - 1.7e9 >= len(found) + 1:
-                session._listening.heard = dict(heard)
-                health = session.tick(clock=begin + len(found) + 1)
-                found.append((len(found) + 1, health.state, health.sentence, health.warnings))
+        found = told_with_ages(session, slowed("heading", 6.7, begin=40.0))
     assert {state for at, state, *_ in found if 5 < at < 40} == {"ok"}
     late = [row for row in found if row[0] > 80]
     assert {row[1] for row in late} == {"stale", "sparse"}
@@ -501,6 +507,29 @@ def test_a_channel_that_becomes_too_seldom_stays_so_between_its_messages(tmp_pat
     assert {s.partition(";")[0] for _, state, s, _ in late if state == "sparse"} == {
         "many steps are lost, because of heading (HEADING)"
     }
+
+
+def test_a_rate_that_changes_again_and_again_is_told_with_a_window_that_spans_its_silences(tmp_path, start):
+    """The advice was twice the window of the fast times, 0.4 s, which the slow ones exceed as before."""
+
+    def posts():
+        last = -math.inf
+        for name, stamp, value in messages(boat(0.05), 0.0):
+            if name == "heading" and stamp % 10 >= 5 and stamp - last < 2.0:
+                continue
+            last = stamp if name == "heading" else last
+            yield name, 1.7e9 + stamp, value
+
+    with ready(tmp_path / "auto", start) as session:
+        (warning,) = told_with_ages(session, posts())[-1][3]
+        learned = session._node.learned
+        session._background.wait()
+    window = re.search(r"rate changes again and again: set heading\.window=([\d.]+)$", warning)[1]
+    assert 2.0 <= float(window) <= 5.0
+    changes = channel_options({"heading.window": window})
+    with ready(tmp_path / "wide", start, channels=changes) as session:
+        assert told_with_ages(session, posts())[-1][1] == "ok"
+        assert session._node.learned > 1.4 * learned
 
 
 def test_a_channel_that_slows_down_and_recovers_is_told_and_forgotten(tmp_path, start):

@@ -30,6 +30,7 @@ class _Count(NamedTuple):
     fresh: int
     measured: int
     stale: Counter[str]  # channel -> steps without a recent value of it
+    ages: dict[str, float]  # channel -> s since its last message
 
 
 class Usable:
@@ -62,7 +63,11 @@ class Usable:
         stale = Counter({name: causes.get("stale", 0) for name, causes in node.counts.items()})
         if "yaw_rate" not in self._names:  # it is the slope of the heading
             stale["heading"] = max(stale["heading"], stale.pop("yaw_rate", 0))
-        now = _Count(node.grid, node.fresh, node.measured, stale)
+        oldest: dict[str, float] = {}
+        for part, age in ages.items():
+            channel = part.partition("[")[0]
+            oldest[channel] = max(age, oldest.get(channel, 0.0))
+        now = _Count(node.grid, node.fresh, node.measured, stale, oldest)
         longest = {part: math.inf if source.held else MOST_WINDOW for part, source in node.parts.items()}
         silent = {part for part, age in ages.items() if age > longest[part] or math.isinf(age)}
         seldom = self._seldom(silent)
@@ -116,8 +121,11 @@ class Usable:
             why = f"{name} comes every {interval:.2g} s, and its window is {window:.2g} s: set {channel}.window=auto"
         else:
             kind = "late"
+            silence = max(count.ages.get(channel, 0.0) for count in self._counts)  # was longer than any that is seen
+            wider = max(2 * window, min(1.5 * silence, MOST_WINDOW))
             why = (
                 f"{name} is often older than its window of {window:.2g} s, though it comes every {interval:.2g} s: its "
-                f"messages are lost, or stamped late: set {channel}.window={float(f'{2 * window:.2g}'):g}"
+                "messages are lost, stamped late, or their rate changes again and again: set "
+                f"{channel}.window={float(f'{wider:.2g}'):g}"
             )
         return channel, kind, Cause(f"many steps are lost, because of {name}", f"only {share}: {why}")
