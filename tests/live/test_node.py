@@ -374,6 +374,8 @@ def test_posts_are_those_of_the_table(start):
     assert "state=ok" in told(health)
     lines = page(health._replace(warnings=("ü" * 200,), sentence="x " * 100), steps[-1])
     assert all(len(line) <= WIDTH and line.isascii() for line in lines)
+    text = "\n".join(page(health, steps[0]._replace(measured=math.nan, speed=math.nan, next=math.nan)))
+    assert "measured unknown, predicted unknown" in text and "nan" not in text.lower()
 
 
 class Terminal(io.StringIO):

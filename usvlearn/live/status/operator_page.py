@@ -45,10 +45,10 @@ def page(health: Health, step: Step | None = None) -> list[str]:
 
 
 def _speeds(step: Step) -> list[str]:
-    found = [
-        _line("Speed", f"measured {step.measured:.2f}, predicted {_interval(step.speed, step.low, step.high)} m/s")
-    ]
-    found.append(_line("Next", f"{_interval(step.next, step.next_low, step.next_high)} m/s under these commands"))
+    measured = f"{step.measured:.2f}" if math.isfinite(step.measured) else "unknown"
+    found = [_line("Speed", f"measured {measured}, predicted {_interval(step.speed, step.low, step.high)} m/s")]
+    if math.isfinite(step.next):
+        found.append(_line("Next", f"{_interval(step.next, step.next_low, step.next_high)} m/s under these commands"))
     if step.forecasts:
         horizon, each = list(step.forecasts.items())[-1]
         _, low, high = step.if_held[horizon]
@@ -58,6 +58,8 @@ def _speeds(step: Step) -> list[str]:
 
 
 def _interval(value: float, low: float, high: float) -> str:
+    if not math.isfinite(value):
+        return "unknown"
     return f"{value:.2f} ({low:.2f} ... {high:.2f})" if math.isfinite(low) else f"{value:.2f} (no interval yet)"
 
 
