@@ -115,6 +115,15 @@ def test_messages_beyond_the_limits_and_without_numbers_are_counted():
     assert np.nanmax(samples.surge) < 5 and samples.measured[1:].all()
 
 
+def test_a_heading_that_is_no_angle_is_counted():
+    """Less its whole turns, 1e30 is a rounding error. A compass that counts turns is fine."""
+    time = np.arange(41) / 10
+    turns = np.where(time == 1.0, 1e30, 6283.0 + 0.1 * time)
+    _, samples, rejected = align(log(heading=channel(time, turns)))
+    assert rejected == {"heading": {"out_of_range": 1}}
+    np.testing.assert_allclose(samples.inputs.yaw_rate[2:], 0.1, atol=1e-9)
+
+
 def test_stamps_that_repeat_or_run_backwards():
     channels = log()
     speed = channels["surge"]

@@ -32,6 +32,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.plans import HEADING
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.errors import ConfigError, LogFormatError, check_choice, check_not_negative, check_positive
 from usvlearn.logs.channels.channel import AUTO, CHANNELS, COMMANDS, REQUIRED, Channel
@@ -195,7 +196,7 @@ def checked(
         **dict.fromkeys(COMMANDS, command_max),
         "surge": check_positive("surge_max", limits["surge_max"], "of m/s"),
         "yaw_rate": check_positive("yaw_rate_max", limits["yaw_rate_max"], "of rad/s"),
-        "heading": math.inf,
+        "heading": HEADING,
     }
     if missing := [name for name in REQUIRED if name not in channels]:
         raise LogFormatError(f"channels: {', '.join(missing)} missing, expected {', '.join(REQUIRED)}")
