@@ -10,7 +10,7 @@ import yaml
 
 from tests.support.exported import write_table
 from tests.support.shapes import certainties, score
-from tests.support.topic_tables import TOPICS, ferry, numbers, rostopic
+from tests.support.topic_tables import TOPICS, ferry, numbers, rostopic, rotation
 from tests.support.voyages import voyage
 from usvlearn.cli.composition import recordings_of
 from usvlearn.cli.configs import configs_folder
@@ -43,6 +43,33 @@ def test_topics_are_read_as_they_were_written(tmp_path, name):
     result = score(found.proposal.channels, certainties(found.decisions), TOPICS[name].truth)
     assert result.wrong == result.unsure == []
     assert len(found.recordings) == 1 and found.findings == []
+
+
+@pytest.mark.parametrize(("prefix", "dot"), [("field.twist.twist.", "."), ("/boat/odom/twist/", "/")])
+def test_the_twist_of_an_odometry_without_a_position_is_the_speed(tmp_path, prefix, dot):
+    log, time = voyage(0), np.arange(1.0, 200.0, 0.2)
+    turned = rotation(f"orientation{dot}", np.pi / 2 - log.at("heading", time))
+    drive = {side: log.at(f"command_{side}", time) for side in ("left", "right")}
+    wanted = {f"/cmd_vel/linear{dot}x": 1.1 * log.at("surge", time)}
+    twist = {
+        f"{prefix}linear{dot}{axis}": value for axis, value in (("x", log.at("surge", time)), ("y", 0.01 * time % 0.1))
+    }
+    for name, columns in {"cmd_drive": drive, "imu": turned, "goal": wanted, "odom": twist}.items():
+        write_table(tmp_path / f"{name}.csv", {"__time": time, **columns})
+    found = inspect_logs([str(tmp_path)])
+    assert found.proposal.channels["surge"]["name"] == f"odom.{prefix}linear{dot}x"
+    assert found.findings == []
+
+
+def test_tables_of_one_number_are_told_by_their_files(tmp_path):
+    log, time = voyage(0), np.arange(1.0, 200.0, 0.2)
+    names = {"port": "command_left", "starboard": "command_right", "heading": "heading", "speed": "surge"}
+    for name, of in names.items():
+        write_table(tmp_path / f"{name}.csv", {"timestamp": time, "value": log.at(of, time)})
+    found = inspect_logs([str(tmp_path)])
+    assert {found.proposal.channels[of]["name"] for of in names.values()} == {f"{name}.value" for name in names}
+    sides = [each.reason for each in found.decisions if (each.channel, each.what) == ("command_left", "series")]
+    assert [each.partition(";")[0] for each in sides] == ["by name"]
 
 
 def test_a_folder_of_runs_each_with_a_folder_of_topics(tmp_path, run):

@@ -237,7 +237,7 @@ def vectors(pool: Sequence[Candidate]) -> list[tuple[Candidate, Candidate]]:
 def is_part(candidate: Candidate) -> bool:
     """Whether a name tells the part x of a velocity."""
     spoken = set(words(candidate.label))
-    named = {"twist", "vel", "velocity", "vx"} & spoken and "angular" not in spoken
+    named = {"twist", "vel", "velocity", "vx", "linear"} & spoken and not {"angular", "acceleration"} & spoken
     return bool(named) and candidate.label[-1] in "xX"
 
 

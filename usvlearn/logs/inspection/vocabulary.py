@@ -62,6 +62,7 @@ MIDDLE = {"mid", "middle", "center", "centre", "mitte", "milieu", "centro"}
 DRIVES = {"rpm", "thrust", "thruster", "motor", "pwm", "esc", "servo", "throttle", "prop", "propeller",
           "tau", "force", "wrench", "torque", "moment"} | languages.DRIVES  # fmt: skip
 COMMANDED = {"cmd", "command", "commanded"}
+NUMBER = {"value", "data", "field"}  # names of the only column of a topic
 UNIT_WORDS = {  # words of a name that tell a unit
     "deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad", "radians": "rad",
     "kn": "knots", "kt": "knots", "kts": "knots", "knot": "knots", "kmh": "km/h", "kph": "km/h", "mps": "m/s",
@@ -178,7 +179,8 @@ def fit(role: str, name: str) -> float:
         across = {"y", "z", "d", "vy", "vz", "vd", "east", "north", "ost", "nord", "delta", "imu"}
         across -= {"y"} if "x" in found else set()
         score -= 3 * bool(across & found)
-        score += 0.5 * ({"linear", "x"} <= found)
+        if {"linear", "x"} <= found and not (SETPOINT | COMMANDED) & set(words(name.replace("/", "."))):
+            score = max(score, 1) + 0.5  # of a twist, which is in the axes of the boat
     elif role == "command":
         score = min(score, 3) + 0.5 * bool(score and (LEFT | RIGHT) & found)
         score -= 1 * bool({"force", "feedback", "kraft", "newton"} & found)
@@ -206,12 +208,12 @@ def side(name: str) -> str:
 
 
 def names_side_alone(name: str) -> bool:
-    """Whether a name tells a side and, at most, a unit.
+    """Whether a name tells a side and, at most, a unit or the number of a table for each topic.
 
-    >>> names_side_alone("left"), names_side_alone("R [%]"), names_side_alone("right_pct"), names_side_alone("left eye")
-    (True, True, True, False)
+    >>> names_side_alone("left"), names_side_alone("port.value"), names_side_alone("left eye")
+    (True, True, False)
     """
-    return bool(side(name)) and all(word in UNIT_WORDS for word in without_side(name))
+    return bool(side(name)) and all(word in UNIT_WORDS or word in NUMBER for word in without_side(name))
 
 
 def without_side(name: str) -> tuple[str, ...]:
