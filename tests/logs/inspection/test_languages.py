@@ -10,13 +10,13 @@ from usvlearn.logs.inspection.vocabulary import WORDS, fit, side, unit_word
 
 TABLES = {  # left, right, heading, speed and its unit
     "Danish": ("Motor bagbord [%]", "Motor styrbord [%]", "Kurs [grader]", "Fart [knob]", "knots"),
-    "Dutch": ("Schroef bakboord", "Schroef stuurboord", "Koers (graden)", "Snelheid (km/u)", "km/h"),
+    "Dutch": ("Schroef bakboord", "Schroef stuurboord", "Koers (graden)", "Snelheid km/u", "km/h"),
     "Finnish": ("potkuri vasen", "potkuri oikea", "suunta", "nopeus (m/s)", "m/s"),
     "French": ("Poussée bâbord (%)", "Poussée tribord (%)", "Cap (degrés)", "Vitesse (nœuds)", "knots"),
     "German": ("Schub Backbord", "Schub Steuerbord", "Kurs (Grad)", "Geschwindigkeit (Knoten)", "knots"),
     "Italian": ("motore_sx", "motore_dx", "prua_gradi", "velocita_nodi", "knots"),
     "Norwegian": ("pådrag babord", "pådrag styrbord", "kurs", "hastighet (m/s)", "m/s"),
-    "Polish": ("silnik lewy", "silnik prawy", "kurs", "prędkość", "m/s"),
+    "Polish": ("silnik lewy", "silnik prawy", "kurs", "prędkość węzły", "knots"),
     "Portuguese": ("Motor bombordo", "Motor estibordo", "Rumo (graus)", "Velocidade (nós)", "knots"),
     "Spanish": ("empuje_babor", "empuje_estribor", "rumbo_grados", "velocidad_nudos", "knots"),
     "Swedish": ("varvtal vänster", "varvtal höger", "kurs", "fart (knop)", "knots"),

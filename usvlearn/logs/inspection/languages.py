@@ -81,8 +81,8 @@ ROLES: dict[str, dict[float, str]] = {  # role -> how strongly -> words
     "rudder": {3: "ruder ruderlage gouvernail safran timón timone leme roer roder ror peräsin", 2: "barre ster"},
 }  # fmt: skip
 UNITS = {  # unit -> words
-    "knots": spelled("knoten nœuds nœud nudos nodi nós knopen knop knob knots"),
-    "deg": spelled("grad degré degrés grados gradi graus graden grader"),
+    "knots": spelled("knoten nœuds nœud nudos nodi nós knopen knop knob knots węzły węzłów solmua"),
+    "deg": spelled("grad degré degrés grados gradi graus graden grader stopnie stopni asteet"),
     "percent": spelled("prozent pourcent procent prosent percento porcentaje"),
 }
 

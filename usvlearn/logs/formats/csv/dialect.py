@@ -40,9 +40,9 @@ UNIT_NAMES = {
     "mm/s": ("mm/s", "mm_s"),
     "km/h": ("km/h", "kmh", "kph", "kmph", "km_h", "km/t", "km/u"),
     "knots": ("kn", "kt", "kts", "knot", "knots", "knoten", "nœuds", "noeuds", "nœud", "noeud", "nudos", "nodi", "nós",
-              "knopen", "knop", "knob"),
+              "knopen", "knop", "knob", "węzły", "węzłów", "solmua"),
     "deg": ("deg", "degs", "degree", "degrees", "°", "grad", "degré", "degrés", "degres", "grados", "gradi", "graus",
-            "graden", "grader"),
+            "graden", "grader", "stopnie", "stopni", "asteet"),
     "rad": ("rad", "rads", "radian", "radians"),
     "deg/s": ("deg/s", "deg/sec", "°/s", "dps", "deg_s", "degps"),
     "rad/s": ("rad/s", "rad/sec", "rad_s", "radps"),
@@ -77,10 +77,15 @@ def split_unit(name: str) -> tuple[str, str]:
 
     >>> [split_unit(name) for name in ("Speed (km/h)", "yaw [°]", "heading_deg", "yaw_rate_rad_s", "thr_left")]
     [('Speed', 'km/h'), ('yaw', 'deg'), ('heading', 'deg'), ('yaw_rate', 'rad/s'), ('thr_left', '')]
+    >>> split_unit("snelheid km/u"), split_unit("fart knop")
+    (('snelheid', 'km/h'), ('fart knop', ''))
     """
     if found := BRACKETED.fullmatch(name):
         unit = (found[2] or found[3] or "").strip()
         return found[1], UNIT_OF.get(unit.lower(), unit)
+    first, _, last = name.rpartition(" ")
+    if first.strip() and "/" in last and last.lower() in UNIT_OF:  # other last words may belong to the name
+        return first.strip(), UNIT_OF[last.lower()]
     parts = name.split("_")
     for count in (2, 1):
         unit = "_".join(parts[-count:]).lower()
