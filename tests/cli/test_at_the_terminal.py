@@ -57,6 +57,7 @@ PRINTED = {
     "export": ["export", "run", "--to", "c,json"],
     "certify": ["certify", "run", "--box", "--seconds", "0.1"],
     "help": ["--help"],
+    "help of live": ["live", "--help"],
     **{f"help of {name}": [name, "--help"] for name in ("train", "evaluate")},
     **{f"usage of {name}": [name] for name in ("inspect", "delay", "plan", "controller", "completion")},
 }
@@ -116,7 +117,9 @@ def test_first_words_and_errors_fit_a_terminal_and_a_pipe_is_clean(program, tmp_
     assert done.stdout == "" and done.stderr == f"{' '.join(error)}\n"
 
 
-@pytest.mark.parametrize(("arguments", "first"), [(["evaluate"], "evaluate"), (["export", "RUN"], "export")])
+@pytest.mark.parametrize(
+    ("arguments", "first"), [(["evaluate"], "evaluate"), (["export", "RUN"], "export"), (["certify", "RUN"], "certify")]
+)
 def test_a_command_that_lacks_an_argument_says_so_within_the_width(arguments, first, tmp_path):
     said = at_a_terminal(*USVLEARN, *arguments, folder=tmp_path).splitlines()
     assert said[0] == f"usvlearn {first}: loading …" and max(map(len, said)) <= COLUMNS

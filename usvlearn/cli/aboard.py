@@ -14,12 +14,12 @@ from usvlearn.live import systemd
 USAGE = """usage: usvlearn live moos MISSION.moos [ALIAS]      on a MOOSDB
        usvlearn live mavlink udpin:127.0.0.1:14550  beside an autopilot
        usvlearn live ros2 [--ros-args …]            as a node of ROS 2
-       usvlearn live status FOLDER                  what a running or dead node last knew
-       usvlearn live warm                           compile everything, when a boat's computer is set up
-       usvlearn live systemd --folder DIR COMMAND … print a systemd unit that starts one of the first three
-Each has --help. A node starts from the newest readable checkpoint of its folder, else from --start CHECKPOINT, else
-from a prior by
---mass and --surge-max. It needs no torch."""
+       usvlearn live status FOLDER                  what a node last knew
+       usvlearn live warm                           compile everything ahead
+       usvlearn live systemd --folder DIR COMMAND … print a systemd unit
+Each has --help. A node starts from the newest readable checkpoint of its
+folder, else from --start CHECKPOINT, else from a prior by --mass and
+--surge-max. It needs no torch. COMMAND is one of the first three."""
 SHELLS = {
     "moos": "usvlearn.live.moos.app",
     "mavlink": "usvlearn.live.mavlink.shell",

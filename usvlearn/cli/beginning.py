@@ -19,7 +19,7 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "completion": ("usvlearn.cli.completion", "print what lets bash, zsh or fish complete commands and keys"),
     "certify": ("certify.__main__", "prove whether the networks in checkpoints contract"),
 }
-QUICK = ("live", "certify")  # commands that say something themselves
+QUICK = ("live",)  # which say something themselves
 ALL = "--help=all"
 HELP = {
     "train": """\
