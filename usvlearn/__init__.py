@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; a test compares it with
     from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings as ForecastSettings
     from usvlearn.estimators.ensemble.layer import Ensemble as Ensemble
     from usvlearn.estimators.joint.layer import JointEKF as JointEKF
+    from usvlearn.estimators.joint.trial import Trial as Trial
     from usvlearn.estimators.least_squares.projected import Projected as Projected
     from usvlearn.estimators.least_squares.rls import RLS as RLS
     from usvlearn.estimators.least_squares.sift import SIFtRLS as SIFtRLS
@@ -73,6 +74,7 @@ _HOME = {
     "Persistence": "estimators.baselines.persistence.layer",
     "Acceleration": "estimators.baselines.acceleration.layer",
     "JointEKF": "estimators.joint.layer",
+    "Trial": "estimators.joint.trial",
     "Ensemble": "estimators.ensemble.layer",
     "ForecastSettings": "estimators.ensemble.forecasts.layer",
     "Bank": "estimators.wrappers.bank",

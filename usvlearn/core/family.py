@@ -101,7 +101,7 @@ class Node(IntEnum):
     OUTER = 8  # whether `Robust` is around `WithMemory`
 
 
-CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 40  # where each begins in a row, and the row's length
+CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 56  # where each begins in a row, and the row's length
 FEEDBACK = ("measured", "estimate")  # the speed from which the next step departs
 ESTIMATE = FEEDBACK.index("estimate")
 
@@ -216,6 +216,7 @@ class Family(Generic[S]):
         numbers, choices, vectors: its other declarations.
         size: the legal sizes, or a function from its entries in a specification to its size.
         optional: choices that a specification has all or none of.
+        last: numbers, the last ones, that a specification has where it has those choices, and only there.
         lengths: choices, whole numbers, that also size the state; one that a specification lacks counts as 0.
         work: from the size, the length of the work array that its kernel needs.
         heading: from its entries, whether it needs the heading.
@@ -235,6 +236,7 @@ class Family(Generic[S]):
     vectors: type[Vectors] = Vectors
     size: Range | Callable[[Mapping[str, Any]], int] = Range(0, 0)
     optional: tuple[Choices, ...] = ()
+    last: tuple[Numbers, ...] = ()
     lengths: tuple[Choices, ...] = ()
     work: Callable[[int], int] = lambda size: 0
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
@@ -253,8 +255,15 @@ class Family(Generic[S]):
 
     def chosen(self, own: Mapping[str, Any]) -> list[Choices]:
         """The choices that a specification must state."""
-        stated = any(choice.key in own for choice in self.optional)
-        return [choice for choice in self.choices if stated or choice not in self.optional]
+        return [choice for choice in self.choices if self.stated(own) or choice not in self.optional]
+
+    def numbered(self, own: Mapping[str, Any]) -> list[Numbers]:
+        """The numbers that a specification must have."""
+        return [number for number in self.numbers if self.stated(own) or number not in self.last]
+
+    def stated(self, own: Mapping[str, Any]) -> bool:
+        """Whether a specification has the optional choices."""
+        return any(choice.key in own for choice in self.optional)
 
 
 def _counted(tree: Any, places: Iterator[int]) -> Any:

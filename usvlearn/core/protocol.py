@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple, final
 
 import torch
@@ -179,11 +179,11 @@ def describe(family: Family[Any], part: Any, **own: Any) -> dict[str, Any]:
     for choice in family.choices:
         if choice not in family.optional:
             found[choice.key] = own[choice.key] if choice.key in own else getattr(part, choice.key)
-    found["numbers"] = numbers_of(family.numbers, part, **own)
+    found["numbers"] = numbers_of([each for each in family.numbers if each not in family.last], part, **own)
     return found | ({"vectors": numbers_of(family.vectors, part, **own)} if len(family.vectors) else {})
 
 
-def numbers_of(declared: type[Numbers] | type[Vectors], part: Any, **own: Any) -> dict[str, Any]:
+def numbers_of(declared: Iterable[Numbers | Vectors], part: Any, **own: Any) -> dict[str, Any]:
     """The declared numbers as JSON values, from attributes of a part or from `own`.
 
     >>> from usvlearn import AID

@@ -8,7 +8,7 @@ opened; for an estimator of this process, the constructor has checked its argume
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from math import prod
 from typing import Any, NamedTuple
 
@@ -206,7 +206,7 @@ class _Reading:
         else:
             size = family.size(member)
             _number(f"{entry}.size", member["size"], Range(size, size))
-        self._parameters(f"{entry}.numbers", member["numbers"], family.numbers, settings)
+        self._parameters(f"{entry}.numbers", member["numbers"], family.numbered(member), settings)
         if vectors:
             _keys(f"{entry}.vectors", member["vectors"], [vector.key for vector in family.vectors])
         for vector in family.vectors:
@@ -249,8 +249,9 @@ class _Reading:
             begin += length
         return len(columns)
 
-    def _parameters(self, entry: str, values: Any, legal: type[Declared], settings: tuple[int, ...] = ()) -> None:
+    def _parameters(self, entry: str, values: Any, legal: Iterable[Declared], settings: tuple[int, ...] = ()) -> None:
         """Check numbers by name."""
+        legal = list(legal)
         _keys(entry, values, [each.key for each in legal])
         self.numbers += [Numbers(f"{entry}.{each.key}", values[each.key], each.legal, settings) for each in legal]
 

@@ -167,7 +167,7 @@ class Plan:
         for place, (leaf, field) in enumerate(family.leaves(size, prefix, own).items(), LEAVES):
             row[place] = self._place(leaf, field)
         row[Node.END] = self.size
-        for number in family.numbers:
+        for number in family.numbered(own):
             value = np.asarray(own["numbers"][number.key], float)[..., None]
             self._vector(value, 1, f"{name}: {number.key}", setting)
         for vector in family.vectors:

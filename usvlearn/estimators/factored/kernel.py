@@ -41,6 +41,12 @@ def add(A, k, c, a):
     """P + c e_k e_kᵀ, (1)."""
     fill(a[:k], 0.0)
     a[k] = 1.0
+    along(A, k, c, a)
+
+
+@jit
+def along(A, k, c, a):
+    """P + c a aᵀ, (1), where a is 0 behind its place k; a is changed."""
     for j in range(k, 0, -1):
         d, own = A[j, j], a[j]
         larger = d + c * own * own

@@ -14,6 +14,7 @@ from usvlearn.estimators.joint.factored_kernel import add_current, add_slow, see
 from usvlearn.estimators.joint.state import (
     AGEING,
     AT,
+    AT_TRIAL,
     CURRENT_VARIANCE,
     DECAYED,
     DROPPED,
@@ -42,6 +43,7 @@ from usvlearn.estimators.joint.state import (
     Vector,
     W,
 )
+from usvlearn.estimators.joint.trial_kernel import detect, exchange, has_trial, judge, keep, likelihood, loosen_sides
 from usvlearn.estimators.regressors.kernel import phi1
 
 
@@ -50,6 +52,10 @@ def start(node, s, q, surge):
     """`JointEKF.start`."""
     s[node[AT.surge]] = surge
     s[node[AT.started]] = 1.0
+    if has_trial(node):
+        s[node[AT_TRIAL.statistic]] = s[node[AT_TRIAL.last]] = 0.0
+        if not s[node[AT_TRIAL.tried]] > 0:
+            s[node[AT_TRIAL.run]] = 0.0
 
 
 @jit
@@ -63,7 +69,11 @@ def predict(node, s, q, x, work):
 def coast(node, s, q, x, predicted, work):
     """The state after `JointEKF.predict`."""
     mean, A = blocks(node, s)
+    before = shared(node, s)
     advance(node, s, q, x, mean, A, work)
+    if has_trial(node) and s[node[AT_TRIAL.run]] > 0:
+        second(node, s, q, x, 0.0, False, before, work)
+        s[node[AT_TRIAL.run]] += 1
 
 
 @jit
@@ -81,12 +91,33 @@ def free_step(node, s, q, x, work):
 @jit
 def learn(node, s, q, x, estimate, target, work):
     """The state after `JointEKF.learn`."""
+    tries, before = has_trial(node), shared(node, s)
+    if tries and not s[node[AT_TRIAL.run]] > 0:
+        keep(node, s)
+    S, rest = update(node, s, q, x, estimate, target, work)
+    leads = False
+    if tries:
+        if x[DT] > LONGEST:
+            if s[node[AT_TRIAL.run]] > 0:
+                second(node, s, q, x, target, True, before, work)
+                s[node[AT_TRIAL.run]] += 1
+        else:
+            compare(node, s, q, x, (target - estimate) / np.sqrt(S), S, target, rest, before, work)
+        leads = s[node[AT_TRIAL.leads]] > 0
+    if x[DT] > LONGEST:
+        start(node, s, q, target)
+    elif s[node[AT.learned]] >= q[node[Node.NUMBERS] :][Number.READ_EVERY] and not leads:
+        read(node, s, s[node[AT.mean] + THETA : node[AT.mean] + node[Node.SIZE]])
+
+
+@jit
+def update(node, s, q, x, estimate, target, work):
+    """One filter after a measurement, (3) to (7); returns S, and whether the boat was at rest."""
     n, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
     mean, A = blocks(node, s)
     spread, rest = advance(node, s, q, x, mean, A, work)
     if x[DT] > LONGEST:
-        start(node, s, q, target)
-        return
+        return spread, rest
     f, G, gain = work[:n], work[n : 2 * n], work[2 * n : 3 * n]
     error, noise, k = target - estimate, s[node[AT.noise]], numbers[Number.OUTLIER]
     square, S = error * error, spread + noise
@@ -100,8 +131,52 @@ def learn(node, s, q, x, estimate, target, work):
         s[node[AT.noise]] = NOISE_LEAST**2 if learned < NOISE_LEAST**2 else learned
         s[node[AT.learned]] += x[DT]
     project_signs(mean, A, node[Choice.EVEN], gain)
-    if s[node[AT.learned]] >= numbers[Number.READ_EVERY]:
-        read(node, s, mean[THETA:])
+    return S, rest
+
+
+@jit
+def shared(node, s):
+    """What both filters of a trial read of the state before a step: whether it is a segment's first, commands, turn."""
+    commands = node[AT.commands]
+    return s[node[AT.started]], s[commands], s[commands + 1], s[node[AT.turn]]
+
+
+@jit
+def second(node, s, q, x, target, learns, before, work):
+    """The step of the filter that does not predict, from `before`; returns its z, S, and whether it was at rest."""
+    commands, deviation, learned = node[AT.commands], s[node[AT.deviation]], s[node[AT.learned]]
+    s[node[AT.started]], s[commands], s[commands + 1], s[node[AT.turn]] = before
+    exchange(node, s)
+    predicted, z, S = forecast(node, s, q, x, work), 0.0, 1.0
+    if learns:
+        S, rest = update(node, s, q, x, predicted, target, work)
+        z = (target - predicted) / np.sqrt(S)
+    else:
+        mean, A = blocks(node, s)
+        S, rest = advance(node, s, q, x, mean, A, work)
+    exchange(node, s)
+    s[node[AT.deviation]], s[node[AT.learned]] = deviation, learned
+    return z, S, rest
+
+
+@jit
+def compare(node, s, q, x, z, S, target, rest, before, work):
+    """The trial after a measurement with the innovation z √S of the filter that predicts, (8) to (10)."""
+    begins = False
+    if not rest:
+        s[node[AT_TRIAL.since]] += x[DT]
+        begins = not s[node[AT_TRIAL.tried]] > 0 and detect(node, s, z)
+    if begins:
+        loosen_sides(node, s, q, work[: node[Node.SIZE]])
+        s[node[AT_TRIAL.evidence]] = 0.0
+    if not (begins or s[node[AT_TRIAL.run]] > 0):
+        return
+    other, spread, still = second(node, s, q, x, target, True, before, work)
+    if not (rest or still):
+        more = likelihood(other, spread) - likelihood(z, S)
+        s[node[AT_TRIAL.evidence]] += -more if s[node[AT_TRIAL.leads]] > 0 else more
+    s[node[AT_TRIAL.run]] += 1
+    judge(node, s, q)
 
 
 @jit

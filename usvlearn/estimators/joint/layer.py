@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from usvlearn.core.hyper import Hyper, Positive, as_tensor, check_broadcast
 from usvlearn.core.protocol import Estimator, describe
-from usvlearn.core.samples import Inputs, tree_map, where
+from usvlearn.core.samples import Inputs, where
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.factored.layer import (
     added,
@@ -27,6 +28,7 @@ from usvlearn.estimators.factored.layer import (
 from usvlearn.estimators.joint import state as at
 from usvlearn.estimators.joint.quantities import KNOWN_SIGNS, sums
 from usvlearn.estimators.joint.state import EAST, FAMILY, KAPPA, NORTH, THETA, B, E, JointState, W, names
+from usvlearn.estimators.joint.trial import Stepped, Trial, chosen, exchanged, of
 from usvlearn.estimators.mass import known_rows
 from usvlearn.estimators.regressors.layer import phi1
 from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
@@ -57,6 +59,7 @@ class JointEKF(Estimator):
         read_every: s of update steps under way between two periodic estimates of the parameters; None: none.
         known: forces by name, or by a sum of names, in N, as `{"thrust_full_left": 33.6}`: the mass is identified too
             (`usvlearn.estimators.mass`); the names are those of `quantities.sums`.
+        trial: how a change of the boat is answered within seconds; None: as fast as the parameters drift.
 
     >>> joint = JointEKF(surge_max=2.7, mass=28.0)
     >>> joint.init((8,)).mean.shape
@@ -91,8 +94,10 @@ class JointEKF(Estimator):
         outlier: Hyper | None = 4.0,
         read_every: float | None = None,
         known: Mapping[str, float] | None = None,
+        trial: Trial | None = None,
     ):
         super().__init__()
+        self.trial = trial
         self.disturbance = Positive(disturbance, "disturbance")
         self.disturbance_time = Positive(disturbance_time, "disturbance_time")
         self.current = Positive(current, "current")
@@ -104,11 +109,8 @@ class JointEKF(Estimator):
         self.register_buffer("outlier", as_tensor(torch.inf if outlier is None else outlier, "outlier"))
         self.register_buffer("mass", as_tensor(mass, "mass"))
         v = as_tensor(surge_max, "surge_max")
-        for name, value, unit_ in (
-            ("outlier", self.outlier, "deviations"),
-            ("mass", self.mass, "kg"),
-            ("surge_max", v, "m/s"),
-        ):
+        positive = ("outlier", self.outlier, "deviations"), ("mass", self.mass, "kg"), ("surge_max", v, "m/s")
+        for name, value, unit_ in positive:
             if not bool((value > 0).all()):
                 raise ConfigError(f"{name}: found {value.tolist()}, expected a positive number of {unit_}")
         self.names = names(even is not None)
@@ -154,9 +156,9 @@ class JointEKF(Estimator):
     def variance(self) -> Tensor:
         """Prior variance of the parameters, `(m,)` or `(*batch, m)`."""
         found, kinds = self.scale * self.chosen[0], (self.cubic, self.even, self.lag)
-        for kind, chosen in zip(kinds, self.chosen[1:], strict=True):
+        for kind, own in zip(kinds, self.chosen[1:], strict=True):
             if kind is not None:
-                found = found + self.scale * chosen * kind()[..., None]
+                found = found + self.scale * own * kind()[..., None]
         return found * found
 
     def init(self, batch: Sequence[int] = ()) -> JointState:
@@ -168,7 +170,7 @@ class JointEKF(Estimator):
         )
         D = torch.cat([first, self.variance.expand(*batch, m)], -1)
         wide = zero[..., None].expand(*batch, m)
-        return JointState(
+        state = JointState(
             mean=torch.cat([torch.zeros_like(first), self.prior.expand(*batch, m)], -1),
             factor=torch.diag_embed(D),
             noise=zero + at.NOISE**2,
@@ -184,9 +186,13 @@ class JointEKF(Estimator):
             reading=wide.clone(),
             spread=wide[..., None].expand(*batch, m, m).clone(),
         )
+        return state if self.trial is None else state._replace(trial=self.trial.init(state))
 
     def predict(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
-        return self._advanced(state, inputs)[:2]
+        after, predicted, *_ = self._advanced(state, inputs)
+        if self.trial is not None:
+            after = self.trial.coasted(state, after, self._advanced(exchanged(state), inputs)[0])
+        return after, predicted
 
     def free_step(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
         """As `predict`, of the mean alone."""
@@ -197,6 +203,18 @@ class JointEKF(Estimator):
         return self.learn(state, inputs, surge)[0]
 
     def learn(self, state: JointState, inputs: Inputs, surge: Tensor) -> tuple[JointState, Tensor]:
+        first = self._learned(state, inputs, surge)
+        after, jumps = first.state, inputs.dt > at.LONGEST
+        due = ~jumps
+        if self.trial is not None:
+            step = partial(self._learned, inputs=inputs, surge=surge)
+            after = self.trial.learned(state, first, step, inputs.dt, self.variance)
+            due = due & ~(of(after).leads > 0)
+        after = chosen(due, self._read(after), after)
+        return chosen(jumps, self.start(after, surge), after), first.predicted
+
+    def _learned(self, state: JointState, inputs: Inputs, surge: Tensor) -> Stepped:
+        """One filter after a measurement; after a step of more than 10 s, which is predicted only, before it."""
         state, predicted, U, D, f, moves = self._advanced(state, inputs)
         spread, error, noise = (D * f * f).sum(-1), surge - predicted, state.noise
         square, S = error * error, spread + noise
@@ -214,13 +232,11 @@ class JointEKF(Estimator):
             updates=updates,
             learned=state.learned + torch.where(moves, inputs.dt, 0.0),
         )
-        learned = self._read(learned)
-        jumps = inputs.dt > at.LONGEST
-        begun = self.start(state, surge)
-        return tree_map(lambda new, old: where(jumps, new, old), begun, learned), predicted
+        return Stepped(chosen(inputs.dt > at.LONGEST, state, learned), predicted, error / S.sqrt(), S, moves)
 
     def start(self, state: JointState, surge: Tensor) -> JointState:
-        return state._replace(surge=surge, started=torch.ones_like(state.started))
+        state = state._replace(surge=surge, started=torch.ones_like(state.started))
+        return state if self.trial is None else self.trial.started(state)
 
     def inflate_covariance(self, state: JointState, factor: Tensor) -> JointState:
         """P times `factor`, up to `LOOSEST` times the prior: a direction without excitation would not shrink again."""
@@ -229,13 +245,21 @@ class JointEKF(Estimator):
 
     def spec(self) -> dict[str, Any]:
         even = self.even is not None
-        return describe(FAMILY, self, size=THETA + len(self.names), even=even)
+        found = describe(FAMILY, self, size=THETA + len(self.names), even=even)
+        if self.trial is None:
+            return found
+        steps, numbers = self.trial.spec()
+        return found | steps | {"numbers": found["numbers"] | numbers}
 
     def monitor(self, state: JointState) -> dict[str, Tensor]:
         numbers = dict(zip(self.names, (state.mean[..., THETA:] * self.mass[..., None]).unbind(-1), strict=True))
         numbers |= {LAG: state.mean[..., -1], DISTURBANCE: state.mean[..., B] * self.mass}
         numbers |= dict(zip(CURRENT, state.mean[..., NORTH : EAST + 1].unbind(-1), strict=True))
-        return numbers | {"noise": state.noise.sqrt(), "deviation": state.deviation, "readings": state.readings}
+        numbers |= {"noise": state.noise.sqrt(), "deviation": state.deviation, "readings": state.readings}
+        if self.trial is not None:
+            trial = of(state)
+            numbers |= {"evidence": trial.evidence, "changes": trial.changes, "since_change": trial.since}
+        return numbers
 
     def _flow(self, mean: Tensor, w: Tensor, b: Tensor, before: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
         """w⁺ of (3), `(*batch,)`, and its gradient g to x, `(*batch, n)`."""

@@ -41,12 +41,31 @@ is predicted; its speed starts a segment. A speed beyond ±20 m/s is that limit,
 first three periodic estimates are dropped. With weights 0.9^age, θ̄ is their mean and C their covariance; `reading`
 makes intervals of them.
 
+*The trial*, an option, answers a change of the boat within seconds. With z = e/√S of (5), z₋ that of the step before,
+m = min(|z|, |z₋|)² (25 at most), and ū the running mean (share 0.005) of min(m, 4) where z z₋ > 0, of 0 elsewhere,
+
+    g ← max(0, g ± m − ½ − 2ū),   + where z z₋ > 0, − elsewhere                                         (8)
+
+is Page's sum (Page 1954) of innovations that keep their sign. A second filter holds the state before the step while
+g ≤ 2. From there on it runs beside the first, with the covariance that a change leaves:
+
+    P ← P + Σ_side s² d dᵀ + Σ_i (r x_i)² e_i e_iᵀ,   d = (α, β, γ, κ, e₁, e₂, e₃) of the side as they are   (9)
+
+where each variance grows to four times its prior at most, and μ's does not. The evidence for it is
+
+    D ← D + ℓ_second − ℓ_first,   ℓ = −½ min(e²/S, 25) − ½ log S                                        (10)
+
+Where g exceeds its threshold within 20 steps, the trial begins. While D > `leads` the second filter predicts. At
+D > `confirmed` it replaces the first, and the periodic estimates begin anew. It is dropped at D < `dropped`, where D
+falls by `fallen` below its greatest value, and after `trial_steps`. The filter that predicts lies in `mean`, `factor`,
+`noise` and `updates`; the other one lies in `trial`.
+
 The derivation is in `docs/theory.md`, section 19.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from usvlearn.core.family import (
     FINITE,
@@ -55,9 +74,11 @@ from usvlearn.core.family import (
     POSITIVE,
     POSITIVE_OR_INFINITE,
     TRIANGLE,
+    UNIT,
     Choices,
     Family,
     Numbers,
+    Range,
     Vectors,
     leaf,
 )
@@ -79,7 +100,31 @@ LONGEST, SPEED_MAX = 10.0, 20.0  # s, m/s
 DECAYED = 20.0  # exponent of the longest decay, so that no factor of P is 0
 LAG_LEAST, LAG_MOST = -0.5, 1.5
 DROPPED, AGEING = 3.0, 0.9  # periodic estimates; their weight from one to the next
+INNOVATION_MOST, USUAL_MOST, USUAL_SHARE, OFFSET, USUALLY = 25.0, 4.0, 0.005, 0.5, 2.0  # of (8)
+SUSPECT, WARM, KEPT = 2.0, 150.0, 20.0  # g from which the second filter runs; update steps before; steps to begin in
+ROOM = 4.0  # times its prior: the most to which (9) lifts a variance
 LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most
+
+
+class TrialState(NamedTuple):
+    """The filter that does not predict, and what speaks for a change."""
+
+    mean: Tensor  # (*batch, n)
+    factor: Tensor  # (*batch, n, n)
+    noise: Tensor  # (*batch,) m²/s²
+    updates: Tensor  # (*batch,)
+    statistic: Tensor  # (*batch,) g of (8)
+    last: Tensor  # (*batch,) z₋
+    usual: Tensor  # (*batch,) ū
+    evidence: Tensor  # (*batch,) D of (10)
+    best: Tensor  # (*batch,) its greatest value in this trial
+    run: Tensor  # (*batch,) steps that the second filter has run beside the first; 0: it is the state before the step
+    tried: Tensor  # (*batch,) steps of the trial; 0: there is none
+    leads: Tensor  # (*batch,) 1 where the second filter predicts, so that it lies in `JointState.mean`, else 0
+    changes: Tensor  # (*batch,) count of confirmed changes
+    since: Tensor  # (*batch,) s of update steps since the last one, or since the start
+    kept: Tensor  # (*batch, n − 4) parameters where the second filter began, in the order of x
+    before: Tensor  # (*batch, n − 4) likewise, of the last confirmed change
 
 
 class JointState(NamedTuple):
@@ -99,6 +144,7 @@ class JointState(NamedTuple):
     weight: Tensor  # (*batch,) sum of the weights of the periodic estimates
     reading: Tensor  # (*batch, n − 4) θ̄: mean of the parameters read, in the order of x
     spread: Tensor  # (*batch, n − 4, n − 4) C: their covariance
+    trial: TrialState | dict[str, Any] = {}  # {} without trials  # noqa: RUF012
 
     @property
     def covariance(self) -> Tensor:
@@ -128,6 +174,13 @@ class Number(Numbers):
     OUTLIER = POSITIVE_OR_INFINITE  # k
     READ_EVERY = POSITIVE_OR_INFINITE
     MASS = MODEST  # kg: for the units of what is read
+    THRESHOLD = POSITIVE  # of g; this one and the next six only with trials
+    LEADS = FINITE
+    CONFIRMED = POSITIVE
+    DROPPED = FINITE
+    FALLEN = POSITIVE
+    SIDE = NOT_NEGATIVE  # s of (9)
+    EACH = NOT_NEGATIVE  # r
 
 
 class Vector(Vectors):
@@ -142,11 +195,37 @@ class Choice(Choices):
     """Choices."""
 
     EVEN = False, True
+    TRIAL_STEPS = Range(1, 10**6)  # the longest trial; only with trials
+
+
+def trial(n: int, steps: int) -> TrialState | dict[str, Any]:
+    """The leaves of trials of so many steps at most; none without."""
+    if not steps:
+        return {}
+    count = leaf(legal=NOT_NEGATIVE)
+    return TrialState(
+        mean=leaf(n),
+        factor=leaf(n, n, legal=TRIANGLE),
+        noise=leaf(legal=POSITIVE),
+        updates=count,
+        statistic=count,
+        last=leaf(),
+        usual=count,
+        evidence=leaf(),
+        best=leaf(),
+        run=count,
+        tried=count,
+        leads=leaf(legal=UNIT),
+        changes=count,
+        since=count,
+        kept=leaf(n - THETA),
+        before=leaf(n - THETA),
+    )
 
 
 FAMILY = Family(
     ("joint",),
-    lambda n: JointState(
+    lambda n, steps: JointState(
         mean=leaf(n),
         factor=leaf(n, n, legal=TRIANGLE),
         noise=leaf(legal=POSITIVE),
@@ -161,13 +240,18 @@ FAMILY = Family(
         weight=leaf(legal=NOT_NEGATIVE),
         reading=leaf(n - THETA),
         spread=leaf(n - THETA, n - THETA, legal=FINITE),
+        trial=trial(n, steps),
     ),
     Number,
     Choice,
     Vector,
     size=lambda own: SIZES[own["even"]],
+    optional=(Choice.TRIAL_STEPS,),
+    last=tuple(Number)[Number.THRESHOLD :],
+    lengths=(Choice.TRIAL_STEPS,),
     work=lambda n: 4 * n + 2,
     heading=lambda own: True,
     frozen=("mean", "surge", "started", "commands"),
 )
 AT = FAMILY.at
+AT_TRIAL = cast("TrialState", AT.trial)

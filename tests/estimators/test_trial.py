@@ -1,0 +1,102 @@
+"""The trial of the joint EKF: what it does on a boat whose truth is known, and that it can be interrupted anywhere."""
+
+import numpy as np
+import pytest
+import torch
+
+from usvlearn import Inputs, JointEKF, Sample, Trial
+from usvlearn.core.samples import named_leaves, tree_map
+from usvlearn.engine.rollouts import rollout
+from usvlearn.errors import ConfigError
+
+DT, NOISE, LEAD, BOATS = 0.4, 0.02, 600, 4
+THETA = np.array([-0.11, -0.21, 0.9, 0.6])  # v|v|, v, u of the left and of the right side: per unit mass
+
+
+def sail(seed: int, share: float, steps: int = 200) -> tuple[Sample, torch.Tensor]:
+    """Samples of boats whose left thruster keeps `share` of its thrust from LEAD on, and their true speeds."""
+    rng = np.random.default_rng(seed)
+    n = LEAD + steps
+    left, right = rng.random((2, -(-n // 10), BOATS)).repeat(10, 1)[:, :n]
+    v, speeds = np.zeros(BOATS), np.empty((n, BOATS))
+    for k in range(n):
+        thrust = THETA[2] * (share if k >= LEAD else 1.0) * left[k] + THETA[3] * right[k]
+        v = v + DT * (THETA[0] * abs(v) * v + THETA[1] * v + thrust)
+        speeds[k] = v
+    surge = torch.from_numpy(speeds + NOISE * rng.standard_normal(speeds.shape))
+    zero, yes = torch.zeros_like(surge), torch.ones_like(surge, dtype=torch.bool)
+    inputs = Inputs(torch.from_numpy(left), torch.from_numpy(right), zero, zero, zero + DT)
+    return Sample(inputs, surge, yes, yes.clone()), torch.from_numpy(speeds)
+
+
+def joint(**given) -> JointEKF:
+    return JointEKF(3.0, current=1e-3, trial=Trial(**given))
+
+
+def run(estimator, samples, state=None):
+    with torch.no_grad():
+        state = estimator.init((BOATS,)) if state is None else state
+        return rollout(estimator, state, samples)[:2]
+
+
+@pytest.mark.parametrize("share", [0.4, 0.0, 1.7])
+def test_a_changed_thruster_is_found_within_a_minute_and_its_parameters_are_right(share):
+    samples, truth = sail(1, share)
+    state, surges = run(joint(), samples)
+    assert (state.trial.changes == 1).all()
+    assert ((state.trial.since > 20.0) & (state.trial.since <= 80.0 + 1e-6)).all()  # of the 80 s after the event
+    error = (surges - truth).abs()[LEAD : LEAD + 100].mean()
+    plain = (run(JointEKF(3.0, current=1e-3), samples)[1] - truth).abs()[LEAD : LEAD + 100].mean()
+    assert error < 0.6 * plain
+    at = 4 + 3  # α of the left side; its β, γ and κ are 0 here, and share what is found at half command
+    now, before = (
+        x[..., at] + 0.5 * x[..., at + 1] for x in (state.mean, torch.nn.functional.pad(state.trial.before, (4, 0)))
+    )
+    assert now.allclose(now.new_tensor(THETA[2] * share), atol=0.15)
+    assert before.allclose(now.new_tensor(THETA[2]), atol=0.15)
+
+
+def test_a_boat_that_stays_the_same_has_no_change():
+    samples, _ = sail(2, 1.0, steps=2000)
+    state, surges = run(joint(), samples)
+    assert not state.trial.changes.any()
+    torch.testing.assert_close(surges, run(JointEKF(3.0, current=1e-3), samples)[1], atol=0.02, rtol=0, equal_nan=True)
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+def test_torch_makes_the_same_trial_and_a_run_continues_within_it(dtype):
+    samples, _ = sail(3, 0.4, steps=40)
+    samples = tree_map(lambda x: x.to(dtype) if x.is_floating_point() else x, samples)
+    samples.measured[LEAD + 5 : LEAD + 8] = False
+    estimator = joint().to(dtype)
+    whole, surges = run(estimator, samples)
+    head, tail = (tree_map(lambda x, part=part: x[part], samples) for part in (slice(LEAD + 4), slice(LEAD + 4, None)))
+    middle, _ = run(estimator, head)
+    assert (middle.trial.run > 0).any()
+    continued, after = run(estimator, tail, middle)
+    torch.testing.assert_close(after, surges[LEAD + 4 :], atol=0, rtol=0, equal_nan=True)
+    for (name, one), (_, other) in zip(named_leaves(whole), named_leaves(continued), strict=True):
+        assert torch.equal(one, other), name
+    state, predicted = middle, []
+    with torch.no_grad():
+        for k in range(LEAD + 4, len(samples.surge)):
+            state, each = estimator.forward(state, tree_map(lambda x, k=k: x[k], samples))
+            predicted.append(each)
+    limit = 1e-9 if dtype == torch.float64 else 2e-3
+    torch.testing.assert_close(torch.stack(predicted), after, atol=limit, rtol=0, equal_nan=True)
+    torch.testing.assert_close(state.mean, whole.mean, atol=limit, rtol=limit)
+    assert torch.equal(state.trial.changes, whole.trial.changes) and torch.equal(state.trial.tried, whole.trial.tried)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"leads": 200.0}, "trial.leads: found 200.0, expected a number between"),
+        ({"leads": -3.0}, "trial.leads: found -3.0, expected a number between"),
+        ({"threshold": 0.0}, "trial.threshold: found 0.0, expected a positive number"),
+        ({"steps": 0}, "trial.steps: found 0, expected a whole number"),
+    ],
+)
+def test_settings_that_make_no_trial_are_refused(given, words):
+    with pytest.raises(ConfigError, match=words):
+        Trial(**given)
