@@ -128,7 +128,7 @@ def mission_of(plan: Plan) -> Mission:
     hz = Autopilot().hz
     at = np.minimum((np.arange(round(60 * MINUTES * hz)) / hz / DT).astype(int), len(plan.course.left) - 1)
     none = np.full(len(at), np.nan)
-    return Mission(none, plan.course.throttle[at], plan.course.wanted[at], np.ones(len(at)))
+    return Mission(none, plan.course.throttle[at], plan.course.wanted[at], np.ones(len(at)), np.zeros(len(at)))
 
 
 def one(vessels: Vessel, boat: int) -> Vessel:

@@ -35,7 +35,7 @@ def test_nothing_differs_before_the_fault_and_all_missions_do_after():
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_speed_and_turn_settle_where_the_weaker_side_balances_the_drag(side):
     ticks = 400
-    course = Mission(np.full(ticks, np.nan), np.full(ticks, 1.0), np.zeros(ticks), np.ones(ticks))
+    course = Mission(np.full(ticks, np.nan), np.full(ticks, 1.0), np.zeros(ticks), np.ones(ticks), np.zeros(ticks))
     zero = torch.zeros((), dtype=torch.float64)
     later = faulty_vessels(Fault(side, 0.4, 50 / 60), plant("heron"), [ticks], 4.0)
     assert list(later) == [200]
@@ -50,7 +50,7 @@ def test_speed_and_turn_settle_where_the_weaker_side_balances_the_drag(side):
 
 
 @pytest.mark.parametrize(
-    ("options", "name"), [({"side": "bow"}, "side"), ({"share": 1.5}, "share"), ({"minute": -1.0}, "minute")]
+    ("options", "name"), [({"side": "bow"}, "side"), ({"share": 2.5}, "share"), ({"minute": -1.0}, "minute")]
 )
 def test_a_fault_out_of_range_is_refused_by_name(options, name):
     with pytest.raises(ConfigError, match=name):

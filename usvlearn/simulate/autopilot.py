@@ -2,7 +2,7 @@
 
     e = (surge_reference - surge) / surge_max                                                         (1)
     I+ = clip(I + dt k_i e),   throttle = I+ + k_p e          where the speed is controlled           (2)
-    turn = clip(k_h wrap(heading_reference - heading), turn_max)                                      (3)
+    turn = clip(k_h wrap(heading_reference - heading), turn_max)      where the heading is controlled (3)
     command = round(power * clip(throttle +- turn))           left +, right -                         (4)
 
 Where the throttle is given directly, the integral follows it, so that switching to speed control makes no jump.
@@ -24,8 +24,9 @@ class Reference(NamedTuple):
 
     surge: Tensor  # speed over ground, share of the top speed; NaN where the throttle is open
     throttle: Tensor  # mean of both commands where it is open, share of full scale
-    heading: Tensor  # rad
+    heading: Tensor  # rad; NaN where the turn is open
     power: Tensor  # 1, or 0 where both thrusters are off
+    turn: Tensor  # half the difference left less right where it is open, share of full scale
 
 
 @dataclass(frozen=True)

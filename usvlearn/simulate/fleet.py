@@ -19,15 +19,16 @@ from usvlearn.errors import ConfigError, check_choice, check_not_negative, check
 from usvlearn.logs.channels.channel import Recording
 from usvlearn.simulate.autopilot import Autopilot, Reference
 from usvlearn.simulate.fault import Fault, faulty_vessels
+from usvlearn.simulate.gusts import Gusts
 from usvlearn.simulate.plants import plant as plant_named
-from usvlearn.simulate.scenario import MISSIONS, Mission, aborted, paused
+from usvlearn.simulate.scenario import MISSIONS, USUAL, Mission, aborted, paused
 from usvlearn.simulate.sensors import Sensors, Truth, measure
 from usvlearn.simulate.vessel import Vessel, at_rest, over_ground, scale_thrust, steady_surge
 
 LEAK, WEAR, DRAG = 0.25, 0.3, 0.2  # spread 1: mass up to +25 %, thrust of a side +-30 %, drag +-20 %
 SUBSTEPS_HZ = 10.0  # least number of steps of the motion per second
 MOST_HOURS = 1e5  # of all boats together; more fills the memory
-HULL, BED, RIVER, COURSE, EVENT, SENSOR = range(6)  # purposes of a generator
+HULL, BED, RIVER, COURSE, EVENT, SENSOR, WIND = range(7)  # purposes of a generator
 
 
 def _rng(seed: int, purpose: int, mission: int = 0, boat: int = 0) -> np.random.Generator:
@@ -83,7 +84,7 @@ def fleet_missions(
     ticks: Sequence[int],
     hz: float,
     seed: int,
-    kinds: Sequence[str] = tuple(MISSIONS),
+    kinds: Sequence[str] = USUAL,
     aborted_share: float = 0.1,
     paused_share: float = 0.1,
 ) -> tuple[list[str], list[list[Mission]]]:
@@ -125,6 +126,8 @@ def sail(
     direction: Tensor,
     autopilot: Autopilot,
     later: Mapping[int, Vessel] | None = None,
+    gusts: Gusts | None = None,
+    wind: np.ndarray | None = None,
 ) -> tuple[float, Tensor, Tensor, Tensor]:
     """All missions of all boats with the autopilot in the loop, to the length of the longest one.
 
@@ -133,6 +136,7 @@ def sail(
         courses: `[mission][boat]`.
         current, direction: m/s and rad, broadcast against `(missions, boats)`.
         later: the vessel's new parameters, by the tick from which they hold; the autopilot does not know them.
+        gusts, wind: how strong a gust is, and its course, `Gusts.course`; by default there is none.
 
     Returns:
         The step in s, surge over ground and heading at its multiples `(steps + 1, missions, boats)`, and the
@@ -152,9 +156,10 @@ def sail(
     batch, reference = (len(courses), len(courses[0])), _stacked(courses)
     ticks, count = len(reference.power), batch[0] * batch[1]
     top = steady_surge(vessel, torch.ones(2, dtype=torch.float64))
-    state = tree_map(lambda x: x.numpy().copy(), at_rest((count,), reference.heading[0].flatten()))
+    state = tree_map(lambda x: x.numpy().copy(), at_rest((count,), reference.heading[0].nan_to_num().flatten()))
     surge, heading = np.empty((2, ticks * substeps + 1, count))
     integral, commands = np.zeros(count), np.empty((ticks, count, 2))
+    blows = np.zeros(commands.shape) if wind is None else wind.reshape(commands.shape)
     vessels = {0: vessel} | {tick: changed for tick, changed in (later or {}).items() if tick < ticks}
     for begin, end in pairwise([*sorted(vessels), ticks]):
         part = tree_map(lambda x, a=begin, b=end: x[a:b].flatten(1).numpy(), reference)
@@ -162,7 +167,8 @@ def sail(
         arguments = (
             kernel.gains(autopilot),
             part,
-            *kernel.known(vessels[begin], batch, dt, top, current, direction),
+            *kernel.known(vessels[begin], batch, dt, top, current, direction, gusts or Gusts()),
+            blows[begin:end],
             dt,
             substeps,
         )
@@ -178,7 +184,7 @@ def sail(
 def _stacked(courses: list[list[Mission]]) -> Reference:
     """All courses as `(ticks, missions, boats)`; after its end a course has no power."""
     ticks = max(course.power.size for row in courses for course in row)
-    stacked = torch.zeros((4, ticks, len(courses), len(courses[0])), dtype=torch.float64)
+    stacked = torch.zeros((len(Mission._fields), ticks, len(courses), len(courses[0])), dtype=torch.float64)
     for j, row in enumerate(courses):
         for k, course in enumerate(row):
             stacked[:, : course.power.size, j, k] = torch.from_numpy(np.stack(course))
@@ -194,12 +200,13 @@ def fleet(
     seed: int = 0,
     drift: float = 0.2,
     current: float = 0.3,
-    missions: Sequence[str] = tuple(MISSIONS),
+    missions: Sequence[str] = USUAL,
     aborted_share: float = 0.1,
     paused_share: float = 0.1,
     autopilot: Autopilot | None = None,
     sensors: Sensors | None = None,
     fault: Fault | None = None,
+    gusts: Gusts | None = None,
     fleet_seed: int | None = None,
 ) -> list[Recording]:
     """The logs of a fleet's season, boat by boat in the order of the missions.
@@ -213,12 +220,13 @@ def fleet(
         seed: the same seed gives the same logs, bit for bit.
         drift: how far a boat's parameters move over the season, 0 ... 1.
         current: fastest river current, m/s; each mission has its own speed; the direction varies little.
-        missions: kinds to draw from: convoy, patrol, lawn_mower, station_keeping.
+        missions: kinds to draw from: convoy, patrol, lawn_mower, station_keeping, random (open commands).
         aborted_share: share of the missions that end early, at 30 ... 80 % of their length.
         paused_share: share of the missions with a pause of the thrusters.
         autopilot: gains of the controller; by default it never goes astern.
         sensors: rates, errors and losses.
-        fault: a thruster of every boat that fails; by default none does.
+        fault: what changes about every boat, a thruster that fails for example; by default nothing does.
+        gusts: of wind; by default there is none.
         fleet_seed: seed of the boats themselves, by default `seed`; set it to let the same boats sail another season.
 
     Returns:
@@ -259,7 +267,8 @@ def fleet(
     names, courses = fleet_missions(n, ticks, autopilot.hz, seed, missions, aborted_share, paused_share)
     flow, direction = _river(seed, len(ticks), current)
     later = faulty_vessels(fault, vessel, ticks, autopilot.hz)
-    dt, *motions = sail(vessel, courses, flow, direction, autopilot, later)
+    wind = _wind(seed, gusts, ticks, n, autopilot.hz) if gusts else None
+    dt, *motions = sail(vessel, courses, flow, direction, autopilot, later, gusts, wind)
 
     substeps = round(1 / (dt * autopilot.hz))
     surge, heading, commands = (x.numpy() for x in motions)
@@ -281,3 +290,12 @@ def _river(seed: int, missions: int, current: float) -> tuple[Tensor, Tensor]:
     flow = [(current * rng.random(), bed + rng.normal(0, 0.2)) for rng in rngs]
     speed, direction = torch.tensor(flow, dtype=torch.float64).unsqueeze(-1).unbind(1)
     return speed, direction
+
+
+def _wind(seed: int, gusts: Gusts, ticks: Sequence[int], n: int, hz: float) -> np.ndarray:
+    """The gusts of every mission of every boat, `(ticks, missions, n, 2)`; after its end a mission has none."""
+    wind = np.zeros((max(ticks), len(ticks), n, 2))
+    for j, length in enumerate(ticks):
+        for k in range(n):
+            wind[:length, j, k] = gusts.course(_rng(seed, WIND, j, k), length, hz)
+    return wind

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from usvlearn.core.jit import jit
 from usvlearn.simulate.autopilot import Autopilot
+from usvlearn.simulate.gusts import Gusts
 from usvlearn.simulate.vessel import Vessel
 
 
@@ -28,20 +29,23 @@ class Known(NamedTuple):
     top: np.ndarray  # m/s, top speed
     current: np.ndarray  # m/s
     direction: np.ndarray  # rad, where the current flows to
+    push: np.ndarray  # N, of a full gust along the heading
+    swing: np.ndarray  # rad/s, settled, of a full gust across the heading
 
 
 def known(
-    vessel: Vessel, batch: tuple[int, ...], dt: float, top: Tensor, current: Tensor, direction: Tensor
+    vessel: Vessel, batch: tuple[int, ...], dt: float, top: Tensor, current: Tensor, direction: Tensor, gusts: Gusts
 ) -> tuple[Vessel, Known]:
     """The vessel as arrays `(elements, …)`, and the constants that follow from it.
 
     Args:
         vessel: leaves broadcast against `(*batch, …)`, as do `top`, `current` and `direction`.
         dt: step, s.
+        gusts: how strong they are.
 
     >>> from usvlearn.simulate.plants import heron
     >>> one = torch.ones(())
-    >>> known(heron(), (3, 2), 0.1, one, one, one)[0].thrust_table.shape
+    >>> known(heron(), (3, 2), 0.1, one, one, one, Gusts())[0].thrust_table.shape
     (6, 2, 11)
     """
 
@@ -51,6 +55,7 @@ def known(
     last: dict[str, tuple[int, ...]] = dict.fromkeys(("thrust_linear", "thrust_quadratic", "thrust_speed"), (2,))
     last["thrust_table"] = tuple(vessel.thrust_table.shape[-2:])
     leaves = torch.exp(-dt / vessel.lag), vessel.lag / dt, torch.exp(-dt / vessel.yaw_lag), top, current, direction
+    leaves += gusts.strength(vessel)
     arrays: Any = {name: elements(leaf, *last.get(name, ())) for name, leaf in vessel._asdict().items()}
     return Vessel(**arrays), Known(*map(elements, leaves))
 
@@ -73,10 +78,10 @@ def clip(x: float, low: float, high: float) -> float:
 
 
 @jit(memory=True)
-def steer(gains, integral, surge_reference, throttle, heading_reference, power, surge, heading):
+def steer(gains, integral, surge_reference, throttle, heading_reference, power, open_turn, surge, heading):
     """The next integral and the commands left and right, see `usvlearn.simulate.autopilot`.
 
-    >>> steer(gains(Autopilot()), 0.0, math.nan, 0.5, 0.0, 1.0, 0.0, 0.0)
+    >>> steer(gains(Autopilot()), 0.0, math.nan, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0)
     (0.5, 0.5, 0.5)
     """
     k_p, k_i, k_h, turn_max, lowest, resolution = gains
@@ -87,8 +92,11 @@ def steer(gains, integral, surge_reference, throttle, heading_reference, power, 
         error = surge_reference - surge  # 1.
         integral = clip(integral + k_i * error, lowest, 1.0)  # 2.
     throttle = clip(integral + k_p * error, lowest, 1.0)
-    away = (heading_reference - heading + math.pi) % (2 * math.pi) - math.pi
-    turn = clip(k_h * away, -turn_max, turn_max)  # 3.
+    if math.isnan(heading_reference):
+        turn = open_turn
+    else:
+        away = (heading_reference - heading + math.pi) % (2 * math.pi) - math.pi
+        turn = clip(k_h * away, -turn_max, turn_max)  # 3.
     left = np.rint(clip(throttle + turn, lowest, 1.0) * power / resolution) * resolution  # 4.
     right = np.rint(clip(throttle - turn, lowest, 1.0) * power / resolution) * resolution
     return integral, left, right
@@ -106,13 +114,14 @@ def surge_dot(vessel, n, surge, cross, static, lift):
 
 
 @jit(entry=True, memory=True)
-def sail_on(gains, reference, vessel, known, dt, substeps, integral, state, surge, heading, commands):
+def sail_on(gains, reference, vessel, known, wind, dt, substeps, integral, state, surge, heading, commands):
     """Steer and step all batch elements over all ticks of the reference.
 
     Args:
         gains: see `gains`.
         reference: leaves `(ticks, elements)`.
         vessel, known: see `known`.
+        wind: north and east part of a gust, of its full strength, `(ticks, elements, 2)`; `usvlearn.simulate.gusts`.
         dt: step, s.
         substeps: steps of a tick.
         integral, state: of the autopilot, `(elements,)`, and of the vessel, leaves `(elements, …)`; updated in place.
@@ -126,11 +135,16 @@ def sail_on(gains, reference, vessel, known, dt, substeps, integral, state, surg
             flow = known.current[n] * math.cos(known.direction[n] - state.heading[n])
             integral[n], commands[k, n, 0], commands[k, n, 1] = steer(
                 gains, integral[n], reference.surge[k, n], reference.throttle[k, n], reference.heading[k, n],
-                reference.power[k, n], (state.surge[n] + flow) / known.top[n], state.heading[n],
+                reference.power[k, n], reference.turn[k, n], (state.surge[n] + flow) / known.top[n], state.heading[n],
             )  # fmt: skip
         for at in range(k * substeps, (k + 1) * substeps):
             for n in range(len(integral)):
                 v = state.surge[n]
+                push = swing = 0.0
+                if wind[k, n, 0] != 0 or wind[k, n, 1] != 0:
+                    north, east = math.cos(state.heading[n]), math.sin(state.heading[n])
+                    push = known.push[n] * (wind[k, n, 0] * north + wind[k, n, 1] * east)
+                    swing = known.swing[n] * (wind[k, n, 1] * north - wind[k, n, 0] * east)
                 surge[at, n], heading[at, n] = v, state.heading[n]
                 for i in range(2):
                     command = clip(commands[k, n, i], -1.0, 1.0)
@@ -147,13 +161,18 @@ def sail_on(gains, reference, vessel, known, dt, substeps, integral, state, surg
                     lift[i] = vessel.thrust_speed[n, i] * mean
 
                 settled = vessel.yaw_gain[n] * ((static[0] + lift[0] * abs(v)) - (static[1] + lift[1] * abs(v)))  # (2)
+                settled += swing
                 gap = state.yaw_rate[n] - settled
                 left = gap * known.yaw_decay[n]
                 state.yaw_rate[n] = settled + left  # (4)
                 turned = settled * dt + (gap - left) * vessel.yaw_lag[n]
                 state.heading[n] += turned
 
-                both, rise, cross = static[0] + static[1], lift[0] + lift[1], vessel.drag_cross[n] * abs(turned / dt)
+                both, rise, cross = (
+                    static[0] + static[1] + push,
+                    lift[0] + lift[1],
+                    vessel.drag_cross[n] * abs(turned / dt),
+                )
                 k1 = surge_dot(vessel, n, v, cross, both, rise)  # (1)
                 k2 = surge_dot(vessel, n, v + dt / 2 * k1, cross, both, rise)
                 k3 = surge_dot(vessel, n, v + dt / 2 * k2, cross, both, rise)

@@ -18,8 +18,9 @@ class Mission(NamedTuple):
 
     surge: np.ndarray  # (ticks,) speed over ground, share of the top speed; NaN where the throttle is open
     throttle: np.ndarray  # (ticks,) mean of both commands where it is open, share of full scale
-    heading: np.ndarray  # (ticks,) rad
+    heading: np.ndarray  # (ticks,) rad; NaN where the turn is open
     power: np.ndarray  # (ticks,) 1, or 0 where both thrusters are off
+    turn: np.ndarray  # (ticks,) half the difference left less right where it is open, share of full scale
 
 
 def legs(rng: np.random.Generator, ticks: int, hz: float, shortest: float, longest: float) -> np.ndarray:
@@ -46,7 +47,7 @@ def convoy(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
     surge = surge * (1 + 0.12 * np.sin(2 * math.pi * time / period + phase))
     bend = legs(rng, ticks, hz, 15.0, 60.0)
     heading = rng.uniform(0, 2 * math.pi) + np.cumsum(rng.normal(0, 0.03, bend[-1] + 1)[bend]) / hz
-    return _idle_ends(Mission(surge, np.zeros(ticks), heading, np.ones(ticks)), hz)
+    return _idle_ends(Mission(surge, np.zeros(ticks), heading, np.ones(ticks), np.zeros(ticks)), hz)
 
 
 def patrol(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
@@ -61,7 +62,7 @@ def patrol(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
     spell = legs(rng, ticks, hz, 8.0, 40.0)
     throttle = rng.uniform(0.15, 1.0, spell[-1] + 1)[spell]
     power = (rng.random(spell[-1] + 1) > 0.15)[spell].astype(float)
-    return _idle_ends(Mission(np.full(ticks, np.nan), throttle, heading, power), hz)
+    return _idle_ends(Mission(np.full(ticks, np.nan), throttle, heading, power, np.zeros(ticks)), hz)
 
 
 def lawn_mower(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
@@ -78,7 +79,7 @@ def lawn_mower(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
     heading = rng.uniform(0, 2 * math.pi) + side * np.where(crossing, 1, 2 * (track % 2))
     surge = rng.uniform(0.3, 0.9, track[-1] + 1)[track]
     surge = np.where(crossing, np.minimum(surge, 0.4), surge)
-    return _idle_ends(Mission(surge, np.zeros(ticks), heading, np.ones(ticks)), hz)
+    return _idle_ends(Mission(surge, np.zeros(ticks), heading, np.ones(ticks), np.zeros(ticks)), hz)
 
 
 def station_keeping(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
@@ -92,13 +93,27 @@ def station_keeping(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
     throttle = rng.uniform(-0.4, 0.8, count)[spell]
     heading = (rng.uniform(0, 2 * math.pi) + np.cumsum(rng.normal(0, 0.7, count)))[spell]
     power = (rng.random(count) > 0.4)[spell].astype(float)
-    return _idle_ends(Mission(np.full(ticks, np.nan), throttle, heading, power), hz)
+    return _idle_ends(Mission(np.full(ticks, np.nan), throttle, heading, power, np.zeros(ticks)), hz)
+
+
+def random_commands(rng: np.random.Generator, ticks: int, hz: float) -> Mission:
+    """Both commands open and independent, from 0 to full ahead, drawn anew every 4 s: nothing is controlled.
+
+    >>> course = random_commands(np.random.default_rng(0), 2400, 4.0)
+    >>> left = (course.throttle + course.turn)[course.power > 0]
+    >>> bool(0 <= left.min() < 0.05 and 0.95 < left.max() <= 1)
+    True
+    """
+    spell = legs(rng, ticks, hz, 4.0, 4.0)
+    left, right = rng.random((2, spell[-1] + 1))[:, spell]
+    none = np.full(ticks, np.nan)
+    return _idle_ends(Mission(none, (left + right) / 2, none, np.ones(ticks), (left - right) / 2), hz)
 
 
 def paused(rng: np.random.Generator, mission: Mission) -> Mission:
     """The mission with the thrusters off for 10 ... 25 % of its length, somewhere in the middle.
 
-    >>> ahead = Mission(*np.ones((4, 100)))
+    >>> ahead = Mission(*np.ones((5, 100)))
     >>> bool(10 <= (paused(np.random.default_rng(0), ahead).power == 0).sum() <= 25)
     True
     """
@@ -112,7 +127,7 @@ def paused(rng: np.random.Generator, mission: Mission) -> Mission:
 def aborted(rng: np.random.Generator, mission: Mission, hz: float, coast: float = 15.0) -> Mission:
     """The mission cut short at 30 ... 80 % of its length, the thrusters off over its last `coast` s.
 
-    >>> ahead = Mission(*np.ones((4, 1000)))
+    >>> ahead = Mission(*np.ones((5, 1000)))
     >>> 300 <= aborted(np.random.default_rng(0), ahead, 4.0).power.size <= 800
     True
     """
@@ -134,4 +149,6 @@ MISSIONS: dict[str, Callable[[np.random.Generator, int, float], Mission]] = {
     "patrol": patrol,
     "lawn_mower": lawn_mower,
     "station_keeping": station_keeping,
+    "random": random_commands,
 }
+USUAL = ("convoy", "patrol", "lawn_mower", "station_keeping")  # of a season

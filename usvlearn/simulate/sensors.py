@@ -42,6 +42,7 @@ class Sensors:
         command_window: a command is stale when it is older, s.
         heading_window: likewise, of the heading, s.
         surge_window: likewise, of the speed, s.
+        stuck: s of the mission at which the speed begins to repeat itself, and for how long, s.
 
     >>> Sensors(surge_hz=1.0).surge_quantum
     0.05
@@ -65,6 +66,7 @@ class Sensors:
     command_window: float = 0.5
     heading_window: float = 0.25
     surge_window: float = 0.3
+    stuck: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self):
         check_choice("commands", self.commands, ("periodic", "on_change"))
@@ -72,13 +74,15 @@ class Sensors:
         for name in (*positive, "command_window", "heading_window", "surge_window"):
             check_positive(name, getattr(self, name))
         for name, value in vars(self).items():
-            if name in ("commands", "outage"):
+            if name in ("commands", "outage", "stuck"):
                 continue
             most = 1.0 if name.endswith("share") else math.inf
             if not (0 <= value <= most and math.isfinite(value)):
                 raise ConfigError(f"{name}: found {value!r}, expected a number from 0 to {most}")
         if len(self.outage) != 2 or not 0 <= self.outage[0] <= self.outage[1]:
             raise ConfigError(f"outage: found {self.outage!r}, expected the shortest and longest time in s")
+        if len(self.stuck) != 2 or not 0 <= min(self.stuck) <= max(self.stuck) < math.inf:
+            raise ConfigError(f"stuck: found {self.stuck!r}, expected when the speed sticks and for how long, in s")
         if self.jitter * max(self.surge_hz, self.heading_hz) >= 0.25:
             raise ConfigError(
                 f"jitter: found {self.jitter} s, expected less than a quarter of the shortest period, "
@@ -156,7 +160,7 @@ def _heading(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> Posted
 
 
 def _surge(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> Posted:
-    """GPS: quantised truth + white noise + outliers; near standstill truth + low-passed white noise."""
+    """GPS: quantised truth + white noise + outliers; near standstill truth + low-passed white noise; it may stick."""
     time = _stamps(rng, sensors.surge_hz, truth.dt * (truth.surge.size - 1), sensors.jitter)
     speed = _at(truth.surge, truth.dt, time)
     noise = rng.normal(0, sensors.surge_noise, time.size)
@@ -167,7 +171,9 @@ def _surge(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> Posted:
     kernel = (1 - keep) * keep ** np.arange(taps)
     filtered = speed + np.convolve(noise, kernel)[: time.size]
     raw = np.round((speed + noise + outliers) / sensors.surge_quantum) * sensors.surge_quantum
-    return time, np.where(np.abs(filtered) < sensors.surge_filtered, filtered, raw)
+    shown = np.where(np.abs(filtered) < sensors.surge_filtered, filtered, raw)
+    sticks = (time >= sensors.stuck[0]) & (time < sum(sensors.stuck))
+    return time, np.where(sticks, shown[max(0, np.searchsorted(time, sensors.stuck[0]) - 1)], shown)
 
 
 def _kept(
