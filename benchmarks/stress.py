@@ -1,6 +1,6 @@
 """What the field does to estimators: ours beside padasip, river, filterpy and kalman-py.
 
-python benchmarks/stress.py [--steps 1000000]        writes docs/benchmarks/stress.md
+python benchmarks/stress.py [--steps 1000000] [--boats 5]        writes docs/benchmarks/stress.md
 
 One boat, m·surge_dot = Wᵀθ, is simulated with known θ, 0.4 s a step: thruster commands that change every 4 s, noise of
 0.02 m/s on the measured speed. All see the same samples, one step ahead, and predict before they learn: the regressor
@@ -48,6 +48,7 @@ WINDOW, WITHIN = (
 )  # samples of the running error, all batch elements; times its level before, where it counts as back
 MODEL = SurgeDynamics(1.0)
 SURGE_MAX = 3.3  # m/s, the boat's top speed
+SEED, GUSTY = 71, 60.0  # of the boats that change; h of each plant in gusts
 
 
 class Scenario(NamedTuple):
@@ -153,10 +154,10 @@ def single(model: nn.Module) -> dict[str, Estimator]:
     }
 
 
-def default_ensemble() -> Ensemble:
-    """The weighted members of `configs/train.yaml`, told the boat's top speed."""
+def default_ensemble(mass: float = 1.0, surge_max: float = SURGE_MAX) -> Ensemble:
+    """The weighted members of `configs/train.yaml`, told the boat's mass and top speed."""
     with initialize_config_dir(str(Path(__file__).parents[1] / "configs"), version_base="1.3"):
-        cfg = compose("train", ["vehicle.mass=1.0", f"vehicle.surge_max={SURGE_MAX}"])
+        cfg = compose("train", [f"vehicle.mass={mass}", f"vehicle.surge_max={surge_max}"])
     rule = instantiate(cfg.combiners.ensemble)
     return Ensemble({name: instantiate(cfg.estimators[name]) for name in rule.members}, {"ensemble": rule})
 
@@ -362,13 +363,22 @@ def report(steps: int) -> str:
     ])  # fmt: skip
 
 
+def changes(boats: int) -> str:
+    """The part of the page on boats that change."""
+    import faults  # which imports this module
+
+    return "\n".join(["", *faults.section(SEED, boats, GUSTY / boats)])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--steps", type=int, default=1_000_000, help="limit of every part of a scenario")
-    steps = parser.parse_args().steps
+    parser.add_argument("--boats", type=int, default=5, help="of each plant, to which something happens")
+    given = parser.parse_args()
+    steps = given.steps
     torch.set_num_threads(1)
     with np.errstate(all="ignore"):
-        text = report(steps)
+        text = report(steps) + changes(given.boats)
     if steps >= 1_000_000:
         publish(__file__, text)
     else:

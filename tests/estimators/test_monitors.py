@@ -80,7 +80,7 @@ def looped(effect, error, loss=monitors.LOSS):
     """Page's test of a loss on one side, sample by sample: g after each, and the estimate of the share that is left."""
     g, moment, weight, course = 0.0, 0.0, 0.0, []
     for f, e in zip(effect, error, strict=True):
-        f, e = min(max(f, -3.0), 3.0), min(max(e, -5.0), 5.0)
+        f, e = np.clip(f, -monitors.EFFECT, monitors.EFFECT), np.clip(e, -monitors.CLIP, monitors.CLIP)
         g += (e**2 - (e + loss * f) ** 2) / 2  # log-likelihood of mean −loss·f less that of mean 0, unit variance
         moment, weight = moment + f * e, weight + f * f
         if g <= 0:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from usvlearn.engine.online import Online
-from usvlearn.estimators.ensemble.monitors.state import CALM, DOUBT
+from usvlearn.estimators.ensemble.monitors.state import DOUBT, SIGNIFICANT
 
 SIDES = ("left", "right")
 ONE = "left or right"  # the side of an alarm where both have one command
@@ -28,7 +28,7 @@ def thrusters(online: Online) -> Thrusters | None:
         raised, evidence, sums = (online.leaf(f"monitors.thrusters.{name}") for name in ("raised", "evidence", "sums"))
     except KeyError:
         return None
-    share = 1 + np.where(evidence > CALM, sums[:, 0] / (sums[:, 1] + DOUBT), 0.0)
+    share = 1 + np.where(evidence > SIGNIFICANT, sums[:, 0] / (sums[:, 1] + DOUBT), 0.0)
     side = SIDES[int(evidence[0] < evidence[1])]
     return Thrusters(side if raised.any() else None, dict(zip(SIDES, share.tolist(), strict=True)))
 

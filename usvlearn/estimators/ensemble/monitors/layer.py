@@ -15,6 +15,7 @@ from usvlearn.estimators.ensemble.monitors.state import (
     CLEARED,
     CLIP,
     DOUBT,
+    DOUBTFUL,
     EFFECT,
     FIRST_SCALE,
     HORIZON,
@@ -26,6 +27,7 @@ from usvlearn.estimators.ensemble.monitors.state import (
     LOSS,
     MISFIT,
     ROUNDING,
+    SIGNIFICANT,
     THRESHOLD,
     THRUST,
     WHITE,
@@ -178,13 +180,8 @@ def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = T
     bent = xi * size
     rate = inputs.yaw_rate[..., None]
     z = torch.cat([rate, torch.ones_like(rate), state.before, xi, bent, bent * size], -1)
-    x, known = z[..., 1:], state.moments[..., 1:, :]
-    information = known[..., 1:]
-    share = ROUNDING * torch.finfo(z.dtype).eps * information[..., :1, 0]
-    ridge = (share * information.diagonal(dim1=-2, dim2=-1)).clamp(min=YAW_RIDGE)  # (7)
-    root, broken = torch.linalg.cholesky_ex(information + ridge.diag_embed())
-    solved = torch.cholesky_solve(torch.cat([known[..., :1], x[..., None]], -1), root)  # (4)
-    solved = solved.masked_fill((broken > 0)[..., None, None], 0.0)
+    x = z[..., 1:]
+    solved = solve_model(state.moments, x[..., None])
     predicted, leverage = (x[..., None] * solved).sum(-2).unbind(-1)
     thrust = solved[..., THRUST:, 0]
     at_full = thrust.unflatten(-1, (3, 2)).sum(-2)  # F of both sides
@@ -214,6 +211,20 @@ def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = T
     return ThrusterState(moments, variance, before, evidence, sums, raised, state.alarms + alarm, since)
 
 
+def solve_model(moments: Tensor, columns: Tensor) -> Tensor:
+    """ϑ of (4), and (Σ w x xᵀ + R)⁻¹ times columns, `(*batch, 9, 1 + n)`; 0 where there is no solution.
+
+    >>> solve_model(torch.eye(10).double(), torch.eye(9)[:, :1].double())[0].round(decimals=3).tolist()
+    [0.0, 0.99]
+    """
+    information = moments[..., 1:, 1:]
+    share = ROUNDING * torch.finfo(moments.dtype).eps * information[..., :1, 0]
+    ridge = (share * information.diagonal(dim1=-2, dim2=-1)).clamp(min=YAW_RIDGE)  # (7)
+    root, broken = torch.linalg.cholesky_ex(information + ridge.diag_embed())
+    right = torch.cat([moments[..., 1:, :1], columns.expand(*moments.shape[:-2], *columns.shape[-2:])], -1)
+    return torch.cholesky_solve(right, root).masked_fill((broken > 0)[..., None, None], 0.0)
+
+
 def cusum(
     evidence: Tensor,  # (*batch, 2) g
     sums: Tensor,  # (*batch, 2, 2)
@@ -237,7 +248,7 @@ def cusum(
 def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
     """The share of each thruster's thrust that remains, by (6), and its standard deviation, `(*batch, 2)` each.
 
-    It is 1 where the evidence is below CALM: healthy thrusters show some evidence, too.
+    It is 1 where the evidence is below SIGNIFICANT: healthy thrusters show some evidence, too.
 
     >>> state = init((), 1, torch.zeros(())).thrusters._replace(sums=torch.tensor([[-50.0, 90.0], [0.0, 0.0]]))
     >>> effectiveness(state._replace(evidence=torch.tensor([12.0, 0.0])))[0].tolist()
@@ -245,7 +256,15 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
     """
     moment, weight = state.sums.unbind(-1)
     weight = weight + DOUBT
-    return 1 + torch.where(state.evidence > CALM, moment / weight, 0.0), weight.rsqrt()
+    lost = torch.where(state.evidence > SIGNIFICANT, -moment / weight, 0.0)
+    full = torch.eye(2, dtype=weight.dtype, device=weight.device).repeat(3, 1)  # h of both sides
+    full = torch.cat([full.new_zeros(THRUST, 2), full])
+    solved = solve_model(state.moments, full)
+    effect = (full * solved[..., :1]).sum(-2)  # F
+    square = state.variance[..., None] * (full * solved[..., 1:]).sum(-2)
+    unsure = DOUBTFUL**2 * square / (effect * effect).clamp(min=torch.finfo(weight.dtype).tiny)
+    doubtful = torch.where(lost == 0, 0.0, lost * lost * unsure)
+    return 1 - lost, (1 / weight + doubtful).sqrt()
 
 
 def monitor_report(state: MonitorState, members: Sequence[str], memory: float = 500.0) -> dict[str, Tensor]:

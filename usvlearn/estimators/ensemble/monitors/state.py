@@ -25,10 +25,11 @@ Page's CUSUM (1954) of the log-likelihood ratio of a loss d against none, and wh
 
     σ² = (1 + N ℓ) s² + (η F)²,   g_i ← max(0, g_i − d f_i e/σ² − ½ (d f_i/σ)²)                            (5)
     effectiveness_i = 1 + Σ f_i e/σ² / Σ (f_i/σ)²                                                          (6)
+    variance of it = 1/Σ (f_i/σ)² + (1 − effectiveness_i)² (2 s_F/F_i)²,   s_F² = s² hᵀ (Σ w x xᵀ + R)⁻¹ h
 
 N ℓ s² is the error of ϑ, which stays the same over some N steps; η F an error of the model (3), where F is the effect
-of full command. A g_i above the threshold raises the alarm. While g is high, little is learned, so that a fault is not
-absorbed.
+of full command, hᵀϑ. The error of F scales the loss that is found. A g_i above the threshold raises the alarm. While g
+is high, little is learned, so that a fault is not absorbed.
 
 The sums M = Σ w x xᵀ are rounded at each of the n = Σ w steps that they remember, by at most some n ε √(M_ii M_jj) in
 all (ε the machine's). In float32, at constant commands, that makes M indefinite. A ridge above that bound keeps M + R
@@ -54,8 +55,8 @@ WHITE = 1.96  # standard deviations of a 95 % band
 HUBER, HUBER_MEAN, HUBER_RATE = 1.345, 0.71016, 0.005  # c, κ and b of (2)
 FIRST_SCALE, LEAST_SCALE = 0.05, 1e-6  # m/s, s of the innovations before the first, and its least
 
-# Chosen on simulated boats of four plants; the floor on a real one.
-YAW_MEMORY = 900.0  # s at full thrust
+# Chosen on simulated boats of five plants, healthy in gusts and with losses; the floor on a real one.
+YAW_MEMORY = 1800.0  # s at full thrust
 YAW_RIDGE = 0.01  # ρ of (7): ϑ is 0 within ten standard deviations of the noise
 YAW_SCALE = 0.1  # rad/s, s of (5) before the first sample
 YAW_FLOOR = 0.05  # rad/s, least s of (5): wind and waves turn a boat by more than a good compass errs
@@ -63,10 +64,12 @@ YAW_RATE = 0.01  # share by which s² moves in a step
 KNEE = 2.0  # standard deviations about which a sample begins to count less
 YAW_SPREAD = 1.5  # 1/E z²/(1 + z²/KNEE²), z standard normal
 LOSS = 0.5  # d of (5): a loss of less than half of it never alarms
-HORIZON = 25.0  # N of (5), steps
-MISFIT = 0.07  # η of (5)
-CLIP, EFFECT = 5.0, 3.0  # limits of e and f_i, in σ: one sample moves g by at most d CLIP EFFECT
-CALM = 6.0  # a sample counts exp(−g/CALM) in (4); a g below it is not significant
+HORIZON = 5.0  # N of (5), steps
+MISFIT = 0.14  # η of (5)
+CLIP, EFFECT = 5.0, 6.0  # limits of e and f_i, in σ: one sample moves g by at most d CLIP EFFECT
+CALM = 3.0  # a sample counts exp(−g/CALM) in (4)
+SIGNIFICANT = 6.0  # a g below it says nothing of the effectiveness
+DOUBTFUL = 2.0  # standard deviations of F by which the effectiveness is unsure
 THRESHOLD = 20.0  # of g
 BACKWARDS = -0.25  # least effectiveness that a thruster may have
 DOUBT = 10.0  # the effectiveness is 1 ± 1/√DOUBT before the first sample

@@ -1,0 +1,302 @@
+"""Changes of simulated boats: what predictors make of the first minute, and what the monitor of the thrusters tells.
+
+Boats of five plants (`usvlearn/simulate`) sail with random commands, as a convoy whose speed a PI controller holds, and
+mow a lawn under the same controller. Something changes in minute 10. `benchmarks/stress.py` shows the tables.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import stress
+import torch
+from truths import NOMINAL, PLANTS
+
+from usvlearn import Ensemble, Persistence
+from usvlearn.core.samples import Fleet, Sample, masks, tree_map
+from usvlearn.engine.rollouts import rollout, tensors
+from usvlearn.estimators.ensemble.monitors.layer import effectiveness
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.simulate.fault import SIDES, Fault
+from usvlearn.simulate.fleet import fleet
+from usvlearn.simulate.gusts import Gusts
+from usvlearn.simulate.sensors import Sensors
+
+DT, MINUTE, LATER = 0.4, 10.0, 300  # s; of the change; steps after it at which the effectiveness is judged, 2 min
+FIRST, WINDOW, BACK = 100, 50, 1.1  # predictions judged; steps of the running mean; times its level where it is back
+DRIVES = {"random": "random", "speed controller": "convoy", "lawn mowing": "lawn_mower"}  # kinds of mission
+EXACT = Sensors(surge_noise=0.0, surge_quantum=1e-9, surge_filtered=0.0, outlier_share=0.0, heading_noise=0.0)
+PEERS = ("padasip_nlms", "plain_rls")
+LOOSER = 1e3  # times which the oracle's covariance is, up to its limit
+HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))
+LONGEST = 500  # steps after the event within which a predictor recovers, or never
+NINETY = 1.645  # standard deviations of a 90 % interval
+
+
+class Event(NamedTuple):
+    """What happens."""
+
+    options: Mapping[str, Any]  # of `fleet`
+    side: str | None = None  # whose thruster weakens
+    share: float = 1.0  # of its thrust that is left
+    minutes: float = 15.0  # of the mission
+
+
+class Course(NamedTuple):
+    """One event on one kind of mission: all boats of a plant."""
+
+    samples: Sample  # tensors (time, boats)
+    target: torch.Tensor  # (time, boats) m/s, what would have been measured, had the sensor worked; NaN: not judged
+    true: torch.Tensor  # (time, boats) m/s, predicted by who knows the boat, the wind and the water
+    begin: int  # step of the event
+
+
+class Answer(NamedTuple):
+    """What was made of an event: per boat."""
+
+    errors: dict[str, np.ndarray]  # (time, boats) m/s; of the true model, too
+    begin: int  # step of the event
+    delay: np.ndarray  # (boats,) s until the first alarm after the event, infinite where there is none
+    right: np.ndarray  # (boats,) whether the alarm named the side that weakened
+    early: np.ndarray  # (boats,) whether there was one before
+    effect: np.ndarray  # (boats,) effectiveness of the side two minutes later, less the truth, by the monitor
+    deviation: np.ndarray  # (boats,) its standard deviation
+    learned: dict[str, np.ndarray]  # (boats,) the same error by the thrust that a filter identified, then and before
+
+
+def events() -> dict[str, Event]:
+    """All of them by name."""
+    found = {
+        f"{side} {share:.0%}": Event({"fault": Fault(side, share, MINUTE)}, side, share)
+        for side in SIDES
+        for share in (0.7, 0.4, 0.0)
+    }
+    one = {"per_hour": 0.0, "minute": MINUTE, "seconds": (30.0, 30.0)}
+    return found | {
+        "left +50 %": Event({"fault": Fault("left", 1.5, MINUTE)}, "left", 1.5),
+        "wear to 40 %": Event({"fault": Fault("left", 0.4, MINUTE, over=10.0)}, "left", 0.4, 25.0),
+        "towed body": Event({"fault": Fault(share=1.0, minute=MINUTE, drag=1.5)}),
+        "load": Event({"fault": Fault(share=1.0, minute=MINUTE, mass=1.3)}),
+        "gust": Event({"gusts": Gusts(**one)}),
+        "stuck speed": Event({"sensors": Sensors(stuck=(60 * MINUTE, 20.0))}),
+    }
+
+
+def course(event: Event, drive: str, plant: str, seed: int, n: int) -> Course:
+    """The event on one kind of mission, seen by its sensors, by sensors that work, and by some without errors."""
+    season = {
+        "n": n, "plant": plant, "seed": seed, "hours": event.minutes / 60, "mission_minutes": event.minutes,
+        "missions": (DRIVES[drive],), "aborted_share": 0.0, "paused_share": 0.0, "sensors": Sensors(), **event.options,
+    }  # fmt: skip
+    every: dict[Sensors, Any] = dict.fromkeys((season["sensors"], Sensors(), EXACT))  # equal ones once
+    for sensors in every:
+        every[sensors] = align_fleet(fleet(**season | {"sensors": sensors}), dt=DT, patience=1.0).runs[0].samples
+    seen, working, exact = (every[sensors] for sensors in (season["sensors"], Sensors(), EXACT))
+    learns, known = masks(working).learns, np.isfinite(working.surge)
+    off, last = np.where(known, working.surge - exact.surge, np.nan), np.zeros(known.shape[1])
+    before = np.empty_like(off)  # error of the last speed that was measured
+    for k in range(len(off)):
+        before[k], last = last, np.where(known[k], off[k], last)
+    return Course(
+        tensors(seen, torch.float64),
+        torch.from_numpy(np.where(learns, working.surge, np.nan)),
+        torch.from_numpy(exact.surge + before),
+        round(60 * MINUTE / DT),
+    )
+
+
+@cache
+def estimator(plant: str) -> Ensemble:
+    """The default ensemble, told the boat's nominal mass and top speed."""
+    return stress.default_ensemble(*NOMINAL[plant])
+
+
+def answer(event: Event, found: Course, plant: str, peers: Sequence[str] = PEERS) -> Answer:
+    """What the members, the ensemble, an oracle, peers and the monitor make of a course."""
+    ensemble, boats = estimator(plant), found.samples.surge.shape[1:]
+    means = {name: f"members.{name}.mean" for name in ("joint", "joint_averaged")}
+    with torch.no_grad():
+        wanted = ("predictions", *means.values(), *HEALTH)
+        _, _, kept = rollout(ensemble, ensemble.init(boats), found.samples, wanted)
+        predictions = {name: kept["predictions"][..., k] for k, name in enumerate(ensemble.names)}
+        predictions |= {"oracle": oracle(ensemble, found), "true model": found.true}
+        predictions["persistence"] = rollout(Persistence(), Persistence().init(boats), found.samples)[1]
+    libraries = stress.peers(torch.eye(stress.P, dtype=torch.float64))
+    for name in [name for name in peers if name in libraries]:
+        predictions[name] = torch.stack([stress.follow(libraries[name](), one) for one in alone(found.samples)], -1)
+    errors = {name: (x - found.target).abs().numpy() for name, x in predictions.items()}
+    evidence, sums, raised = (kept[name] for name in HEALTH)
+    at = found.begin + LATER if event.minutes <= 15 else -WINDOW
+    side = SIDES.index(event.side or "left")
+    health = ensemble.init(()).monitors.thrusters._replace(evidence=evidence[at], sums=sums[at])
+    effect, deviation = (x[:, side].numpy() for x in effectiveness(health))
+    names, top = ensemble.members["joint"].names, NOMINAL[plant][1]
+    weights = torch.tensor([full(name, SIDES[side], top / 2) for name in names], dtype=torch.float64)
+    learned = {}
+    for name, leaf in means.items():
+        before, after = (kept[leaf][k, :, -len(names) :] @ weights for k in (found.begin, at))
+        learned[name] = (after / before).numpy() - event.share
+    told = alarms(raised.numpy(), found.begin, side)
+    return Answer(errors, found.begin, *told, effect - event.share, deviation, learned)
+
+
+def oracle(ensemble: Ensemble, found: Course) -> torch.Tensor:
+    """What the joint EKF predicts whose covariance is enlarged when something changes."""
+    joint, cut = ensemble.members["joint"], found.begin
+    parts = [tree_map(lambda x, s=s: x[s], found.samples) for s in (slice(cut), slice(cut, None))]
+    state, before, _ = rollout(joint, joint.init(found.samples.surge.shape[1:]), parts[0])
+    state = joint.inflate_covariance(state, torch.tensor(LOOSER, dtype=torch.float64))
+    return torch.cat([before, rollout(joint, state, parts[1])[1]])
+
+
+def full(name: str, side: str, surge: float) -> float:
+    """The weight of a parameter in the thrust of a side at full command.
+
+    >>> full("thrust_linear_left", "left", 0.5), full("thrust_speed_left", "left", 0.5)
+    (1.0, 0.5)
+    """
+    if "thrust" not in name or not name.endswith(side):
+        return 0.0
+    return surge if "speed" in name else 1.0
+
+
+def alone(samples: Sample) -> Iterator[Sample]:
+    """Each boat's samples as peers get them: with the last known speed where a segment starts without one."""
+    surge, learns = samples.surge.clone(), masks(samples).learns
+    surge[0] = surge[0].nan_to_num()
+    for k in range(1, len(surge)):
+        surge[k] = torch.where(surge[k].isfinite(), surge[k], surge[k - 1])
+    for boat in range(surge.shape[1]):
+        yield tree_map(lambda x, boat=boat: x[:, boat], samples._replace(surge=surge, measured=learns))
+
+
+def alarms(raised: np.ndarray, begin: int, side: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Delay, s, whether the side is right, and whether there was an alarm before; `raised` is `(time, boats, sides)`.
+
+    >>> raised = np.zeros((10, 1, 2))
+    >>> raised[7:, 0, 1] = 1
+    >>> [x.tolist() for x in alarms(raised, 5, 1)]
+    [[1.2], [True], [False]]
+    """
+    new = np.diff(raised, axis=0, prepend=0) > 0
+    later = new[begin:]
+    first, there = later.any(2).argmax(0), later.any((0, 2))
+    named = np.take_along_axis(later, first[None, :, None], 0)[0]
+    delay = np.where(there, np.round(DT * (first + 1), 9), math.inf)
+    return delay, there & named[:, side] & ~named[:, 1 - side], new[:begin].any((0, 2))
+
+
+def joined(parts: Sequence[Answer]) -> Answer:
+    """The boats of several plants side by side, all as long as the shortest."""
+    least = min(len(each.errors["true model"]) for each in parts)
+    return Answer(
+        {name: np.concatenate([each.errors[name][:least] for each in parts], 1) for name in parts[0].errors},
+        parts[0].begin,
+        *(np.concatenate([each[k] for each in parts]) for k in range(2, 7)),
+        {name: np.concatenate([each.learned[name] for each in parts]) for name in parts[0].learned},
+    )
+
+
+def ratio(found: Answer, name: str) -> float:
+    """The mean error of the first predictions over that of the true model."""
+    part = slice(found.begin, found.begin + FIRST)
+    return float(np.nanmean(found.errors[name][part]) / np.nanmean(found.errors["true model"][part]))
+
+
+def steps_back(found: Answer, name: str) -> float:
+    """Steps until the running error stays within BACK times the true model's, or times what it was of it before."""
+    window = np.ones(WINDOW)
+    own, true = (np.convolve(np.nan_to_num(found.errors[key]).sum(1), window, "valid") for key in (name, "true model"))
+    share, begin = own / true, found.begin
+    before = float(np.mean(share[begin - 10 * WINDOW : begin - WINDOW]))
+    beyond = np.flatnonzero(share[begin : begin + LONGEST] > BACK * max(1.0, before))
+    back = float(beyond[-1]) + 1 if len(beyond) else 0.0
+    return back if back < LONGEST else math.inf
+
+
+def cells(event: Event, found: Answer) -> dict[str, str]:
+    """A row of the table."""
+    row = {}
+    for name in ("joint", "joint_averaged", "ensemble", "oracle", *PEERS, "persistence"):
+        if name in found.errors:
+            back = steps_back(found, name)
+            row[name] = f"{ratio(found, name):.2f}, " + ("never" if math.isinf(back) else f"{back:.0f}")
+    there, weakens = np.isfinite(found.delay), event.side is not None and event.share < 1
+    delays = np.quantile(found.delay, (0.5, 0.9), method="higher")
+    row["alarm"], row["in 90 %"] = ("–" if math.isinf(x) else f"{x:.0f} s" for x in delays)
+    row["boats"] = f"{there.mean():.0%}"
+    row["side right"] = f"{found.right[there].mean():.0%}" if weakens and there.any() else ""
+    row["monitor ± .10"] = f"{(abs(found.effect) <= 0.1).mean():.0%}" if weakens else ""
+    row["interval holds"] = f"{(abs(found.effect) <= NINETY * found.deviation).mean():.0%}" if weakens else ""
+    for name, off in found.learned.items():
+        row[f"{name} ± .10"] = f"{(abs(off) <= 0.1).mean():.0%}" if event.side else ""
+    return row
+
+
+def answers(
+    seed: int,
+    n: int,
+    names: Sequence[str] = (),
+    plants: Sequence[str] = PLANTS,
+    peers: Sequence[str] = PEERS,
+    drives: Sequence[str] = tuple(DRIVES),
+) -> Iterator[tuple[str, str, Event, Answer]]:
+    """What is made of every event on every kind of mission, all plants together."""
+    for name, event in events().items():
+        for drive in drives if not names or name in names else ():
+            parts = [
+                answer(event, course(event, drive, plant, 10 * seed + k, n), plant, peers)
+                for k, plant in enumerate(plants)
+            ]
+            yield name, drive, event, joined(parts)
+
+
+def false_alarms(seed: int, hours: float, n: int, plants: Sequence[str] = PLANTS) -> tuple[int, float]:
+    """Alarms on boats to which nothing happens but gusts, on all kinds of missions, and the hours of all of them."""
+    watcher, count, total = Ensemble({"persistence": Persistence()}), 0.0, 0.0
+    for k, plant in enumerate(plants):
+        logs: Fleet = align_fleet(
+            fleet(n=n, hours=hours, plant=plant, seed=10 * seed + k, gusts=Gusts()), dt=DT, patience=1.0
+        )
+        state = watcher.init((n,))
+        with torch.no_grad():
+            for run in logs.runs:
+                state = rollout(watcher, state, tensors(run.samples, torch.float64))[0]
+                total += sum(run.lengths) * DT / 3600
+        count += float(state.monitors.thrusters.alarms.sum())
+    return int(count), total
+
+
+def section(seed: int, n: int, hours: float, names: Sequence[str] = ()) -> list[str]:
+    """The part of the page: `n` boats of each plant, and gusts for `hours` of as many boats."""
+    rows: list[dict[str, str]] = []
+    for name, drive, event, found in answers(seed, n, names):
+        rows.append({"event": name, "commands": drive, **cells(event, found)})
+        print(*rows[-1].values(), sep=" | ", flush=True)
+    count, total = false_alarms(seed, hours, n)
+    heads = list(rows[0])
+    return [
+        "## Changes of the boat", "",
+        f"{n} boats of each of the plants {', '.join(PLANTS)} of `usvlearn/simulate`, with its sensors, currents and",
+        "thrust tables. Something changes in minute 10, while the boats sail with random commands, as a convoy whose",
+        "speed a PI controller holds, or mow a lawn under it. No setting was chosen on these seeds.", "",
+        f"- A predictor's cell: the mean error of its first {FIRST} predictions after the event, over that of the true",
+        "  model, which knows boat, wind and water; and after how many steps its running error "
+        f"({WINDOW} steps of all boats)",
+        f"  stays within {BACK} × the true model's, or × what it was of it before.",
+        f"- `oracle`: the joint EKF whose covariance is {LOOSER:g} times larger, up to its limit, from the event on.",
+        "- Alarm: s until the first one, in half of the boats, and in 90 %; –: not in as many. The share of boats with",
+        "  one within the mission, and in how many of them it names the side.",
+        "- ± .10: share of the boats whose effectiveness is right within .10 two minutes after the event (wear: at the",
+        "  end), by the monitor, and by the thrust at full command that a filter identified then and before. Its 90 %",
+        "  interval holds it in the share of boats that is shown.",
+        "- Wear takes 10 min. A stuck speed, 20 s long, is judged by the speed that would have been measured.",
+        "", f"| {' | '.join(heads)} |", "|---|---|" + "---:|" * (len(heads) - 2),
+        *(f"| {' | '.join(row.values())} |" for row in rows),
+        "", f"With gusts (20 an hour, up to 40 s, 15 % of the full thrust and 0.1 rad/s) and nothing broken: {count} "
+        f"alarms in", f"{total:.0f} h.", "",
+    ]  # fmt: skip
