@@ -7,13 +7,14 @@ mow a lawn under the same controller. Something changes in minute 10. `benchmark
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import stress
 import torch
+from peers.online import Peer, plain_nlms, plain_rls
 from truths import NOMINAL, PLANTS
 
 from usvlearn import Ensemble, Persistence
@@ -30,7 +31,7 @@ DT, MINUTE, LATER = 0.4, 10.0, 300  # s; of the change; steps after it at which 
 FIRST, WINDOW, BACK = 100, 50, 1.1  # predictions judged; steps of the running mean; times its level where it is back
 DRIVES = {"random": "random", "speed controller": "convoy", "lawn mowing": "lawn_mower"}  # kinds of mission
 EXACT = Sensors(surge_noise=0.0, surge_quantum=1e-9, surge_filtered=0.0, outlier_share=0.0, heading_noise=0.0)
-PEERS = ("padasip_nlms", "plain_rls")
+PEERS = {"NLMS": plain_nlms, "RLS": plain_rls}
 LOOSER = 1e3  # times which the oracle's covariance is, up to its limit
 HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))
 LONGEST = 500  # steps after the event within which a predictor recovers, or never
@@ -115,7 +116,7 @@ def estimator(plant: str) -> Ensemble:
     return stress.default_ensemble(*NOMINAL[plant])
 
 
-def answer(event: Event, found: Course, plant: str, peers: Sequence[str] = PEERS) -> Answer:
+def answer(event: Event, found: Course, plant: str, peers: Mapping[str, Callable[[], Peer]] = PEERS) -> Answer:
     """What the members, the ensemble, an oracle, peers and the monitor make of a course."""
     ensemble, boats = estimator(plant), found.samples.surge.shape[1:]
     means = {name: f"members.{name}.mean" for name in ("joint", "joint_averaged")}
@@ -125,9 +126,8 @@ def answer(event: Event, found: Course, plant: str, peers: Sequence[str] = PEERS
         predictions = {name: kept["predictions"][..., k] for k, name in enumerate(ensemble.names)}
         predictions |= {"oracle": oracle(ensemble, found), "true model": found.true}
         predictions["persistence"] = rollout(Persistence(), Persistence().init(boats), found.samples)[1]
-    libraries = stress.peers(torch.eye(stress.P, dtype=torch.float64))
-    for name in [name for name in peers if name in libraries]:
-        predictions[name] = torch.stack([stress.follow(libraries[name](), one) for one in alone(found.samples)], -1)
+    for name, make in peers.items():
+        predictions[name] = torch.stack([stress.follow(make(), one) for one in alone(found.samples)], -1)
     errors = {name: (x - found.target).abs().numpy() for name, x in predictions.items()}
     evidence, sums, raised = (kept[name] for name in HEALTH)
     at = found.begin + LATER if event.minutes <= 15 else -WINDOW
@@ -242,7 +242,7 @@ def answers(
     n: int,
     names: Sequence[str] = (),
     plants: Sequence[str] = PLANTS,
-    peers: Sequence[str] = PEERS,
+    peers: Mapping[str, Callable[[], Peer]] = PEERS,
     drives: Sequence[str] = tuple(DRIVES),
 ) -> Iterator[tuple[str, str, Event, Answer]]:
     """What is made of every event on every kind of mission, all plants together."""
@@ -288,6 +288,7 @@ def section(seed: int, n: int, hours: float, names: Sequence[str] = ()) -> list[
         "  model, which knows boat, wind and water; and after how many steps its running error "
         f"({WINDOW} steps of all boats)",
         f"  stays within {BACK} × the true model's, or × what it was of it before.",
+        "- `NLMS` and `RLS` (forgetting 0.995) are the plain ones, on the regressors of above.",
         f"- `oracle`: the joint EKF whose covariance is {LOOSER:g} times larger, up to its limit, from the event on.",
         "- Alarm: s until the first one, in half of the boats, and in 90 %; –: not in as many. The share of boats with",
         "  one within the mission, and in how many of them it names the side.",

@@ -39,6 +39,16 @@ def plain_rls() -> Peer:
     return Peer(lambda x: x @ theta, learn, lambda: theta, lambda: [cov])
 
 
+def plain_nlms(rate: float = NLMS_RATE, least: float = 1e-3) -> Peer:
+    """θ ← θ + μ x e/(ε + xᵀx), as padasip's."""
+    theta = np.zeros(P)
+
+    def learn(x: np.ndarray, y: float) -> None:
+        theta[:] = theta + rate * x * (y - x @ theta) / (least + x @ x)
+
+    return Peer(lambda x: x @ theta, learn, lambda: theta)
+
+
 def padasip_rls() -> Peer:
     from padasip.filters import FilterRLS
 

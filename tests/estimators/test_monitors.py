@@ -163,6 +163,21 @@ def test_a_lost_thruster_raises_one_alarm_that_names_side_and_share_and_ends_whe
     assert (after.raised == 0).all() and (after.alarms == 1).all()
 
 
+def test_effectiveness_is_as_unsure_as_the_thrust_that_it_is_a_share_of():
+    """(6) by hand: M of ones on its diagonal, and ϑ of a tenth for each term of the left side."""
+    state = monitors.init((), 1, ONE).thrusters
+    moments = torch.eye(10).double()
+    moments[[4, 6, 8], 0] = moments[0, [4, 6, 8]] = 0.1
+    sums, evidence = torch.tensor([[-60.0, 90.0], [0.0, 0.0]]).double(), torch.tensor([12.0, 0.0]).double()
+    state = state._replace(moments=moments, sums=sums, evidence=evidence, variance=0.0025 * ONE)
+    share, deviation = monitors.effectiveness(state)
+    assert share.tolist() == [pytest.approx(0.4), 1.0]
+    inverse = 1 / (1 + monitors.YAW_RIDGE)
+    spread, full = math.sqrt(0.0025 * 3 * inverse), 3 * 0.1 * inverse
+    assert deviation[0].item() == pytest.approx(math.sqrt(1 / 100 + (0.6 * 2 * spread / full) ** 2))
+    assert deviation[1].item() == pytest.approx(math.sqrt(1 / 10))
+
+
 def test_a_healthy_boat_with_outliers_an_idle_hour_and_straight_courses_raises_none():
     healthy = boat(3000, 20, torch.ones(3000).double(), seed=11)
     hit = torch.rand(healthy.dt.shape, generator=torch.Generator().manual_seed(1)) < 0.01

@@ -49,8 +49,53 @@ def test_speed_and_turn_settle_where_the_weaker_side_balances_the_drag(side):
     assert surge[590].item() == pytest.approx(2.741, abs=5e-3)  # before it the maker's top speed
 
 
+def steady(fault, seconds=200):
+    """The speed of a Heron at full ahead, long after a change at second 50; steps of 1/12 s."""
+    ticks = 4 * seconds
+    course = Mission(np.full(ticks, np.nan), np.full(ticks, 1.0), np.zeros(ticks), np.ones(ticks), np.zeros(ticks))
+    zero = torch.zeros((), dtype=torch.float64)
+    later = faulty_vessels(fault, plant("heron"), [ticks], 4.0)
+    return sail(plant("heron"), [[course]], zero, zero, Autopilot(heading=0.0), later)[1][:, 0, 0].numpy()
+
+
+def test_a_towed_body_slows_the_boat_to_the_root_of_the_larger_drag():
+    root = (-1.5 * 16.45 + math.sqrt((1.5 * 16.45) ** 2 + 4 * 1.5 * 2.942 * 67.2)) / (2 * 1.5 * 2.942)
+    assert steady(Fault(share=1.0, minute=50 / 60, drag=1.5))[-1] == pytest.approx(root, rel=1e-6)
+
+
+def test_a_load_makes_the_boat_as_much_slower_to_start_and_leaves_its_speed():
+    light, heavy = steady(Fault(share=1.0, minute=0.0)), steady(Fault(share=1.0, minute=0.0, mass=1.3))
+    assert light[12] / heavy[12] == pytest.approx(1.3, rel=0.16)  # drag at 1 s: some 0.6 of 2.3 m/s² · 28 kg
+    assert heavy[3] / light[3] == pytest.approx(1 / 1.3, rel=0.03)
+    assert heavy[-1] == pytest.approx(2.741, abs=1e-3)
+
+
+def test_thrust_that_comes_back_and_thrust_of_both_sides():
+    gained = next(iter(faulty_vessels(Fault("both", 1.5, 0.0), plant("heron"), [40], 4.0).values()))
+    assert gained.thrust_table[0, 0, :, -1].tolist() == pytest.approx([50.4, 50.4])
+
+
+def test_wear_is_linear_in_time_and_goes_on_in_the_next_mission():
+    ticks = [1200, 1200]  # two missions of 5 min; worn from minute 2 to 8
+    later = faulty_vessels(Fault("right", 0.4, 2.0, over=6.0), plant("heron"), ticks, 4.0)
+    for tick, vessel in later.items():
+        for mission in (0, 1):
+            gone = min(max((tick / 240 + 5 * mission - 2.0) / 6.0, 0.0), 1.0)
+            left, right = vessel.thrust_table[mission, 0, :, -1].tolist()
+            assert left == 33.6
+            assert right / 33.6 == pytest.approx(1 - 0.6 * gone, abs=0.6 / 20 + 1e-3), (tick, mission)
+    assert later[max(later)].thrust_table[1, 0, 1, -1].item() == pytest.approx(0.4 * 33.6)
+
+
 @pytest.mark.parametrize(
-    ("options", "name"), [({"side": "bow"}, "side"), ({"share": 2.5}, "share"), ({"minute": -1.0}, "minute")]
+    ("options", "name"),
+    [
+        ({"drag": 0.0}, "drag"),
+        ({"over": -1.0}, "over"),
+        ({"side": "bow"}, "side"),
+        ({"share": 2.5}, "share"),
+        ({"minute": -1.0}, "minute"),
+    ],
 )
 def test_a_fault_out_of_range_is_refused_by_name(options, name):
     with pytest.raises(ConfigError, match=name):
