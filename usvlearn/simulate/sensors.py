@@ -173,7 +173,7 @@ def _surge(rng: np.random.Generator, truth: Truth, sensors: Sensors) -> Posted:
     raw = np.round((speed + noise + outliers) / sensors.surge_quantum) * sensors.surge_quantum
     shown = np.where(np.abs(filtered) < sensors.surge_filtered, filtered, raw)
     sticks = (time >= sensors.stuck[0]) & (time < sum(sensors.stuck))
-    return time, np.where(sticks, shown[max(0, np.searchsorted(time, sensors.stuck[0]) - 1)], shown)
+    return time, np.where(sticks, shown[max(0, int(np.searchsorted(time, sensors.stuck[0])) - 1)], shown)
 
 
 def _kept(
