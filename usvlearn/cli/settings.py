@@ -87,13 +87,14 @@ def _reference(node: Any, key: str) -> str | None:
 
 def ensemble_of(cfg: Mapping[str, Any]) -> Ensemble:
     """The ensemble that a configuration describes: its members, its combiners, the combiner that predicts, its
-    forecasts.
+    forecasts, and whether its intervals know the manoeuvre, which those of earlier versions do not.
     """
     from usvlearn.estimators.ensemble.layer import Ensemble
 
     members, rules = instantiate(cfg["estimators"]), instantiate(cfg["combiners"], _convert_="all")
     made = cfg.get("forecasts")
-    return Ensemble(members, rules, cfg["output"], forecasts=made and instantiate(made, _convert_="all"))
+    ahead, knows = made and instantiate(made, _convert_="all"), bool(cfg.get("conditional", False))
+    return Ensemble(members, rules, cfg["output"], forecasts=ahead, conditional=knows)
 
 
 def _retell(error: InstantiationException, names: set[str]) -> NoReturn:

@@ -130,7 +130,10 @@ class _Reading:
             return
         keys = ("kind", "members", "output", "columns", "rules", "numbers", "conformal", "monitors")
         made = ("forecasts",) if "forecasts" in description else ()
-        _keys("kernel", description, (*keys, *made))
+        knows = ("conditional",) if "conditional" in description else ()
+        _keys("kernel", description, (*keys, *made, *knows))
+        if knows:
+            _number("kernel.conditional", description["conditional"], Range(0, 1))
         count, rules = 0, _some("kernel.rules", description["rules"])
         for name, member in _some("kernel.members", description["members"]).items():
             if not name.isidentifier():  # it becomes a part of the names of leaves

@@ -16,7 +16,7 @@ from usvlearn.core.rows import DT, HOLD, INPUTS, LEARN, MODE, PREDICT, ROW, STAR
 from usvlearn.core.samples import PLAUSIBLE
 from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.chains import start as start_estimator
-from usvlearn.engine.forecasting import PLACE, coasted, forecast_step, forget_forecasts
+from usvlearn.engine.forecasting import KNOWN_PLACE, PLACE, coasted, forecast_step, forget_forecasts
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_inactive, learn_rule
 from usvlearn.estimators.ensemble.conformal.kernel import conformal, published
 from usvlearn.estimators.ensemble.forecasts.state import AT as FORECAST
@@ -42,6 +42,7 @@ class Whole(IntEnum):
     KEPT = CHOICES + 6  # place in `work` of the copy of a state that `Robust` may restore
     HEADS = CHOICES + 7  # whether an estimator needs the heading
     FORECASTS = PLACE  # the row of this part, −1 without
+    KNOWN = KNOWN_PLACE  # the row of what intervals of forecasts know of the manoeuvre, −1 without
 
 
 @jit
@@ -129,12 +130,13 @@ def aggregate(program, s, q, predictions, row, learns, work):
         made = program[whole[Whole.FORECASTS]]
         predictions[whole[Whole.OUTPUT]] = coasted(made, s, q, predictions, row[DT], surge_max(program, q), work)
     intervals = program[whole[Whole.CONFORMAL]]
-    published(intervals, s, s[whole[AT.halfwidths] :])
+    limit, spreads = surge_max(program, q), work[2 * names : 3 * names]
+    published(intervals, s, predictions, n, limit, row, spreads, s[whole[AT.halfwidths] :])
     if learns:
         innovation, rest = work[:names], work[names:]
         for i in range(names):
             innovation[i] = row[SURGE] - predictions[i]
-        conformal(intervals, s, q, innovation)
+        conformal(intervals, s, q, innovation, predictions, limit, row, spreads)
         if whole[Whole.MONITORS] >= 0:
             monitors = program[whole[Whole.MONITORS]]
             observe_innovations(monitors, s, q, innovation)

@@ -10,13 +10,26 @@ import numpy as np
 from usvlearn.core.arrays import copy, fill
 from usvlearn.core.family import CHOICES, WIDTH, Node
 from usvlearn.core.jit import jit
-from usvlearn.core.rows import DT, INPUTS, ROW, SURGE, prepare
+from usvlearn.core.rows import DT, INPUTS, LEFT, RIGHT, ROW, SURGE, prepare
 from usvlearn.engine.chains import free_step
-from usvlearn.estimators.ensemble.forecasts.kernel import combine, fill_slot, learn_due, publish, weights_after
+from usvlearn.estimators.ensemble.conditional.kernel import extend_path
+from usvlearn.estimators.ensemble.conditional.state import AT as KNOWN
+from usvlearn.estimators.ensemble.conditional.state import DUE, PATH
+from usvlearn.estimators.ensemble.forecasts.kernel import (
+    begin_again,
+    combine,
+    extend_paths,
+    fill_slot,
+    halfwidth_after,
+    learn_due,
+    publish,
+    weights_after,
+)
 from usvlearn.estimators.ensemble.forecasts.state import AT, EMPTY, Choice, Vector
 from usvlearn.estimators.wrappers.memory.kernel import recall, remember
 
 PLACE = CHOICES + 8  # in the first row of the table: there stands the index of the forecasts' row, −1 without
+KNOWN_PLACE = CHOICES + 9  # and of the row of what their intervals know of the manoeuvre, −1 without
 
 
 @jit
@@ -59,6 +72,10 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
     slots, H, M = node[Choice.SLOTS], node[Choice.HORIZONS], node[Choice.MEMBERS]
     begin, block = node[WIDTH], node[Node.SIZE]
     horizons, half, x, rest = q[node[Vector.HORIZONS] :], row[DT] / 2, work[:M], work[M:]
+    known, knows = program[max(program[0, KNOWN_PLACE], 0)], program[0, KNOWN_PLACE] >= 0
+    if knows:
+        extend_paths(node, known, s, row[LEFT], row[RIGHT])
+        fill(s[known[KNOWN.due] : known[KNOWN.due] + H * DUE], np.nan)
     fill(s[node[AT.predictions] : node[AT.predictions] + H * (M + 2)], np.nan)
     fill(s[node[AT.halfwidths] : node[AT.halfwidths] + H], np.nan)
     for slot in range(slots):
@@ -70,7 +87,7 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
         after = before + row[DT]
         for k in range(H):
             if before + half < horizons[k] <= after + half:
-                publish(node, s, q, slot, k, x)
+                publish(node, known, knows, s, q, slot, k, x)
         end = horizons[int(min(max(s[node[AT.reach] + slot], 0.0), H - 1.0))]
         s[node[AT.elapsed] + slot] = EMPTY if after + half >= end else after
     for k in range(H):
@@ -78,12 +95,14 @@ def forecast_step(program, node, s, q, row, learns, limit, work):
     if not learns:
         s[node[AT.coasted]] += row[DT]
         return
-    learn_due(node, s, q, row[SURGE], row[DT], work)
+    learn_due(node, known, knows, s, q, row[SURGE], row[DT], work)
     s[node[AT.coasted]] = 0.0
+    if knows:
+        begin_again(known, s, row[LEFT], row[RIGHT])
     for slot in range(slots):
         if s[node[AT.elapsed] + slot] < 0:
             freeze(node, s, s[begin + slot * block : begin + (slot + 1) * block])
-            fill_slot(node, s, q, slot, row[SURGE], half)
+            fill_slot(node, known, knows, s, q, slot, row[SURGE], half)
             break
 
 
@@ -96,14 +115,20 @@ def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limi
     node = program[program[0, PLACE]]
     elapsed = s[node[AT.coasted]]
     M = node[Choice.MEMBERS]
-    x, weights, rest, row = work[:M], work[M : 2 * M], work[2 * M :], work[-ROW:]
+    x, weights, path, rest, row = work[:M], work[M : 2 * M], work[2 * M : 2 * M + PATH], work[2 * M + PATH :], work[-ROW:]
+    known, knows = program[max(program[0, KNOWN_PLACE], 0)], program[0, KNOWN_PLACE] >= 0
+    if knows:
+        copy(path, s[known[KNOWN.path] : known[KNOWN.path] + PATH])
     freeze(node, s, slot)
     for k in range(len(left)):
         prepare(left[k], right[k], heading[k], yaw_rate[k], dt[k], np.nan, True, False, heads, limit, row)
         step_frozen(program, node, slot, q, row, limit, x, rest)
         elapsed += dt[k]
-        found[k, 1] = weights_after(node, s, q, elapsed, weights)
+        weights_after(node, s, q, elapsed, weights)
         found[k, 0] = combine(node, q, weights, x)
+        if knows:
+            extend_path(path, row[LEFT], row[RIGHT])
+        found[k, 1] = halfwidth_after(node, known, knows, s, q, elapsed, weights, x, found[k, 0], path)
 
 
 @jit

@@ -13,11 +13,13 @@ from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.combiners.state import RULES
+from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
 
 Description = Mapping[str, Any]
+KNOWN = "forecasts.conditional."  # prefix of what the intervals of forecasts know of the manoeuvre
 
 
 class Part(NamedTuple):
@@ -56,7 +58,8 @@ def leaves_of(description: Description) -> dict[str, Field]:
     for name, rule in description["rules"].items():
         found |= RULES[rule["kind"]].leaves(len(rule["columns"]), f"combiners.{name}.")
     names = len(description["columns"]) + len(description["rules"])
-    found |= conformal.FAMILY.leaves(names, "conformal.") | ensemble.FAMILY.leaves(names)
+    own = {"conditional": description.get("conditional", 0)}
+    found |= conformal.FAMILY.leaves(names, "conformal.", own) | ensemble.FAMILY.leaves(names)
     found |= {} if description["monitors"] is None else monitors.FAMILY.leaves(names, "monitors.")
     return found | (_forecasts(description) if description.get("forecasts") else {})
 
@@ -89,7 +92,8 @@ def _forecasts(description: Description) -> dict[str, Field]:
         for leaf, field in frozen(description["members"][name]).items():
             legal = field.legal.inactive()
             found[f"forecasts.frozen.{name}.{leaf}"] = replace(field, shape=(made["slots"], *field.shape), legal=legal)
-    return found | forecasts.FAMILY.leaves(forecast_size(made), "forecasts.")
+    found |= forecasts.FAMILY.leaves(size := forecast_size(made), "forecasts.")
+    return found | (conditional.FAMILY.leaves(size[:2], KNOWN) if description.get("conditional") else {})
 
 
 def batch_of(fields: Mapping[str, Field], leaves: Mapping[str, np.ndarray]) -> tuple[int, ...]:

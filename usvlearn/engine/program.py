@@ -17,10 +17,11 @@ from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Node
 from usvlearn.core.rows import INPUTS, ROW
 from usvlearn.engine.dispatch import Whole
 from usvlearn.engine.kinds import ESTIMATORS, KINDS, WRAPPERS
-from usvlearn.engine.leaves import Description, forecast_size, frozen, unwrapped
+from usvlearn.engine.leaves import KNOWN, Description, forecast_size, frozen, unwrapped
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.combiners.state import RULES
+from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
 from usvlearn.estimators.ensemble.monitors import state as monitors
@@ -151,7 +152,7 @@ class Plan:
         for row in estimators:
             for wrapper in (Node.MEMORY, Node.ROBUST):
                 row[wrapper] += first if row[wrapper] >= 0 else 0
-        for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS):
+        for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS, Whole.KNOWN):
             whole[part] += first if whole[part] >= 0 else 0
         table = np.full((len(rows), max(map(len, rows))), -1, np.int64)
         for place, row in zip(table, rows, strict=True):
@@ -250,17 +251,23 @@ class Plan:
         row = self._part(ensemble.FAMILY, description, names, "", "ensemble")
         self._whole(row, names, any(heads))
         row[Whole.OUTPUT] = count + list(rules).index(description["output"])
+        own = {"conditional": description.get("conditional", 0)}
         for place, part, name in (
             (Whole.CONFORMAL, conformal.FAMILY, "conformal"), (Whole.MONITORS, monitors.FAMILY, "monitors"),
         ):  # fmt: skip
             if (numbers := description[name]) is not None:
                 row[place] = len(self._others)
-                self._others.append(self._part(part, {"numbers": numbers}, names, f"{name}.", name))
+                self._others.append(self._part(part, own | {"numbers": numbers}, names, f"{name}.", name))
                 self._largest = max(self._largest, names + part.work(names))
         if made := description.get("forecasts"):
             own = self._forecasts(description, made)
             row[Whole.FORECASTS] = len(self._others)
             self._others.append(own)
+            if description.get("conditional"):
+                row[Whole.KNOWN] = len(self._others)
+                part = self._part(conditional.FAMILY, {}, forecast_size(made)[:2], KNOWN, "forecasts")
+                part[Node.SIZE] = 0  # the table has whole numbers only
+                self._others.append(part)
         return row
 
     def _forecasts(self, description: Description, made: Description) -> list[int]:
@@ -280,7 +287,7 @@ class Plan:
                 self.leaves[name] = Leaf(begin + place, (slots, *shape), (block, *strides), flag)
         self.size += slots * block
         row[Node.SIZE] = self.slot = block
-        self._largest += 2 * members
+        self._largest += 2 * members + conditional.PATH
         return [*row, begin, *rows, *columns, len(copies) // 3, *copies]
 
     def _frozen(

@@ -62,7 +62,8 @@ def read(folders: Sequence[Path], tools: Tools, data: Any = None) -> tuple[Ensem
         combiners = tools.instantiate(last["combiners"], _convert_="all")
         forecasts = last.get("forecasts") and tools.instantiate(last["forecasts"])
         output = str(last["output"]).partition(".")[0] if last.get("output") else None  # older ones named a measure
-        ensemble = Ensemble(tools.instantiate(last["estimators"]), combiners, output, forecasts=forecasts)
+        members, knows = tools.instantiate(last["estimators"]), bool(last.get("conditional", False))
+        ensemble = Ensemble(members, combiners, output, forecasts=forecasts, conditional=knows)
         with Activity(tools.console):
             fleets = [tools.align(tools.instantiate(each), **last["align"]) for each in sources]
     except (TypeError, AttributeError, KeyError, OverflowError, MemoryError) as error:

@@ -241,6 +241,7 @@ class RunFolder:
         configuration = self.metadata.get("configuration", {})
         parts = [configuration.get(name) for name in ("estimators", "combiners")]
         parts += [made] if (made := configuration.get("forecasts")) else []  # runs without forecasts keep their digest
+        parts += ["conditional"] if configuration.get("conditional") else []  # nor did earlier ones have such intervals
         ensemble = json.dumps(first_named(parts))
         boats = {
             boat: [[run.names[element], run.lengths[element], digest(run, element)] for run in self.fleet.runs]

@@ -14,7 +14,7 @@ from usvlearn.core.protocol import Estimator, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
-from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, conformal_step, published
+from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, intervals_after, intervals_of
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number
@@ -34,6 +34,7 @@ class Ensemble(Estimator):
         surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
         watched: whether whiteness and the thrusters are watched (`monitors`).
         forecasts: seconds ahead (`forecasts`); None: none are made.
+        conditional: whether half-widths know the manoeuvre (`conditional`), of one step and of forecasts.
 
     Attributes:
         columns: names of the members' predictions; a bank has several.
@@ -61,6 +62,7 @@ class Ensemble(Estimator):
         surge_max: float = 10.0,
         watched: bool = True,
         forecasts: ForecastSettings | None = None,
+        conditional: bool = True,
     ):
         super().__init__()
         rules: Mapping[str, Combiner] = {"average": Average()} if combiners is None else dict(combiners)
@@ -82,7 +84,7 @@ class Ensemble(Estimator):
         self.output = list(rules)[-1] if output is None else output
         if self.output not in rules:
             raise ConfigError(f"output: found {output!r}, expected one of {', '.join(rules)}")
-        self.watched, self.coverage = watched, coverage
+        self.watched, self.coverage, self.conditional = watched, coverage, bool(conditional)
         self.surge_max = check_positive("surge_max", surge_max, "of m/s")
         self.surge_limit = min(self.surge_limit, self.surge_max)
         if not 0 < coverage < 1:
@@ -101,7 +103,7 @@ class Ensemble(Estimator):
         self.forecasts = forecasts
         if forecasts is not None:
             chosen = self.weighed if forecasts.members is None else forecasts.members
-            forecasts.bind(chosen, members, coverage, self.surge_max)
+            forecasts.bind(chosen, members, coverage, self.surge_max, self.conditional)
 
     def _named(self, members: Sequence[str] | None, combiner: str) -> list[str]:
         """The columns that a combiner means; the name of a bank stands for all of its own."""
@@ -138,9 +140,9 @@ class Ensemble(Estimator):
         for name, combiner in self.combiners.items():
             with under(f"combiners.{name}"):
                 combiners[name] = combiner.init(batch, like)
-        conformal = conformal_start(batch, len(self.names), like)
+        conformal = conformal_start(batch, len(self.names), like, self.conditional)
         watched = monitors.init(batch, len(self.names), like) if self.watched else {}
-        width = published(conformal)
+        width = torch.full_like(conformal.halfwidth, math.inf)
         made = {} if self.forecasts is None else self.forecasts.init(batch, self.members, members)
         return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, made)
 
@@ -150,8 +152,12 @@ class Ensemble(Estimator):
         members, made = {name: new for name, (new, _) in coasted.items()}, state.forecasts
         if self.forecasts is not None:
             made = self.forecasts.step(made, self.members, members, inputs, None)
-        width = published(state.conformal)
-        return state._replace(members=members, predictions=predictions, halfwidths=width, forecasts=made), output
+        intervals = intervals_of(state.conformal, predictions, len(self.columns), self.surge_max, inputs)
+        new = state._replace(
+            members=members, conformal=intervals.state, predictions=predictions, halfwidths=intervals.halfwidths,
+            forecasts=made,
+        )  # fmt: skip
+        return new, output
 
     def update(self, state: EnsembleState, inputs: Inputs, surge: Tensor) -> EnsembleState:
         return self.learn(state, inputs, surge)[0]
@@ -162,13 +168,14 @@ class Ensemble(Estimator):
         predictions, seen, output = self._publish(state, surges, inputs.dt)
         combiners = self.reweigh(state.combiners, seen, surge, inputs.dt)
         innovations = surge[..., None] - predictions
-        conformal = conformal_step(state.conformal, innovations, self.coverage)
+        intervals = intervals_of(state.conformal, predictions, len(self.columns), self.surge_max, inputs)
+        conformal = intervals_after(intervals, innovations, self.coverage, inputs)
         watched = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
         members = {name: new for name, (new, _) in learned.items()}
         made = state.forecasts
         if self.forecasts is not None:
             made = self.forecasts.step(made, self.members, members, inputs, surge)
-        width = published(state.conformal)
+        width = intervals.halfwidths
         return EnsembleState(members, combiners, conformal, predictions, width, watched, made), output
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
@@ -204,6 +211,7 @@ class Ensemble(Estimator):
             "kind": "ensemble", "members": members, "output": self.output, "columns": list(self.columns),
             "rules": rules, "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
             "monitors": monitors.spec() if self.watched else None,
+            **({"conditional": 1} if self.conditional else {}),
             **({} if self.forecasts is None else {"forecasts": self.forecasts.spec(self.columns)}),
         }  # fmt: skip
 

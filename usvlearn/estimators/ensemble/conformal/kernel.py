@@ -4,22 +4,54 @@ import numpy as np
 
 from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
-from usvlearn.estimators.ensemble.conformal.state import AT, FEW, Number
+from usvlearn.core.rows import LEFT, RIGHT
+from usvlearn.estimators.ensemble.conditional.kernel import (
+    begin_path,
+    extend_path,
+    group_of,
+    halfwidth_now,
+    learn_error,
+)
+from usvlearn.estimators.ensemble.conditional.state import FAR, PATH
+from usvlearn.estimators.ensemble.conformal.state import AT, FEW, Choice, Number
+
+FIRST, PLACE = AT.conditional.learned.coefficients, AT.conditional.path
 
 
 @jit
-def published(node, s, found):
-    """`layer.published`, into `found`."""
+def published(node, s, predictions, members, limit, row, spreads, found):
+    """`layer.published`, into `found`; of predictions of which the first ones are the members'."""
     for i in range(node[Node.SIZE]):
         found[i] = np.inf if s[node[AT.count] + i] < FEW else s[node[AT.halfwidth] + i]
+    if node[Choice.CONDITIONAL] <= 0:
+        return
+    at, path = node[FIRST:], s[node[PLACE] : node[PLACE] + PATH]
+    extend_path(path, row[LEFT], row[RIGHT])
+    group = group_of(path)
+    for i in range(node[Node.SIZE]):
+        if abs(predictions[i]) < limit:
+            spreads[i] = spread_about(predictions[i], predictions, members, limit)
+            found[i] = halfwidth_now(s, at, i, s[node[AT.count] + i], found[i], spreads[i], path[FAR], group)
 
 
 @jit
-def conformal(node, s, q, innovation):
+def spread_about(predicted, predictions, members, limit):
+    """The root mean square of the active members' distances from a prediction."""
+    total, active = 0.0, 0.0
+    for m in range(members):
+        if abs(predictions[m]) < limit:
+            total += (predictions[m] - predicted) * (predictions[m] - predicted)
+            active += 1
+    return np.sqrt(total / max(active, 1.0))
+
+
+@jit
+def conformal(node, s, q, innovation, predictions, limit, row, spreads):
     """`conformal_step`, in place."""
     k, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
     halfwidth, count = s[node[AT.halfwidth] : node[AT.halfwidth] + k], s[node[AT.count] : node[AT.count] + k]
-    seen, narrower, wider = -1.0, 1.0, 1.0
+    conditional, at, path = node[Choice.CONDITIONAL] > 0, node[FIRST:], s[max(node[PLACE], 0) :]
+    seen, narrower, wider, group = -1.0, 1.0, 1.0, group_of(path) if conditional else 0
     for i in range(k):
         if np.isfinite(innovation[i]):
             count[i] += 1
@@ -28,5 +60,12 @@ def conformal(node, s, q, innovation):
                 rate = numbers[Number.RATE] + numbers[Number.BOOST] / seen
                 narrower = np.exp(-rate * (1 - numbers[Number.COVERAGE]))
                 wider = np.exp(rate * numbers[Number.COVERAGE])
+            if conditional and abs(predictions[i]) < limit:
+                learn_error(
+                    s, at, i, seen, abs(innovation[i]), halfwidth[i], spreads[i], path[FAR], group, 0.0,
+                    1 - numbers[Number.COVERAGE],
+                )  # fmt: skip
             moved = halfwidth[i] * (wider if abs(innovation[i]) > halfwidth[i] else narrower)
             halfwidth[i] = max(moved, numbers[Number.LEAST])
+    if conditional:
+        begin_path(path, row[LEFT], row[RIGHT])

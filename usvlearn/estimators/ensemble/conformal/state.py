@@ -10,14 +10,17 @@ Nothing is assumed about the errors: the sum of (1) over K steps gives |misses/K
 η₀ = 0 and q has not met its least value. The second term finds the scale during the first samples. Before ten
 innovations q is no quantile of anything yet, and the published half-width is infinite.
 
+By choice the published half-width knows the manoeuvre (`conditional.state`); q goes on beside it.
+
 The derivation is in `docs/theory.md`, section 14.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from usvlearn.core.family import AT_MOST_TEN, NOT_NEGATIVE, POSITIVE, UNIT, Family, Numbers, leaf
+from usvlearn.core.family import AT_MOST_TEN, NOT_NEGATIVE, POSITIVE, UNIT, Choices, Family, Numbers, Range, leaf
+from usvlearn.estimators.ensemble.conditional.state import COMMAND, PATH, StepState, learned_leaves
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -28,11 +31,15 @@ FEW = 10.0  # innovations, before which the published half-width is infinite
 LEAST = 5e-3  # m/s; a boat at rest is predicted exactly for hours, and q must recover from it within some ten misses
 
 
+NONE: Any = {}
+
+
 class ConformalState(NamedTuple):
     """The intervals of the next predictions."""
 
     halfwidth: Tensor  # (*batch, k) q, m/s, which `published` makes infinite at first
     count: Tensor  # type: ignore[assignment]  # (*batch, k) innovations seen; checkpoints name it so, not tuple.count
+    conditional: Any = NONE  # a `StepState`, or {}
 
 
 class Number(Numbers):
@@ -44,9 +51,18 @@ class Number(Numbers):
     LEAST = POSITIVE  # m/s
 
 
+class Choice(Choices):
+    """Whether the published half-widths know the manoeuvre, 0 or 1."""
+
+    CONDITIONAL = (Range(0, 1),)
+
+
+def _state(k: int, conditional: int = 0) -> ConformalState:
+    own = StepState(learned_leaves(k), leaf(PATH, legal=COMMAND)) if conditional else NONE
+    return ConformalState(leaf(k, legal=POSITIVE), leaf(k, legal=NOT_NEGATIVE), own)
+
+
 FAMILY = Family(
-    ("conformal",),
-    lambda k: ConformalState(halfwidth=leaf(k, legal=POSITIVE), count=leaf(k, legal=NOT_NEGATIVE)),
-    Number,
+    ("conformal",), _state, Number, Choice, lengths=(Choice.CONDITIONAL,), work=lambda k: 2 * k
 )
 AT = FAMILY.at

@@ -14,6 +14,8 @@ from usvlearn.core.samples import Inputs, named_leaves, rebuild, tree_map, where
 from usvlearn.errors import ConfigError, check_not_negative, check_positive
 from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_inactive
 from usvlearn.estimators.ensemble.combiners.state import TINY
+from usvlearn.estimators.ensemble.conditional import layer as conditional
+from usvlearn.estimators.ensemble.conditional.state import DUE, PATH, HorizonState
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.ensemble.forecasts.state import ForecastState
@@ -79,15 +81,19 @@ class ForecastSettings(nn.Module):
         """The names of the last axis of what is published."""
         return (*self.names, at.PERSISTENCE, at.ENSEMBLE)
 
-    def bind(self, names: Sequence[str], members: Mapping[str, Any], coverage: float, surge_max: float) -> None:
-        """Set the members that are weighed, and what the ensemble decides."""
+    def bind(
+        self, names: Sequence[str], members: Mapping[str, Any], coverage: float, surge_max: float, knows: bool
+    ) -> None:
+        """Set the members that are weighed, and what the ensemble decides; `knows` whether intervals know the
+        manoeuvre.
+        """
         for name in names:
             if name not in members or not isinstance(members[name], Estimator):
                 known = ", ".join(key for key, each in members.items() if isinstance(each, Estimator))
                 raise ConfigError(f"forecasts.members: found {name}, expected some of {known}, or forecasts: null")
         if not names or len(set(names)) < len(names):
             raise ConfigError(f"forecasts.members: found {', '.join(names) or 'none'}, expected each member once")
-        self.names, self.coverage, self.surge_max = tuple(names), coverage, surge_max
+        self.names, self.coverage, self.surge_max, self.knows = tuple(names), coverage, surge_max, knows
         self.rule.bind(names)
         # A subclass may need other leaves than its class. `spec_of` reads hyperparameters, which waits for a device.
         self._frozen = {name: None if spec_of(members[name]) is None else members[name].frozen for name in names}
@@ -123,6 +129,19 @@ class ForecastSettings(nn.Module):
             errors=wide,
             predictions=like.new_full((*batch, H, M + 2), math.nan),
             halfwidths=wide + math.nan,
+            conditional=self._conditions(batch, like) if self.knows else at.NONE,
+        )
+
+    def _conditions(self, batch: tuple[int, ...], like: Tensor) -> HorizonState:
+        """What intervals know of the manoeuvre before the first sample."""
+        learned = conditional.init(batch, H := len(self.horizons), like)
+        held = conditional.hold(learned, torch.zeros_like(learned.level))
+        return HorizonState(
+            learned=learned,
+            path=like.new_zeros((*batch, PATH)),
+            paths=like.new_zeros((*batch, self.slots, PATH)),
+            held=held[..., None, :, :].expand(*batch, self.slots, H, held.shape[-1]).clone(),
+            due=like.new_full((*batch, H, DUE), math.nan),
         )
 
     def start(self, state: ForecastState) -> ForecastState:
@@ -162,15 +181,28 @@ class ForecastSettings(nn.Module):
         rows = torch.cat([wide[0], wide[1][..., None], wide[2][..., None]], -1)  # (*batch, slots, H, M + 2)
         predictions = torch.full_like(state.predictions, math.nan)
         halfwidths = torch.full_like(state.halfwidths, math.nan)
+        widths, facts, known = state.widths, None, state.conditional
+        if known:
+            sides = (x[..., None].expand_as(state.elapsed) for x in (inputs.command_left, inputs.command_right))
+            paths = where(under_way, conditional.extend_path(known.paths, *sides), known.paths)
+            spread = _spread(state.weights, x[..., None, :], combined)
+            far, group = (f(paths)[..., None].expand_as(spread) for f in (conditional.far_of, conditional.group_of))
+            widths = conditional.halfwidth_held(known.held, widths, spread, far, group)
+            facts, found = torch.stack([spread, far, group], -1), torch.full_like(known.due, math.nan)
         for slot in range(self.slots):  # two may be due at once where steps differ in length
             predictions = torch.where(due[..., slot, :, None], rows[..., slot, :, :], predictions)
-            halfwidths = torch.where(due[..., slot, :], state.widths[..., slot, :], halfwidths)
+            halfwidths = torch.where(due[..., slot, :], widths[..., slot, :], halfwidths)
+            if facts is not None:
+                found = torch.where(due[..., slot, :, None], facts[..., slot, :, :], found)
+        if known:
+            path = conditional.extend_path(known.path, inputs.command_left, inputs.command_right)
+            known = known._replace(path=path, paths=paths, due=found)
         elapsed = torch.where(under_way, after[..., 0], at.EMPTY)
         ends = horizons[state.reach.clamp(0, len(horizons) - 1).long()]
         elapsed = torch.where(elapsed + half[..., 0] >= ends, at.EMPTY, elapsed)
         state = state._replace(
             frozen=frozen, elapsed=elapsed, predictions=predictions, halfwidths=halfwidths,
-            since=state.since + dt,
+            since=state.since + dt, conditional=known,
         )  # fmt: skip
         if surge is None:
             return state._replace(coasted=state.coasted + inputs.dt)
@@ -181,10 +213,21 @@ class ForecastSettings(nn.Module):
         place = self._place(time)[..., None]
         return (place * self._weights(state)).sum(-2)
 
-    def halfwidth_after(self, state: ForecastState, time: Tensor) -> Tensor:
-        """Its half-width, m/s; infinite beyond the longest horizon, and where too few errors are known."""
-        place = self._place(time)
-        width = torch.where(place > 0, place * self._halfwidths(state), 0.0).sum(-1)
+    def halfwidth_after(self, state: ForecastState, time: Tensor, x: Tensor, surge: Tensor) -> Tensor:
+        """Its half-width, m/s; infinite beyond the longest horizon, and where too few errors are known.
+
+        Args:
+            state: whose `path` has seen the commands until then, where intervals know the manoeuvre.
+            time: s.
+            x, surge: the members' predictions, `(*batch, M)`, and the forecast, m/s.
+        """
+        place, widths = self._place(time), self._halfwidths(state)
+        if known := state.conditional:
+            spread = _spread(self.weights_after(state, time), self._awake(x), surge)
+            facts = (each[..., None].expand_as(widths)
+                     for each in (spread, conditional.far_of(known.path), conditional.group_of(known.path)))  # fmt: skip
+            widths = conditional.halfwidth_held(conditional.hold(known.learned, state.errors), widths, *facts)
+        width = torch.where(place > 0, place * widths, 0.0).sum(-1)
         return torch.where(time > self.horizons[-1] * at.BEYOND, math.inf, width)
 
     def combine(self, state: ForecastState, predictions: Tensor, time: Tensor) -> Tensor:
@@ -213,7 +256,11 @@ class ForecastSettings(nn.Module):
             states = {name: new for name, (new, _) in stepped.items()}
             elapsed = elapsed + now.dt
             x = torch.stack([predicted for _, predicted in stepped.values()], -1)
-            found.append((self.combine(state, x, elapsed), self.halfwidth_after(state, elapsed)))
+            if known := state.conditional:
+                path = conditional.extend_path(known.path, now.command_left, now.command_right)
+                state = state._replace(conditional=known._replace(path=path))
+            surge = self.combine(state, x, elapsed)
+            found.append((surge, self.halfwidth_after(state, elapsed, x, surge)))
         surges, widths = (torch.stack(column) for column in zip(*found, strict=True))
         return surges, widths
 
@@ -282,11 +329,19 @@ class ForecastSettings(nn.Module):
         error = state.error + (1 / k.clamp(min=1)).clamp(min=at.SHARE) * (e - state.error)  # (2)
         miss = (e > (state.quantile * state.error).clamp(min=at.NARROWEST)).to(e.dtype)
         quantile = state.quantile * ((miss - (1 - self.coverage)) / (at.DELAY + self.overlap)).exp()  # (3)
+        before, facts = (state.quantile * state.error).clamp(min=at.NARROWEST), state.conditional
+        if facts:
+            spread, far, group = torch.where(known[..., None], facts.due, 0.0).unbind(-1)
+            new = conditional.learn_error(
+                facts.learned, k, e, before, spread, far, group, self.overlap, 1 - self.coverage
+            )
+            facts = facts._replace(learned=tree_map(lambda new, old: where(known, new, old), new, facts.learned))
         return state._replace(
             rule=tree_map(lambda new, old: where(known, new, old), rule, state.rule),
             error=torch.where(known, error, state.error),
             quantile=torch.where(known, quantile.clamp(at.LEAST, at.MOST), state.quantile),
             errors=k,
+            conditional=facts,
         )
 
     def _opened(
@@ -306,6 +361,14 @@ class ForecastSettings(nn.Module):
             for name, leaves in state.frozen.items()
         }
         weights, widths = self._weights(state)[..., None, :, :], self._halfwidths(state)[..., None, :]
+        if facts := state.conditional:
+            path = conditional.begin_path(inputs.command_left, inputs.command_right)
+            held = conditional.hold(facts.learned, state.errors)[..., None, :, :]
+            facts = facts._replace(
+                path=path,
+                paths=torch.where(opens[..., None], path[..., None, :], facts.paths),
+                held=torch.where(opens[..., None, None], held, facts.held),
+            )
         return state._replace(
             frozen=frozen,
             elapsed=torch.where(opens, 0.0, state.elapsed),
@@ -315,6 +378,7 @@ class ForecastSettings(nn.Module):
             widths=torch.where(opens[..., None], widths, state.widths),
             since=torch.where(begun, 0.0, state.since),
             coasted=torch.zeros_like(state.coasted),
+            conditional=facts,
         )
 
     def _weights(self, state: ForecastState) -> Tensor:
@@ -326,7 +390,7 @@ class ForecastSettings(nn.Module):
         return torch.stack(found, -2)
 
     def _halfwidths(self, state: ForecastState) -> Tensor:
-        """q s, `(*batch, H)`; infinite where too few errors are known."""
+        """q s, `(*batch, H)`, which do not know the manoeuvre; infinite where too few errors are known."""
         width = (state.quantile * state.error).clamp(min=at.NARROWEST)
         return torch.where(state.errors >= FEW, width, math.inf)
 
@@ -342,6 +406,12 @@ class ForecastSettings(nn.Module):
 
 def _where(mask: Tensor, new: Mapping[str, Tensor], old: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {name: where(mask, new[name], leaf) for name, leaf in old.items()}
+
+
+def _spread(weights: Tensor, x: Tensor, combined: Tensor) -> Tensor:
+    """The members' spread about a forecast; an inactive one counts as the forecast."""
+    squares = weights * (x - combined[..., None]) ** 2
+    return torch.where(x.isnan() | combined.isnan()[..., None], 0.0, squares).detach().sum(-1).sqrt()
 
 
 def _slot(leaf: Tensor, slots: Tensor) -> Tensor:

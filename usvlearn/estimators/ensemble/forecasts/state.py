@@ -21,6 +21,8 @@ and (3) learns the more slowly. The interval is infinite until k = 10, and ± 5 
 Losses of a long horizon are larger. The predictions and y are divided by √(h/0.4 s) before BOA, so that its least range
 of the losses grows like those of a random walk.
 
+By choice the half-width knows the manoeuvre, too (`conditional.state`); (2) and (3) go on beside it.
+
 *A horizon with fewer than ten errors* has the weights of the next shorter one that has as many, or of the shortest.
 
 *Between horizons* weights and half-widths are interpolated linearly in time; before the first horizon they are the
@@ -69,6 +71,9 @@ EMPTY = -1.0  # s, elapsed of a slot without a forecast
 PERSISTENCE, ENSEMBLE = "persistence", "ensemble"  # the last two columns of what is published
 
 
+NONE: Any = {}
+
+
 class ForecastState(NamedTuple):
     """Forecasts under way, what was learned from earlier ones, and those that became due in the last step.
 
@@ -89,6 +94,7 @@ class ForecastState(NamedTuple):
     errors: Tensor  # (*batch, H) k
     predictions: Tensor  # (*batch, H, M + 2) m/s: members, persistence, ensemble; NaN where none was due
     halfwidths: Tensor  # (*batch, H) m/s, of the ensemble's; NaN likewise
+    conditional: Any = NONE  # a `HorizonState`, or {}
 
 
 class Number(Numbers):

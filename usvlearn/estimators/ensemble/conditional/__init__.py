@@ -1,0 +1,1 @@
+"""Half-widths of intervals that know the manoeuvre, for one step and for forecasts."""
