@@ -1,4 +1,4 @@
-"""Errors of forecasts by horizon: MAE, skill against persistence, and the coverage of the ensemble's intervals."""
+"""Errors of forecasts by horizon: MAE, skill against persistence, and what the ensemble's intervals cover."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from usvlearn.core.samples import PLAUSIBLE, Fleet, masks, tree_map
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
+from usvlearn.evaluation.manoeuvres import GROUPS, groups_of
 from usvlearn.evaluation.metrics import Stretch
 
 if TYPE_CHECKING:
@@ -28,6 +29,9 @@ class HorizonSums(NamedTuple):
     known: np.ndarray  # (runs, boats, horizons) those with a finite interval of the ensemble
     inside: np.ndarray  # (runs, boats, horizons) those whose interval contains the measurement
     width: np.ndarray  # (runs, boats, horizons) of half-widths that are finite, m/s
+    interval: np.ndarray  # (runs, boats, horizons) of the interval scores of these, m/s
+    group_known: np.ndarray  # (runs, boats, horizons, 3) `known` by how far the commands moved
+    group_inside: np.ndarray  # (runs, boats, horizons, 3) `inside` likewise
 
 
 def horizon_sums(
@@ -36,6 +40,7 @@ def horizon_sums(
     horizons: Sequence[float],
     names: Sequence[str],
     surge_limit: float = PLAUSIBLE,
+    coverage: float = 0.9,
 ) -> HorizonSums:
     """The sums of each run.
 
@@ -45,12 +50,15 @@ def horizon_sums(
         horizons: s.
         names: of the columns of forecasts; the last is the ensemble's.
         surge_limit: m/s, of the ensemble.
+        coverage: share that its intervals are to cover.
     """
     H, K = len(horizons), len(names)
     shape = (len(fleet.runs), len(fleet.boats), H)
     found = HorizonSums(
-        tuple(horizons), tuple(names), np.zeros((*shape, K)), np.zeros(shape, int), *(np.zeros(shape) for _ in range(3))
-    )
+        tuple(horizons), tuple(names), np.zeros((*shape, K)), np.zeros(shape, int),
+        *(np.zeros(shape) for _ in range(4)), *(np.zeros((*shape, len(GROUPS))) for _ in range(2)),
+    )  # fmt: skip
+    moved: dict[int, np.ndarray] = {}  # of each run, which may come in several stretches
     for run, step, arrays in published:
         if "forecasts" not in arrays:
             continue
@@ -67,6 +75,13 @@ def horizon_sums(
         found.known[run] += finite.sum(0)
         found.inside[run] += (finite & (errors[..., -1] <= widths)).sum(0)
         found.width[run] += np.where(finite, widths, 0.0).sum(0)
+        beyond = np.where(finite, np.maximum(errors[..., -1] - widths, 0.0), 0.0)
+        found.interval[run] += (np.where(finite, 2 * widths, 0.0) + 2 / (1 - coverage) * beyond).sum(0)
+        if run not in moved:
+            moved[run] = groups_of(fleet.runs[run].samples, horizons, surge_limit)
+        within = moved[run][part][..., None] == np.arange(len(GROUPS))
+        found.group_known[run] += (finite[..., None] & within).sum(0)
+        found.group_inside[run] += ((finite & (errors[..., -1] <= widths))[..., None] & within).sum(0)
     return found
 
 
@@ -80,13 +95,16 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
     Returns:
         By boat, estimator and horizon (as `"10"`, s): `mae`, m/s; `skill` = 1 − MAE/MAE(persistence), the last speed
         measured at the origin; `steps`, how many forecasts; of the ensemble also `covers`, the share of measurements in
-        its intervals, and `halfwidth`, their mean, m/s, over those that are finite. None where there are fewer than
+        its intervals, `halfwidth`, their mean, m/s, over those that are finite, and `interval`, their mean interval
+        score, m/s: the whole width, and 2/α times what a measurement is outside (α = 0.1). Less is better; `covers_stay`,
+        `covers_move`, `covers_move_much` are `covers` where the mean command moved by less than 0.05 of full scale
+        within the horizon, by up to 0.25, or more; `steps_stay` … their numbers. None where there are fewer than
         LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
 
     >>> horizon_scores(horizon_sums(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble")), ())
     {}
     """
-    total, count, known, inside, width = (x.sum(0) for x in sums[2:])
+    total, count, known, inside, width, interval, some_known, some_inside = (x.sum(0) for x in sums[2:])
     names, K = sums.names, len(sums.names)
     found: Scores = {}
     for element, boat in enumerate(boats):
@@ -103,6 +121,11 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
                     some = known[element, j] if known[element, j] >= LEAST else 0
                     row["covers"] = float(inside[element, j] / some) if some else None
                     row["halfwidth"] = float(width[element, j] / some) if some else None
+                    row["interval"] = float(interval[element, j] / some) if some else None
+                    for group, name_of in enumerate(GROUPS):
+                        here = int(some_known[element, j, group])
+                        own = float(some_inside[element, j, group] / here) if here >= LEAST else None
+                        row |= {f"covers_{name_of}": own, f"steps_{name_of}": here}
                 found[boat][name][f"{horizon:g}"] = row
     return found
 
@@ -112,7 +135,9 @@ def ensemble_sums(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]
     if (made := ensemble.forecasts) is None:
         return None
     columns = (*made.columns[:-1], ensemble.output)
-    return horizon_sums(fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit)
+    return horizon_sums(
+        fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit, ensemble.coverage
+    )
 
 
 def ensemble_scores(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> Scores:

@@ -22,6 +22,9 @@ from usvlearn.runs.layout import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENS
 from usvlearn.runs.tensorboard.board_tags import label
 
 TOGGLE = "Of several boats, the pages IMAGES and TEXT open empty: press TOGGLE ALL RUNS there."
+COVERED = {
+    "intervals cover": "covers", "commands stay": "covers_stay", "move": "covers_move", "move much": "covers_move_much",
+}  # fmt: skip
 COLUMNS = {"mae": "MAE", "median": "median", "rmse": "RMSE", "skill": "skill", "halfwidth": "±", "coverage": "covers",
            "steps": "steps"}  # fmt: skip
 
@@ -112,8 +115,13 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
         for name in (own, *others):
             cells = [_number(rows[name][h]["skill"], 3) for h in horizons]
             table.add(name, *cells, style="bold" if name == own else "")
-        held = [rows[own][h]["covers"] for h in horizons]
-        table.add("intervals cover", *("–" if x is None else f"{x:.0%}" for x in held))
+        for label, key in COVERED.items():  # runs of before have the first alone
+            held = [rows[own][h].get(key) for h in horizons]
+            if key == "covers" or any(x is not None for x in held):
+                table.add(label, *("–" if x is None else f"{x:.0%}" for x in held))
+        found = [rows[own][h].get("interval") for h in horizons]
+        if any(x is not None for x in found):
+            table.add("interval score, m/s", *(_number(x, 3) for x in found))
     return table
 
 

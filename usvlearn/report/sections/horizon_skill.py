@@ -11,6 +11,7 @@ from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.forecasts.state import PERSISTENCE
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.horizons import Scores, ensemble_scores
+from usvlearn.evaluation.manoeuvres import GROUPS
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.section import Drawn, Section
 
@@ -32,13 +33,15 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     if not found:
         return None
     rows = [
-        (boat, name, float(horizon), row["mae"], row["skill"], row.get("covers"), row.get("halfwidth"), row["steps"])
+        (boat, name, float(horizon), row["mae"], row["skill"], row.get("covers"), *(row.get(f"covers_{x}") for x in GROUPS),
+         row.get("halfwidth"), row.get("interval"), row["steps"])
         for boat, table in found.items()
         for name, each in table.items()
         for horizon, row in each.items()
     ]
     columns = ("boat", "method", "horizon, s", "MAE, m/s", "skill", "coverage of the 90 % interval",
-               "mean half-width, m/s", "forecasts")  # fmt: skip
+               "where commands stay", "move", "move much", "mean half-width, m/s", "interval score, m/s",
+               "forecasts")  # fmt: skip
     caption = (
         "Skill of forecasts, 1 − MAE/MAE(persistence), against the horizon. A forecast is made at its origin, from the "
         "measurements until then, and is told the commands, headings and yaw rates between. Dotted: persistence."
@@ -110,4 +113,7 @@ def _findings(found: Scores, output: str) -> list[str]:
     held = [share for row in rows if (share := row.get("covers")) is not None]
     if held:
         here.append(f"The intervals hold {100 * min(held):.0f} … {100 * max(held):.0f} % of the speeds (90 % asked).")
+    for group, words in zip(GROUPS, ("stay", "move", "move much"), strict=True):
+        if own := [share for row in rows if (share := row.get(f"covers_{group}")) is not None]:
+            here.append(f"Where the commands {words}: {100 * min(own):.0f} … {100 * max(own):.0f} %.")
     return here
