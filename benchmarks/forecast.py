@@ -23,9 +23,11 @@ from truths import NOMINAL, PLANTS
 
 from usvlearn.engine.rollouts import stretches
 from usvlearn.estimators.ensemble.forecasts.state import HORIZONS
+from usvlearn.evaluation.manoeuvres import groups_of
 
 REAL, SEED, HOURS = ("blueboat", "vtec", "dalian"), 77, 3
-FEW = 8  # forecasts, below which no skill is stated
+FEW = 8  # forecasts, below which no skill is stated,
+MANY = 100  # and no coverage of a group
 AIMS = {
     "blueboat": (None, None, 0.74, 0.84, 0.87, 0.89),
     "vtec": (None, None, 0.49, 0.77, 0.85, None),
@@ -49,7 +51,12 @@ ADDED = {"and rnn_replay": ("+estimator@estimators.rnn_replay=rnn_replay",)}
 @cache
 def replayed(given: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Forecasts `(time, boats, horizons, columns)` and half-widths `(time, boats, horizons)`, m/s."""
-    fleet, model = fleet_of(tuple(key for key in given if "forecasts." not in key and "@" not in key)), ensemble(given)
+    fleet, model = (
+        fleet_of(
+            tuple(key for key in given if "forecasts." not in key and "conditional" not in key and "@" not in key)
+        ),
+        ensemble(given),
+    )
     leaves, found = ["forecasts.predictions", "forecasts.halfwidths"], []
     for _, kept in stretches(model, model.init((len(fleet.boats),)), [run.samples for run in fleet.runs], leaves):
         found.append([kept[name] for name in leaves])
@@ -123,6 +130,66 @@ def reported(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
     yield f"| a simulated boat, median | {cells(np.median(every[:, 2], 0), 0)} |"
 
 
+def manoeuvres(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
+    """The section on coverage by group, and on the interval score beside that of `conditional=false`."""
+    yield "## Intervals by how far the commands move"
+    yield ""
+    yield "Share inside where the commands stay / move / move much: the range of the mean command within the horizon is"
+    yield "below .05, at most .25, or more. *Score* is the interval score over that of intervals that do not know the"
+    yield f"manoeuvre. Whole logs; – : fewer than {MANY} forecasts. Settings were chosen on boats of seed 9301 and on"
+    yield "the recorded boats; seed 77 is reported."
+    yield ""
+    yield from head("share inside")
+    found = {label: [by_manoeuvre(log) for log in logs] for label, logs in _groups(real, boats).items()}
+    for label, each in found.items():
+        shares = np.stack([x[:3] for x in each])
+        for what, reduce in (("", np.nanmean), (", least", np.nanmin), (", greatest", np.nanmax))[
+            : 3 if len(each) > 1 else 1
+        ]:
+            rows = reduce(shares, 0)
+            yield (
+                f"| {label}{what} | "
+                + " | ".join(" / ".join(_share(x) for x in rows[:, k]) for k in range(len(HORIZONS)))
+                + " |"
+            )
+    yield ""
+    yield from head("score")
+    for label, each in found.items():
+        scores = np.stack([x[3] for x in each])
+        yield f"| {label} | {cells(np.nanmean(scores, 0))} |"
+        if len(each) > 1:
+            yield f"| {label}, worst | {cells(np.nanmax(scores, 0))} |"
+
+
+def _groups(real: Sequence[Log], boats: Sequence[Log]) -> dict[str, Sequence[Log]]:
+    return {log.name: [log] for log in real} | {f"{len(boats)} simulated boats": boats}
+
+
+def _share(x: float) -> str:
+    return f"{x:.2f}" if np.isfinite(x) else "–"
+
+
+def by_manoeuvre(log: Log) -> np.ndarray:
+    """Coverage of the three groups, and the ratio of the interval scores, `(4, horizons)`; NaN where few."""
+    (made, widths), (_, before) = replayed(log.overrides), replayed((*log.overrides, "conditional=false"))
+    surge, found = measured(log), np.full((4, len(HORIZONS)), np.nan)
+    groups = np.concatenate([groups_of(run.samples, HORIZONS)[:, log.element] for run in log.fleet.runs])
+    for j in range(len(HORIZONS)):
+        e, own, other = (
+            np.abs(made[:, log.element, j, -1] - surge),
+            widths[:, log.element, j],
+            before[:, log.element, j],
+        )
+        due = np.isfinite(e) & np.isfinite(own) & np.isfinite(other)
+        for group in range(3):
+            if (here := due & (groups[:, j] == group)).sum() >= MANY:
+                found[group, j] = (e <= own)[here].mean()
+        if due.sum() >= FEW:
+            score, was = ((2 * w + 20 * np.maximum(e - w, 0))[due].mean() for w in (own, other))
+            found[3, j] = score / was
+    return found
+
+
 def halves(real: Sequence[Log], more: tuple[str, ...] = ()) -> list[np.ndarray]:
     """Skill on the first halves of recorded boats."""
     return [by_horizon(log, more, first_half(log))[0] for log in real]
@@ -155,7 +222,7 @@ def overlaps(real: Sequence[Log], boats: Sequence[Log]) -> Iterator[str]:
 def main() -> None:
     torch.set_num_threads(1)
     folder = Path(sys.argv[1])
-    real, chosen = [recorded(folder, name) for name in REAL], simulated(5)
+    real, chosen, boats = [recorded(folder, name) for name in REAL], simulated(5), simulated()
     publish(__file__, [
         "# Accuracy of forecasts by horizon",
         "",
@@ -164,7 +231,9 @@ def main() -> None:
         "came. Skill is 1 − MAE/MAE(persistence from the same origins).",
         f"Simulated: five plants, 3 boats each, {HOURS} h, seed {SEED}. – : fewer than {FEW} forecasts.",
         "",
-        *reported(real, simulated()),
+        *reported(real, boats),
+        "",
+        *manoeuvres(real, boats),
         "",
         "## Members that are weighed",
         "",

@@ -115,7 +115,13 @@ def forecast_plan(program, s, q, left, right, heading, yaw_rate, dt, heads, limi
     node = program[program[0, PLACE]]
     elapsed = s[node[AT.coasted]]
     M = node[Choice.MEMBERS]
-    x, weights, path, rest, row = work[:M], work[M : 2 * M], work[2 * M : 2 * M + PATH], work[2 * M + PATH :], work[-ROW:]
+    x, weights, path, rest, row = (
+        work[:M],
+        work[M : 2 * M],
+        work[2 * M : 2 * M + PATH],
+        work[2 * M + PATH :],
+        work[-ROW:],
+    )
     known, knows = program[max(program[0, KNOWN_PLACE], 0)], program[0, KNOWN_PLACE] >= 0
     if knows:
         copy(path, s[known[KNOWN.path] : known[KNOWN.path] + PATH])

@@ -96,9 +96,9 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
         By boat, estimator and horizon (as `"10"`, s): `mae`, m/s; `skill` = 1 − MAE/MAE(persistence), the last speed
         measured at the origin; `steps`, how many forecasts; of the ensemble also `covers`, the share of measurements in
         its intervals, `halfwidth`, their mean, m/s, over those that are finite, and `interval`, their mean interval
-        score, m/s: the whole width, and 2/α times what a measurement is outside (α = 0.1). Less is better; `covers_stay`,
-        `covers_move`, `covers_move_much` are `covers` where the mean command moved by less than 0.05 of full scale
-        within the horizon, by up to 0.25, or more; `steps_stay` … their numbers. None where there are fewer than
+        score, m/s: the whole width, and 2/α times what a measurement is outside (α = 0.1). Less is better.
+        `covers_stay`, `covers_move`, `covers_move_much` are `covers` where the mean command moved by less than 0.05 of
+        full scale within the horizon, by up to 0.25, or more; `steps_stay` … their numbers. None where there are fewer than
         LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
 
     >>> horizon_scores(horizon_sums(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble")), ())
@@ -135,9 +135,7 @@ def ensemble_sums(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]
     if (made := ensemble.forecasts) is None:
         return None
     columns = (*made.columns[:-1], ensemble.output)
-    return horizon_sums(
-        fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit, ensemble.coverage
-    )
+    return horizon_sums(fleet, published, made.horizons.tolist(), columns, ensemble.surge_limit, ensemble.coverage)
 
 
 def ensemble_scores(ensemble: Ensemble, fleet: Fleet, published: Iterable[Stretch]) -> Scores:

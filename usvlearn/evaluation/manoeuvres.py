@@ -32,8 +32,8 @@ def groups_of(samples: Sample, horizons: Sequence[float], surge_limit: float = P
     found = np.zeros((*mean.shape, len(horizons)), np.int8)
     for element in range(mean.shape[1]):
         own = steps[:, element]
-        least, most = (_doubled(np.where(own, mean[:, element], end), f) for end, f in ((np.inf, np.minimum),
-                                                                                        (-np.inf, np.maximum)))  # fmt: skip
+        least = _doubled(np.where(own, mean[:, element], np.inf), np.minimum)
+        most = _doubled(np.where(own, mean[:, element], -np.inf), np.maximum)
         for j, horizon in enumerate(horizons):
             half = np.where(own, samples.inputs.dt[:, element], 0.0) / 2
             origin = np.searchsorted(time[:, element], time[:, element] - horizon - half)

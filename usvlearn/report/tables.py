@@ -115,10 +115,10 @@ def forecast_table(forecast: Mapping[str, Mapping[str, Mapping[str, Mapping]]]) 
         for name in (own, *others):
             cells = [_number(rows[name][h]["skill"], 3) for h in horizons]
             table.add(name, *cells, style="bold" if name == own else "")
-        for label, key in COVERED.items():  # runs of before have the first alone
+        for words, key in COVERED.items():  # runs of before have the first alone
             held = [rows[own][h].get(key) for h in horizons]
             if key == "covers" or any(x is not None for x in held):
-                table.add(label, *("–" if x is None else f"{x:.0%}" for x in held))
+                table.add(words, *("–" if x is None else f"{x:.0%}" for x in held))
         found = [rows[own][h].get("interval") for h in horizons]
         if any(x is not None for x in found):
             table.add("interval score, m/s", *(_number(x, 3) for x in found))

@@ -14,7 +14,12 @@ from usvlearn.core.protocol import Estimator, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
-from usvlearn.estimators.ensemble.conformal.layer import conformal_numbers, conformal_start, intervals_after, intervals_of
+from usvlearn.estimators.ensemble.conformal.layer import (
+    conformal_numbers,
+    conformal_start,
+    intervals_after,
+    intervals_of,
+)
 from usvlearn.estimators.ensemble.forecasts.layer import ForecastSettings
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.state import EnsembleState, Number

@@ -33,8 +33,18 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
     if not found:
         return None
     rows = [
-        (boat, name, float(horizon), row["mae"], row["skill"], row.get("covers"), *(row.get(f"covers_{x}") for x in GROUPS),
-         row.get("halfwidth"), row.get("interval"), row["steps"])
+        (
+            boat,
+            name,
+            float(horizon),
+            row["mae"],
+            row["skill"],
+            row.get("covers"),
+            *(row.get(f"covers_{x}") for x in GROUPS),
+            row.get("halfwidth"),
+            row.get("interval"),
+            row["steps"],
+        )
         for boat, table in found.items()
         for name, each in table.items()
         for horizon, row in each.items()

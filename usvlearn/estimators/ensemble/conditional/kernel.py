@@ -33,7 +33,6 @@ from usvlearn.estimators.ensemble.conditional.state import (
     SLOW,
     SMALLEST,
     SURE,
-    SWEEPS,
     TINY,
     LearnedState,
 )
@@ -117,7 +116,19 @@ def halfwidth_now(s, at, k, count, width, spread, far, group):
 
 
 @jit
-def learn_error(s, at, k, count, e, width, spread, far, group, overlap, alpha):
+def moves_of(overlap, alpha):
+    """The factors of (4) after a hit and after a miss: of the other groups, of the own one."""
+    rate = COMMON / (DELAY + overlap)
+    return (
+        np.exp(-rate * alpha),
+        np.exp(-(rate + OWN) * alpha),
+        np.exp(rate * (1 - alpha)),
+        np.exp((rate + OWN) * (1 - alpha)),
+    )
+
+
+@jit
+def learn_error(s, at, k, count, e, width, spread, far, group, moves, alpha):
     """(3) to (6) after the error e, m/s, the `count`-th; `width` does not know the manoeuvre."""
     c, factors = s[at[COEFFICIENTS] + FEATURES * k :], s[at[FACTORS] + GROUPS * k :]
     level, scores = s[at[LEVEL] + k], s[at[SCORES] + 2 * k :]
@@ -127,11 +138,9 @@ def learn_error(s, at, k, count, e, width, spread, far, group, overlap, alpha):
         part = max(1 / (count - FEW), SLOW)
         scores[0] += part * (2 * own + 2 / alpha * max(e - own, 0.0) - scores[0])
         scores[1] += part * (2 * width + 2 / alpha * max(e - width, 0.0) - scores[1])
-    miss = (1.0 if e > own else 0.0) - alpha
-    common = np.exp(COMMON / (DELAY + overlap) * miss)
+    common, alone = (moves[2], moves[3]) if e > own else (moves[0], moves[1])
     for j in range(GROUPS):
-        moved = factors[j] * (common * np.exp(OWN * miss) if j == group else common)
-        factors[j] = min(max(moved, SMALLEST), GREATEST)  # (4)
+        factors[j] = min(max(factors[j] * (alone if j == group else common), SMALLEST), GREATEST)  # (4)
     after = level + max(1 / count, QUICK) * (e - level)
     s[at[LEVEL] + k] = after  # (5)
     expected = max(expected, FLOOR * after)
@@ -143,10 +152,7 @@ def learn_error(s, at, k, count, e, width, spread, far, group, overlap, alpha):
             other = level if j == 0 else (spread if j == 1 else far)
             A[FEATURES * i + j] = KEPT * A[FEATURES * i + j] + weight * f * other  # (6)
         b[i] = KEPT * b[i] + weight * f * target
-    for _ in range(SWEEPS):
-        for i in range(FEATURES):
-            rest = b[i]
-            for j in range(FEATURES):
-                if j != i:
-                    rest -= A[FEATURES * i + j] * c[j]
-            c[i] = max(rest / max(A[FEATURES * i + i], TINY), 0.0)
+    first, second, third = 1 / max(A[0], TINY), 1 / max(A[4], TINY), 1 / max(A[8], TINY)
+    c[0] = max((b[0] - A[1] * c[1] - A[2] * c[2]) * first, 0.0)
+    c[1] = max((b[1] - A[3] * c[0] - A[5] * c[2]) * second, 0.0)
+    c[2] = max((b[2] - A[6] * c[0] - A[7] * c[1]) * third, 0.0)

@@ -5,13 +5,14 @@ No gradient passes through them: what is predicted does not depend on its interv
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
 from usvlearn.estimators.ensemble.conditional import state as at
-from usvlearn.estimators.ensemble.conditional.state import LearnedState
+from usvlearn.estimators.ensemble.conditional.state import HorizonState, LearnedState
 from usvlearn.estimators.ensemble.conformal.state import FEW
 
 
@@ -31,6 +32,29 @@ def init(batch: Sequence[int], k: int, like: Tensor) -> LearnedState:
         level=like.new_zeros(shape),
         factors=like.new_full((*shape, at.GROUPS), at.FIRST),
         scores=like.new_zeros((*shape, 2)),
+    )
+
+
+def init_horizons(batch: Sequence[int], slots: int, k: int, like: Tensor) -> HorizonState:
+    """Of forecasts over k horizons, before the first sample."""
+    learned = init(batch, k, like)
+    held = hold(learned, torch.zeros_like(learned.level))
+    return HorizonState(
+        learned=learned,
+        path=like.new_zeros((*batch, at.PATH)),
+        paths=like.new_zeros((*batch, slots, at.PATH)),
+        held=held[..., None, :, :].expand(*batch, slots, k, at.HELD).clone(),
+        due=like.new_full((*batch, k, at.DUE), math.nan),
+    )
+
+
+def opened(state: HorizonState, opens: Tensor, left: Tensor, right: Tensor, count: Tensor) -> HorizonState:
+    """After a measured speed, in a step with these commands; `opens`, `(*batch, slots)`, where an origin begins."""
+    path, held = begin_path(left, right), hold(state.learned, count)[..., None, :, :]
+    return state._replace(
+        path=path,
+        paths=torch.where(opens[..., None], path[..., None, :], state.paths),
+        held=torch.where(opens[..., None, None], held, state.held),
     )
 
 
@@ -116,11 +140,9 @@ def learn_error(
     scores = 2 * widths + 2 / alpha * (e[..., None] - widths).clamp(min=0)
     part = (1 / (count - FEW).clamp(min=1)).clamp(min=at.SLOW)[..., None]
     scores = torch.where((count > FEW)[..., None], state.scores + part * (scores - state.scores), state.scores)
-    miss = (e > own).to(e.dtype) - alpha
-    common = (at.COMMON / (at.DELAY + overlap) * miss).exp()
-    places = torch.arange(at.GROUPS, device=e.device)
-    alone = torch.where(places == group[..., None], (common * (at.OWN * miss).exp())[..., None], common[..., None])
-    factors = (state.factors * alone).clamp(at.SMALLEST, at.GREATEST)  # (4)
+    miss, places = (e > own).to(e.dtype) - alpha, torch.arange(at.GROUPS, device=e.device)
+    rate = at.COMMON / (at.DELAY + overlap) + at.OWN * (places == group[..., None]).to(e.dtype)
+    factors = (state.factors * (rate * miss[..., None]).exp()).clamp(at.SMALLEST, at.GREATEST)  # (4)
     level = state.level + (1 / count.clamp(min=1)).clamp(min=at.QUICK) * (e - state.level)  # (5)
     expected = torch.maximum(expected, at.FLOOR * level)
     weight, target = 1 / (expected * expected), torch.minimum(e, at.CLIP * expected)
@@ -128,12 +150,11 @@ def learn_error(
     A = at.KEPT * state.gram + weight[..., None, None] * f[..., :, None] * f[..., None, :]  # (6)
     b = at.KEPT * state.moments + weight[..., None] * f * target[..., None]
     c = list(state.coefficients.unbind(-1))
-    for _ in range(at.SWEEPS):
-        for i in range(at.FEATURES):
-            rest = b[..., i]
-            for j in range(at.FEATURES):
-                rest = rest if j == i else rest - A[..., i, j] * c[j]
-            c[i] = (rest / A[..., i, i].clamp(min=at.TINY)).clamp(min=0)
+    for i in range(at.FEATURES):
+        rest = b[..., i]
+        for j in range(at.FEATURES):
+            rest = rest if j == i else rest - A[..., i, j] * c[j]
+        c[i] = (rest * (1 / A[..., i, i].clamp(min=at.TINY))).clamp(min=0)
     return LearnedState(torch.stack(c, -1), A, b, level, factors, scores)
 
 

@@ -26,8 +26,9 @@ Where an error e has become known, with α the share that may miss, n the foreca
     ℓ ← ℓ + max(1/k, 1/50) (|e| − ℓ)                                                                       (5)
     A ← .999 A + f fᵀ/s²,    b ← .999 b + f min(|e|, 6 s)/s²,    f = (ℓ, spread, far), ℓ before (5)        (6)
 
-and c minimizes cᵀA c/2 − bᵀc over c ≥ 0, approached by three sweeps of coordinate descent. These are least squares with
-weights 1/s², because errors scatter in proportion to s. A and b begin as if c = (1, 0, 0) had been seen ten times, with a ridge of 1.
+and c minimizes cᵀA c/2 − bᵀc over c ≥ 0, approached by a sweep of coordinate descent after each error. These are least
+squares with weights 1/s², because errors scatter in proportion to s. A and b begin as if c = (1, 0, 0) had been seen
+ten times, with a ridge of 1.
 
 A forecast keeps what (1) to (3) need as they were at its origin: errors that become known later do not enter. A plan
 knows its commands, and its half-width is that of the present state.
@@ -52,7 +53,7 @@ SURE, RAMP, EVIDENCE, DOUBT = 100.0, 200.0, 2.0, 2.0  # of (3)
 FIRST, OWN, COMMON, DELAY = 2.06, 0.05, 0.5, 9.0  # r before the first error; of (4)
 SMALLEST, GREATEST = 0.1, 30.0  # r
 QUICK, SLOW = 1 / 50, 1 / 200  # least shares of an error in ℓ, and of a score in W
-KEPT, CLIP, PRIOR, RIDGE, TINY, SWEEPS = 0.999, 6.0, 10.0, 1.0, 1e-20, 3  # of (6)
+KEPT, CLIP, PRIOR, RIDGE, TINY = 0.999, 6.0, 10.0, 1.0, 1e-20  # of (6)
 PATH = 5  # numbers of a path
 LEFT, RIGHT, LOW, HIGH, FAR = range(PATH)  # commands at the origin; range of the mean command, and far, since then
 HELD = FEATURES + 1 + GROUPS + 1  # numbers that an origin keeps: c₀ ℓ, c₁, c₂; floor of s; r; a

@@ -11,6 +11,7 @@ from usvlearn.estimators.ensemble.conditional.kernel import (
     group_of,
     halfwidth_now,
     learn_error,
+    moves_of,
 )
 from usvlearn.estimators.ensemble.conditional.state import FAR, PATH
 from usvlearn.estimators.ensemble.conformal.state import AT, FEW, Choice, Number
@@ -51,6 +52,7 @@ def conformal(node, s, q, innovation, predictions, limit, row, spreads):
     k, numbers = node[Node.SIZE], q[node[Node.NUMBERS] :]
     halfwidth, count = s[node[AT.halfwidth] : node[AT.halfwidth] + k], s[node[AT.count] : node[AT.count] + k]
     conditional, at, path = node[Choice.CONDITIONAL] > 0, node[FIRST:], s[max(node[PLACE], 0) :]
+    moves, alpha = moves_of(0.0, 1 - numbers[Number.COVERAGE]), 1 - numbers[Number.COVERAGE]
     seen, narrower, wider, group = -1.0, 1.0, 1.0, group_of(path) if conditional else 0
     for i in range(k):
         if np.isfinite(innovation[i]):
@@ -62,9 +64,8 @@ def conformal(node, s, q, innovation, predictions, limit, row, spreads):
                 wider = np.exp(rate * numbers[Number.COVERAGE])
             if conditional and abs(predictions[i]) < limit:
                 learn_error(
-                    s, at, i, seen, abs(innovation[i]), halfwidth[i], spreads[i], path[FAR], group, 0.0,
-                    1 - numbers[Number.COVERAGE],
-                )  # fmt: skip
+                    s, at, i, seen, abs(innovation[i]), halfwidth[i], spreads[i], path[FAR], group, moves, alpha
+                )
             moved = halfwidth[i] * (wider if abs(innovation[i]) > halfwidth[i] else narrower)
             halfwidth[i] = max(moved, numbers[Number.LEAST])
     if conditional:

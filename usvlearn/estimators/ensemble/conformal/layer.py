@@ -52,9 +52,7 @@ def intervals_of(state: ConformalState, predictions: Tensor, members: int, surge
     far, group = (x(path)[..., None] for x in (conditional.far_of, conditional.group_of))
     held = conditional.hold(own.learned, state.count)
     knows = conditional.halfwidth_held(held, width, spread, far, group)
-    return Step(
-        state._replace(conditional=own._replace(path=path)), torch.where(active, knows, width), spread, active
-    )
+    return Step(state._replace(conditional=own._replace(path=path)), torch.where(active, knows, width), spread, active)
 
 
 def intervals_after(step: Step, innovation: Tensor, coverage: float, inputs: Inputs) -> ConformalState:

@@ -62,7 +62,5 @@ def _state(k: int, conditional: int = 0) -> ConformalState:
     return ConformalState(leaf(k, legal=POSITIVE), leaf(k, legal=NOT_NEGATIVE), own)
 
 
-FAMILY = Family(
-    ("conformal",), _state, Number, Choice, lengths=(Choice.CONDITIONAL,), work=lambda k: 2 * k
-)
+FAMILY = Family(("conformal",), _state, Number, Choice, lengths=(Choice.CONDITIONAL,), work=lambda k: 2 * k)
 AT = FAMILY.at

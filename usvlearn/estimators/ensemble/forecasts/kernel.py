@@ -16,6 +16,7 @@ from usvlearn.estimators.ensemble.conditional.kernel import (
     halfwidth_now,
     hold,
     learn_error,
+    moves_of,
 )
 from usvlearn.estimators.ensemble.conditional.state import AT as KNOWN
 from usvlearn.estimators.ensemble.conditional.state import DUE, FAR, HELD, PATH
@@ -135,6 +136,8 @@ def learn_due(node, known, knows, s, q, surge, dt, work):
     horizons, memory = q[node[Vector.HORIZONS] :], q[node[Vector.MEMORY] :]
     prior, costs = q[node[Vector.PRIOR] : node[Vector.PRIOR] + M], q[node[Vector.COSTS] : node[Vector.COSTS] + M]
     x, rest, overlap, tiny = work[:M], work[M:], numbers[Number.OVERLAP], numbers[Number.TINY]
+    alpha = 1 - numbers[Number.COVERAGE]
+    moves = moves_of(overlap, alpha)
     for k in range(H):
         found = s[node[AT.predictions] + k * (M + 2) :]
         if not np.isfinite(found[M + 1]):
@@ -164,7 +167,7 @@ def learn_due(node, known, knows, s, q, surge, dt, work):
             due, at = s[known[KNOWN.due] + k * DUE :], known[KNOWN.learned.coefficients :]
             learn_error(
                 s, at, k, s[node[AT.errors] + k], e, max(q_before * s_before, NARROWEST), due[0], due[1], int(due[2]),
-                overlap, 1 - numbers[Number.COVERAGE],
+                moves, alpha,
             )  # fmt: skip
         miss = 1.0 if e > max(q_before * s_before, NARROWEST) else 0.0
         moved = q_before * np.exp((miss - (1 - numbers[Number.COVERAGE])) / (DELAY + overlap))  # (3)

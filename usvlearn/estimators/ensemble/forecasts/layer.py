@@ -15,7 +15,6 @@ from usvlearn.errors import ConfigError, check_not_negative, check_positive
 from usvlearn.estimators.ensemble.combiners.layer import BOA, fill_inactive
 from usvlearn.estimators.ensemble.combiners.state import TINY
 from usvlearn.estimators.ensemble.conditional import layer as conditional
-from usvlearn.estimators.ensemble.conditional.state import DUE, PATH, HorizonState
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts import state as at
 from usvlearn.estimators.ensemble.forecasts.state import ForecastState
@@ -129,19 +128,7 @@ class ForecastSettings(nn.Module):
             errors=wide,
             predictions=like.new_full((*batch, H, M + 2), math.nan),
             halfwidths=wide + math.nan,
-            conditional=self._conditions(batch, like) if self.knows else at.NONE,
-        )
-
-    def _conditions(self, batch: tuple[int, ...], like: Tensor) -> HorizonState:
-        """What intervals know of the manoeuvre before the first sample."""
-        learned = conditional.init(batch, H := len(self.horizons), like)
-        held = conditional.hold(learned, torch.zeros_like(learned.level))
-        return HorizonState(
-            learned=learned,
-            path=like.new_zeros((*batch, PATH)),
-            paths=like.new_zeros((*batch, self.slots, PATH)),
-            held=held[..., None, :, :].expand(*batch, self.slots, H, held.shape[-1]).clone(),
-            due=like.new_full((*batch, H, DUE), math.nan),
+            conditional=conditional.init_horizons(batch, slots, H, like) if self.knows else at.NONE,
         )
 
     def start(self, state: ForecastState) -> ForecastState:
@@ -224,8 +211,7 @@ class ForecastSettings(nn.Module):
         place, widths = self._place(time), self._halfwidths(state)
         if known := state.conditional:
             spread = _spread(self.weights_after(state, time), self._awake(x), surge)
-            facts = (each[..., None].expand_as(widths)
-                     for each in (spread, conditional.far_of(known.path), conditional.group_of(known.path)))  # fmt: skip
+            facts = (x[..., None] for x in (spread, conditional.far_of(known.path), conditional.group_of(known.path)))
             widths = conditional.halfwidth_held(conditional.hold(known.learned, state.errors), widths, *facts)
         width = torch.where(place > 0, place * widths, 0.0).sum(-1)
         return torch.where(time > self.horizons[-1] * at.BEYOND, math.inf, width)
@@ -362,13 +348,7 @@ class ForecastSettings(nn.Module):
         }
         weights, widths = self._weights(state)[..., None, :, :], self._halfwidths(state)[..., None, :]
         if facts := state.conditional:
-            path = conditional.begin_path(inputs.command_left, inputs.command_right)
-            held = conditional.hold(facts.learned, state.errors)[..., None, :, :]
-            facts = facts._replace(
-                path=path,
-                paths=torch.where(opens[..., None], path[..., None, :], facts.paths),
-                held=torch.where(opens[..., None, None], held, facts.held),
-            )
+            facts = conditional.opened(facts, opens, inputs.command_left, inputs.command_right, state.errors)
         return state._replace(
             frozen=frozen,
             elapsed=torch.where(opens, 0.0, state.elapsed),
