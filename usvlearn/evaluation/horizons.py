@@ -98,8 +98,8 @@ def horizon_scores(sums: HorizonSums, boats: Sequence[str]) -> Scores:
         its intervals, `halfwidth`, their mean, m/s, over those that are finite, and `interval`, their mean interval
         score, m/s: the whole width, and 2/α times what a measurement is outside (α = 0.1). Less is better.
         `covers_stay`, `covers_move`, `covers_move_much` are `covers` where the mean command moved by less than 0.05 of
-        full scale within the horizon, by up to 0.25, or more; `steps_stay` … their numbers. None where there are fewer than
-        LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
+        full scale within the horizon, by up to 0.25, or more; `steps_stay` … their numbers. None where there are fewer
+        than LEAST forecasts, or where one of the estimator's left ± `surge_max`: so it cannot win by the others.
 
     >>> horizon_scores(horizon_sums(Fleet((), (), {}), [], (0.4,), ("aid", "persistence", "ensemble")), ())
     {}
