@@ -260,14 +260,14 @@ class Plan:
                 self._others.append(self._part(part, own | {"numbers": numbers}, names, f"{name}.", name))
                 self._largest = max(self._largest, names + part.work(names))
         if made := description.get("forecasts"):
-            own = self._forecasts(description, made)
+            forecast = self._forecasts(description, made)
             row[Whole.FORECASTS] = len(self._others)
-            self._others.append(own)
+            self._others.append(forecast)
             if description.get("conditional"):
                 row[Whole.KNOWN] = len(self._others)
-                part = self._part(conditional.FAMILY, {}, forecast_size(made)[:2], KNOWN, "forecasts")
-                part[Node.SIZE] = 0  # the table has whole numbers only
-                self._others.append(part)
+                known = self._part(conditional.FAMILY, {}, forecast_size(made)[:2], KNOWN, "forecasts")
+                known[Node.SIZE] = 0  # the table has whole numbers only
+                self._others.append(known)
         return row
 
     def _forecasts(self, description: Description, made: Description) -> list[int]:

@@ -55,9 +55,8 @@ def known(
     last: dict[str, tuple[int, ...]] = dict.fromkeys(("thrust_linear", "thrust_quadratic", "thrust_speed"), (2,))
     last["thrust_table"] = tuple(vessel.thrust_table.shape[-2:])
     leaves = torch.exp(-dt / vessel.lag), vessel.lag / dt, torch.exp(-dt / vessel.yaw_lag), top, current, direction
-    leaves += gusts.strength(vessel)
     arrays: Any = {name: elements(leaf, *last.get(name, ())) for name, leaf in vessel._asdict().items()}
-    return Vessel(**arrays), Known(*map(elements, leaves))
+    return Vessel(**arrays), Known(*map(elements, (*leaves, *gusts.strength(vessel))))
 
 
 def gains(autopilot: Autopilot) -> tuple[float, ...]:
