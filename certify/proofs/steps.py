@@ -37,9 +37,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
-from certify.errors import CertifyError
 from certify.networks.vector import Activation, VectorWeights
-from certify.proofs.rounding import float_below
 from certify.proofs.vector_exact import Matrix, Slopes, everywhere, identity, matrix, rate, row_sums
 
 BITS = 20  # after the point of the step that `short` gives
@@ -98,14 +96,6 @@ def stepped(weights: VectorWeights, eta: Fraction) -> VectorWeights:
     return weights._replace(R=direct, A=[[eta * x for x in row] for row in A])
 
 
-def largest_step(weights: VectorWeights, phi: Activation, norm: str = "inf", scaling: Matrix | None = None) -> Fraction:
-    """The supremum of the steps η = dt/h up to which all contract, over all slopes of φ; 0 where none does.
-
-    Exact for one hidden layer; with two a bound from below.
-    """
-    return steps(weights, everywhere(weights, phi), norm, scaling).largest
-
-
 def short(largest: Fraction, bits: int = BITS) -> Fraction | None:
     """A step below the supremum, with few digits: the η_max of a certificate. None where no step contracts.
 
@@ -148,17 +138,3 @@ def proves(
         return False
     known = everywhere(weights, phi) if slopes is None else slopes
     return rate(stepped(weights, Fraction(eta)), known, norm, scaling) <= kappa
-
-
-def per_second(eta: Fraction, kappa: Fraction, h: float) -> float:
-    """λ of (2), 1/s, rounded down: the rate for all steps dt ≤ η h; h in s, at which f was learned.
-
-    Raises:
-        CertifyError: h or η is not above 0, or κ is not below 1.
-
-    >>> per_second(Fraction(1), Fraction(3, 4), 0.5)
-    0.5
-    """
-    if not (math.isfinite(h) and h > 0 and eta > 0 and kappa < 1):
-        raise CertifyError(f"step: found η = {eta}, κ = {kappa}, h = {h}, expected η > 0, κ < 1 and h > 0")
-    return float_below((1 - Fraction(kappa)) / (Fraction(eta) * Fraction(h)))

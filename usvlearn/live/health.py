@@ -7,9 +7,6 @@ from typing import Any, NamedTuple
 
 from usvlearn.errors import printable
 
-SHOWN = 8  # numbers of an interval's quantity
-
-
 ONE_COMMAND = (
     "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "
     "thrust_ratio can be identified, nor a failed thruster be named; what a rudder does is not learned"

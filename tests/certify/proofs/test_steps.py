@@ -9,7 +9,7 @@ import pytest
 from certify.errors import CertifyError
 from certify.networks.vector import RELU, VectorWeights, activation, check
 from certify.proofs.box_planes import Box
-from certify.proofs.steps import largest_step, per_second, proves, short, stepped, steps
+from certify.proofs.steps import proves, short, stepped, steps
 from certify.proofs.vector_box_proof import proves as proves_on_box
 from certify.proofs.vector_box_proof import proves_range
 from certify.proofs.vector_exact import Proof, everywhere, rate
@@ -40,7 +40,6 @@ def test_the_closed_form_is_the_exact_rate_of_every_step(name, last, norm):
                  for i in range(1 + k % 3)]  # fmt: skip
         slopes = everywhere(net, phi)
         found = steps(net, slopes, norm, T)
-        assert largest_step(net, phi, norm, T) == found.largest
         for eta in [*ETAS, found.fastest, found.largest]:
             assert rate(stepped(net, eta), slopes, norm, T) == (found.rate(eta) if eta else 1)
         if found.largest:
@@ -75,7 +74,7 @@ def test_one_state_contracts_iff_the_two_inequalities_hold():
             contracts = all(abs(1 + eta * (Fraction(s) - 1)) < 1 for s in slopes)
             P, N = sum(x for x in a * w if x > 0), -sum(x for x in a * w if x < 0)
             assert contracts == (rho + P < 1 and eta * (1 - Fraction(rho) + Fraction(N)) < 2)
-            assert contracts == (0 < eta < largest_step(net, RELU))
+            assert contracts == (0 < eta < steps(net, everywhere(net, RELU)).largest)
             seen.add(contracts)
     assert seen == {True, False}
 
@@ -90,7 +89,7 @@ def test_trajectories_of_all_steps_approach_each_other_at_the_rate_per_second():
     h, found = 0.5, steps(net, everywhere(net, RELU))
     eta = found.fastest
     kappa = found.rate(eta)
-    decay = per_second(eta, kappa, h)
+    decay = float((1 - kappa) / eta) / h  # λ of (2), 1/s
     assert decay == pytest.approx(-float(found.measure) / h) and decay > 0.1
     for share in (0.05, 0.3, 1.0):
         dt = share * float(eta) * h
@@ -113,7 +112,7 @@ def test_a_metric_and_a_box_prove_all_smaller_steps_too():
     )
     unit = Box(np.zeros(1), np.ones(1))
     eta = Fraction(7, 4)  # everywhere 1 + N = 3/2 allows η < 4/3 alone; on the box no slope is below 0
-    assert largest_step(net, RELU) == Fraction(4, 3)
+    assert steps(net, everywhere(net, RELU)).largest == Fraction(4, 3)
     found = certify(net, RELU, unit, 0.99)
     assert found.verdict == "certified"
     assert proves_on_box(stepped(net, eta), RELU, unit, "x . .", 0.99)
@@ -128,11 +127,4 @@ def test_bad_steps_prove_nothing():
     net = check(VectorWeights([[0.0]], [[0.5]], [[1.0]], np.zeros((1, 0)), [0.0]))
     for eta, kappa in ((Fraction(0), Fraction(1, 2)), (Fraction(-1), Fraction(1, 2)), (Fraction(1), Fraction(1))):
         assert not proves(net, RELU, eta, kappa)
-    for eta, kappa, h in (
-        (Fraction(1), Fraction(1), 1.0),
-        (Fraction(1), Fraction(1, 2), 0.0),
-        (Fraction(0), Fraction(0), 1.0),
-    ):
-        with pytest.raises(CertifyError):
-            per_second(eta, kappa, h)
     assert short(Fraction(1, 2**40)) < Fraction(1, 2**40) and short(Fraction(1, 2**40)) > 0

@@ -33,7 +33,6 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from torch import Tensor
 
-COMPONENTS = ("surge", "sway", "yaw_rate")  # of a velocity of three
 COAST_LIMIT = 2.0  # of |x|, from which a step departs
 BETA2, EPSILON = 0.999, 1e-8  # Adam's
 MOST_NEURONS, MOST_KEPT, MOST_WINDOWS = 1000, 100_000, 1000

@@ -135,15 +135,6 @@ def names_moment(name: str) -> bool:
     return bool(MOMENTS & found and ABOUT & found) and not {"force", "kraft"} & found
 
 
-def names_setpoint(name: str) -> bool:
-    """Whether a name tells what was asked for, and not what was measured.
-
-    >>> names_setpoint("DESIRED_SPEED"), names_setpoint("NAV_SPEED")
-    (True, False)
-    """
-    return bool(SETPOINT & set(words(name)))
-
-
 def fit(role: str, name: str) -> float:
     """How well a name fits a role: 3 names it plainly, 1 is a hint, 0 says nothing, less speaks against it.
 
