@@ -10,7 +10,7 @@ from scipy.optimize import nnls
 from tests.support import random_samples
 from usvlearn import AID, RLS, Inputs, Projected, QuasiStatic, Sample, SIFtRLS, SurgeDynamics, WithMemory, rollout
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.least_squares.projected import project_signs
+from usvlearn.estimators.least_squares.projected import held_by, project_signs
 from usvlearn.estimators.regressors.layer import surge_regressor
 
 SIGNS = (1, -1, 0, 1, -1, 1)
@@ -44,7 +44,7 @@ def enumerated(theta, factor, signs):
 
 
 def projected(theta, factor, signs, iterations):
-    return project_signs(torch.as_tensor(theta), torch.as_tensor(factor), signs, iterations).numpy()
+    return project_signs(torch.as_tensor(theta), torch.as_tensor(factor), *held_by(signs), iterations).numpy()
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -69,11 +69,12 @@ def test_signs_hold_to_the_bit_and_again_changes_nothing(iterations):
     theta = torch.randn(200, 6, generator=generator, dtype=torch.float64)
     factor = torch.randn(200, 6, 6, generator=generator, dtype=torch.float64)
     signs = torch.tensor(SIGNS)
-    once = project_signs(theta, factor, SIGNS, iterations)
+    held = held_by(SIGNS)
+    once = project_signs(theta, factor, *held, iterations)
     assert (once * signs >= 0).all()
-    assert torch.equal(project_signs(once, factor, SIGNS, iterations), once)
+    assert torch.equal(project_signs(once, factor, *held, iterations), once)
     inside = theta.abs() * torch.where(signs == 0, 1, signs)
-    assert torch.equal(project_signs(inside, factor, SIGNS, iterations), inside)
+    assert torch.equal(project_signs(inside, factor, *held, iterations), inside)
 
 
 def test_never_moves_away_from_a_truth_that_has_the_signs():

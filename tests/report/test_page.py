@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.support.runs import tools
-from tests.support.seasons import boats
+from tests.support.seasons import boats, decoded
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report import front
 from usvlearn.report.assembly import assemble, front_of
@@ -21,7 +21,6 @@ from usvlearn.report.document import SCRIPT
 from usvlearn.report.from_runs import evaluate, read
 from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.page import write_report
-from usvlearn.report.viewer_data import decoded
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 BAD = '</script><img src=x onerror="document.title=1">'  # a name that would do something where it is not escaped

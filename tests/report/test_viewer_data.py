@@ -5,10 +5,10 @@ import base64
 import numpy as np
 import pytest
 
-from tests.support.seasons import boats
+from tests.support.seasons import boats, decoded
 from usvlearn.evaluation.free_simulation import free_runs
 from usvlearn.report import viewer_data
-from usvlearn.report.viewer_data import LOGGED, RECKONED, coded, decoded, reckoned, residuals
+from usvlearn.report.viewer_data import LOGGED, RECKONED, coded, reckoned, residuals
 
 
 def data_of(ensemble, seasons) -> list[dict]:

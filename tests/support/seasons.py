@@ -1,5 +1,6 @@
 """Seasons of boats whose parameters are known."""
 
+import base64
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from usvlearn import RLS, Average, Ensemble, Inputs, Sample, SurgeDynamics
 from usvlearn.core.samples import tree_map
 from usvlearn.engine.rollouts import rollout
 from usvlearn.evaluation.season import Season, SeasonRun
+from usvlearn.report.viewer_data import LEVELS
 
 TIME = 0.4 * np.arange(200.0)
 
@@ -52,3 +54,10 @@ def boats(factors: np.ndarray, seed: int = 0) -> tuple[Ensemble, list[Season]]:
         )
         for k in range(n)
     ]  # fmt: skip
+
+
+def decoded(series) -> np.ndarray:
+    """The numbers of `coded`, to half a step."""
+    text, low, step = series
+    levels = np.frombuffer(base64.b64decode(text), "<i2").astype(float)
+    return np.where(levels == -32768, np.nan, low + step * (levels + LEVELS // 2))

@@ -101,17 +101,6 @@ def coded(x: np.ndarray) -> list[Any]:
     return [base64.b64encode(levels.astype("<i2").tobytes()).decode(), low, step]
 
 
-def decoded(series: Sequence[Any]) -> np.ndarray:
-    """The numbers of `coded`, to half a step.
-
-    >>> decoded(coded(np.array([1.0, np.nan, 3.0])))
-    array([ 1., nan,  3.])
-    """
-    text, low, step = series
-    levels = np.frombuffer(base64.b64decode(text), "<i2").astype(float)
-    return np.where(levels == -32768, np.nan, low + step * (levels + LEVELS // 2))
-
-
 def extremes(x: np.ndarray, size: int) -> np.ndarray:
     """The least and the greatest of each bucket in their order, `(2 · buckets,)`; `x` itself if `size` is 1.
 

@@ -32,6 +32,13 @@ def sides(boat):
     return boat["command_left"], boat["command_right"]
 
 
+def each_side(left, right, response):
+    """Relations of a response to either side, over bins of .5 s and lags up to 5 s."""
+    edges = relations.bin_edges(0.5, response)
+    commands = (relations.bin_means(side, edges, held=True) for side in (left, right))
+    return relations.relate_sides(*commands, relations.clipped(relations.bin_means(response, edges)), 0.5, (0.0, 5.0))
+
+
 def reversed_of(series):
     return series[0], -series[1]
 
@@ -42,9 +49,9 @@ def test_simulated_boats_turn_to_starboard_by_their_left_thruster(boats):
         assert relations.side_sign(*sides(boat), rate).certainty > SURE, name
         left, right = sides(boat)
         assert relations.side_sign(right, left, rate).certainty < -SURE, name
-        left, right = relations.each_side(left, right, rate)
+        left, right = each_side(left, right, rate)
         assert left.certainty > SURE and right.certainty < -SURE, name
-        ahead = relations.each_side(*sides(boat), boat["surge"])
+        ahead = each_side(*sides(boat), boat["surge"])
         assert all(each.certainty > SURE for each in ahead), name
 
 
@@ -52,9 +59,9 @@ def test_one_reversed_side_is_told_from_the_other(boats):
     for name, boat in boats.items():
         left, right = sides(boat)
         rate = relations.heading_rate(boat["heading"])
-        both = relations.each_side(reversed_of(left), right, rate)
+        both = each_side(reversed_of(left), right, rate)
         assert both[0].certainty < -SURE and both[1].certainty < -SURE, name
-        speeds = relations.each_side(left, reversed_of(right), boat["surge"])
+        speeds = each_side(left, reversed_of(right), boat["surge"])
         assert speeds[0].certainty > SURE and speeds[1].certainty < -SURE, name
 
 
@@ -138,7 +145,7 @@ def test_too_little_evidence_is_no_relation():
             relations.speed_on_thrust(series, series, long),
             relations.speed_on_thrust(long, long, series),
             relations.speed_on_positions(series, series, long),
-            relations.each_side(series, long, long)[0],
+            each_side(series, long, long)[0],
         ):
             assert math.isnan(found.correlation) or series is flat, found
             assert not abs(found.certainty) > SURE
@@ -161,7 +168,7 @@ def test_real_boats_as_configured(name):
     boat = series_of(recordings_of(name, {"data": {"path": str(REAL_LOGS / name)}})[0])
     thrust = relations.speed_on_thrust(*sides(boat), boat["surge"], (-150.0, 150.0))
     assert thrust.correlation > 0.7 and -1.0 <= thrust.lag <= 10.0
-    assert all(each.correlation > 0 for each in relations.each_side(*sides(boat), boat["surge"]))
+    assert all(each.correlation > 0 for each in each_side(*sides(boat), boat["surge"]))
     if "yaw_rate" in boat:
         found = relations.rate_slope(boat["heading"], boat["yaw_rate"])
         assert found.slope == pytest.approx(1.0, rel=0.02) and found.correlation > 0.99

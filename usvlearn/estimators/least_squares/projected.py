@@ -37,17 +37,6 @@ from usvlearn.estimators.least_squares.rls import LeastSquares
 from usvlearn.estimators.least_squares.state import ROUNDS, RLSState
 
 
-def project_signs(theta: Tensor, factor: Tensor, signs: Sequence[int], iterations: int = 4) -> Tensor:
-    """The solution of (1) after so many rounds of (2); the clipped θ where they did not suffice.
-
-    >>> theta, factor = torch.tensor([1.0, -1.0]), torch.tensor([[1.0, 0.0], [0.5, 1.0]])
-    >>> project_signs(theta, factor, (1, 1))  # the first moves too: they are correlated
-    tensor([1.4000, 0.0000])
-    """
-    places, S = held_by(signs)
-    return _project(theta, factor, places.to(theta.device), S.to(theta), iterations)
-
-
 def held_by(signs: Sequence[int]) -> tuple[Tensor, Tensor]:
     """The places of the parameters whose signs are held, and these signs, `(held,)` each.
 
@@ -58,8 +47,15 @@ def held_by(signs: Sequence[int]) -> tuple[Tensor, Tensor]:
     return torch.tensor(places, dtype=torch.long), torch.tensor([signs[i] for i in places], dtype=torch.float64)
 
 
-def _project(theta: Tensor, factor: Tensor, places: Tensor, S: Tensor, iterations: int) -> Tensor:
-    """`project_signs`, of what `held_by` returns, on the device of the parameters."""
+def project_signs(theta: Tensor, factor: Tensor, places: Tensor, S: Tensor, iterations: int) -> Tensor:
+    """The solution of (1) after so many rounds of (2); the clipped θ where they did not suffice.
+
+    `places` and `S` are what `held_by` returns, on the device of the parameters.
+
+    >>> theta, factor = torch.tensor([1.0, -1.0]), torch.tensor([[1.0, 0.0], [0.5, 1.0]])
+    >>> project_signs(theta, factor, *held_by((1, 1)), 4)  # the first moves too: they are correlated
+    tensor([1.4000, 0.0000])
+    """
     if not len(places):
         return theta
     rows = S[:, None] * factor.index_select(-2, places)
@@ -127,7 +123,7 @@ class Projected(Estimator):
     def learn(self, state: RLSState, inputs: Inputs, surge: Tensor) -> tuple[RLSState, Tensor]:
         state, predicted = self.estimator.learn(state, inputs, surge)
         return state._replace(
-            theta=_project(state.theta, state.factor, self.places, self.held, self.iterations)
+            theta=project_signs(state.theta, state.factor, self.places, self.held, self.iterations)
         ), predicted
 
     def start(self, state: RLSState, surge: Tensor) -> RLSState:

@@ -135,25 +135,6 @@ def side_sign(
     )
 
 
-def each_side(
-    left: Series, right: Series, response: Series, lags: tuple[float, float] = (0.0, 5.0), step: float = 0.5
-) -> tuple[Relation, Relation]:
-    """The yaw rate, or the speed, against the command of each side, at an equal command of the other one.
-
-    The relation is that of what is left of both after regression on the other side (partial correlation). A yaw rate
-    rises with the left command and falls with the right one; a speed rises with both.
-
-    >>> rng, time = np.random.default_rng(0), np.arange(0, 300, 0.25)
-    >>> left, right = (np.repeat(rng.uniform(0, 1, 60), 20) for _ in range(2))
-    >>> reversed_left = each_side((time, -left), (time, right), (time, left - right))
-    >>> [bool(abs(each.certainty) > 4) for each in reversed_left], [round(each.slope, 1) for each in reversed_left]
-    ([True, True], [-1.0, -1.0])
-    """
-    edges = bin_edges(step, response)
-    sides = bin_means(left, edges, held=True), bin_means(right, edges, held=True)
-    return relate_sides(*sides, clipped(bin_means(response, edges)), step, lags)
-
-
 def speed_on_thrust(
     left: Series, right: Series, speed: Series, lags: tuple[float, float] = (0.0, 20.0), step: float = 0.5
 ) -> Relation:
@@ -271,7 +252,16 @@ def relate(x: np.ndarray, y: np.ndarray, step: float, lags: tuple[float, float])
 def relate_sides(
     left: np.ndarray, right: np.ndarray, response: np.ndarray, step: float, lags: tuple[float, float]
 ) -> tuple[Relation, Relation]:
-    """`each_side` for means over the same bins, `(bins,)`, NaN where unknown."""
+    """The yaw rate, or the speed, against the command of each side, at an equal command of the other one.
+
+    The relation is that of what is left of both after regression on the other side (partial correlation). A yaw rate
+    rises with the left command and falls with the right one; a speed rises with both.
+
+    Args:
+        left, right, response: means over the same bins, `(bins,)`, NaN where unknown.
+        step: of the bins, s.
+        lags: the least and the most, s.
+    """
     found = [relate(side, response, step, lags) for side in (left, right)]
     best = max(
         (each.lag for each in found if each.seconds),
