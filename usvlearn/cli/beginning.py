@@ -13,7 +13,7 @@ COMMANDS = {  # name -> the module whose `main` does it, and what it does
     "delay": ("usvlearn.cli.delay", "find the delay from the commands to the speed in own logs"),
     "export": ("usvlearn.cli.exporting", "write what was learned for C, MATLAB, CasADi, ONNX, Gazebo, CSV"),
     "controller": ("usvlearn.cli.speed_controller", "design a speed controller from what a run has identified"),
-    "plan": ("usvlearn.cli.plan", "tell what to sail next, so that identified quantities become surer"),
+    "plan": ("usvlearn.cli.plan", "tell what to sail next to narrow the confidence intervals"),
     "live": ("usvlearn.cli.aboard", "learn aboard: a node on MOOS, MAVLink or ROS 2, and its status"),
     "warm": ("usvlearn.cli.warm", "compile everything ahead of need, when a boat's computer is set up"),
     "completion": ("usvlearn.cli.completion", "print what lets bash, zsh or fish complete commands and keys"),

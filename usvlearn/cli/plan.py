@@ -1,4 +1,4 @@
-"""The command `usvlearn plan RUN`: what to sail next, so that the identified quantities become surer."""
+"""The command `usvlearn plan RUN`: what to sail next to narrow the confidence intervals."""
 
 from __future__ import annotations
 

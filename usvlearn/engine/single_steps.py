@@ -21,7 +21,7 @@ from usvlearn.engine.program import plan_for
 from usvlearn.errors import ConfigError
 
 LIVE = step.step_once
-Lane = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # its first arguments: program, state, numbers, work
+Element = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # its first arguments: program, state, numbers, work
 ALIVE: weakref.WeakSet[Live] = weakref.WeakSet()  # a fork waits for the steps of all of them
 WAITING: list[Live] = []  # a fork holds the locks of these
 
@@ -135,12 +135,12 @@ class Live:
         wide = np.moveaxis(found, 0, 1).reshape(steps, *plan.batch, 2)
         return wide[..., 0], wide[..., 1]
 
-    def _arguments(self, states: np.ndarray) -> list[Lane]:
+    def _arguments(self, states: np.ndarray) -> list[Element]:
         """The first arguments of each batch element's step; those of the sample follow."""
         numbers = self.plan.numbers if len(self.plan.numbers) > 1 else [self.plan.numbers[0]] * len(states)
         return [(self.plan.program, s, q, self._work) for s, q in zip(states, numbers, strict=True)]
 
-    def _advance(self, elements: list[Lane], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
+    def _advance(self, elements: list[Element], inputs: Inputs, surge: Any, fresh: Any, measured: Any) -> Any:
         if self.plan.batch:
             check_sample(Sample(inputs, surge, fresh, measured), self.plan.batch)
             return self._each(elements, (*inputs, surge), (fresh, measured))
@@ -155,7 +155,7 @@ class Live:
         fresh, measured = bool(one_number(fresh)), bool(one_number(measured))
         return LIVE(*elements[0], left, right, heading, yaw_rate, dt, surge, fresh, measured)
 
-    def _each(self, elements: list[Lane], numbers: tuple[Any, ...], masks: tuple[Any, ...]) -> np.ndarray:
+    def _each(self, elements: list[Element], numbers: tuple[Any, ...], masks: tuple[Any, ...]) -> np.ndarray:
         fields = map(one_number, (*numbers, *masks))
         wide = [np.broadcast_to(np.asarray(x), self.plan.batch).reshape(-1).tolist() for x in fields]
         found = []

@@ -28,7 +28,7 @@ from usvlearn.engine.rollouts import free_totals, simulate
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
 
-LANES = 2048  # of one batch; about what fits into a processor's cache
+ELEMENTS = 2048  # of one batch; about what fits into a processor's cache
 CHUNK = 128  # steps whose predictions are held at a time
 
 
@@ -90,7 +90,7 @@ def cross_validate(
     ensemble: Ensemble,
     state: Any,
     runs: Sequence[Sample],
-    elements: int = LANES,
+    elements: int = ELEMENTS,
     advance: Callable[[int], object] = lambda steps: None,
     backend: str = "auto",
 ) -> FreeErrors:

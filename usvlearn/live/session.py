@@ -341,7 +341,7 @@ class Session:
         )  # fmt: skip
 
     def _set(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """A set of now: copies of the leaves, and the metadata."""
+        """A checkpoint of now: copies of the leaves, and the metadata."""
         node = self._node
         assert node is not None
         facts = {

@@ -28,7 +28,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
     Raises:
         LogFormatError: no run has three samples. A shorter run beside longer ones is left out with a warning.
     """
-    boats: dict[str, list[Lane]] = {}
+    boats: dict[str, list[BoatRun]] = {}
     rejected: dict[str, dict[str, dict[str, int]]] = {}
     short = []
     for recording in recordings:
@@ -54,7 +54,7 @@ def align_fleet(recordings: Iterable[Recording], **options) -> Fleet:
             short.append(f"{recording.boat}, run {recording.run}: {steps} (rejected: {_causes(aligned.rejected)})")
         else:
             position = track(recording.channels, aligned.time)
-            boats.setdefault(recording.boat, []).append(Lane(recording.run, aligned, position))
+            boats.setdefault(recording.boat, []).append(BoatRun(recording.run, aligned, position))
     if not boats:
         raise LogFormatError(
             f"measured steps: expected at least {SHORTEST} in a run, found {'; '.join(short[:3]) or 'no run'}: "
@@ -75,7 +75,7 @@ def delayed(recordings: Iterable[Recording], delay: float) -> list[Recording]:
     ]
 
 
-class Lane(NamedTuple):
+class BoatRun(NamedTuple):
     """A run of one boat."""
 
     name: str
@@ -83,7 +83,7 @@ class Lane(NamedTuple):
     position: np.ndarray | None  # (time, 2) m
 
 
-def _side_by_side(elements: list[Lane | None]) -> Run:
+def _side_by_side(elements: list[BoatRun | None]) -> Run:
     """One run per boat, padded to the longest with samples that are neither fresh nor measured."""
     lengths = [0 if element is None else len(element.aligned.time) for element in elements]
     longest = max(

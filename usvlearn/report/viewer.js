@@ -1,4 +1,4 @@
-// The viewer of a report's runs: speed, free run and commands over time, a track, and errors against speed and command.
+// The viewer of a report's runs: speed, open-loop simulation and commands over time, a track, and errors against speed and command.
 // It needs no library and no network.
 (() => {
   const $ = (id) => document.getElementById(id);
@@ -24,7 +24,7 @@
       const names = data.shown.filter((name) => !hidden.has(name));
       for (const [place, kind, range, label] of [
         [canvases.next, "next", next, "Speed, m/s, predicted one step ahead"],
-        [canvases.free, "free", free, "Speed, m/s, from the commands alone (free run)"],
+        [canvases.free, "free", free, "Speed, m/s, from the commands alone (open-loop simulation)"],
       ]) {
         const made = run.of[`${kind} ${own}`] ? label : `${label} (not in these folders)`;
         const box = axes(place, theme, window, range, made, true);

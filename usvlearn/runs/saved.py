@@ -199,7 +199,7 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
         ends = np.cumsum([0.0, *(length * step for (_, length, _), step in zip(learned, steps, strict=True))])
         for path in checkpoints(folder.path / CHECKPOINTS / boat):
             at = position(path)
-            if at is None or at.step == 0:  # the set it started from
+            if at is None or at.step == 0:  # the checkpoint it started from
                 continue
             if at.run >= len(learned) or at.step > learned[at.run][1]:
                 warnings.warn(f"{path}: belongs to no step of the runs in {RUNS}; continuing without it", stacklevel=2)

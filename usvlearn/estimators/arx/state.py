@@ -28,8 +28,8 @@ update step, in turn, with p times its share; its variance grows up to the prior
 
     P_ii ← P_ii + min(p h walk P₀_ii, P₀_ii − P_ii)                                                                 (4)
 
-so that no idle hour lets P grow without bound. While no speed is measured nothing walks. A boat rests where
-u_L² + u_R² + v² < 0.01. After 60 s of rest nothing is learned, and nothing walks, until it moves: at rest the best
+so that no idle hour lets P grow without bound. While no speed is measured no noise is added. A boat rests where
+u_L² + u_R² + v² < 0.01. After 60 s of rest nothing is learned, and no noise is added, until it moves: at rest the best
 prediction of a noisy speed is 0, which is wrong for a boat that moves, and hours would teach nothing else.
 
 A segment starts with a speed alone. The increments before it count as 0, the commands before its first step as equal
@@ -94,7 +94,7 @@ class ARXState(NamedTuple):
     surge: Tensor  # (*batch,) speed from which the next step departs, m/s
     noise: Tensor  # (*batch,) σ², m²/s²
     deviation: Tensor  # (*batch,) standard deviation of the last prediction, √(S σ²), m/s
-    turn: Tensor  # (*batch,) place of the weight that walks next
+    turn: Tensor  # (*batch,) place of the parameter that gets random-walk noise next
     rest: Tensor  # (*batch,) s of rest so far
     started: Tensor  # (*batch,) bool: no step was made since the segment's start
 

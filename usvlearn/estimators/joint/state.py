@@ -30,8 +30,8 @@ Measurement with the innovation e, S its variance:
 
 P = U D Uᵀ is kept in factors, whose measurement, with α_0 = S − HᵀPH in (5), and projection are those of
 `usvlearn.estimators.factored`. As w is the first state, F U is triangular but for scales, and a time update needs no
-orthogonalisation. Each step adds noise to w, b and c; one parameter walks at every fourth step, in turn, with the noise
-of all the steps between.
+orthogonalisation. Each step adds noise to w, b and c; at every fourth step one parameter, in turn, gets the
+random-walk noise of all the steps between.
 
 A segment starts at a measured speed. Its first step knows the heading: there P loses all that joins w and b to others,
 b becomes 0, P_ww 4 m²/s², each variance of c grows by 0.05² m²/s², and the speed is measured. A step of more than 10 s
@@ -137,7 +137,7 @@ class JointState(NamedTuple):
     surge: Tensor  # (*batch,) measured speed with which the last segment started, m/s
     started: Tensor  # (*batch,) bool: no step since then
     commands: Tensor  # (*batch, 2) of the last step, left and right
-    turn: Tensor  # (*batch,) steps in the round in which each parameter walks once
+    turn: Tensor  # (*batch,) steps in the round in which each parameter gets random-walk noise once
     deviation: Tensor  # (*batch,) standard deviation of the last prediction, m/s
     learned: Tensor  # (*batch,) s of such steps since the last periodic estimate
     readings: Tensor  # (*batch,) count of periodic estimates, with those that were dropped

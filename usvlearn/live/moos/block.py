@@ -71,7 +71,7 @@ ProcessConfig = {NAME}
 
 
 class Settings(NamedTuple):
-    """What the app is told."""
+    """What the app is given."""
 
     name: str  # of the app
     host: str
@@ -109,7 +109,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def settings_of(arguments: Sequence[str], given: argparse.Namespace) -> Settings:
-    """What the app is told.
+    """What the app is given.
 
     Args:
         arguments: the command line.

@@ -54,7 +54,7 @@ def forecast_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section |
                "forecasts")  # fmt: skip
     caption = (
         "Skill of forecasts, 1 − MAE/MAE(persistence), against the horizon. A forecast is made at its origin, from the "
-        "measurements until then, and is told the commands, headings and yaw rates between. Dotted: persistence."
+        "measurements until then, and is given the commands, headings and yaw rates between. Dotted: persistence."
     )
     drawn = [Drawn("forecast", forecast_figure(found), caption)]
     return Section(
