@@ -110,7 +110,8 @@ if not TYPE_CHECKING:  # to a type checker a name that is not above is an error
     def __getattr__(name: str) -> Any:
         if name in _HOME:
             return getattr(importlib.import_module(f"usvlearn.{_HOME[name]}"), name)
-        raise AttributeError(f"module 'usvlearn' has no attribute {name!r}")
+        now = ": it is named ForecastSettings now" if name == "Forecasts" else ""
+        raise AttributeError(f"module 'usvlearn' has no attribute {name!r}{now}")
 
 
 def __dir__() -> list[str]:
