@@ -171,13 +171,15 @@ def fit_lines(results: Mapping[str, Any]) -> list[str]:
     >>> own = {"fit": 95.25}
     >>> free = {"a": {"ensemble": 61.0}}
     >>> print(*fit_lines({"output": "ensemble", "boats": {"a": {"ensemble": own}}, "free_fit": free}))
-    Fit of ensemble, 100 (1 - NRMSE): 95.2 % one step ahead, 61.0 % in open-loop simulations
+    Fit of ensemble, 100 (1 - NRMSE): 95.2 % one step ahead, 61.0 % in open-loop simulations of the later half
     """
     name = results["output"]
     near = mean(rows[name]["fit"] for rows in results["boats"].values())
     free = mean(rows[name] for rows in results.get("free_fit", {}).values())
     said = [
-        f"{x:.1f} % {how}" for x, how in ((near, "one step ahead"), (free, "in open-loop simulations")) if x is not None
+        f"{x:.1f} % {how}"
+        for x, how in ((near, "one step ahead"), (free, "in open-loop simulations of the later half"))
+        if x is not None
     ]
     return [f"Fit of {name}, 100 (1 - NRMSE): {', '.join(said)}"] if said else []
 

@@ -29,6 +29,7 @@ MEMBERS = {
 ADDED: dict[str, dict[str, Any]] = {  # arguments, and what they were before
     "usvlearn.SurgeDynamics": {"cubic": False, "exponential": False},
     "usvlearn.RNN": {"replay_size": 0, "replay_steps": 8},
+    "usvlearn.JointEKF": {"trial": None},
 }
 ARGUMENTS = {"usvlearn.simulate.fleet.fleet": {"hulls": "fleet_seed"}}
 
