@@ -81,12 +81,3 @@ def test_a_file_of_more_steps_than_its_name_says_is_refused(tmp_path, fleet):
     run, step, end = folder.published.places()[0]
     with pytest.raises(CheckpointError, match=rf"it contains {end - step} steps, expected {end - step - 1}"):
         folder.published.read(run, step + 1, end)
-
-
-def test_one_boat_of_a_run_from_a_step_on(tmp_path, fleet):
-    folder, _ = session(tmp_path, fleet)
-    whole = folder.published.element(0, 1)
-    assert len(whole["predictions"]) == len(fleet.runs[0].time)
-    for first in (0, 3, 10, 12):
-        for name, array in folder.published.element(0, 1, first).items():
-            np.testing.assert_array_equal(array, whole[name][first:])

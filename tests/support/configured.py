@@ -33,7 +33,7 @@ def replayed(fleet, estimator: Estimator) -> list[float]:
     """MAE of each boat, by the main job's own replay and scores."""
     ensemble = Ensemble({"one": estimator, "persistence": Persistence()})
     chunks = list(replay(ensemble, fleet, ensemble.init((len(fleet.boats),))))
-    published = [(*chunk.begin, {"predictions": chunk.predictions}) for chunk in chunks]
+    published = [(*chunk.begin, {"predictions": chunk.published["predictions"]}) for chunk in chunks]
     scores = fleet_scores(fleet, published, ensemble.names)
     return [scores[boat]["one"]["mae"] for boat in fleet.boats]
 

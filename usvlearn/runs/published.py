@@ -119,15 +119,6 @@ class Published:
         """All stretches, one after the other."""
         return (self.read(*place, self._names) for place in self.places())
 
-    def element(self, run: int, element: int, first: int = 0) -> dict[str, np.ndarray]:
-        """One boat's arrays, `(time, …)`, of a run from a step on."""
-        parts = []
-        for place in self.places():
-            if place[0] == run and place[2] > first:
-                skip = max(0, first - place[1])
-                parts.append({name: array[skip:, element] for name, array in self.read(*place).arrays.items()})
-        return joined(parts)
-
 
 def widths_of(names: Sequence[str], forecasts: Any) -> dict[str, int]:
     """The widths of what an ensemble with these names and forecasts (`Ensemble.forecasts`) publishes."""

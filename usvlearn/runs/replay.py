@@ -28,11 +28,6 @@ class Chunk(NamedTuple):
     published: dict[str, np.ndarray]  # see `runs.published`, (time, boats, …), NaN where no step was made
     save: bool  # whether checkpoints are saved at the end
 
-    @property
-    def predictions(self) -> np.ndarray:
-        """m/s, `(time, boats, estimators)`, NaN where no step was made."""
-        return self.published["predictions"]
-
 
 def replay(
     ensemble: Ensemble,

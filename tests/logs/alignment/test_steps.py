@@ -72,4 +72,4 @@ def test_boats_of_one_fleet_step_by_their_own_speeds():
     assert (run.samples.inputs.dt[1:30, 0] != run.samples.inputs.dt[1:30, 1]).all()
     model = Ensemble({"persistence": Persistence()})
     (chunk,) = replay(model, fleet, model.init((2,)))
-    assert np.isfinite(chunk.predictions[1:30]).all()
+    assert np.isfinite(chunk.published["predictions"][1:30]).all()

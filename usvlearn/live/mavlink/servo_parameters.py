@@ -24,6 +24,7 @@ class ServoParameters:
     Args:
         functions: those that are needed, such as `throttle_left`; empty: nothing is asked.
 
+    >>> from types import SimpleNamespace
     >>> servos = ServoParameters(["throttle_left"])
     >>> servos.to_ask()[:2], len(servos.to_ask())
     (['SERVO1_FUNCTION', 'SERVO2_FUNCTION'], 16)
@@ -33,8 +34,8 @@ class ServoParameters:
     ['SERVO3_MIN', 'SERVO3_TRIM', 'SERVO3_MAX', 'SERVO3_REVERSED']
     >>> for name, value in zip(servos.to_ask(), (1100.0, 1500.0, 1900.0, 0.0), strict=True):
     ...     servos.learn(name, value)
-    >>> servos.servo("throttle_left")
-    ('servo3_raw', Limits(low=1100.0, trim=1500.0, high=1900.0, reversed=False))
+    >>> servos.to_ask(), servos.share("throttle_left", SimpleNamespace(servo3_raw=1700))
+    ([], 0.5)
     """
 
     def __init__(self, functions: Collection[str]):
@@ -70,10 +71,6 @@ class ServoParameters:
         if answered or self._values.get(name) != value:
             self._values[name] = value
             self._resolve()
-
-    def servo(self, function: str) -> tuple[str, Limits] | None:
-        """The field of SERVO_OUTPUT_RAW and the limits of the servo that has a function; None while unknown."""
-        return self._found.get(function)
 
     @property
     def one_command(self) -> bool:

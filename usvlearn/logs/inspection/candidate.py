@@ -27,7 +27,6 @@ class Candidate:
         name, field, kind: as in `Series`.
         unit: as the log declares it, or as the name tells; "" where neither does.
         time, value: `(n,)`, finite, in the order of the log.
-        missing: values that are no numbers.
     """
 
     name: str
@@ -36,7 +35,6 @@ class Candidate:
     kind: str
     time: np.ndarray
     value: np.ndarray
-    missing: int = 0
 
     @property
     def label(self) -> str:
@@ -66,11 +64,6 @@ class Candidate:
     def gaps(self) -> int:
         """Silences of more than 5 median intervals and 1 s, within a log."""
         return int(((self.intervals > max(5 * self.interval, 1.0)) & (self.intervals < 900)).sum())
-
-    @cached_property
-    def backwards(self) -> int:
-        """Stamps that are older than the one before."""
-        return int((np.diff(self.time) < 0).sum())
 
     @cached_property
     def repeats(self) -> float:
@@ -143,9 +136,5 @@ def candidates(series: list[Series]) -> list[Candidate]:
         if known.any():
             label = f"{each.name} {each.field or ''}"
             unit = each.unit or unit_word(label)
-            found.append(
-                Candidate(
-                    each.name, each.field, unit, each.kind, each.time[known], each.value[known], int((~known).sum())
-                )
-            )
+            found.append(Candidate(each.name, each.field, unit, each.kind, each.time[known], each.value[known]))
     return found
