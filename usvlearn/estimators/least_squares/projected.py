@@ -52,9 +52,9 @@ def project_signs(theta: Tensor, factor: Tensor, places: Tensor, S: Tensor, iter
 
     `places` and `S` are what `held_by` returns, on the device of the parameters.
 
-    >>> theta, factor = torch.tensor([1.0, -1.0]), torch.tensor([[1.0, 0.0], [0.5, 1.0]])
+    >>> theta, factor = torch.tensor([1.0, -1.0]).double(), torch.tensor([[1.0, 0.0], [0.5, 1.0]]).double()
     >>> project_signs(theta, factor, *held_by((1, 1)), 4)  # the first moves too: they are correlated
-    tensor([1.4000, 0.0000])
+    tensor([1.4000, 0.0000], dtype=torch.float64)
     """
     if not len(places):
         return theta
