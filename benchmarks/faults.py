@@ -284,17 +284,16 @@ def section(seed: int, n: int, hours: float, names: Sequence[str] = ()) -> list[
         f"{n} boats of each of the plants {', '.join(PLANTS)} of `usvlearn/simulate`, with its sensors, currents and",
         "thrust tables. Something changes in minute 10, while the boats sail with random commands, as a convoy whose",
         "speed a PI controller holds, or mow a lawn under it. No setting was chosen on these seeds.", "",
-        f"- A predictor's cell: the mean error of its first {FIRST} predictions after the event, over that of the true",
-        "  model, which knows boat, wind and water; and after how many steps its running error "
-        f"({WINDOW} steps of all boats)",
-        f"  stays within {BACK} × the true model's, or × what it was of it before.",
+        f"- A predictor's cell: the mean error of its first {FIRST} predictions after the event, over that of the true "
+        "model, which knows boat, wind and water; and after how many steps its running error "
+        f"({WINDOW} steps of all boats) stays within {BACK} × the true model's, or × what it was of it before.",
         "- `NLMS` and `RLS` (forgetting 0.995) are the plain ones, on the regressors of above.",
         f"- `oracle`: the joint EKF whose covariance is {LOOSER:g} times larger, up to its limit, from the event on.",
-        "- Alarm: s until the first one, in half of the boats, and in 90 %; –: not in as many. The share of boats with",
-        "  one within the mission, and in how many of them it names the side.",
-        "- ± .10: share of the boats whose effectiveness is right within .10 two minutes after the event (wear: at the",
-        "  end), by the monitor, and by the thrust at full command that a filter identified then and before. Its 90 %",
-        "  interval holds it in the share of boats that is shown.",
+        "- Alarm: s until the first one, in half of the boats, and in 90 %; –: not in as many. The share of boats with "
+        "one within the mission, and in how many of them it names the side.",
+        "- ± .10: share of the boats whose effectiveness is right within .10 two minutes after the event (wear: at the "
+        "end), by the monitor, and by the thrust at full command that a filter identified then and before. Its 90 % "
+        "interval holds it in the share of boats that is shown.",
         "- Wear takes 10 min. A stuck speed, 20 s long, is judged by the speed that would have been measured.",
         "", f"| {' | '.join(heads)} |", "|---|---|" + "---:|" * (len(heads) - 2),
         *(f"| {' | '.join(row.values())} |" for row in rows),
