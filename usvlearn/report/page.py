@@ -129,7 +129,8 @@ def _drawing(drawn: Drawn) -> tuple[str, bytes, bytes]:
     """A figure as SVG for the page, whose theme it follows, and as separate SVG and PNG files."""
     from matplotlib import rc_context
 
-    drawn.figure.draw_without_rendering()  # once: "tight" would lay the figure out anew for each file
+    drawn.figure.draw_without_rendering()  # once: each file would lay the figure out anew
+    drawn.figure.set_layout_engine("none")
     box = drawn.figure.get_tightbbox().padded(0.05)
 
     def saved(**options: Any) -> bytes:
