@@ -169,7 +169,7 @@ def test_intervals_belong_to_the_predictions_beside_them():
     measured = samples.measured.clone()
     measured[10:13] = False
     samples = samples._replace(measured=measured)
-    ensemble = Ensemble(members(), coverage=0.8)
+    ensemble = Ensemble(members(), coverage=0.8, conditional=False)
     record = lambda s: {"predictions": s.predictions, "halfwidths": s.halfwidths}  # noqa: E731
     _, surge, found = rollout(ensemble, ensemble.init((2,)), samples, record=record)
     torch.testing.assert_close(found["predictions"][..., -1], surge)
@@ -184,7 +184,7 @@ def test_intervals_belong_to_the_predictions_beside_them():
 def test_an_interval_is_infinite_before_ten_errors_and_then_what_it_was(backend):
     """A boat that has not sailed must not publish 1.70 (1.65 … 1.75)."""
     samples = random_samples(40)
-    ensemble = Ensemble(members())
+    ensemble = Ensemble(members(), conditional=False)
     first = Online(ensemble, backend=backend)
     tracked = conformal_start((), 4, samples.surge)
     inputs = Inputs(0.5, 0.5, 0.0, 0.0, 0.4)

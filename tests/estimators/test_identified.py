@@ -9,6 +9,7 @@ import torch
 from scipy.integrate import solve_ivp
 
 from usvlearn import AID, Ensemble, Inputs, JointEKF, Online, Persistence, Sample
+from usvlearn.core.samples import named_leaves
 from usvlearn.engine.rollouts import rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import curves
@@ -32,7 +33,7 @@ def averaged(**changed) -> JointEKF:
 
 
 def leaves_of(state) -> dict[str, np.ndarray]:
-    return {name: leaf.detach().numpy().copy() for name, leaf in state._asdict().items()}
+    return {name: leaf.detach().numpy().copy() for name, leaf in named_leaves(state)}
 
 
 def read(joint: JointEKF, **changed) -> Identified:

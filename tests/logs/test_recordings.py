@@ -38,9 +38,9 @@ def test_the_seam_between_runs_is_no_transition():
     fleet = align_fleet([recording("a", "one", 4.0), recording("a", "two", 4.0, speed=1.1)])
     model = Ensemble({"persistence": Persistence()})
     chunks = list(replay(model, fleet, model.init((1,))))
-    errors = [c.predictions[1:, 0, 0] - fleet.runs[c.end.run].samples.surge[1:, 0] for c in chunks]
+    errors = [c.published["predictions"][1:, 0, 0] - fleet.runs[c.end.run].samples.surge[1:, 0] for c in chunks]
     np.testing.assert_allclose(errors, -0.04, atol=1e-9)
-    assert all(np.isnan(c.predictions[0]).all() for c in chunks)
+    assert all(np.isnan(c.published["predictions"][0]).all() for c in chunks)
 
 
 def test_short_runs_are_left_out_with_a_warning_or_refused():
@@ -72,8 +72,9 @@ def test_eight_boats_as_elements_equal_eight_single_runs():
         alone = align_fleet([r for r in recordings if r.boat == boat])
         single = list(replay(model, alone, model.init((1,))))
         for ours, theirs in zip(elements, single, strict=True):
-            n = len(theirs.predictions)
-            np.testing.assert_allclose(ours.predictions[:n, element], theirs.predictions[:, 0], rtol=1e-12, atol=1e-12)
+            n = len(theirs.published["predictions"])
+            one, other = ours.published["predictions"][:n, element], theirs.published["predictions"][:, 0]
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
         state = tree_map(lambda x, i=element: x[i], elements[-1].state)
         for (name, x), (_, y) in zip(named_leaves(state), named_leaves(single[-1].state), strict=True):
             torch.testing.assert_close(x, y[0], rtol=1e-11, atol=1e-11, msg=lambda m, n=name: f"{n}: {m}")
@@ -87,8 +88,9 @@ def test_chunks_cover_every_run_and_say_when_to_save():
                     (1, 6, False), (1, 10, True), (1, 11, True)]  # fmt: skip
     whole = list(replay(model, fleet, model.init((1,))))
     np.testing.assert_array_equal(
-        np.concatenate([c.predictions for c in chunks if c.end.run == 0]), whole[0].predictions
+        np.concatenate([c.published["predictions"] for c in chunks if c.end.run == 0]),
+        whole[0].published["predictions"],
     )
     rest = list(replay(model, fleet, chunks[4].state, begin=Position(0, 20), every=6, save_every=10))
     assert [c.end for c in rest] == [c.end for c in chunks[5:]]
-    np.testing.assert_array_equal(rest[-1].predictions, chunks[-1].predictions)
+    np.testing.assert_array_equal(rest[-1].published["predictions"], chunks[-1].published["predictions"])

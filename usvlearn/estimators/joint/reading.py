@@ -204,8 +204,9 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         leaves: of its state, by name, without batch axes.
 
     >>> from usvlearn import JointEKF
+    >>> from usvlearn.core.samples import named_leaves
     >>> joint = JointEKF(surge_max=2.7, mass=28.0, read_every=600.0)
-    >>> found = identify(joint.spec(), {name: leaf.detach().numpy() for name, leaf in joint.init()._asdict().items()})
+    >>> found = identify(joint.spec(), {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())})
     >>> found["steady_speed_full"].unit, found["thrust_full_left"].low < 0 < found["thrust_full_left"].high
     ('m/s', True)
     """
