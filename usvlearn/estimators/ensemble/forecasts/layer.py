@@ -206,7 +206,8 @@ class ForecastSettings(nn.Module):
         Args:
             state: whose `path` has seen the commands until then, where intervals know the manoeuvre.
             time: s.
-            x, surge: the members' predictions, `(*batch, M)`, and the forecast, m/s.
+            x: the members' predictions, m/s, `(*batch, M)`.
+            surge: the forecast, m/s.
         """
         place, widths = self._place(time), self._halfwidths(state)
         if known := state.conditional:
