@@ -28,6 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from output_error import Fit, fit, free_runs  # noqa: E402
 from truths import MINUTES, NOMINAL, PLANTS, Boat, Truths, boats, errors, free_run_mae, model_acceleration, truths  # noqa: E402
 
+from usvlearn.engine.backend import arrays_of  # noqa: E402
 from usvlearn.engine.rollouts import rollout, tensors  # noqa: E402
 from usvlearn.estimators.joint.quantities import Ahead, sums  # noqa: E402
 from usvlearn.estimators.joint.reading import Identified, identify  # noqa: E402
@@ -94,7 +95,7 @@ def learned(estimator: Any, boat: Boat) -> tuple[list[Any], float]:
 
 
 def identified(averaged: Any, state: Any) -> Identified:
-    return identify(averaged.spec(), {name: leaf.numpy() for name, leaf in state._asdict().items()})
+    return identify(averaged.spec(), arrays_of(state))
 
 
 def study(

@@ -30,6 +30,7 @@ from truths import NOMINAL, PLANTS
 
 from usvlearn import JointEKF
 from usvlearn.core.samples import tree_map
+from usvlearn.engine.backend import arrays_of
 from usvlearn.engine.rollouts import rollout, tensors
 from usvlearn.estimators.joint.reading import Identified, identify
 from usvlearn.estimators.joint.state import JointState
@@ -107,20 +108,16 @@ class Waters:
         return Sailed(state, noted)
 
     def identified(self, state: JointState) -> Identified:
-        return identify(self.averaged.spec(), leaves(state))
+        return identify(self.averaged.spec(), arrays_of(state))
 
     def drawn(self, kind: Callable[..., Mission], minutes: float) -> Mission:
         hz = Autopilot().hz
         return kind(self.rng, round(60 * minutes * hz), hz)
 
     def plan(self, state: JointState, seed: int) -> Plan:
-        rehearsal = Rehearsal({"": self.averaged.spec()}, leaves(state))
+        rehearsal = Rehearsal({"": self.averaged.spec()}, arrays_of(state))
         limits = Limits(MINUTES, area=max(200.0, 60 * NOMINAL[self.plant][1]))
         return search(rehearsal, limits, DT, wide(rehearsal.found) or derived(rehearsal.found), seed)
-
-
-def leaves(state: JointState) -> dict[str, np.ndarray]:
-    return {name: leaf.numpy() for name, leaf in state._asdict().items()}
 
 
 def mission_of(plan: Plan) -> Mission:
