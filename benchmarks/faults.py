@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -20,7 +21,7 @@ from truths import NOMINAL, PLANTS
 from usvlearn import Ensemble, Persistence
 from usvlearn.core.samples import Fleet, Sample, masks, tree_map
 from usvlearn.engine.rollouts import rollout, tensors
-from usvlearn.estimators.ensemble.monitors.layer import effectiveness
+from usvlearn.estimators.ensemble.accommodation.layer import thrust_remaining
 from usvlearn.logs.recordings import align_fleet
 from usvlearn.simulate.fault import SIDES, Fault
 from usvlearn.simulate.fleet import fleet
@@ -33,7 +34,8 @@ DRIVES = {"random": "random", "speed controller": "convoy", "lawn mowing": "lawn
 EXACT = Sensors(surge_noise=0.0, surge_quantum=1e-9, surge_filtered=0.0, outlier_share=0.0, heading_noise=0.0)
 PEERS = {"NLMS": plain_nlms, "RLS": plain_rls}
 LOOSER = 1e3  # times which the oracle's covariance is, up to its limit
-HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))
+HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised", "moments", "variance"))
+GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
 LONGEST = 500  # steps after the event within which a predictor recovers, or never
 NINETY = 1.645  # standard deviations of a 90 % interval
 
@@ -64,7 +66,7 @@ class Answer(NamedTuple):
     delay: np.ndarray  # (boats,) s until the first alarm after the event, infinite where there is none
     right: np.ndarray  # (boats,) whether the alarm named the side that weakened
     early: np.ndarray  # (boats,) whether there was one before
-    effect: np.ndarray  # (boats,) effectiveness of the side two minutes later, less the truth, by the monitor
+    effect: np.ndarray  # (boats,) effectiveness of the side two minutes later, less the truth
     deviation: np.ndarray  # (boats,) its standard deviation
     learned: dict[str, np.ndarray]  # (boats,) the same error by the thrust that a filter identified, then and before
 
@@ -121,7 +123,7 @@ def answer(event: Event, found: Course, plant: str, peers: Mapping[str, Callable
     ensemble, boats = estimator(plant), found.samples.surge.shape[1:]
     means = {name: f"members.{name}.mean" for name in ("joint", "joint_averaged")}
     with torch.no_grad():
-        wanted = ("predictions", *means.values(), *HEALTH)
+        wanted = ("predictions", *means.values(), *HEALTH, *GIVEN)
         _, _, kept = rollout(ensemble, ensemble.init(boats), found.samples, wanted)
         predictions = {name: kept["predictions"][..., k] for k, name in enumerate(ensemble.names)}
         predictions |= {"oracle": oracle(ensemble, found), "true model": found.true}
@@ -129,24 +131,26 @@ def answer(event: Event, found: Course, plant: str, peers: Mapping[str, Callable
     for name, make in peers.items():
         predictions[name] = torch.stack([stress.follow(make(), one) for one in alone(found.samples)], -1)
     errors = {name: (x - found.target).abs().numpy() for name, x in predictions.items()}
-    evidence, sums, raised = (kept[name] for name in HEALTH)
     at = found.begin + LATER if event.minutes <= 15 else -WINDOW
     side = SIDES.index(event.side or "left")
-    health = ensemble.init(()).monitors.thrusters._replace(evidence=evidence[at], sums=sums[at])
-    effect, deviation = (x[:, side].numpy() for x in effectiveness(health))
+    state = ensemble.init(())
+    health = state.monitors.thrusters._replace(**{name.rpartition(".")[2]: kept[name][at] for name in HEALTH})
+    given = state.accommodation._replace(**{name.rpartition(".")[2]: kept[name][at] for name in GIVEN})
+    effect, deviation = (x[:, side].numpy() for x in thrust_remaining(health, given))
     names, top = ensemble.members["joint"].names, NOMINAL[plant][1]
     weights = torch.tensor([full(name, SIDES[side], top / 2) for name in names], dtype=torch.float64)
     learned = {}
     for name, leaf in means.items():
         before, after = (kept[leaf][k, :, -len(names) :] @ weights for k in (found.begin, at))
         learned[name] = (after / before).numpy() - event.share
-    told = alarms(raised.numpy(), found.begin, side)
+    told = alarms(kept["monitors.thrusters.raised"].numpy(), found.begin, side)
     return Answer(errors, found.begin, *told, effect - event.share, deviation, learned)
 
 
 def oracle(ensemble: Ensemble, found: Course) -> torch.Tensor:
     """What the joint EKF predicts whose covariance is enlarged when something changes."""
-    joint, cut = ensemble.members["joint"], found.begin
+    joint, cut = deepcopy(ensemble.members["joint"]), found.begin
+    joint.trial = None
     parts = [tree_map(lambda x, s=s: x[s], found.samples) for s in (slice(cut), slice(cut, None))]
     state, before, _ = rollout(joint, joint.init(found.samples.surge.shape[1:]), parts[0])
     state = joint.inflate_covariance(state, torch.tensor(LOOSER, dtype=torch.float64))
@@ -230,7 +234,7 @@ def cells(event: Event, found: Answer) -> dict[str, str]:
     row["alarm"], row["in 90 %"] = ("–" if math.isinf(x) else f"{x:.0f} s" for x in delays)
     row["boats"] = f"{there.mean():.0%}"
     row["side right"] = f"{found.right[there].mean():.0%}" if weakens and there.any() else ""
-    row["monitor ± .10"] = f"{(abs(found.effect) <= 0.1).mean():.0%}" if weakens else ""
+    row["effect ± .10"] = f"{(abs(found.effect) <= 0.1).mean():.0%}" if weakens else ""
     row["interval holds"] = f"{(abs(found.effect) <= NINETY * found.deviation).mean():.0%}" if weakens else ""
     for name, off in found.learned.items():
         row[f"{name} ± .10"] = f"{(abs(off) <= 0.1).mean():.0%}" if event.side else ""
@@ -288,12 +292,13 @@ def section(seed: int, n: int, hours: float, names: Sequence[str] = ()) -> list[
         "model, which knows boat, wind and water; and after how many steps its running error "
         f"({WINDOW} steps of all boats) stays within {BACK} × the true model's, or × what it was of it before.",
         "- `NLMS` and `RLS` (forgetting 0.995) are the plain ones, on the regressors of above.",
-        f"- `oracle`: the joint EKF whose covariance is {LOOSER:g} times larger, up to its limit, from the event on.",
+        f"- `oracle`: the joint EKF without trials, whose covariance is {LOOSER:g} times larger, up to its limit, from "
+        "the event on.",
         "- Alarm: s until the first one, in half of the boats, and in 90 %; –: not in as many. The share of boats with "
         "one within the mission, and in how many of them it names the side.",
         "- ± .10: share of the boats whose effectiveness is right within .10 two minutes after the event (wear: at the "
-        "end), by the monitor, and by the thrust at full command that a filter identified then and before. Its 90 % "
-        "interval holds it in the share of boats that is shown.",
+        "end): `effect`, which the event's message shows, and the thrust at full command that a filter identified then "
+        "and before. The 90 % interval of `effect` holds the truth in the share of boats that is shown.",
         "- Wear takes 10 min. A stuck speed, 20 s long, is judged by the speed that would have been measured.",
         "", f"| {' | '.join(heads)} |", "|---|---|" + "---:|" * (len(heads) - 2),
         *(f"| {' | '.join(row.values())} |" for row in rows),

@@ -83,7 +83,8 @@ def test_a_set_is_opened_predicts_learns_and_is_saved(sets, tmp_path):
     again, rest = Online.open(path), samples[-1]
     assert again.predict(rest.inputs) == boat.predict(rest.inputs) == again.step(rest)
     assert checkpoint.load(path)[1]["boat"] == "heron"
-    due = ("forecasts.predictions", "forecasts.halfwidths", "forecasts.widths")  # NaN where none, infinite if unknown
+    # NaN where none is due, infinite if unknown
+    due = [f"forecasts.{name}" for name in ("predictions", "halfwidths", "widths", "conditional.due")]
     assert all(np.isfinite(leaf).all() for name, leaf in boat.state.items() if name not in due)
     if any(name in boat.state for name in due):  # after ten minutes, 30 s ahead
         ahead = boat.forecast([[0.5, 0.5]] * 75, 1.0)

@@ -157,8 +157,9 @@ def learn(
     >>> learned.ensemble.names, learned.boats
     (('aid', 'persistence', 'ensemble'), ('heron1', 'heron2'))
     """
+    from usvlearn.evaluation.events import events
     from usvlearn.evaluation.horizons import ensemble_scores
-    from usvlearn.evaluation.metrics import alarms, fleet_scores
+    from usvlearn.evaluation.metrics import fleet_scores
     from usvlearn.runs.replay import replay
 
     fleet, ensemble = check_logs(logs).fleet, _ensemble(logs, estimator)
@@ -173,7 +174,8 @@ def learn(
     published = [(index, 0, arrays) for index, arrays in enumerate(whole)]
     scores = fleet_scores(fleet, published, ensemble.names, ensemble.surge_limit)
     predictions, forecast = predictions_of(fleet, ensemble.names, whole), ensemble_scores(ensemble, fleet, published)
-    return Learned(logs, ensemble, state, predictions, scores, alarms(fleet, published), forecast)
+    happened = events(fleet, published, ensemble.accommodated)
+    return Learned(logs, ensemble, state, predictions, scores, happened, forecast)
 
 
 def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:

@@ -141,7 +141,7 @@ class Learned:
         predictions: per run and boat.
         scores: boat -> member or combiner -> MAE, skill against persistence and others; see
             `usvlearn.evaluation.metrics.scores`.
-        alarms: boat -> alarms of lost thrust; see `usvlearn.evaluation.metrics.alarms`.
+        events: boat -> losses of thrust, recoveries and other changes; see `usvlearn.evaluation.events.events`.
         forecast_scores: boat -> estimator -> horizon -> scores; see `usvlearn.evaluation.horizons.horizon_scores`.
     """
 
@@ -150,7 +150,7 @@ class Learned:
     state: EnsembleState
     predictions: tuple[Predictions, ...]
     scores: dict[str, dict[str, dict[str, Any]]]
-    alarms: dict[str, list[dict[str, Any]]]
+    events: dict[str, list[dict[str, Any]]]
     forecast_scores: dict[str, dict[str, dict[str, dict[str, Any]]]] = field(default_factory=dict)
 
     @property
@@ -238,10 +238,10 @@ class Learned:
 
     def __repr__(self) -> str:
         from usvlearn.evaluation.members import explained, remarks
-        from usvlearn.report.tables import alarm_lines, error_tables, rejection_table
+        from usvlearn.report.tables import error_tables, event_lines, rejection_table
 
         tables = error_tables(self.scores, remarks(self.ensemble), explained(self.ensemble), self.forecast_scores)
-        return _printed(rejection_table(self.logs.rejected), tables, "\n".join(alarm_lines(self.alarms)))
+        return _printed(rejection_table(self.logs.rejected), tables, "\n".join(event_lines(self.events)))
 
 
 def check_logs(logs: AlignedLogs) -> AlignedLogs:

@@ -22,8 +22,8 @@ from usvlearn.display.activity_bar import Activity
 from usvlearn.errors import check_positive
 from usvlearn.logs.setup import setups_of
 from usvlearn.report.tables import (
-    alarm_lines,
     error_tables,
+    event_lines,
     fit_lines,
     identified_table,
     rejection_table,
@@ -78,6 +78,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     run = RunFolder(
         folder, fleet, {"configuration": settings, "kernel": ensemble.spec()}, ensemble.names, ensemble.forecasts,
         align.json, {boat: each.json() for boat, each in setups_of(settings, recordings).items()},
+        ensemble.accommodated,
     )  # fmt: skip
     terminal.show((start := run.begin(ensemble.init((len(fleet.boats),)), resume)).note, to=console)
     truth = quantities_of([settings["data"]], cfg.vehicle.mass)
@@ -100,7 +101,7 @@ def train(cfg: DictConfig, folder: Path, console: Console, resume: str | None, o
     console.print(error_tables(found["boats"], remarks(ensemble), explained(ensemble), found.get("forecast")))
     console.print(*fit_lines(found), sep="\n")
     console.print(identified_table(identified_boats(ensemble, run.state, fleet.boats), truth))
-    terminal.show(*alarm_lines(found["alarms"]), *networks, "", *summary_lines(found, folder), to=console)
+    terminal.show(*event_lines(found["events"]), *networks, "", *summary_lines(found, folder), to=console)
     return found["objective"]
 
 

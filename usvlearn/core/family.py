@@ -101,7 +101,7 @@ class Node(IntEnum):
     OUTER = 8  # whether `Robust` is around `WithMemory`
 
 
-CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 56  # where each begins in a row, and the row's length
+CHOICES, VECTORS, LEAVES, WIDTH = 9, 16, 24, 60  # where each begins in a row, and the row's length
 FEEDBACK = ("measured", "estimate")  # the speed from which the next step departs
 ESTIMATE = FEEDBACK.index("estimate")
 

@@ -20,6 +20,7 @@ from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.engine.leaves import batch_of, leaves_of
 from usvlearn.errors import CheckpointError, ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
+from usvlearn.estimators.ensemble.accommodation import state as accommodation
 from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conformal import state as conformal
 from usvlearn.estimators.ensemble.forecasts import state as forecasts
@@ -130,9 +131,9 @@ class _Reading:
             return
         keys = ("kind", "members", "output", "columns", "rules", "numbers", "conformal", "monitors")
         made = ("forecasts",) if "forecasts" in description else ()
-        knows = ("conditional",) if "conditional" in description else ()
-        _keys("kernel", description, (*keys, *made, *knows))
-        if knows:
+        others = [key for key in ("conditional", "accommodation") if key in description]
+        _keys("kernel", description, (*keys, *made, *others))
+        if "conditional" in others:
             _number("kernel.conditional", description["conditional"], Range(0, 1))
         count, rules = 0, _some("kernel.rules", description["rules"])
         for name, member in _some("kernel.members", description["members"]).items():
@@ -152,6 +153,23 @@ class _Reading:
             self._parameters("kernel.monitors", description["monitors"], monitors.Number)
         if made:
             self._forecasts("kernel.forecasts", description["forecasts"], description, columns)
+        if "accommodation" in others:
+            self._accommodation("kernel.accommodation", description["accommodation"], description)
+
+    def _accommodation(self, entry: str, given: Any, description: Any) -> None:
+        """Check which members get what the monitor of the thrusters finds."""
+        _keys(entry, given, ("members", "numbers"))
+        if description["monitors"] is None:
+            raise CheckpointError(f"{entry}: found no monitors, expected them where filters are accommodated")
+        singles = [each for each in description["members"].values() for _ in range(each.get("count", 1))]
+        members = _list(f"{entry}.members", given["members"], Range(1, len(singles)))
+        for k, column in enumerate(members):
+            _number(f"{entry}.members[{k}]", column, Range(0, len(singles) - 1))
+            if singles[column]["kind"] != "joint" or "trial_steps" not in singles[column]:
+                raise wrong(f"{entry}.members[{k}]", column, "the column of a joint EKF with trials")
+        if len(set(members)) < len(members):
+            raise wrong(f"{entry}.members", members, "each once")
+        self._parameters(f"{entry}.numbers", given["numbers"], accommodation.Number)
 
     def _forecasts(self, entry: str, made: Any, description: Any, columns: list[Any]) -> None:
         """Check forecasts of an ensemble."""

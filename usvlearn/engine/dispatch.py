@@ -17,6 +17,7 @@ from usvlearn.core.samples import PLAUSIBLE
 from usvlearn.engine.chains import ALONE, INFLATES, coast, inflate_covariance, learn, predict, run_alone
 from usvlearn.engine.chains import start as start_estimator
 from usvlearn.engine.forecasting import KNOWN_PLACE, PLACE, coasted, forecast_step, forget_forecasts
+from usvlearn.estimators.ensemble.accommodation.kernel import accommodate
 from usvlearn.estimators.ensemble.combiners.kernel import combine, fill_inactive, learn_rule
 from usvlearn.estimators.ensemble.conformal.kernel import conformal, published
 from usvlearn.estimators.ensemble.forecasts.state import AT as FORECAST
@@ -43,6 +44,7 @@ class Whole(IntEnum):
     HEADS = CHOICES + 7  # whether an estimator needs the heading
     FORECASTS = PLACE  # the row of this part, −1 without
     KNOWN = KNOWN_PLACE  # the row of what intervals of forecasts know of the manoeuvre, −1 without
+    ACCOMMODATION = CHOICES + 10  # the row of this part, −1 without
 
 
 @jit
@@ -115,7 +117,7 @@ def step(program, s, q, row, mode, work):
 
 @jit
 def aggregate(program, s, q, predictions, row, learns, work):
-    """The steps of an `Ensemble` after those of its members: combiners, intervals, monitors."""
+    """The steps of an `Ensemble` after those of its members: combiners, intervals, monitors, accommodation."""
     whole = program[0]
     n, names = whole[Whole.ESTIMATORS], whole[Whole.NAMES]
     active, x, rest = work[:n], work[n : 2 * n], work[2 * n :]
@@ -141,6 +143,8 @@ def aggregate(program, s, q, predictions, row, learns, work):
             monitors = program[whole[Whole.MONITORS]]
             observe_innovations(monitors, s, q, innovation)
             observe_thrusters(monitors, s, q, row, rest)
+            if whole[Whole.ACCOMMODATION] >= 0:
+                accommodate(program, program[whole[Whole.ACCOMMODATION]], monitors, s, q, row, rest)
 
 
 @jit

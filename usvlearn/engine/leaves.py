@@ -12,6 +12,7 @@ from usvlearn.core.family import Field
 from usvlearn.engine.kinds import KINDS, WRAPPERS
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
+from usvlearn.estimators.ensemble.accommodation import state as accommodation
 from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
@@ -61,7 +62,8 @@ def leaves_of(description: Description) -> dict[str, Field]:
     own = {"conditional": description.get("conditional", 0)}
     found |= conformal.FAMILY.leaves(names, "conformal.", own) | ensemble.FAMILY.leaves(names)
     found |= {} if description["monitors"] is None else monitors.FAMILY.leaves(names, "monitors.")
-    return found | (_forecasts(description) if description.get("forecasts") else {})
+    found |= _forecasts(description) if description.get("forecasts") else {}
+    return found | (accommodation.FAMILY.leaves(0, "accommodation.") if "accommodation" in description else {})
 
 
 def frozen(description: Description) -> dict[str, Field]:

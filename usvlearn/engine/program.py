@@ -20,6 +20,7 @@ from usvlearn.engine.kinds import ESTIMATORS, KINDS, WRAPPERS
 from usvlearn.engine.leaves import KNOWN, Description, forecast_size, frozen, unwrapped
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
+from usvlearn.estimators.ensemble.accommodation import state as accommodation
 from usvlearn.estimators.ensemble.combiners.state import RULES
 from usvlearn.estimators.ensemble.conditional import state as conditional
 from usvlearn.estimators.ensemble.conformal import state as conformal
@@ -152,7 +153,7 @@ class Plan:
         for row in estimators:
             for wrapper in (Node.MEMORY, Node.ROBUST):
                 row[wrapper] += first if row[wrapper] >= 0 else 0
-        for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS, Whole.KNOWN):
+        for part in (Whole.CONFORMAL, Whole.MONITORS, Whole.FORECASTS, Whole.KNOWN, Whole.ACCOMMODATION):
             whole[part] += first if whole[part] >= 0 else 0
         table = np.full((len(rows), max(map(len, rows))), -1, np.int64)
         for place, row in zip(table, rows, strict=True):
@@ -268,6 +269,10 @@ class Plan:
                 known = self._part(conditional.FAMILY, {}, forecast_size(made)[:2], KNOWN, "forecasts")
                 known[Node.SIZE] = 0  # the table has whole numbers only
                 self._others.append(known)
+        if given := description.get("accommodation"):
+            row[Whole.ACCOMMODATION] = len(self._others)
+            own_row = self._part(accommodation.FAMILY, given, 0, "accommodation.", "accommodation")
+            self._others.append([*own_row, len(given["members"]), *(1 + column for column in given["members"])])
         return row
 
     def _forecasts(self, description: Description, made: Description) -> list[int]:

@@ -109,36 +109,6 @@ def fleet_scores(
     return found
 
 
-def alarms(fleet: Fleet, published: Iterable[Stretch]) -> dict[str, list[dict]]:
-    """When a thruster seemed to have lost thrust, per boat: run, time in it, s, side, and the share that is left.
-
-    Args:
-        fleet: what was replayed.
-        published: stretches in order; `thrusters` as `usvlearn.runs.published` says, none where nobody watched.
-    """
-    found: dict[str, list[dict]] = {boat: [] for boat in fleet.boats}
-    on = np.zeros(len(fleet.boats), dtype=bool)
-    for index, step, arrays in published:
-        if (health := arrays.get("thrusters")) is None:
-            continue
-        run = fleet.runs[index]
-        for element, boat in enumerate(fleet.boats):
-            stepped = np.flatnonzero(np.isfinite(health[:, element, 4]))
-            raised = health[stepped, element, 4] > 0
-            for k in stepped[raised & ~np.append(on[element], raised[:-1])]:
-                side = int(health[k, element, 2] < health[k, element, 3])
-                found[boat].append(
-                    {
-                        "run": run.names[element],
-                        "time": float(run.time[step + k, element]),
-                        "side": ("left", "right")[side],
-                        "effectiveness": float(health[k, element, side]),
-                    }
-                )
-            on[element] = raised[-1] if len(raised) else on[element]
-    return found
-
-
 def by_error(errors: Mapping[str, float | None]) -> list[str]:
     """Names by their error, the least first; those without one (None, NaN) come last, in their order.
 

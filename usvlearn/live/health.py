@@ -30,6 +30,7 @@ class Health(NamedTuple):
     identified: dict[str, tuple[float, float, float, str]]  # quantity -> value, low, high, unit
     warnings: tuple[str, ...]  # sentences
     notes: tuple[str, ...] = ()  # sentences about what cannot be known
+    loss: str = ""  # what is known of the failed thruster now
 
     def json(self) -> dict[str, Any]:
         """As JSON values: a number that is not finite becomes null."""

@@ -51,8 +51,8 @@ class Board:
             self._write({"1 overview/MAE (m/s)": total / weight}, at, f"members/{name}")
         for horizon, (value, _, _) in step.forecasts.items():
             self._write({"1 overview/forecast (m/s)": value}, at, f"forecast/{horizon:g} s ahead")
-        for sentence in step.alarms:
-            self._board.text("alarm", sentence, at, "session")
+        for event in step.events:
+            self._board.text("event", event.sentence, at, "session")
 
     def health(self, health: Health) -> None:
         """Add what the node says of itself; it is drawn with the points of the steps."""

@@ -21,6 +21,7 @@ from usvlearn.core.plans import YAW_RATE, Forecast
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.evaluation.events import Event
 from usvlearn.live import watched
 from usvlearn.live.held import HeldIntervals
 from usvlearn.live.plan_requests import Plan, answer, parse_plan, sampled
@@ -49,7 +50,7 @@ class Step(NamedTuple):
     forecasts: Ends  # under the commands in force, with intervals that hold whatever is commanded meanwhile
     if_held: Ends  # the same, with intervals that hold where the commands stay
     members: dict[str, float]  # the prediction of each member and combiner, m/s
-    alarms: tuple[str, ...]  # sentences about alarms that were raised in this step
+    events: tuple[Event, ...]  # of this step
 
 
 class Node:
@@ -64,6 +65,7 @@ class Node:
         steps, learned, alarms: how many there were.
         grid, fresh, measured: how many steps of the grid have passed, those with all inputs, those with a speed, too.
         alarm: the side whose thruster seems to have failed, or `watched.ONE`; None without an alarm.
+        loss: what is known of it now.
         one_command: whether both sides have the same command, so that nothing tells them apart.
         horizons: s, of the forecasts.
         dt: s, of a step.
@@ -89,13 +91,14 @@ class Node:
         self.steps = self.learned = self.alarms = 0
         self.grid = self.fresh = self.measured = 0
         self.alarm: str | None = None
+        self.loss: Event | None = None
         self._shell: dict[str, Counter[str]] = {}
         self._before: dict[str, Counter[str]] = {}  # counts of earlier aligners
         description = online.description
         if description is None:
             raise ConfigError("estimator: found one without compiled code, expected one that has it")
         self._output = str(description.get("output"))
-        self.horizons = watched.horizons(description)
+        self.horizons, self._watch = watched.horizons(description), watched.event_watch(description)
         self.origin = math.nan  # stamps are counted from here, s
         self.derived: float | None = None
         self.took: Callable[[str, float, float], None] = lambda *_: None
@@ -206,7 +209,7 @@ class Node:
         every: Any = self.online.last_predictions() if made and self.online.names else {}
         members = {name: surge for name, (surge, _) in every.items()}
         width = every[self._output][1] if every else math.nan
-        alarms = self._alarms() if made else ()
+        events = self._events(time + self.origin) if made else ()
         self.held.compare(time, sample.surge if sample.measured else math.nan)
         after, after_width, forecasts, if_held = self._outlook()
         self.held.expect(time, {horizon: surge for horizon, (surge, _, _) in if_held.items()})
@@ -216,7 +219,7 @@ class Node:
             sample.surge if sample.measured or sample.inputs.dt == 0 else math.nan,
             predicted, predicted - width, predicted + width,
             after, after - after_width, after + after_width,
-            forecasts, if_held, members, alarms,
+            forecasts, if_held, members, events,
         )  # fmt: skip
 
     def _outlook(self) -> tuple[float, float, Ends, Ends]:
@@ -283,15 +286,24 @@ class Node:
         headings = np.interp(edges, time, np.unwrap(heading))
         return self._forecast(left, right, headings[:-1], np.diff(headings) / self.dt)
 
-    def _alarms(self) -> tuple[str, ...]:
-        """Sentences about the alarms that this step has raised."""
-        found = watched.thrusters(self.online)
-        before, self.alarm = self.alarm, found and found.alarm
-        if self.alarm is not None and self.one_command:
-            self.alarm = watched.ONE
-        if found is None or found.alarm is None or before is not None:
+    def _events(self, time: float) -> tuple[Event, ...]:
+        """The events of this step, at `time`, s."""
+        if self._watch is None:
             return ()
-        self.alarms += 1
+        found = self._watch.see(time, watched.event_row(self.online, self._watch.filters))
+        losses = sorted(self._watch.losses.values(), key=lambda event: event.effectiveness)
+        self.loss = losses[0] if losses else None
+        if self.loss and self.one_command:
+            self.loss = self._of_both(self.loss)
         if self.one_command:
-            return ("a thruster seems to have lost thrust; both have one command, so that nothing tells which",)
-        return (f"the {found.alarm} thruster seems to have {found.left[found.alarm]:.0%} of its thrust left",)
+            found = [self._of_both(event) for event in found]
+        self.alarm = self.loss and self.loss.side
+        self.alarms += sum(event.is_alarm for event in found)
+        return tuple(found)
+
+    @staticmethod
+    def _of_both(event: Event) -> Event:
+        """An event of a boat with one command for both sides, which nothing tells apart."""
+        if not event.side:
+            return event
+        return event._replace(side=watched.ONE, effectiveness=math.nan, low=math.nan, high=math.nan)

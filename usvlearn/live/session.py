@@ -337,7 +337,7 @@ class Session:
         return Health(
             state, f"{sentence}; {counts}", node.counts, dict(ages), node.steps, node.learned, node.alarms, node.alarm,
             clock - self._began, clock - self._saved, self._contraction, self._identified, self.warnings,
-            (ONE_COMMAND,) if self.one_command else (),
+            (ONE_COMMAND,) if self.one_command else (), node.loss.sentence if node.loss else "",
         )  # fmt: skip
 
     def _set(self) -> tuple[dict[str, Any], dict[str, Any]]:

@@ -3,34 +3,40 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from usvlearn.engine.online import Online
-from usvlearn.estimators.ensemble.monitors.state import DOUBT, SIGNIFICANT
+from usvlearn.estimators.ensemble.monitors.state import DOUBT
+from usvlearn.evaluation.events import EventWatch
 
-SIDES = ("left", "right")
 ONE = "left or right"  # the side of an alarm where both have one command
 
 
-class Thrusters(NamedTuple):
-    """What the monitors of an ensemble say of the thrusters."""
+def accommodated(description: Mapping[str, Any]) -> list[str]:
+    """The filters of a described ensemble that get what the monitor of the thrusters finds."""
+    given = description.get("accommodation")
+    return [description["columns"][column] for column in given["members"]] if given else []
 
-    alarm: str | None  # the side that seems to have lost thrust, while an alarm is on
-    left: dict[str, float]  # side -> share of its thrust that remains
+
+def event_watch(description: Mapping[str, Any]) -> EventWatch | None:
+    """What finds the events; None if nobody watches the thrusters. `usvlearn.evaluation.events` does so for a run."""
+    filters = accommodated(description)
+    return None if description.get("monitors") is None else EventWatch(filters, filters)
 
 
-def thrusters(online: Online) -> Thrusters | None:
-    """The thrusters now; None if nobody watches them. `usvlearn.evaluation.metrics.alarms` does so for a run."""
-    try:
-        raised, evidence, sums = (online.leaf(f"monitors.thrusters.{name}") for name in ("raised", "evidence", "sums"))
-    except KeyError:
-        return None
-    share = 1 + np.where(evidence > SIGNIFICANT, sums[:, 0] / (sums[:, 1] + DOUBT), 0.0)
-    side = SIDES[int(evidence[0] < evidence[1])]
-    return Thrusters(side if raised.any() else None, dict(zip(SIDES, share.tolist(), strict=True)))
+def event_row(online: Online, filters: Sequence[str]) -> np.ndarray:
+    """The numbers that `EventWatch` reads, now. Before the filters get an effectiveness, its interval is not known."""
+    raised, sums = (online.leaf(f"monitors.thrusters.{name}") for name in ("raised", "sums"))
+    share = np.where(raised > 0, 1 + sums[:, 0] / (sums[:, 1] + DOUBT), 1.0)
+    deviation = handed = np.zeros(2)
+    if filters:
+        handed, given, spread = (online.leaf(f"accommodation.{name}") for name in ("handed", "share", "deviation"))
+        share, deviation = np.where(handed > 0, given, share), np.where(handed > 0, spread, deviation)
+    changes = [np.atleast_1d(online.leaf(f"members.{name}.trial.changes")) for name in filters]
+    return np.concatenate([share, deviation, raised, handed, *changes])
 
 
 def identified(online: Online, one_command: bool = False) -> tuple[dict[str, tuple[float, float, float, str]], str]:

@@ -20,6 +20,7 @@ from usvlearn.report.overview import overviews
 from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
+from usvlearn.report.sections.happenings import events_section
 from usvlearn.report.sections.horizon_skill import forecast_section
 from usvlearn.report.sections.identified_boats import identified_section
 from usvlearn.report.sections.network import network_section
@@ -86,6 +87,7 @@ def assemble(
     sections: list[Section | None] = [
         identified_section(seasons, ensemble, known or {}),
         forecast_section(seasons, ensemble),
+        events_section(seasons, ensemble),
         online_section(seasons, ensemble.names, beside, explained(ensemble)),
         residual_section(seasons, ensemble),
         cross_section(seasons, errors, beside),

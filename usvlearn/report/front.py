@@ -10,12 +10,14 @@ from html import escape
 from typing import Any, NamedTuple
 
 from usvlearn.estimators.joint.reading import shown
+from usvlearn.evaluation.events import LOSS, event_of
 from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.sections.section import Drawn
 
 NEAR = "10 s"  # the horizon of the sentence, if it was forecast
 FINDING, WARNING = ("about", "found", "expected", "key"), "warning"  # of the data check (`results.json`)
 UNSEEN = '<td class="words" colspan="3">not known: no parameters were saved before the run; learn from two logs</td>'
+BAD = ' class="bad"'
 SIMPLE = "assuming that the speed stays as it is"
 
 
@@ -56,7 +58,7 @@ def first_page(front: Front, links: str, images: Mapping[str, bytes]) -> str:
 
 def _fleet(boats: Sequence[Overview]) -> str:
     heads = ("boat", "runs", "measured", "error, next step", f"error, {NEAR}", "skill", "in 90 % interval",
-             "steady speed at full ahead", "alarms", "data check")  # fmt: skip
+             "steady speed at full ahead", "events", "data check")  # fmt: skip
     rows = []
     for k, boat in enumerate(boats):
         near = next((each for each in boat.ahead if each.what == NEAR), None)
@@ -69,7 +71,7 @@ def _fleet(boats: Sequence[Overview]) -> str:
             _number(near and near.skill, 2),
             _share(near and near.coverage),
             f"{shown(top.value)} ({shown(top.low)} to {shown(top.high)}) m/s" if top else "–",
-            "–" if boat.alarms is None else str(len(boat.alarms)),
+            "–" if boat.events is None else str(len(boat.events)),
             _judged(boat),
         ]
         name = f'<th scope="row"><a href="#boat-{k}">{escape(boat.boat)}</a></th>'
@@ -93,7 +95,7 @@ def _judged(boat: Overview) -> str:
 def _cards(boat: Overview) -> str:
     cards = (
         (("What was identified", _identified(boat)), ("Data check", _findings(boat))),
-        (("How well it predicts the speed", _accuracy(boat)), ("Alarms", _alarms(boat))),
+        (("How well it predicts the speed", _accuracy(boat)), ("Events", _events(boat))),
     )
     runs = "1 run" if len(boat.runs) == 1 else f"{len(boat.runs)} runs"
     who = f'<p class="facts">{runs}, {_duration(boat.hours)} of measured speed.</p>'
@@ -166,17 +168,17 @@ def _accuracy(boat: Overview) -> str:
     )
 
 
-def _alarms(boat: Overview) -> str:
-    if boat.alarms is None:
+def _events(boat: Overview) -> str:
+    if boat.events is None:
         return "<p>Nobody watched the thrusters in these runs.</p>"
-    if not boat.alarms:
-        return '<p class="good">None: no thruster seemed to lose thrust.</p>'
+    if not boat.events:
+        return '<p class="good">None: no thruster seemed to lose thrust, and the boat did not change.</p>'
     items = "".join(
-        f"<li>{escape(str(each['run']))}, {each['time'] / 60:.1f} min: the {escape(each['side'])} thruster gave "
-        f"{each['effectiveness']:.0%} of its thrust.</li>"
-        for each in boat.alarms
+        f"<li{BAD if each['kind'] == LOSS else ''}>{escape(str(each['run']))}, "
+        f"{each['time'] / 60:.1f} min: {escape(event_of(each).sentence)}.</li>"
+        for each in boat.events
     )
-    return f'<ul class="bad">{items}</ul>'
+    return f"<ul>{items}</ul>"
 
 
 def _findings(boat: Overview) -> str:

@@ -10,10 +10,11 @@ import numpy as np
 from usvlearn.core.samples import tree_map
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.joint.reading import Identified
+from usvlearn.evaluation.events import events
 from usvlearn.evaluation.free_simulation import FreeRun
 from usvlearn.evaluation.horizons import ensemble_scores
 from usvlearn.evaluation.identification import identified_boats
-from usvlearn.evaluation.metrics import PERSISTENCE, alarms, scores
+from usvlearn.evaluation.metrics import PERSISTENCE, scores
 from usvlearn.evaluation.season import Season, SeasonRun
 
 MAIN = {  # the quantities that are shown first, in words
@@ -58,7 +59,7 @@ class Overview(NamedTuple):
     free: float | None  # m/s, MAE of the open-loop simulations with parameters that have not learned from them
     fit: float | None  # percent, one step ahead (`usvlearn.evaluation.metrics.fit`)
     free_fit: float | None  # percent, of the same open-loop simulations
-    alarms: Sequence[Mapping[str, Any]] | None  # None if nobody watched
+    events: Sequence[Mapping[str, Any]] | None  # None if nobody watched
     findings: Sequence[Mapping[str, Any]] | None  # of the data check; None if there was none
 
 
@@ -109,7 +110,7 @@ def _overview(
         sum(error * steps for error, steps in unseen if error is not None) / total if total else None,
         fit,
         _free_fit(season, free, column),
-        alarms(fleet, published)[season.boat] if watched else None,
+        events(fleet, published, ensemble.accommodated)[season.boat] if watched else None,
         findings,
     )
 

@@ -16,6 +16,7 @@ from usvlearn.engine.identified import sentences
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
+from usvlearn.evaluation.events import LOSS, event_of
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD
@@ -184,16 +185,18 @@ def fit_lines(results: Mapping[str, Any]) -> list[str]:
     return [f"Fit of {name}, 100 (1 - NRMSE): {', '.join(said)}"] if said else []
 
 
-def alarm_lines(alarms: Mapping[str, Sequence[Mapping]]) -> list[str]:
-    """A line for each alarm, below an empty one.
+def event_lines(events: Mapping[str, Sequence[Mapping]]) -> list[str]:
+    """A line for each event, below an empty one.
 
-    >>> alarm_lines({"heron": [{"run": "7", "time": 12.0, "side": "left"}], "otter": []})
-    ['', 'ALARM: heron, run 7, 12 s: the left thruster has lost thrust']
+    >>> loss = {"run": "7", "time": 12.0, "kind": "loss", "side": "left", "effectiveness": 0.4, "low": 0.3, "high": 0.5}
+    >>> event_lines({"heron": [loss], "otter": []})
+    ['', 'ALARM: heron, run 7, 12 s: the left thruster gives 40 % of its thrust (30 ... 50 %)']
     """
     lines = [
-        f"ALARM: {boat}, run {each['run']}, {each['time']:.0f} s: the {each['side']} thruster has lost thrust"
-        for boat, raised in alarms.items()
-        for each in raised
+        f"{'ALARM' if each['kind'] == LOSS else 'EVENT'}: {boat}, run {each['run']}, {each['time']:.0f} s: "
+        f"{event_of(each).sentence}"
+        for boat, found in events.items()
+        for each in found
     ]
     return ["", *lines]
 

@@ -9,11 +9,12 @@ from usvlearn.core.samples import Fleet
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.evaluation.by_run import as_csv, one_step_sums, run_errors
+from usvlearn.evaluation.events import events
 from usvlearn.evaluation.free_simulation import FreeErrors, free_errors, has_halves, middle
 from usvlearn.evaluation.horizons import ensemble_sums, horizon_scores
 from usvlearn.evaluation.identification import Truth, as_results, identified_boats
 from usvlearn.evaluation.measure import measure_of
-from usvlearn.evaluation.metrics import alarms, fleet_scores
+from usvlearn.evaluation.metrics import fleet_scores
 from usvlearn.evaluation.networks import verdicts
 from usvlearn.runs.published import Published
 
@@ -27,7 +28,7 @@ def judged(
     truth: Truth,
     objective: Any = None,
 ) -> tuple[dict[str, Any], str]:
-    """Scores, alarms, what was identified, the networks' verdicts, the objective; and the errors of each run, as CSV.
+    """Scores, events, what was identified, the networks' verdicts, the objective; and the errors of each run, as CSV.
 
     Args:
         ensemble: that has learned.
@@ -40,7 +41,7 @@ def judged(
     """
     found: dict[str, Any] = {
         "boats": fleet_scores(fleet, published.only("predictions", "halfwidths"), ensemble.names, ensemble.surge_limit),
-        "alarms": alarms(fleet, published.only("thrusters")),
+        "events": events(fleet, published.only("thrusters", "health"), ensemble.accommodated),
         "rejected": fleet.rejected,
         **as_results(identified_boats(ensemble, state, fleet.boats), truth),
     }

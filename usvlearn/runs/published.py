@@ -6,6 +6,9 @@ steps, b boats and m estimators:
     predictions      (n, b, m)  m/s; NaN where no step was made
     halfwidths       (n, b, m)  m/s, of the intervals about them; infinite before ten errors are known
     thrusters        (n, b, 5)  effectiveness left and right, evidence of a loss left and right, 1 in an alarm
+    health           (n, b, 6+f) standard deviations of the effectiveness left and right, 1 while the alarm of a side is
+                                on, 1 once the filters have got its effectiveness, and the count of changes that each of
+                                f filters has confirmed
     forecasts        (n, b, h·c) m/s: for each of h horizons what c columns forecast then for this step; NaN where no
                                 forecast was due. The columns are the members weighed, persistence, and the ensemble
     forecast_halfwidths (n, b, h) m/s, of the ensemble's intervals; infinite where none is known
@@ -17,6 +20,7 @@ steps, b boats and m estimators:
     estimators       (m,)       names of the last axis of predictions and halfwidths
     horizons         (h,)       s
     forecast_columns (c,)       names
+    filters          (f,)       names of the filters that are given the effectiveness
     units            (k, 2)     name and unit of each array that has one
 
 Older files contain only the first three. An ensemble without forecasts has none here.
@@ -41,9 +45,10 @@ from usvlearn.runs.layout import PREDICTIONS
 
 # what a damaged .npz raises
 DAMAGE = (OSError, ValueError, KeyError, IndexError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
-PUBLISHED = ("predictions", "halfwidths", "thrusters", "forecasts", "forecast_halfwidths")
+PUBLISHED = ("predictions", "halfwidths", "thrusters", "health", "forecasts", "forecast_halfwidths")
 UNITS = samples.UNITS | {
     "predictions": "m/s", "halfwidths": "m/s", "thrusters": "share of the thrust; evidence; 0 or 1",
+    "health": "share of the thrust; 0 or 1; 0 or 1; count",
     "measured_surge": samples.UNITS["surge"], "forecasts": "m/s", "forecast_halfwidths": "m/s", "horizons": "s",
 }  # fmt: skip
 Widths = Mapping[str, int]  # the length of the last axis of each array that may be published
@@ -120,9 +125,9 @@ class Published:
         return (self.read(*place, self._names) for place in self.places())
 
 
-def widths_of(names: Sequence[str], forecasts: Any) -> dict[str, int]:
-    """The widths of what an ensemble with these names and forecasts (`Ensemble.forecasts`) publishes."""
-    found = {"predictions": len(names), "halfwidths": len(names), "thrusters": 5}
+def widths_of(names: Sequence[str], forecasts: Any, filters: Sequence[str]) -> dict[str, int]:
+    """The widths of what an ensemble with these `names`, `forecasts` and `accommodated` filters publishes."""
+    found = {"predictions": len(names), "halfwidths": len(names), "thrusters": 5, "health": 6 + len(filters)}
     if forecasts is not None:
         horizons = len(forecasts.horizons)
         found |= {"forecasts": horizons * len(forecasts.columns), "forecast_halfwidths": horizons}
@@ -141,6 +146,7 @@ def packed(
     boats: Sequence[str],
     estimators: Sequence[str],
     forecasts: Any = None,
+    filters: Sequence[str] = (),
 ) -> bytes:
     """The content of a file: what was published of the last steps of a run before `end`, with their samples."""
     part = slice(end - len(published["predictions"]), end)
@@ -158,6 +164,8 @@ def packed(
     }
     if forecasts is not None:
         arrays |= {"horizons": forecasts.horizons.numpy(), "forecast_columns": np.array(forecasts.columns, str)}
+    if "health" in published:
+        arrays["filters"] = np.array(filters, str)
     arrays["units"] = np.array([(name, unit) for name, unit in UNITS.items() if name in arrays])
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:  # 6 takes 2.5 times as long

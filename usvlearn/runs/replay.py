@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,12 +10,13 @@ import torch
 
 from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.engine.rollouts import stretches
+from usvlearn.estimators.ensemble.accommodation.layer import thrust_remaining
 from usvlearn.estimators.ensemble.layer import Ensemble
-from usvlearn.estimators.ensemble.monitors.layer import effectiveness
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.runs.published import BEGIN, Position
 
-THRUSTERS, HEALTH = "monitors.thrusters.", ("evidence", "sums", "raised")  # of a state's leaves
+THRUSTERS = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised"))  # leaves of a state
+GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
 FORECASTS = {"forecasts": "predictions", "forecast_halfwidths": "halfwidths"}  # published, and its leaf
 
 
@@ -52,13 +53,13 @@ def replay(
     Yields:
         Chunks in order; together they cover each run once.
     """
-    places = list(_places(fleet, begin, every, save_every))
+    places, filters = list(_places(fleet, begin, every, save_every)), ensemble.accommodated
     parts = (tree_map(lambda x, a=a, b=b: x[a:b], fleet.runs[run].samples) for run, a, b, _ in places)
-    replayed = stretches(ensemble, state, parts, _recorded(state))
+    replayed = stretches(ensemble, state, parts, _recorded(state, filters))
     for (run, done, stop, save), (state, kept) in zip(places, replayed, strict=True):
         part = tree_map(lambda x, a=done, b=stop: x[a:b], fleet.runs[run].samples)
         stepped = masks(part, ensemble.surge_limit).steps[..., None]
-        published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, kept).items()}
+        published = {name: np.where(stepped, x, np.nan) for name, x in _published(state, kept, filters).items()}
         yield Chunk(Position(run, done), Position(run, stop), state, published, save)
 
 
@@ -77,21 +78,35 @@ def flat(x: np.ndarray) -> np.ndarray:
     return x.reshape(*x.shape[:2], -1)
 
 
-def _recorded(state: EnsembleState) -> list[str]:
+def _recorded(state: EnsembleState, filters: Sequence[str]) -> list[str]:
     """The names of the leaves that are recorded at every step."""
-    thrusters = [f"{THRUSTERS}{leaf}" for leaf in HEALTH] if state.monitors else []
+    thrusters = THRUSTERS if state.monitors else ()
+    given = (*GIVEN, *map(_changes, filters)) if filters else ()
     forecasts = [f"forecasts.{leaf}" for leaf in FORECASTS.values()] if state.forecasts else []
-    return ["predictions", "halfwidths", *thrusters, *forecasts]
+    return ["predictions", "halfwidths", *thrusters, *given, *forecasts]
 
 
-def _published(state: EnsembleState, kept: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _changes(name: str) -> str:
+    """The leaf that counts the changes that a filter has confirmed."""
+    return f"members.{name}.trial.changes"
+
+
+def _published(state: EnsembleState, kept: dict[str, np.ndarray], filters: Sequence[str]) -> dict[str, np.ndarray]:
     """What is published of every step, computed from the recorded leaves."""
     published = {name: kept[name] for name in ("predictions", "halfwidths")}
     if state.forecasts:
         published |= {name: flat(kept[f"forecasts.{leaf}"]) for name, leaf in FORECASTS.items()}
     if not state.monitors:
         return published
-    evidence, sums, raised = (kept[f"{THRUSTERS}{name}"] for name in HEALTH)
+    evidence, sums, raised = (kept[name] for name in THRUSTERS)
     health = state.monitors.thrusters._replace(evidence=torch.from_numpy(evidence), sums=torch.from_numpy(sums))
-    left = effectiveness(health)[0].numpy()
-    return published | {"thrusters": np.concatenate([left, evidence, raised.max(-1, keepdims=True)], -1)}
+    handed, given = np.zeros_like(evidence), state.accommodation
+    if filters:
+        handed = kept[GIVEN[0]]
+        given = given._replace(**{name.rpartition(".")[2]: torch.from_numpy(kept[name]) for name in GIVEN})
+    share, deviation = (x.numpy() for x in thrust_remaining(health, given))
+    changes = [kept[_changes(name)][..., None] for name in filters]
+    return published | {
+        "thrusters": np.concatenate([share, evidence, raised.max(-1, keepdims=True)], -1),
+        "health": np.concatenate([deviation, raised, handed, *changes], -1),
+    }

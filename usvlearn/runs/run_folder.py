@@ -59,6 +59,7 @@ class RunFolder:
             built, of all boats).
         names: of the estimators, as `Ensemble.names`.
         forecasts: as `Ensemble.forecasts`.
+        filters: as `Ensemble.accommodated`.
         data_check: what the data check found, for `results.json`; None if nothing was checked.
         setups: boat -> `usvlearn.logs.setup.Setup.json`, which its checkpoints contain.
     """
@@ -66,9 +67,11 @@ class RunFolder:
     def __init__(
         self, path: str | Path, fleet: Fleet, metadata: Mapping[str, Any], names: Sequence[str], forecasts: Any = None,
         data_check: Sequence[Mapping[str, str]] | None = None, setups: Mapping[str, Any] | None = None,
+        filters: Sequence[str] = (),
     ):  # fmt: skip
         self.path, self.fleet, self.names = Path(path), fleet, tuple(names)
-        self._forecasts, self._widths = forecasts, widths_of(names, forecasts)
+        self._forecasts, self._filters = forecasts, tuple(filters)
+        self._widths = widths_of(names, forecasts, filters)
         self._checked = {} if data_check is None else {"data_check": data_check}
         self._setups = setups or {}
         self.metadata = {"version": usvlearn.__version__, **metadata}
@@ -161,7 +164,9 @@ class RunFolder:
     def _write(self, place: Position, published: Sequence[Mapping[str, np.ndarray]], sets: Sequence[Set]) -> None:
         """Write the predictions and checkpoints of one place, in a thread, while the replay continues."""
         run = self.fleet.runs[place.run]
-        content = packed(joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts)
+        content = packed(
+            joined(published), run, place.step, self.fleet.boats, self.names, self._forecasts, self._filters
+        )
         folder = self.path / PREDICTIONS
         folder.mkdir(exist_ok=True)
         write_atomically(folder / f"{stem(place)}.npz", content)
@@ -350,7 +355,8 @@ class RunFolder:
 def from_sets(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleState, list[dict[str, Any]]]:
     """The state of all boats from one saved checkpoint for each, and the metadata of these checkpoints.
 
-    The monitors start anew, because the checkpoints may be of other boats, or of an earlier day.
+    The monitors, and what they have told the filters, start anew, because the checkpoints may be of other boats, or of
+    an earlier day.
 
     Args:
         state: of a fresh start, leaves `(boats, ...)`.
@@ -363,7 +369,8 @@ def from_sets(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleStat
     sets = {
         path: (restore_newest if path.is_dir() else restore)(path, template, ESTIMATOR) for path in dict.fromkeys(paths)
     }
-    return stack([sets[path][0] for path in paths])._replace(monitors=state.monitors), [sets[path][1] for path in paths]
+    anew = {"monitors": state.monitors, "accommodation": state.accommodation}
+    return stack([sets[path][0] for path in paths])._replace(**anew), [sets[path][1] for path in paths]
 
 
 def _own_settings(source: Path) -> str:

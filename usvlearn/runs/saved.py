@@ -156,7 +156,10 @@ def read_seasons(folders: Sequence[Path], ensemble: Ensemble, fleets: Sequence[F
             f"{', '.join(known) or 'none'}): give the data of these boats, or name the boat by data.boat"
         )
     lengths = {key: len(run.samples.surge) for found in runs.values() for key, run in found.items()}
-    read = [_read(folder, lengths, widths_of(ensemble.names, ensemble.forecasts)) for folder in folders]
+    read = [
+        _read(folder, lengths, widths_of(ensemble.names, ensemble.forecasts, ensemble.accommodated))
+        for folder in folders
+    ]
     return [_season(boat, list(found.values()), read, ensemble) for boat, found in runs.items()]
 
 

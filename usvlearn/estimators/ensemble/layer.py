@@ -13,6 +13,7 @@ from usvlearn.core.plans import NONE
 from usvlearn.core.protocol import Estimator, numbers_of, spec_of
 from usvlearn.core.samples import Inputs, named_leaves
 from usvlearn.errors import ConfigError, check_positive, did_you_mean, under
+from usvlearn.estimators.ensemble.accommodation import layer as accommodation
 from usvlearn.estimators.ensemble.combiners.layer import Average, Combiner
 from usvlearn.estimators.ensemble.conformal.layer import (
     conformal_numbers,
@@ -37,7 +38,8 @@ class Ensemble(Estimator):
         output: the combiner whose prediction is the ensemble's own; the last by default.
         coverage: share of the measurements that the intervals are to cover, 0 … 1.
         surge_max: physical limit of a speed, m/s; a measured one at or beyond it counts as missing.
-        watched: whether whiteness and the thrusters are watched (`monitors`).
+        watched: whether whiteness and the thrusters are watched (`monitors`), and filters that make trials get what is
+            found (`accommodation`).
         forecasts: seconds ahead (`forecasts`); None: none are made.
         conditional: whether half-widths know the manoeuvre (`conditional`), of one step and of forecasts.
 
@@ -45,6 +47,7 @@ class Ensemble(Estimator):
         columns: names of the members' predictions; a bank has several.
         names: those and the combiners'.
         averaged: name of the first averaged joint EKF (`read_every`), or None.
+        accommodated: names of the members that are given what the monitor of the thrusters finds.
 
     Raises:
         ConfigError: no members, a name that is used twice, or a combiner of members that do not exist.
@@ -96,6 +99,7 @@ class Ensemble(Estimator):
             raise ConfigError(f"coverage: found {coverage!r}, expected a number between 0 and 1, both excluded")
         reads = (name for name, member in members.items() if math.isfinite(getattr(member, "read_every", math.inf)))
         self.averaged = next(reads, None)
+        self.accommodated = accommodation.accommodated(members) if watched else ()
         # A `ModuleDict` behaves as a mapping of what is in it, but its type forgets of what.
         self.members = cast("Mapping[str, Estimator | Bank]", nn.ModuleDict(members))
         self.combiners = cast("Mapping[str, Combiner]", nn.ModuleDict(rules))
@@ -149,7 +153,8 @@ class Ensemble(Estimator):
         watched = monitors.init(batch, len(self.names), like) if self.watched else {}
         width = torch.full_like(conformal.halfwidth, math.inf)
         made = {} if self.forecasts is None else self.forecasts.init(batch, self.members, members)
-        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, made)
+        given = accommodation.init(batch, like) if self.accommodated else {}
+        return EnsembleState(members, combiners, conformal, torch.zeros_like(width), width, watched, made, given)
 
     def predict(self, state: EnsembleState, inputs: Inputs) -> tuple[EnsembleState, Tensor]:
         coasted = {name: member.predict(state.members[name], inputs) for name, member in self.members.items()}
@@ -175,13 +180,17 @@ class Ensemble(Estimator):
         innovations = surge[..., None] - predictions
         intervals = intervals_of(state.conformal, predictions, len(self.columns), self.surge_max, inputs)
         conformal = intervals_after(intervals, innovations, self.coverage, inputs)
-        watched = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
+        watched: Any = monitors.observe(state.monitors, innovations, inputs) if self.watched else {}
         members = {name: new for name, (new, _) in learned.items()}
-        made = state.forecasts
+        given, made = state.accommodation, state.forecasts
+        if self.accommodated:
+            joints = {name: members[name] for name in self.accommodated}
+            given, joints = accommodation.accommodate(given, joints, watched.thrusters, inputs.dt, surge)
+            members |= joints
         if self.forecasts is not None:
             made = self.forecasts.step(made, self.members, members, inputs, surge)
         width = intervals.halfwidths
-        return EnsembleState(members, combiners, conformal, predictions, width, watched, made), output
+        return EnsembleState(members, combiners, conformal, predictions, width, watched, made, given), output
 
     def start(self, state: EnsembleState, surge: Tensor) -> EnsembleState:
         members = {name: member.start(state.members[name], surge) for name, member in self.members.items()}
@@ -217,8 +226,14 @@ class Ensemble(Estimator):
             "rules": rules, "numbers": numbers_of(Number, self), "conformal": conformal_numbers(self.coverage),
             "monitors": monitors.spec() if self.watched else None,
             **({"conditional": 1} if self.conditional else {}),
+            **({"accommodation": self._accommodation()} if self.accommodated else {}),
             **({} if self.forecasts is None else {"forecasts": self.forecasts.spec(self.columns)}),
         }  # fmt: skip
+
+    def _accommodation(self) -> dict[str, Any]:
+        """Columns of the filters that get what the monitor finds, and the numbers of this part."""
+        columns = [self.columns.index(name) for name in self.accommodated]
+        return {"members": columns, "numbers": accommodation.spec()}
 
     def monitor(self, state: EnsembleState) -> dict[str, Tensor]:
         """The members' and combiners' numbers, as `name/number`; whiteness and thrusters as `monitors/number`."""

@@ -21,6 +21,7 @@ class EnsembleState(NamedTuple):
     halfwidths: Tensor  # (*batch, columns + combiners) of their intervals, m/s; infinite before ten measurements
     monitors: Any  # of the innovations of `Ensemble.names` and of the thrusters, or {}
     forecasts: Any  # a `ForecastState`, or {}
+    accommodation: Any = {}  # an `AccommodationState`, or {} without filters that make trials  # noqa: RUF012
 
 
 class Number(Numbers):
@@ -40,6 +41,7 @@ FAMILY = Family(
         halfwidths=leaf(names, legal=POSITIVE_OR_INFINITE),
         monitors=NONE,
         forecasts=NONE,
+        accommodation=NONE,
     ),
     Number,
 )

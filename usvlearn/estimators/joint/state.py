@@ -125,6 +125,9 @@ class TrialState(NamedTuple):
     since: Tensor  # (*batch,) s of update steps since the last one, or since the start
     kept: Tensor  # (*batch, n − 4) parameters where the second filter began, in the order of x
     before: Tensor  # (*batch, n − 4) likewise, of the last confirmed change
+    past_mean: Tensor  # (*batch, 2, n) x of the last two copies, the older one first (`ensemble.accommodation`)
+    past_factor: Tensor  # (*batch, 2, n, n) likewise `factor`
+    past_noise: Tensor  # (*batch, 2) m²/s²
 
 
 class JointState(NamedTuple):
@@ -220,6 +223,9 @@ def trial(n: int, steps: int) -> TrialState | dict[str, Any]:
         since=count,
         kept=leaf(n - THETA),
         before=leaf(n - THETA),
+        past_mean=leaf(2, n),
+        past_factor=leaf(2, n, n, legal=TRIANGLE),
+        past_noise=leaf(2, legal=POSITIVE),
     )
 
 

@@ -87,10 +87,11 @@ class Trial(nn.Module):
 
     def init(self, state: JointState) -> TrialState:
         """The state before the first sample, of a filter in `state`."""
-        zero, m = torch.zeros_like(state.noise), state.mean.shape[-1] - THETA
+        zero, m, axis = torch.zeros_like(state.noise), state.mean.shape[-1] - THETA, state.noise.dim()
         return TrialState(
-            *leaves_of(state).values(), *[zero] * len(TrialState._fields[4:-2]),
+            *leaves_of(state).values(), *[zero] * len(TrialState._fields[4:-5]),
             *[zero[..., None].expand(*zero.shape, m).clone()] * 2,
+            *(torch.stack([leaf] * 2, axis) for leaf in (state.mean, state.factor, state.noise)),
         )  # fmt: skip
 
     def spec(self) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -148,10 +149,8 @@ class Trial(nn.Module):
         (U, D), n = unpacked(state.factor), state.mean.shape[-1]
         eye = torch.eye(n, dtype=D.dtype, device=D.device)
         for side in range(2):
-            own = eye[THETA + 3 + 3 * side : THETA + 6 + 3 * side].sum(0) + eye[KAPPA + side]
-            if n > E + 1:
-                own = own + eye[E + 1 + 3 * side : E + 4 + 3 * side].sum(0)
-            U, D = added(U, D, own * state.mean, (self.side() ** 2).expand(state.noise.shape))
+            d = torch.where(side_of(side, state.mean), state.mean, 0.0)
+            U, D = added(U, D, d, (self.side() ** 2).expand(state.noise.shape))
         room = (at.ROOM * variance - variances(U, D)[..., THETA:]).clamp(min=0)
         grown = torch.minimum((self.each()[..., None] * state.mean[..., THETA:]) ** 2, room)
         for i in range(THETA, n - 1):
@@ -187,13 +186,9 @@ class Trial(nn.Module):
         zero = torch.zeros_like(D)
         tried = torch.where(tries, trial.tried + 1, 1.0)
         goes_on = trial._replace(best=torch.where(tries, best, 0.0), tried=tried, leads=ahead.to(D.dtype))
-        ended = trial._replace(
-            run=zero, tried=zero, leads=zero, statistic=zero, last=zero, evidence=zero, best=zero,
-        )  # fmt: skip
-        changed = ended._replace(changes=trial.changes + 1, since=zero, before=trial.kept)
-        trial = chosen(on, goes_on, chosen(dropped | (above & ~begins), ended, trial))
-        anew = {name: torch.zeros_like(getattr(state, name)) for name in READINGS}
-        return chosen(confirmed, state._replace(trial=changed, **anew), state._replace(trial=trial))
+        changed = ended(trial)._replace(changes=trial.changes + 1, since=zero, before=trial.kept)
+        trial = chosen(on, goes_on, chosen(dropped | (above & ~begins), ended(trial), trial))
+        return chosen(confirmed, anew(state)._replace(trial=changed), state._replace(trial=trial))
 
 
 SWAPPED = ("mean", "factor", "noise", "updates")  # the leaves of a filter that has a second one
@@ -220,7 +215,27 @@ def exchanged(state: JointState) -> JointState:
 
 def chosen(mask: Tensor, new: Any, old: Any) -> Any:
     """`new` where `mask`, else `old`, of all leaves."""
-    return tree_map(lambda x, y: where(mask, x, y), new, old)
+    return tree_map(lambda x, y: x if x is y else where(mask, x, y), new, old)
+
+
+def side_of(side: int, mean: Tensor) -> Tensor:
+    """Which of the states are parameters of a side, those of d in (9), `(n,)`, bool."""
+    n, k, e = mean.shape[-1], THETA + 3 + 3 * side, E + 1 + 3 * side
+    own = torch.arange(n, device=mean.device)
+    found = ((own >= k) & (own < k + 3)) | (own == KAPPA + side)
+    return found | ((own >= e) & (own < e + 3)) if n > E + 1 else found
+
+
+def ended(trial: TrialState) -> TrialState:
+    """There is no trial, and nothing speaks for a change."""
+    zero = torch.zeros_like(trial.run)
+    return trial._replace(run=zero, tried=zero, leads=zero, statistic=zero, last=zero, evidence=zero, best=zero)
+
+
+def anew(state: JointState) -> JointState:
+    """The periodic estimates begin."""
+    zeros: dict[str, Any] = {name: torch.zeros_like(getattr(state, name)) for name in READINGS}
+    return state._replace(**zeros)
 
 
 def likelihood(step: Stepped) -> Tensor:

@@ -68,16 +68,22 @@ def loosen_sides(node, s, q, a):
     A = s[node[AT_TRIAL.factor] : node[AT_TRIAL.factor] + n * n].reshape(n, n)
     copy(s[node[AT_TRIAL.kept] : node[AT_TRIAL.kept] + n - THETA], mean[THETA:])
     for side in range(2):
-        fill(a, 0.0)
-        copy(a[THETA + 3 + 3 * side : THETA + 6 + 3 * side], mean[THETA + 3 + 3 * side :])
-        a[KAPPA + side] = mean[KAPPA + side]
-        if node[Choice.EVEN]:
-            copy(a[E + 1 + 3 * side : E + 4 + 3 * side], mean[E + 1 + 3 * side :])
+        side_of(node, mean, side, a)
         along(A, n - 1, numbers[Number.SIDE] * numbers[Number.SIDE], a)
     for i in range(THETA, n - 1):
         room = ROOM * prior[i - THETA] - variance(A, i)
         grown = numbers[Number.EACH] * mean[i]
         add(A, i, min(grown * grown, room) if room > 0 else 0.0, a)
+
+
+@jit
+def side_of(node, mean, side, a):
+    """d of (9): the parameters of a side where they lie in x, else 0."""
+    fill(a, 0.0)
+    copy(a[THETA + 3 + 3 * side : THETA + 6 + 3 * side], mean[THETA + 3 + 3 * side :])
+    a[KAPPA + side] = mean[KAPPA + side]
+    if node[Choice.EVEN]:
+        copy(a[E + 1 + 3 * side : E + 4 + 3 * side], mean[E + 1 + 3 * side :])
 
 
 @jit
@@ -143,12 +149,19 @@ def judge(node, s, q):
 
 @jit
 def confirm(node, s):
-    """The second filter, which lies first, replaces the other one; the periodic estimates begin anew."""
+    """The second filter, which lies first, replaces the other one."""
     m = node[Node.SIZE] - THETA
     copy(s[node[AT_TRIAL.before] : node[AT_TRIAL.before] + m], s[node[AT_TRIAL.kept] :])
     end(node, s)
     s[node[AT_TRIAL.changes]] += 1
     s[node[AT_TRIAL.since]] = 0.0
+    anew(node, s)
+
+
+@jit
+def anew(node, s):
+    """The periodic estimates begin."""
+    m = node[Node.SIZE] - THETA
     s[node[AT.learned]] = s[node[AT.readings]] = s[node[AT.weight]] = 0.0
     fill(s[node[AT.reading] : node[AT.reading] + m], 0.0)
     fill(s[node[AT.spread] : node[AT.spread] + m * m], 0.0)

@@ -13,6 +13,7 @@ from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
+from usvlearn.evaluation.events import LOSS
 from usvlearn.live.mavlink.boot_clock import BootClock
 from usvlearn.live.mavlink.frames import V1, Frames
 from usvlearn.live.mavlink.intervals import Intervals
@@ -256,8 +257,8 @@ class Vehicle:
         for step in steps:
             if self.is_connected(now):
                 self.telemetry.step(step)
-            for alarm in step.alarms:
-                self._announce(alarm, WARNING, now)
+            for event in step.events:
+                self._announce(event.sentence, WARNING if event.kind == LOSS else INFO, now)
 
     # ------------------------------------------------------------ each second
 

@@ -140,9 +140,9 @@ class App:
             return self.session.drop(part, "last_value")
         for step in self.session.push(part, self._subscribed if last else message.time, value):
             self._publish(posts.of_step(step, self.settings.members))
-            for alarm in step.alarms:
-                self.casts.event(alarm, self._uptime())
-                self._line.say(alarm)
+            for event in step.events:
+                self.casts.event(event.sentence, self._uptime())
+                self._line.say(event.sentence)
         return None
 
     def _answer(self, message: Message) -> None:

@@ -111,7 +111,8 @@ class Outputs:
             notes: what else an operator should know.
         """
         level = LEVELS.get(health.state, LEVELS["stale"])
-        model = self._status(f"{name}: model", level, health.sentence, _model(health))
+        said = f"{health.loss}; {health.sentence}" if health.loss else health.sentence
+        model = self._status(f"{name}: model", max(level, WARN) if health.loss else level, said, _model(health))
         inputs = [*(f"{part}: {each}" for part, each in problems.items()), *notes]
         level = max(level, WARN) if inputs or health.warnings else level
         said = "; ".join([*inputs, *health.warnings]) or f"inputs {health.state}"

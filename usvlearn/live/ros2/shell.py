@@ -99,6 +99,7 @@ class Shell:
             "diagnostics": node.create_publisher(health, "/diagnostics", DEPTH),
             "parameters": node.create_publisher(text, "~/parameters", last),
             "alarm": node.create_publisher(text, "~/alarm", last),
+            "event": node.create_publisher(text, "~/event", last),
             "planned": node.create_publisher(text, "~/plan_forecast", DEPTH),
         }
         self._plans = node.create_subscription(text, "~/plan", self.plan, DEPTH)
@@ -174,9 +175,11 @@ class Shell:
                 send["forecast"].publish(out.forecast(step.forecasts, step.if_held))
             if "members" in send and step.members:
                 send["members"].publish(out.members(step.members))
-            for alarm in step.alarms:
-                send["alarm"].publish(out.text(alarm))
-                self._node.get_logger().warning(alarm)
+            for event in step.events:
+                send["event"].publish(out.text(event.sentence))
+                if event.is_alarm:
+                    send["alarm"].publish(out.text(event.sentence))
+                self._node.get_logger().warning(event.sentence)
 
     def plan(self, message: Any) -> None:
         """Answer a plan."""

@@ -26,8 +26,7 @@ def page(health: Health, step: Step | None = None) -> list[str]:
     lines.append(_line("Running", f"{seconds(health.uptime)}, last saved {saved}"))
     if step is not None:
         lines += _speeds(step)
-    alarm = f"the {health.alarm} thruster" if health.alarm else "none"
-    lines.append(_line("Alarm", f"{alarm} ({health.alarms} so far)"))
+    lines += _wrapped("Alarm", f"{health.loss or 'none'} ({health.alarms} so far)")
     for name, network in health.contraction.items():
         lines += _wrapped(f"Network {name}"[:11], _network(network))
     shown = [(name, health.identified[name]) for name in QUANTITIES if name in health.identified]

@@ -45,7 +45,8 @@ TABLE = (
     Published("FORECAST_IF_HELD", TEXT, "s: m/s", STEP, "the same, intervals where the commands stay"),
     Published(PLANNED, TEXT, "s: m/s", ASKED, "speeds under a plan that was posted, or why there are none"),
     Published("MEMBERS", TEXT, "m/s", STEP, "prediction of each member and combiner, where members are asked for"),
-    Published("ALARM", TEXT, "", RAISED, "a thruster seems to have failed, and how much of its thrust is left"),
+    Published("ALARM", TEXT, "", RAISED, "a thruster has lost thrust, and how much of it is left"),
+    Published("EVENT", TEXT, "", RAISED, "the same, what the filters got, a recovery, or another change of the boat"),
     Published("PARAMS", TEXT, "", SELDOM, "identified quantities, as drag_linear=-20.7,thrust_full_left=18.2,…"),
     Published("CONTRACTING", TEXT, "", SELDOM, "verdict on each network, by which condition"),
     Published("CONTRACTION_RATE", NUMBER, "a step", SELDOM, "rate K of the first network; below 1: contracting",
@@ -74,7 +75,8 @@ def of_step(step: Step, members: bool = False) -> list[Post]:
             found.append(Post(name, ",".join(f"{horizon:g}={_ends(each)}" for horizon, each in forecasts.items())))
     if members and step.members:
         found.append(Post("MEMBERS", ",".join(f"{name}={value:.3f}" for name, value in step.members.items())))
-    return found + [Post("ALARM", alarm) for alarm in step.alarms]
+    found += [Post("ALARM", event.sentence) for event in step.events if event.is_alarm]
+    return found + [Post("EVENT", event.sentence) for event in step.events]
 
 
 def _ends(forecast: tuple[float, float, float]) -> str:

@@ -5,10 +5,10 @@
     forecast            some forecasts of the last run
     open-loop simulation            the last run, simulated with the parameters before it
     prediction          a run, with intervals and some members
-    thrusters           a run with an alarm
+    thrusters           a run with an event
 
 A figure takes as long as ten thousand compiled steps. A replay gets LEAST_FIGURES, or one for each boat; one more for
-each STEPS_PER_FIGURE steps of its boats; and that of the first alarm of each boat. `log: all` draws all, of every run.
+each STEPS_PER_FIGURE steps of its boats; and that of the first event of each boat. `log: all` draws all, of every run.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from usvlearn.core.samples import Fleet, Run, masks
+from usvlearn.core.samples import Fleet, Run, masks, tree_map
+from usvlearn.display.event_figure import course_of, event_figure
 from usvlearn.display.figures import main_estimators, prediction_figure
 from usvlearn.engine.rollouts import simulate, tensors
 from usvlearn.estimators.ensemble.layer import Ensemble
@@ -29,7 +30,6 @@ from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.identification import Truth
 from usvlearn.runs.published import PUBLISHED, Published, joined
-from usvlearn.runs.tensorboard.fault_figure import fault_figure
 from usvlearn.runs.tensorboard.run_figures import Traces, forecast_figure, free_figure, identified_figure, runs_figure
 
 LEAST_FIGURES, STEPS_PER_FIGURE = 4, 100_000
@@ -59,23 +59,23 @@ class Replayed(NamedTuple):
 
 
 def figures(
-    replayed: Replayed, data: Mapping[str, Any], alarms: Mapping[str, Sequence[Mapping]], published: Published
+    replayed: Replayed, data: Mapping[str, Any], events: Mapping[str, Sequence[Mapping]], published: Published
 ) -> Iterator[Figure]:
     """The figures of a replay, the most important first.
 
     Args:
         replayed: the replay.
         data: section of the configuration, which says when a simulated thruster fails.
-        alarms: per boat; see `usvlearn.evaluation.metrics.alarms`.
+        events: per boat; see `usvlearn.evaluation.events.events`.
         published: of the run.
 
     Raises:
         MissingExtraError: matplotlib is not installed; while it is gone through.
     """
-    drawing = _Drawing(replayed, data, alarms, published)
+    drawing = _Drawing(replayed, data, events, published)
     for element, boat in enumerate(replayed.fleet.boats):
-        if alarms.get(boat):
-            yield drawing.thrusters(drawing.index_of(element, alarms[boat][0]["run"]), element)
+        if events.get(boat):
+            yield drawing.thrusters(drawing.index_of(element, events[boat][0]["run"]), element)
     allowed = (
         max(LEAST_FIGURES, len(replayed.fleet.boats))
         + replayed.fleet.steps * len(replayed.fleet.boats) // STEPS_PER_FIGURE
@@ -88,8 +88,8 @@ def figures(
 class _Drawing:
     """Makes the figures of a replay."""
 
-    def __init__(self, replayed: Replayed, data: Mapping, alarms: Mapping, published: Published):
-        self.replayed, self.data, self.alarms, self.published = replayed, data, alarms, published
+    def __init__(self, replayed: Replayed, data: Mapping, events: Mapping, published: Published):
+        self.replayed, self.data, self.events, self.published = replayed, data, events, published
         self.fleet, self.ensemble = replayed.fleet, replayed.ensemble
         self._held: tuple[Any, dict[str, np.ndarray]] = None, {}  # what was read last
         self._places: dict[int, list[tuple[int, int, int]]] = {}  # of the stretches of each run
@@ -98,7 +98,7 @@ class _Drawing:
         self._free: dict[int, np.ndarray] = {}
 
     def every(self) -> Iterator[Figure]:
-        """All figures but those of alarms."""
+        """All figures but those of events."""
         elements = range(len(self.fleet.boats))
         ends = [max(k for k, run in enumerate(self.fleet.runs) if run.lengths[element]) for element in elements]
         *earlier, last = range(len(self.fleet.runs) % RUNS or RUNS, len(self.fleet.runs) + 1, RUNS)
@@ -214,22 +214,14 @@ class _Drawing:
 
         def draw():
             time, surge, found = self._of(index, element)
-            names = self.ensemble.names
-            shown = [name for name in ("aid", self.ensemble.output) if name in names]  # the ensemble is drawn last
-            health, fault = found["thrusters"], self.data.get("fault")
-            run = self.fleet.runs[index]
+            run, fault = self.fleet.runs[index], self.data.get("fault")
             began = None if fault is None else 60 * (fault["minute"] - index * self.data["mission_minutes"])
-            return fault_figure(
-                time,
-                health[:, :2],
-                surge,
-                {name: found["predictions"][:, names.index(name)] for name in shown},
-                health[:, 2:4],
-                THRESHOLD,
-                began if began is not None and time[0] <= began <= time[-1] else None,
-                [each["time"] for each in self.alarms[self.fleet.boats[element]] if each["run"] == run.names[element]],
-                self._title(index, element),
-            )
+            inputs = tree_map(lambda x: x[: len(time), element], run.samples.inputs)
+            course = course_of(self.ensemble.names, self.ensemble.output, time, inputs, surge, found)
+            happened = self.events[self.fleet.boats[element]]
+            marks = [(each["time"], each["kind"]) for each in happened if each["run"] == run.names[element]]
+            seen = began if began is not None and time[0] <= began <= time[-1] else None
+            return event_figure(course, THRESHOLD, marks, seen, self._title(index, element))
 
         return self._figure(index, element, "thrusters", draw)
 

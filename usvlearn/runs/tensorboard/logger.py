@@ -301,14 +301,14 @@ class TensorBoardLogger:
             shown = {key: board_tags.number(value) for key, value in compared.items()}
             self.board.session(shown, self.results_run, results.get("seconds"))
         if self.alone or self.everything:
-            self._draw(settings["data"], results["alarms"], published)
+            self._draw(settings["data"], results["events"], published)
 
-    def _draw(self, data: Mapping[str, Any], alarms: Mapping[str, Any], published: Published) -> None:
+    def _draw(self, data: Mapping[str, Any], events: Mapping[str, Any], published: Published) -> None:
         try:
             replayed = Replayed(
                 self.fleet, self.ensemble, self.clocks, self.seasons, self.before_last, self.truth, self.everything
             )
-            for figure in figures(replayed, data, alarms, published):
+            for figure in figures(replayed, data, events, published):
                 doing(f"drawing {figure.tag.partition('/')[2]} of {figure.boat}")
                 if (drawn := figure.draw()) is not None:
                     run = f"{self.folders[figure.boat]}/{self._names[self.ensemble.output]}"

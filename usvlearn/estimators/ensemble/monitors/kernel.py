@@ -2,11 +2,20 @@
 
 import numpy as np
 
-from usvlearn.core.arrays import clamp, fill
+from usvlearn.core.arrays import clamp, dot, fill
 from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
-from usvlearn.estimators.ensemble.monitors.state import AT, FEATURES, ROUNDING, Number, Z
+from usvlearn.estimators.ensemble.monitors.state import (
+    AT,
+    DOUBTFUL,
+    FEATURES,
+    ROUNDING,
+    SIGNIFICANT,
+    THRUST,
+    Number,
+    Z,
+)
 
 
 @jit
@@ -120,3 +129,21 @@ def observe_thrusters(node, s, q, inputs, work):
     before[1], before[0] = before[0], rate
     s[node[at.alarms]] += alarm
     s[node[at.since]] = (s[node[at.since]] + inputs[DT]) * (1 - alarm)
+
+
+@jit
+def effectiveness(node, s, q, side, work):
+    """`layer.effectiveness` of a side: (6)."""
+    q, at = q[node[Node.NUMBERS] :], AT.thrusters
+    moments, sums = s[node[at.moments] : node[at.moments] + Z * Z].reshape(Z, Z), s[node[at.sums] + 2 * side :]
+    theta, solved, full = work[:FEATURES], work[Z : Z + FEATURES], work[2 * Z : 2 * Z + FEATURES]
+    L = work[3 * Z : 3 * Z + FEATURES * FEATURES].reshape(FEATURES, FEATURES)
+    fill(full, 0.0)
+    for i in range(THRUST + side, FEATURES, 2):
+        full[i] = 1.0
+    weight = sums[1] + q[Number.DOUBT]
+    lost = -sums[0] / weight if s[node[at.evidence] + side] > SIGNIFICANT else 0.0
+    solve_model(moments, q[Number.YAW_RIDGE], L, full, theta, solved)
+    effect, square = dot(full, theta), s[node[at.variance]] * dot(full, solved)
+    doubtful = lost * lost * DOUBTFUL * DOUBTFUL * square / max(effect * effect, np.finfo(moments.dtype).tiny)
+    return 1 - lost, np.sqrt(1 / weight + (doubtful if lost != 0 else 0.0))

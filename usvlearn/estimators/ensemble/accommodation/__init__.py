@@ -1,0 +1,1 @@
+"""Fault accommodation: what the monitor of the thrusters finds is given to the filters."""

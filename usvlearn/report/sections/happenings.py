@@ -1,0 +1,70 @@
+"""Events: when a thruster lost thrust or recovered, and when a boat changed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from usvlearn.display.event_figure import course_of, event_figure
+from usvlearn.display.result_table import ResultTable
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
+from usvlearn.evaluation.events import event_of, events
+from usvlearn.evaluation.season import Season
+from usvlearn.report.sections.section import Drawn, Section
+
+MOST = 8  # figures
+
+
+def events_section(seasons: Sequence[Season], ensemble: Ensemble) -> Section | None:
+    """The events of all boats, and a figure of the first one of each; None if there were none.
+
+    Args:
+        seasons: of all boats.
+        ensemble: that was replayed.
+    """
+    here: list[str] = []
+    rows: list[tuple] = []
+    drawn: list[Drawn] = []
+    for season in seasons:
+        fleet, published = season.replayed
+        found = events(fleet, published, ensemble.accommodated)[season.boat]
+        here += [
+            f"{season.boat}, {each['run']}, {each['time'] / 60:.1f} min: {event_of(each).sentence}." for each in found
+        ]
+        columns = ("run", "time", "kind", "side", "effectiveness", "low", "high", "given")
+        rows += [(season.boat, *(each[key] for key in columns), ", ".join(each["filters"])) for each in found]
+        if found and len(drawn) < MOST:
+            drawn.append(_drawn(season, ensemble, found))
+    if not rows:
+        return None
+    heads = (
+        "boat",
+        "run",
+        "time, s",
+        "event",
+        "side",
+        "effectiveness",
+        "from",
+        "to",
+        "given after, s",
+        "filters",
+    )
+    return Section("events", "Events: what changed", "", here, drawn, [ResultTable("events", heads, rows)])
+
+
+def _drawn(season: Season, ensemble: Ensemble, found: Sequence[dict]) -> Drawn:
+    """The figure of a boat's first event."""
+    name = found[0]["run"]
+    run = next(each for each in season.runs if each.name == name and each.published)
+    surge = np.where(run.steps, run.samples.surge, np.nan)
+    course = course_of(ensemble.names, ensemble.output, run.time, run.samples.inputs, surge, run.published)
+    marks = [(each["time"], each["kind"]) for each in found if each["run"] == name]
+    caption = (
+        f"{season.boat}, {name}: the first event. Shaded: 90 % intervals of the share of its thrust that each thruster "
+        "gives. The evidence of a loss raises an alarm at the threshold."
+    )
+    return Drawn(
+        f"events_{season.boat}", event_figure(course, THRESHOLD, marks, None, f"{season.boat}, {name}"), caption
+    )
