@@ -84,7 +84,7 @@ def replayed(given: tuple[str, ...], more: tuple[str, ...] = ()) -> tuple[tuple[
     chunks = list(replay(model, fleet, model.init((len(fleet.boats),))))
     return (
         model.names,
-        np.concatenate([c.predictions for c in chunks]),
+        np.concatenate([c.published["predictions"] for c in chunks]),
         np.concatenate([c.published["halfwidths"] for c in chunks]),
     )
 

@@ -143,6 +143,9 @@ FORGED = {  # case: a place in the description, what is put there, and what the 
     "prior": ("rules/boa/vector/0", 0.0, r"rules.boa.vector\[0:\]: found 0.0, expected 1e-30 … 1"),
     "priors": ("rules/boa/vector", [0.2] * 5, r"rules.boa.vector: found .*, expected 10 of them"),
     "no_rules": ("rules", {}, "kernel.rules: found {}, expected at least one"),
+    "given": ("accommodation", {"members": [0], "numbers": {}}, r"members\[0\]: found 0, expected the column of a"),
+    "given_beyond": ("accommodation", {"members": [9], "numbers": {}}, r"accommodation.members\[0\]: found 9"),
+    "given_nobody": ("accommodation", {"members": [], "numbers": {}}, r"accommodation.members: found \[\]"),
     "no_members": ("members", {}, "kernel.members: found {}, expected at least one"),
 }  # fmt: skip
 

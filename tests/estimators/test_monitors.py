@@ -14,7 +14,6 @@ from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.estimators.ensemble.monitors import kernel as compiled
 from usvlearn.estimators.ensemble.monitors import layer as monitors
 from usvlearn.estimators.ensemble.monitors.state import AT, Number
-from usvlearn.runs.tensorboard.fault_figure import fault_figure
 
 pytestmark = pytest.mark.filterwarnings("error")
 ONE = torch.ones((), dtype=torch.float64)
@@ -312,12 +311,3 @@ def test_report_names_every_member_and_side():
     report = monitors.monitor_report(state, ["aid", "rls"])
     assert {"alarm", "evidence_left", "effectiveness_right", "whiteness_aid", "scale_rls"} <= set(report)
     assert all(value.shape == (2,) for value in report.values())
-
-
-def test_figure_marks_fault_and_alarm():
-    time = np.arange(0.0, 60.0)
-    figure = fault_figure(time, np.ones((60, 2)), time, {"aid": time}, np.zeros((60, 2)), 20.0, 30.0, [36.0], "a boat")
-    for panel in figure.axes:
-        marks = [line.get_xdata()[0] for line in panel.get_lines() if list(line.get_ydata()) == [0, 1]]
-        assert marks == [0.5, 0.6]
-    assert [text.get_text().strip() for text in figure.axes[0].texts] == ["fault", "alarm 6 s after"]

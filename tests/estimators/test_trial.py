@@ -8,6 +8,7 @@ from usvlearn import Inputs, JointEKF, Sample, Trial
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import rollout
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.state import TRUSTED
 
 DT, NOISE, LEAD, BOATS = 0.4, 0.02, 600, 4
 THETA = np.array([-0.11, -0.21, 0.9, 0.6])  # v|v|, v, u of the left and of the right side: per unit mass
@@ -54,6 +55,21 @@ def test_a_changed_thruster_is_found_within_a_minute_and_its_parameters_are_righ
     )
     assert now.allclose(now.new_tensor(THETA[2] * share), atol=0.15)
     assert before.allclose(now.new_tensor(THETA[2]), atol=0.15)
+
+
+def test_open_loop_simulations_depart_from_the_first_filter_until_the_second_is_trusted():
+    samples, _ = sail(1, 0.4)
+    one = joint(confirmed=1e6, steps=200)
+    state = run(one, tree_map(lambda x: x[:LEAD], samples))[0]
+    seen = set()
+    for k in range(LEAD, LEAD + 60):
+        state = run(one, tree_map(lambda x, k=k: x[k : k + 1], samples), state)[0]
+        trial, start = state.trial, one.open_loop(state).mean
+        early = (trial.leads > 0) & (trial.evidence <= TRUSTED)
+        assert torch.equal(trial.early > 0, early)
+        assert torch.equal(start, torch.where(early[:, None], trial.mean, state.mean))
+        seen |= {(bool(x), bool(y)) for x, y in zip(trial.leads > 0, early, strict=True)}
+    assert seen == {(False, False), (True, True), (True, False)}
 
 
 def test_a_boat_that_stays_the_same_has_no_change():

@@ -9,7 +9,7 @@ from rich.console import Console
 from usvlearn import Inputs, Sample
 from usvlearn.core.samples import Fleet, Run
 from usvlearn.display.figures import prediction_figure
-from usvlearn.evaluation.metrics import alarms, fleet_scores, scores
+from usvlearn.evaluation.metrics import fleet_scores, scores
 from usvlearn.report.tables import fleet_table, rejection_table, score_table
 
 SURGE = np.array([1.0, 2.0, np.nan, 4.0, np.nan])
@@ -62,18 +62,6 @@ def test_a_fleets_scores_count_the_steps_that_an_ensemble_learns_from():
         assert (row["steps"], row["diverged"], row["mae"]) == (steps, 0, 0.5)
     stopped = fleet_scores(fleet, [(0, 0, {"predictions": predictions[:4]})], ["aid"], 10.0)["heron"]["aid"]
     assert stopped["steps"] == 1
-
-
-def test_an_alarm_is_told_once_with_its_run_time_side_and_effect():
-    """It goes on over stretches, and over steps that were not made."""
-    off, none = [1.0, 1.0, 0.0, 0.0, 0.0], [np.nan] * 5
-    left, right = [0.4, 0.9, 30.0, 2.0, 1.0], [0.8, 0.6, 2.0, 30.0, 1.0]
-    health = np.array([[off, off], [left, right], [none, none], [left, none], [off, right], [right, right]])
-    fleet = Fleet(("anna", "bert"), (Run(np.full((6, 2), 0.4).cumsum(0), None, ("one", "two"), (6, 6)),), {})
-    found = alarms(fleet, [(0, k, {"thrusters": health[k : k + 2]}) for k in (0, 2, 4)])
-    assert [[each["side"] for each in found[boat]] for boat in fleet.boats] == [["left", "right"], ["right"]]
-    assert found["anna"][0] == {"run": "one", "time": 0.8, "side": "left", "effectiveness": 0.4}
-    assert found["anna"][1]["time"] == pytest.approx(2.4) and found["bert"][0]["effectiveness"] == 0.6
 
 
 def test_steps_at_which_nobody_has_a_prediction_are_not_passed_over():

@@ -12,6 +12,7 @@ from tests.support.live import boat, learned_set, messages
 from usvlearn.core import checkpoint
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError
+from usvlearn.evaluation.events import LOSS, Event
 from usvlearn.live import watched
 from usvlearn.live.health import COMPILING
 from usvlearn.live.held import HeldIntervals
@@ -188,9 +189,10 @@ def test_a_lost_thruster_is_told_once(start):
     )[0]  # fmt: skip
     one = node(start)
     steps = [step for message in messages(log, 0.0) for step in one.push(*message)]
-    told = [(step.time, alarm) for step in steps for alarm in step.alarms]
-    assert [alarm.split(" seems")[0] for _, alarm in told] == ["the left thruster"]
-    assert 600.0 < told[0][0] < 700.0 and one.alarms == 1 and one.alarm == "left"
+    alarm, given = (event for step in steps for event in step.events if event.kind == LOSS)
+    assert 600.0 < alarm.time - one.origin < 700.0 and one.alarms == 1 and one.alarm == "left"
+    assert alarm.is_alarm and math.isnan(alarm.low) and given.given == pytest.approx(10.0, abs=0.41)
+    assert given.low < 0.4 < given.high and one.loss.low < 0.4 < one.loss.high
 
 
 def test_one_command_for_both_sides_makes_the_steps_of_two_equal_ones(start):
@@ -206,13 +208,14 @@ def test_one_command_for_both_sides_makes_the_steps_of_two_equal_ones(start):
                 steps += [step for part in parts for step in one.push(part, stamp, value)]
     assert both.one_command and not two.one_command and len(found[0]) > 400
     np.testing.assert_array_equal(*([step.speed for step in steps[1:]] for steps in found))
+    row = np.array([0.4, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0] + [0.0] * len(watched.accommodated(two.online.description)))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(watched, "thrusters", lambda _: watched.Thrusters("left", {"left": 0.4, "right": 1.0}))
-        (told,) = both._alarms()
-        assert "nothing tells which" in told and both.alarm == "left or right"
-        assert "the left thruster seems to have 40%" in two._alarms()[0]
-    health = COMPILING._replace(state="ok", alarm=both.alarm)
-    assert "Alarm       the left or right thruster (0 so far)" in page(health)
+        patch.setattr(watched, "event_row", lambda *_: row)
+        (told,) = both._events(0.0)
+        assert told.sentence == "the left or right thruster has lost thrust" and both.alarm == "left or right"
+        assert two._events(0.0)[0].sentence == "the left thruster gives 40 % of its thrust"
+    health = COMPILING._replace(state="ok", alarm=both.alarm, loss=both.loss.sentence)
+    assert "Alarm       the left or right thruster has lost thrust (0 so far)" in page(health)
 
 
 def test_throttle_and_steering_make_the_sides(start):
@@ -365,7 +368,7 @@ def test_posts_are_those_of_the_table(start):
     network = {"contracting": True, "condition": "tight", "rate": 0.9, "time_constant": None, "equilibrium": 0.1}
     found = {"drag_linear": (-1.0, -2.0, 0.0, "kg/s")}
     health = COMPILING._replace(state="ok", identified=found, contraction={"rnn": network})
-    posts = of_step(steps[-1]._replace(alarms=("left",)), members=True) + of_health(health)
+    posts = of_step(steps[-1]._replace(events=(Event(1.0, LOSS, "left", 0.4),)), members=True) + of_health(health)
     assert {post.name for post in posts} == set(KINDS) - {PLANNED}
     assert all((KINDS[post.name] == "D") == isinstance(post.value, float) for post in posts)
     assert all(len(each.short) <= 10 for each in TABLE)

@@ -28,6 +28,7 @@ from usvlearn import (
     Sample,
     SIFtRLS,
     SurgeDynamics,
+    Trial,
     WithMemory,
 )
 from usvlearn.core.samples import named_leaves, tree_map
@@ -247,6 +248,10 @@ VARIANTS = {
         _three() | {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "still": Persistence(), "bank": _bank()},
         {"average": Average(), "boa": BOA(["joint", "still"])},
         forecasts=ForecastSettings((0.4, 1.2, 4.0), ["joint", "rnn", "arx", "still"], memory=3.0, share=0.1),
+    ),
+    "forecasts_trial": lambda: Ensemble(
+        {"joint": JointEKF(2.0, 28.0, trial=Trial(threshold=4.0, leads=1.0, steps=9)), "still": Persistence()},
+        forecasts=ForecastSettings((0.4, 1.2), overlap=2.0),
     ),
     "forecasts_wrapped": lambda: Ensemble(
         {

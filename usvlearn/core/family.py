@@ -22,7 +22,7 @@ A kernel receives this row as `node`, and the state `s` and the numbers `q` of o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import count
 from math import inf
@@ -223,6 +223,7 @@ class Family(Generic[S]):
         remembers: from its entries, whether it needs the inputs that `WithMemory` adds.
         frozen: the leaves, by dotted name, that an open-loop simulation needs: those that `free_step` reads or changes;
             None: all.
+        instead: of some of these, the leaf that is taken in its place while another leaf, a flag, is 1.
 
     >>> from usvlearn.estimators.aid.state import FAMILY
     >>> FAMILY.at.surge - FAMILY.at.theta, list(FAMILY.leaves(9))
@@ -242,6 +243,7 @@ class Family(Generic[S]):
     heading: Callable[[Mapping[str, Any]], bool] = lambda own: False
     remembers: Callable[[Mapping[str, Any]], bool] = lambda own: False
     frozen: tuple[str, ...] | None = None
+    instead: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
     def at(self) -> S:

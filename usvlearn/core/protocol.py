@@ -52,6 +52,10 @@ class Estimator(nn.Module, abc.ABC):
         """The state with `surge`, m/s, as the speed from which the next step departs; nothing is learned."""
         return state
 
+    def open_loop(self, state: State) -> State:
+        """The state from which an open-loop simulation departs; by default the state itself."""
+        return state
+
     def free_step(self, state: State, inputs: Inputs) -> tuple[State, Tensor]:
         """One step of an open-loop simulation: as `predict`, but only the leaves `frozen` of the state need to be
         right.

@@ -1,8 +1,8 @@
 """Forecasts of an ensemble in compiled code: steps of the frozen members, and plans.
 
 The row of the forecasts is followed by the place of the first slot, the rows of the M frozen members, the columns of
-their predictions, and, for each leaf that is copied at an origin, its place in the state, its place in a slot, and its
-length.
+their predictions, and, for each leaf that is copied at an origin, its place in the state, its place in a slot, its
+length, the place of a leaf that is copied instead of it, and that of the flag that tells when (−1 without).
 """
 
 import numpy as np
@@ -37,7 +37,10 @@ def freeze(node, s, slot):
     """Copy what the members' open-loop simulations need into the numbers of a slot."""
     tail = node[WIDTH + 1 + 2 * node[Choice.MEMBERS] :]
     for i in range(tail[0]):
-        source, place, length = tail[1 + 3 * i], tail[2 + 3 * i], tail[3 + 3 * i]
+        source, place, length = tail[1 + 5 * i], tail[2 + 5 * i], tail[3 + 5 * i]
+        other, flag = tail[4 + 5 * i], tail[5 + 5 * i]
+        if flag >= 0 and s[flag] > 0:
+            source = other
         for k in range(length):
             slot[place + k] = s[source + k]
 

@@ -17,7 +17,7 @@ from usvlearn.core.family import LEAVES, WIDTH, Family, Field, Node
 from usvlearn.core.rows import INPUTS, ROW
 from usvlearn.engine.dispatch import Whole
 from usvlearn.engine.kinds import ESTIMATORS, KINDS, WRAPPERS
-from usvlearn.engine.leaves import KNOWN, Description, forecast_size, frozen, unwrapped
+from usvlearn.engine.leaves import KNOWN, Description, Part, forecast_size, frozen, unwrapped
 from usvlearn.errors import ShapeError
 from usvlearn.estimators.ensemble import state as ensemble
 from usvlearn.estimators.ensemble.accommodation import state as accommodation
@@ -293,7 +293,15 @@ class Plan:
         self.size += slots * block
         row[Node.SIZE] = self.slot = block
         self._largest += 2 * members + conditional.PATH
-        return [*row, begin, *rows, *columns, len(copies) // 3, *copies]
+        return [*row, begin, *rows, *columns, len(copies) // 5, *copies]
+
+    def _instead(self, part: Part, prefix: str, leaf: str) -> tuple[int, int]:
+        """The place of the leaf that is copied instead of this one, and of the flag that tells when; −1 without."""
+        own = leaf.removeprefix(part.prefix)
+        pair = KINDS[part.own["kind"]].instead.get(own, ("", "")) if leaf.startswith(part.prefix) else ("", "")
+        found = [self.leaves.get(f"{prefix}{part.prefix}{name}") for name in pair]
+        other, flag = (each.place if name and each else -1 for name, each in zip(pair, found, strict=True))
+        return other, flag
 
     def _frozen(
         self, member: list[int], description: Description, name: str, block: int, copies: list[int]
@@ -304,7 +312,7 @@ class Plan:
             source, length = self.leaves[f"members.{name}.{leaf}"], int(np.prod(field.shape, dtype=int))
             places[leaf] = block
             self.leaves[f"forecasts.frozen.{name}.{leaf}"] = source._replace(place=block)
-            copies += [source.place, block, length]
+            copies += [source.place, block, length, *self._instead(part, f"members.{name}.", leaf)]
             block += length
 
         def at(row: list[int], family: Family[Any], size: int, prefix: str) -> int:

@@ -7,6 +7,7 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support.mavboat import MavBoat, mavlink, turning
 from tests.support.mavlab import BASE, RECEIPT, SOURCES, Lab
+from usvlearn.evaluation.events import Event
 from usvlearn.live.node import Step
 from usvlearn.logs.channels.channel import Source
 
@@ -159,18 +160,19 @@ def test_changes_of_health_and_alarms_are_told_in_texts():
     lab.session.state = "stale"
     lab.sail(2)
     assert (4, "usvlearn: the session is stale") in lab.boat.texts
-    lab.session.steps = [step(lab, alarms=("the left thruster seems to have 40% of its thrust left",))]
+    lab.session.steps = [step(lab, events=(Event(0.0, "loss", "left", 0.4), Event(1.0, "recovery", "left")))]
     lab.sail(2)
-    first, second = lab.boat.texts[-2:]
-    assert first == (4, "usvlearn: the left thruster seems to have 40% of i")
-    assert second == (4, "ts thrust left")
+    first, second, third, *_ = lab.boat.texts[-4:]
+    assert first == (4, "usvlearn: the left thruster gives 40 % of its thru")
+    assert second == (4, "st")
+    assert third == (6, "usvlearn: the left thruster gives its full thrust ")
     values = {name: value for _, name, value in lab.boat.values}
     assert values["USV_PRED"] == 1.25 and values["USV_ERR"] == 0.25
     assert {ms for ms, _, _ in lab.boat.values} == {round(1000 * (7.0 + BASE))}
 
 
-def step(lab, alarms=(), speed=1.25):
-    return Step(lab.time + BASE, 1.5, speed, 1.0, 1.5, 1.3, 1.1, 1.4, {10.0: (1.4, 1.2, 1.6)}, {}, {}, alarms)
+def step(lab, events=(), speed=1.25):
+    return Step(lab.time + BASE, 1.5, speed, 1.0, 1.5, 1.3, 1.1, 1.4, {10.0: (1.4, 1.2, 1.6)}, {}, {}, events)
 
 
 def test_a_second_sender_of_the_same_id_is_left_out_and_told():

@@ -21,6 +21,7 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 80))
 from tests.support import ROOT
 from tests.support.ros2 import NotedSession, Peer, health
 from usvlearn.errors import ConfigError
+from usvlearn.evaluation.events import Event
 from usvlearn.live.node import Step
 from usvlearn.live.ros2 import ros2_launch
 from usvlearn.live.ros2.outputs import message_class
@@ -277,7 +278,7 @@ def test_simulated_time_is_obeyed_and_its_reset_begins_a_new_segment(sea):
 
 STEP = Step(
     1.7e9 + 0.5, 1.0, 1.5, 1.25, 1.75, 1.625, 1.5, 1.75, {10.0: (2.0, 1.0, 3.0)}, {10.0: (2.0, 1.5, 2.5)},
-    {"aid": 1.5}, ("left is lost",),
+    {"aid": 1.5}, (Event(1.0, "loss", "left", 0.4),),
 )  # fmt: skip
 
 
@@ -294,7 +295,14 @@ def test_what_is_known_is_published(sea, reliable):
     at_sea, qos = sea(members=True), importlib.import_module("rclpy.qos")
     policy = qos.ReliabilityPolicy.RELIABLE if reliable else qos.ReliabilityPolicy.BEST_EFFORT
     profile = qos.QoSProfile(depth=10, reliability=policy)
-    kinds = {"surge_predicted": SPEED, "surge_next": SPEED, "forecast": TABLE, "members": TABLE, "alarm": TEXT}
+    kinds = {
+        "surge_predicted": SPEED,
+        "surge_next": SPEED,
+        "forecast": TABLE,
+        "members": TABLE,
+        "alarm": TEXT,
+        "event": TEXT,
+    }
     heard = {name: at_sea.listen(f"/usvlearn/{name}", kind, profile) for name, kind in kinds.items()}
     assert at_sea.until(lambda: all(heard.values()), lambda: at_sea.shell.publish([STEP]))
     assert heard["surge_predicted"][0].twist.twist.linear.x == 1.5
@@ -304,11 +312,11 @@ def test_what_is_known_is_published(sea, reliable):
     assert list(heard["forecast"][0].data) == [10.0, 2.0, 1.0, 3.0, 1.5, 2.5] and list(heard["members"][0].data) == [
         1.5
     ]
-    assert heard["alarm"][0].data == "left is lost"
+    assert heard["alarm"][0].data == heard["event"][0].data == "the left thruster gives 40 % of its thrust"
     at_sea.until(lambda: False, patience=0.5)  # until all has arrived
     for each in heard.values():
         each.clear()
-    unknown = STEP._replace(speed=math.nan, forecasts={}, members={}, alarms=())
+    unknown = STEP._replace(speed=math.nan, forecasts={}, members={}, events=())
     assert at_sea.until(lambda: len(heard["surge_next"]) > 5, lambda: at_sea.shell.publish([unknown]))
     assert [name for name, each in heard.items() if each] == ["surge_next"]
 

@@ -194,6 +194,13 @@ class JointEKF(Estimator):
             after = self.trial.coasted(state, after, self._advanced(exchanged(state), inputs)[0])
         return after, predicted
 
+    def open_loop(self, state: JointState) -> JointState:
+        """With the mean of the first filter, while the second one is too young."""
+        if self.trial is None:
+            return state
+        trial = of(state)
+        return state._replace(mean=where(trial.early > 0, trial.mean, state.mean))
+
     def free_step(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor]:
         """As `predict`, of the mean alone."""
         mean, predicted, *_ = self._ahead(state, inputs)

@@ -55,7 +55,8 @@ where each variance grows to four times its prior at most, and μ's does not. Th
 
     D ← D + ℓ_second − ℓ_first,   ℓ = −½ min(e²/S, 25) − ½ log S                                        (10)
 
-Where g exceeds its threshold within 20 steps, the trial begins. While D > `leads` the second filter predicts. At
+Where g exceeds its threshold within 20 steps, the trial begins. While D > `leads` the second filter predicts the next
+speed. Its parameters are uncertain, and open-loop simulations depart from it at D > 100 only. At
 D > `confirmed` it replaces the first, and the periodic estimates begin anew. It is dropped at D < `dropped`, where D
 falls by `fallen` below its greatest value, and after `trial_steps`. The filter that predicts lies in `mean`, `factor`,
 `noise` and `updates`; the other one lies in `trial`.
@@ -102,6 +103,7 @@ LAG_LEAST, LAG_MOST = -0.5, 1.5
 DROPPED, AGEING = 3.0, 0.9  # periodic estimates; their weight from one to the next
 INNOVATION_MOST, USUAL_MOST, USUAL_SHARE, OFFSET, USUALLY = 25.0, 4.0, 0.005, 0.5, 2.0  # of (8)
 SUSPECT, WARM, KEPT = 2.0, 150.0, 20.0  # g from which the second filter runs; update steps before; steps to begin in
+TRUSTED = 100.0  # D from which open-loop simulations depart from the second filter
 ROOM = 4.0  # times its prior: the most to which (9) lifts a variance
 LOOSEST = 100.0  # times the prior, to which `inflate_covariance` lifts the mean variance of the parameters at most
 
@@ -121,6 +123,7 @@ class TrialState(NamedTuple):
     run: Tensor  # (*batch,) steps that the second filter has run beside the first; 0: it is the state before the step
     tried: Tensor  # (*batch,) steps of the trial; 0: there is none
     leads: Tensor  # (*batch,) 1 where the second filter predicts, so that it lies in `JointState.mean`, else 0
+    early: Tensor  # (*batch,) 1 where it predicts, but open-loop simulations still depart from the first one, else 0
     changes: Tensor  # (*batch,) count of confirmed changes
     since: Tensor  # (*batch,) s of update steps since the last one, or since the start
     kept: Tensor  # (*batch, n − 4) parameters where the second filter began, in the order of x
@@ -219,6 +222,7 @@ def trial(n: int, steps: int) -> TrialState | dict[str, Any]:
         run=count,
         tried=count,
         leads=leaf(legal=UNIT),
+        early=leaf(legal=UNIT),
         changes=count,
         since=count,
         kept=leaf(n - THETA),
@@ -258,6 +262,7 @@ FAMILY = Family(
     work=lambda n: 4 * n + 2,
     heading=lambda own: True,
     frozen=("mean", "surge", "started", "commands"),
+    instead={"mean": ("trial.mean", "trial.early")},
 )
 AT = FAMILY.at
 AT_TRIAL = cast("TrialState", AT.trial)

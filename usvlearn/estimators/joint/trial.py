@@ -186,6 +186,7 @@ class Trial(nn.Module):
         zero = torch.zeros_like(D)
         tried = torch.where(tries, trial.tried + 1, 1.0)
         goes_on = trial._replace(best=torch.where(tries, best, 0.0), tried=tried, leads=ahead.to(D.dtype))
+        goes_on = goes_on._replace(early=(ahead & (at.TRUSTED >= D)).to(D.dtype))
         changed = ended(trial)._replace(changes=trial.changes + 1, since=zero, before=trial.kept)
         trial = chosen(on, goes_on, chosen(dropped | (above & ~begins), ended(trial), trial))
         return chosen(confirmed, anew(state)._replace(trial=changed), state._replace(trial=trial))
@@ -229,7 +230,9 @@ def side_of(side: int, mean: Tensor) -> Tensor:
 def ended(trial: TrialState) -> TrialState:
     """There is no trial, and nothing speaks for a change."""
     zero = torch.zeros_like(trial.run)
-    return trial._replace(run=zero, tried=zero, leads=zero, statistic=zero, last=zero, evidence=zero, best=zero)
+    return trial._replace(
+        run=zero, tried=zero, leads=zero, early=zero, statistic=zero, last=zero, evidence=zero, best=zero
+    )
 
 
 def anew(state: JointState) -> JointState:

@@ -16,6 +16,7 @@ from usvlearn.estimators.joint.state import (
     ROOM,
     SUSPECT,
     THETA,
+    TRUSTED,
     USUAL_MOST,
     USUAL_SHARE,
     USUALLY,
@@ -109,7 +110,7 @@ def likelihood(z, S):
 @jit
 def end(node, s):
     """There is no trial, and nothing speaks for a change."""
-    s[node[AT_TRIAL.run]] = s[node[AT_TRIAL.tried]] = s[node[AT_TRIAL.leads]] = 0.0
+    s[node[AT_TRIAL.run]] = s[node[AT_TRIAL.tried]] = s[node[AT_TRIAL.leads]] = s[node[AT_TRIAL.early]] = 0.0
     s[node[AT_TRIAL.statistic]] = s[node[AT_TRIAL.last]] = 0.0
     s[node[AT_TRIAL.evidence]] = s[node[AT_TRIAL.best]] = 0.0
 
@@ -145,6 +146,7 @@ def judge(node, s, q):
     if (D > numbers[Number.LEADS]) != leads:
         exchange(node, s)
         s[node[AT_TRIAL.leads]] = 0.0 if leads else 1.0
+    s[node[AT_TRIAL.early]] = 1.0 if numbers[Number.LEADS] < D <= TRUSTED else 0.0
 
 
 @jit

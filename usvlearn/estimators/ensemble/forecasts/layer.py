@@ -235,7 +235,7 @@ class ForecastSettings(nn.Module):
             states: of the members, by name.
             inputs: of the plan's steps, `(time, *batch)`.
         """
-        states, found = {name: states[name] for name in self.names}, []
+        states, found = {name: members[name].open_loop(states[name]) for name in self.names}, []
         elapsed = state.coasted
         for k in range(len(inputs.dt)):
             now = Inputs(*(x[k] for x in inputs))
@@ -342,7 +342,7 @@ class ForecastSettings(nn.Module):
         places = torch.arange(len(horizons), device=horizons.device)
         reach = torch.where(ready, places, 0).amax(-1, keepdim=True)
         begun = opens.any(-1, keepdim=True) & (places <= reach)
-        now = {name: self._leaves(name, states[name]) for name in self.names}
+        now = {name: self._leaves(name, members[name].open_loop(states[name])) for name in self.names}
         frozen = {
             name: {key: where(opens, _slot(now[name][key], opens), leaf) for key, leaf in leaves.items()}
             for name, leaves in state.frozen.items()

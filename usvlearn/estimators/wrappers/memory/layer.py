@@ -51,6 +51,9 @@ class WithMemory(Estimator):
         inner = self.estimator.frozen
         return None if inner is None else (*(f"inner.{name}" for name in inner), *(FAMILY.frozen or ()))
 
+    def open_loop(self, state: MemoryState) -> MemoryState:
+        return state._replace(inner=self.estimator.open_loop(state.inner))
+
     def free_step(self, state: MemoryState, inputs: Inputs) -> tuple[MemoryState, Tensor]:
         inner, surge = self.estimator.free_step(state.inner, self._with_memory(state, inputs))
         return self._coasted(state, inputs, surge)._replace(inner=inner), surge

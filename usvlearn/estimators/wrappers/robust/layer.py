@@ -88,6 +88,9 @@ class Robust(Estimator):
         inner = self.estimator.frozen
         return None if inner is None else tuple(f"inner.{name}" for name in inner)
 
+    def open_loop(self, state: RobustState) -> RobustState:
+        return state._replace(inner=self.estimator.open_loop(state.inner))
+
     def free_step(self, state: RobustState, inputs: Inputs) -> tuple[RobustState, Tensor]:
         inner, surge = self.estimator.free_step(state.inner, inputs)
         return state._replace(inner=inner), surge

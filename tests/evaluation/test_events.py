@@ -1,0 +1,98 @@
+"""Events: losses of thrust, recoveries, and changes of the boat, from what was published of each step."""
+
+import numpy as np
+import pytest
+
+from usvlearn.core.samples import Fleet, Run
+from usvlearn.evaluation.events import CHANGE, LOSS, RECOVERY, Event, EventWatch, event_of, events
+
+FILTERS = ("joint", "joint_averaged")
+DT, STEPS = 0.4, 1000
+
+
+def fleet(*names: str, steps: int = STEPS) -> Fleet:
+    runs = tuple(Run(DT * np.arange(steps)[:, None], None, (name,), (steps,)) for name in names)
+    return Fleet(("anna",), runs, {})
+
+
+def published(share=None, raised=None, handed=None, changes=None, steps: int = STEPS) -> dict[str, np.ndarray]:
+    """What is published of one boat; each argument is steps → value of the left side, or of both filters."""
+    thrusters, health = np.zeros((steps, 1, 5)), np.zeros((steps, 1, 6 + len(FILTERS)))
+    thrusters[:, 0, :2], health[:, 0, :2] = 1.0, 0.1
+    for place, values in ((health[:, 0, 2], raised), (health[:, 0, 4], handed), (thrusters[:, 0, 0], share)):
+        for (first, last), value in (values or {}).items():
+            place[first:last] = value
+    for k, step in enumerate(changes or ()):
+        health[step:, 0, 6 + k] = 1.0
+    thrusters[:, 0, 4] = health[:, 0, 2:4].max(-1)
+    return {"thrusters": thrusters, "health": health}
+
+
+def told(*stretches, names=("one",)) -> list[dict]:
+    return events(fleet(*names), stretches, FILTERS)["anna"]
+
+
+def test_a_loss_is_one_event_with_the_effectiveness_of_two_minutes_later():
+    share = {(100, 200): 0.6, (200, 400): 0.45, (400, 700): 0.4, (700, 900): 0.2}
+    found = told((0, 0, published(share, {(100, 900): 1.0}, {(125, 900): 1.0})))
+    loss, recovery = found
+    assert (loss["kind"], loss["run"], loss["side"], loss["time"]) == (LOSS, "one", "left", pytest.approx(40.0))
+    assert loss["effectiveness"] == 0.4 and loss["given"] == pytest.approx(10.0) and loss["filters"] == list(FILTERS)
+    assert (loss["low"], loss["high"]) == (pytest.approx(0.4 - 0.1645), pytest.approx(0.4 + 0.1645))
+    assert (recovery["kind"], recovery["side"], recovery["time"]) == (RECOVERY, "left", pytest.approx(360.0))
+    assert recovery["effectiveness"] is None and event_of(recovery) == Event(recovery["time"], RECOVERY, "left")
+
+
+def test_stretches_and_runs_do_not_repeat_what_goes_on():
+    whole = published({(100, 900): 0.5}, {(100, 900): 1.0}, {(125, 900): 1.0})
+    parts = [(0, k, {name: x[k : k + 250] for name, x in whole.items()}) for k in range(0, STEPS, 250)]
+    assert told(*parts) == told((0, 0, whole))
+    on = published({(0, STEPS): 0.5}, {(0, STEPS): 1.0}, {(0, STEPS): 1.0})
+    found = told((0, 0, published({(100, STEPS): 0.5}, {(100, STEPS): 1.0})), (1, 0, on), names=("one", "two"))
+    assert [each["run"] for each in found] == ["one"]
+
+
+def test_steps_that_were_not_made_are_passed_over():
+    some = published({(100, 300): 0.5}, {(100, 300): 1.0})
+    for array in some.values():
+        array[150:160] = np.nan
+    assert [each["kind"] for each in told((0, 0, some))] == [LOSS, RECOVERY]
+
+
+def test_changes_within_half_a_minute_are_one_event():
+    assert [each["filters"] for each in told((0, 0, published(changes=(100, 150))))] == [list(FILTERS)]
+    found = told((0, 0, published(changes=(100, 300))))
+    assert [(each["kind"], each["filters"]) for each in found] == [(CHANGE, [name]) for name in FILTERS]
+
+
+def test_a_loss_explains_the_changes_that_follow_at_once():
+    found = told((0, 0, published({(100, 900): 0.5}, {(100, 900): 1.0}, changes=(110, 600))))
+    assert [each["kind"] for each in found] == [LOSS, CHANGE, RECOVERY]
+
+
+def test_older_runs_have_alarms_without_intervals():
+    off, left, right = [1.0, 1.0, 0.0, 0.0, 0.0], [0.4, 0.9, 30.0, 2.0, 1.0], [0.8, 0.6, 2.0, 30.0, 1.0]
+    thrusters = np.array([off, left, [np.nan] * 5, left, off, right])[:, None]
+    older = fleet("one", steps=6)
+    found = events(older, [(0, k, {"thrusters": thrusters[k : k + 2]}) for k in (0, 2, 4)])["anna"]
+    assert [(each["kind"], each["side"]) for each in found] == [(LOSS, "left"), (RECOVERY, "left"), (LOSS, "right")]
+    assert found[0]["effectiveness"] == 0.4 and found[0]["low"] is None and found[0]["given"] is None
+    assert event_of(found[0]).sentence == "the left thruster gives 40 % of its thrust"
+    assert events(older, [(0, 0, {"predictions": thrusters})])["anna"] == []
+
+
+def test_a_watch_on_board_says_a_loss_again_when_the_filters_have_it():
+    watch, row = EventWatch(FILTERS, FILTERS), np.array([0.4, 1, 0, 0, 1, 0, 0, 0, 0, 0], float)
+    (alarm,) = watch.see(10.0, row)
+    assert alarm.is_alarm and alarm.sentence == "the left thruster gives 40 % of its thrust"
+    assert watch.see(10.4, row) == []
+    given = row.copy()
+    given[[2, 6]] = 0.1, 1.0
+    (update,) = watch.see(20.0, given)
+    assert not update.is_alarm
+    assert update.sentence == (
+        "the left thruster gives 40 % of its thrust (24 ... 56 %); joint and joint_averaged got this after 10 s"
+    )
+    assert watch.losses == {0: update}
+    (healed,) = watch.see(30.0, np.array([1, 1, 0, 0, 0, 0, 0, 0, 0, 0], float))
+    assert healed.sentence == "the left thruster gives its full thrust again" and watch.losses == {}
