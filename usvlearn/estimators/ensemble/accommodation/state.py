@@ -23,7 +23,7 @@ That of the monitor has `share` times its standard deviation, because its sample
 
     1/s² = Σ 1/s_j²,   η = s² Σ η_j/s_j²                                                                  (3)
 
-The derivation is in `docs/theory.md`, section 23.
+The derivation is in `docs/theory.md`, section 15.
 """
 
 from __future__ import annotations
