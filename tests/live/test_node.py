@@ -358,6 +358,10 @@ def test_what_lies_ahead_is_what_the_next_steps_see():
     np.testing.assert_allclose(ahead.command_right, 0.3)
     np.testing.assert_allclose(ahead.yaw_rate, 0.5, rtol=1e-6)
     np.testing.assert_allclose(np.diff(ahead.heading), 0.2, rtol=1e-6)
+    later = aligner.ahead(26)  # the turn goes on for 1.2 s and then ends
+    np.testing.assert_allclose(later.yaw_rate[:4], 0.5, rtol=1e-6)
+    np.testing.assert_allclose(later.yaw_rate[10], 0.5 * np.exp(-(4.0 - 1.2) / 1.2), rtol=1e-6)
+    np.testing.assert_allclose(np.diff(later.heading), 0.4 * later.yaw_rate[:-1], rtol=1e-6)
     aligner.push("surge", 9.0, 1.0)
     assert np.isnan(aligner.ahead(1).heading[0]), "the last heading is too old"
 

@@ -7,8 +7,8 @@ A plan is text, rows `t,left,right` or `t,left,right,heading` that are separated
 
 t is in s from the end of the node's last step. The commands of a row, shares of full scale from −1 to 1, hold until the
 next row; those of the last row hold on. Before the first row the commands in force hold. Headings have the unit of the
-heading channel and are joined by straight lines; without them the boat keeps its yaw rate. The answer has the form of
-the plan.
+heading channel and are joined by straight lines; without them the boat soon ends its turn (`Aligner.ahead`). The answer
+has the form of the plan.
 """
 
 from __future__ import annotations

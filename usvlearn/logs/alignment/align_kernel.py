@@ -19,6 +19,7 @@ SLACK = 1.0  # s, by which a channel may lag behind the newest message of any ot
 LATEST = 1e12  # s; at later stamps, adding a step would not change the time
 RESETS = 3  # so many messages in a row, of several channels, far behind: the clock was set back
 TURN = 2 * math.pi
+TURNS = STRAIGHTENS = 1.2  # s for which a boat keeps its yaw rate, and time constant with which that fades then
 LEFT, RIGHT, HEADING, YAW_RATE, SURGE = range(5)
 CAUSES = ("not_a_number", "out_of_range", "backwards", "ahead", "duplicate", "repeated", "stale", "copied")
 NOT_A_NUMBER, OUT_OF_RANGE, BACKWARDS, AHEAD, DUPLICATE, REPEATED, STALE, COPIED = range(8)
@@ -164,9 +165,11 @@ def ahead(settings, memory, times, values, steps):
         rate = 0.0 if held else _slope(settings, memory, times, values, last)
     elif _in_force(settings, memory, times, YAW_RATE):
         rate = values[YAW_RATE, memory.count[YAW_RATE] - 1]
+    heading = values[HEADING, last] + rate * (begin - times[HEADING, last])
     for k in range(steps):
-        found[HEADING, k] = (values[HEADING, last] + rate * (begin + k * dt - times[HEADING, last])) % TURN
-        found[YAW_RATE, k] = rate
+        now = rate * math.exp(-max(k * dt - TURNS, 0.0) / STRAIGHTENS)
+        found[HEADING, k], found[YAW_RATE, k] = heading % TURN, now
+        heading += now * dt
     return found
 
 
