@@ -145,7 +145,7 @@ CHOSEN = {  # of a member of the ensemble, in place of the signature's default
     ("memory_aid", "memory"), ("steady_rls", "memory"), ("steady_rls", "covariance"), ("steady_rls", "signs"),
     ("steady_rls", "threshold"), ("ensemble", "memory"), *itertools.product(
         ("dynamic_rls", "memory_aid", "memory_rls", "ambient_rls"), ("patience", "inflation")),
-    ("rnn_replay", "replay_size"), ("rnn_replay", "unroll"),
+    ("joint", "trial"), ("joint_averaged", "trial"), ("rnn_replay", "replay_size"), ("rnn_replay", "unroll"),
     *itertools.product(("joint_quick",), ("disturbance", "disturbance_time", "current", "drift_time", "outlier")),
     *itertools.product(
         ("joint_averaged",), ("disturbance", "disturbance_time", "drift_time", "current", "lag", "read_every")),

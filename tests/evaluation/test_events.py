@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from usvlearn.core.events import CHANGE, LOSS, RECOVERY, Event, EventWatch, event_of
 from usvlearn.core.samples import Fleet, Run
-from usvlearn.evaluation.events import CHANGE, LOSS, RECOVERY, Event, EventWatch, event_of, events
+from usvlearn.evaluation.events import events
 
 FILTERS = ("joint", "joint_averaged")
 DT, STEPS = 0.4, 1000
@@ -50,6 +51,33 @@ def test_stretches_and_runs_do_not_repeat_what_goes_on():
     on = published({(0, STEPS): 0.5}, {(0, STEPS): 1.0}, {(0, STEPS): 1.0})
     found = told((0, 0, published({(100, STEPS): 0.5}, {(100, STEPS): 1.0})), (1, 0, on), names=("one", "two"))
     assert [each["run"] for each in found] == ["one"]
+
+
+def test_a_loss_goes_on_in_the_next_run_on_one_clock():
+    """Times of a run begin at 0 again: the two minutes, and the half minute of a change, go on."""
+    first = published({(900, STEPS): 0.5}, {(900, STEPS): 1.0})
+    after = published({(0, 100): 0.4, (100, 600): 0.1}, {(0, 600): 1.0}, {(0, 600): 1.0}, changes=(500,))
+    found = told((0, 0, first), (1, 0, after), names=("one", "two"))
+    assert [(each["kind"], each["run"]) for each in found] == [(LOSS, "one"), (CHANGE, "two"), (RECOVERY, "two")]
+    loss, change, recovery = found
+    assert loss["time"] == pytest.approx(360.0) and loss["given"] == pytest.approx(40.6, abs=0.5)
+    assert loss["effectiveness"] == 0.1  # of 120 s after the alarm, in the second run
+    assert change["time"] == pytest.approx(200.0) and recovery["time"] == pytest.approx(240.0)
+
+
+def test_a_model_of_a_checkpoint_has_changed_before():
+    """Counts begin at the first step; an alarm that is on already is told as one."""
+    watch, row = EventWatch(FILTERS, FILTERS), np.array([0.4, 1, 0.1, 0, 1, 0, 1, 0, 3, 2], float)
+    (alarm,) = watch.see(0.0, row)
+    assert alarm.is_alarm and alarm.low > 0
+    assert [event.kind for event in watch.see(200.0, row + np.eye(10)[8])] == [CHANGE]
+
+
+def test_a_clock_that_begins_anew_leaves_no_negative_times():
+    watch, row = EventWatch(FILTERS, FILTERS), np.array([0.4, 1, 0.1, 0, 1, 0, 0, 0, 0, 0], float)
+    watch.see(1e9, row)
+    (given,) = watch.see(5.0, row + np.eye(10)[6])
+    assert given.given == 0.0
 
 
 def test_steps_that_were_not_made_are_passed_over():

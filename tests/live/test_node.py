@@ -10,9 +10,9 @@ import pytest
 
 from tests.support.live import boat, learned_set, messages
 from usvlearn.core import checkpoint
+from usvlearn.core.events import LOSS, Event
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.events import LOSS, Event
 from usvlearn.live import watched
 from usvlearn.live.health import COMPILING
 from usvlearn.live.held import HeldIntervals
@@ -191,12 +191,11 @@ def test_a_lost_thruster_is_told_once(start):
     steps = [step for message in messages(log, 0.0) for step in one.push(*message)]
     alarm, given = (event for step in steps for event in step.events if event.kind == LOSS)
     assert 600.0 < alarm.time - one.origin < 700.0 and one.alarms == 1 and one.alarm == "left"
-    assert alarm.is_alarm and math.isnan(alarm.low) and given.given == pytest.approx(10.0, abs=0.41)
+    assert alarm.is_alarm and alarm.low < 0.4 < alarm.high and given.given == pytest.approx(10.0, abs=0.41)
     assert given.low < 0.4 < given.high and one.loss.low < 0.4 < one.loss.high
 
 
 def test_one_command_for_both_sides_makes_the_steps_of_two_equal_ones(start):
-    """And an alarm names no side: nothing tells which thruster has failed."""
     channels = Setup.of(checkpoint.load(start)[1]["setup"]).channels
     given = {**channels, "command_right": channels["command_left"]}
     both, two = node(start, given), node(start)
@@ -208,14 +207,6 @@ def test_one_command_for_both_sides_makes_the_steps_of_two_equal_ones(start):
                 steps += [step for part in parts for step in one.push(part, stamp, value)]
     assert both.one_command and not two.one_command and len(found[0]) > 400
     np.testing.assert_array_equal(*([step.speed for step in steps[1:]] for steps in found))
-    row = np.array([0.4, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0] + [0.0] * len(watched.accommodated(two.online.description)))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(watched, "event_row", lambda *_: row)
-        (told,) = both._events(0.0)
-        assert told.sentence == "the left or right thruster has lost thrust" and both.alarm == "left or right"
-        assert two._events(0.0)[0].sentence == "the left thruster gives 40 % of its thrust"
-    health = COMPILING._replace(state="ok", alarm=both.alarm, loss=both.loss.sentence)
-    assert "Alarm       the left or right thruster has lost thrust (0 so far)" in page(health)
 
 
 def test_throttle_and_steering_make_the_sides(start):

@@ -110,7 +110,7 @@ def test_numbers_on_the_first_page_are_those_of_the_results(saved):
                 numbers = f"{shown(found['value'])} {found['unit']}", f"{shown(found['low'])} to {shown(found['high'])}"
                 assert [words, *numbers] in rows
         (row,) = (row for row in rows if row[0] == boat and len(row) == 10)
-        assert (row[1], row[3], row[8]) == ("2", f"{own['mae']:.3f}", str(len(results["alarms"][boat])))
+        assert (row[1], row[3], row[8]) == ("2", f"{own['mae']:.3f}", str(len(results["events"][boat])))
         found = sum(finding["boat"] == boat for finding in results["data_check"])
         assert row[9] == f"{found or 'no'} finding{'s' * (found != 1)}"
         fits = f"{own['fit']:.1f} % one step ahead, {results['free_fit'][boat][results['output']]:.1f} % for whole runs"

@@ -18,7 +18,7 @@ from usvlearn.runs.run_folder import RunFolder
 
 def session(path, fleet, resume=None) -> tuple[RunFolder, dict]:
     ensemble = Ensemble({"aid": AID(28.0), "persistence": Persistence()})
-    folder = RunFolder(path, fleet, {"configuration": {"estimators": 1}}, ensemble.names)
+    folder = RunFolder(path, fleet, {"configuration": {"estimators": 1}}, ensemble.names, filters=ensemble.accommodated)
     start = folder.begin(ensemble.init((len(fleet.boats),)), resume)
     with folder:
         for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=10):

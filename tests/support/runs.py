@@ -31,7 +31,7 @@ def model() -> Ensemble:
 
 def session(folder, fleet, resume=None, metadata=SETTINGS, save_every=10) -> RunFolder:
     ensemble = model()
-    folder = RunFolder(folder, fleet, metadata, ensemble.names)
+    folder = RunFolder(folder, fleet, metadata, ensemble.names, filters=ensemble.accommodated)
     start = folder.begin(ensemble.init((2,)), resume)
     with folder:
         for chunk in replay(ensemble, fleet, start.state, start.position, every=7, save_every=save_every):

@@ -161,11 +161,13 @@ class _Reading:
         _keys(entry, given, ("members", "numbers"))
         if description["monitors"] is None:
             raise CheckpointError(f"{entry}: found no monitors, expected them where filters are accommodated")
-        singles = [each for each in description["members"].values() for _ in range(each.get("count", 1))]
-        members = _list(f"{entry}.members", given["members"], Range(1, len(singles)))
+        columns, known = description["columns"], description["members"]
+        singles = [name for name, each in known.items() for _ in range(each.get("count", 1))]
+        members = _list(f"{entry}.members", given["members"], Range(1, len(columns)))
         for k, column in enumerate(members):
-            _number(f"{entry}.members[{k}]", column, Range(0, len(singles) - 1))
-            if singles[column]["kind"] != "joint" or "trial_steps" not in singles[column]:
+            _number(f"{entry}.members[{k}]", column, Range(0, len(columns) - 1))
+            own = known[singles[column]]
+            if columns[column] != singles[column] or own["kind"] != "joint" or "trial_steps" not in own:
                 raise wrong(f"{entry}.members[{k}]", column, "the column of a joint EKF with trials")
         if len(set(members)) < len(members):
             raise wrong(f"{entry}.members", members, "each once")

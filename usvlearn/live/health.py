@@ -9,7 +9,7 @@ from usvlearn.errors import printable
 
 ONE_COMMAND = (
     "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "
-    "thrust_ratio can be identified, nor a failed thruster be named; what a rudder does is not learned"
+    "thrust_ratio can be identified, nor a failed thruster be noticed; what a rudder does is not learned"
 )
 
 

@@ -40,6 +40,8 @@ class Board:
                 if math.isfinite(speed):
                     total, weight = self._errors.get(name, (0.0, 0.0))
                     self._errors[name] = keep * total + abs(speed - step.measured), keep * weight + 1.0
+        for event in step.events:
+            self._board.text("event", event.sentence, int(elapsed), "session")
         if elapsed - self._last < EVERY:
             return
         self._last = elapsed
@@ -51,8 +53,6 @@ class Board:
             self._write({"1 overview/MAE (m/s)": total / weight}, at, f"members/{name}")
         for horizon, (value, _, _) in step.forecasts.items():
             self._write({"1 overview/forecast (m/s)": value}, at, f"forecast/{horizon:g} s ahead")
-        for event in step.events:
-            self._board.text("event", event.sentence, at, "session")
 
     def health(self, health: Health) -> None:
         """Add what the node says of itself; it is drawn with the points of the steps."""

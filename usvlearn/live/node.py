@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.events import Event
 from usvlearn.core.plans import YAW_RATE, Forecast
 from usvlearn.core.samples import Inputs, Sample
 from usvlearn.engine.online import Online
 from usvlearn.errors import ConfigError, ShapeError
-from usvlearn.evaluation.events import Event
 from usvlearn.live import watched
 from usvlearn.live.held import HeldIntervals
 from usvlearn.live.plan_requests import Plan, answer, parse_plan, sampled
@@ -64,7 +64,7 @@ class Node:
     Attributes:
         steps, learned, alarms: how many there were.
         grid, fresh, measured: how many steps of the grid have passed, those with all inputs, those with a speed, too.
-        alarm: the side whose thruster seems to have failed, or `watched.ONE`; None without an alarm.
+        alarm: the side whose thruster seems to have failed; None without an alarm.
         loss: what is known of it now.
         one_command: whether both sides have the same command, so that nothing tells them apart.
         horizons: s, of the forecasts.
@@ -293,17 +293,6 @@ class Node:
         found = self._watch.see(time, watched.event_row(self.online, self._watch.filters))
         losses = sorted(self._watch.losses.values(), key=lambda event: event.effectiveness)
         self.loss = losses[0] if losses else None
-        if self.loss and self.one_command:
-            self.loss = self._of_both(self.loss)
-        if self.one_command:
-            found = [self._of_both(event) for event in found]
         self.alarm = self.loss and self.loss.side
         self.alarms += sum(event.is_alarm for event in found)
         return tuple(found)
-
-    @staticmethod
-    def _of_both(event: Event) -> Event:
-        """An event of a boat with one command for both sides, which nothing tells apart."""
-        if not event.side:
-            return event
-        return event._replace(side=watched.ONE, effectiveness=math.nan, low=math.nan, high=math.nan)

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.core.events import EventWatch
 from usvlearn.engine.online import Online
 from usvlearn.estimators.ensemble.monitors.state import DOUBT
-from usvlearn.evaluation.events import EventWatch
-
-ONE = "left or right"  # the side of an alarm where both have one command
 
 
 def accommodated(description: Mapping[str, Any]) -> list[str]:
@@ -28,13 +26,12 @@ def event_watch(description: Mapping[str, Any]) -> EventWatch | None:
 
 
 def event_row(online: Online, filters: Sequence[str]) -> np.ndarray:
-    """The numbers that `EventWatch` reads, now. Before the filters get an effectiveness, its interval is not known."""
+    """The numbers that `EventWatch` reads, now. Without filters that get an effectiveness, its interval is unknown."""
     raised, sums = (online.leaf(f"monitors.thrusters.{name}") for name in ("raised", "sums"))
     share = np.where(raised > 0, 1 + sums[:, 0] / (sums[:, 1] + DOUBT), 1.0)
     deviation = handed = np.zeros(2)
     if filters:
-        handed, given, spread = (online.leaf(f"accommodation.{name}") for name in ("handed", "share", "deviation"))
-        share, deviation = np.where(handed > 0, given, share), np.where(handed > 0, spread, deviation)
+        share, deviation, handed = (online.leaf(f"accommodation.{name}") for name in ("share", "deviation", "handed"))
     changes = [np.atleast_1d(online.leaf(f"members.{name}.trial.changes")) for name in filters]
     return np.concatenate([share, deviation, raised, handed, *changes])
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
+from usvlearn.core.events import LOSS, event_of
 from usvlearn.estimators.joint.reading import shown
-from usvlearn.evaluation.events import LOSS, event_of
 from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.sections.section import Drawn
 

@@ -11,12 +11,12 @@ from typing import Any
 from rich.console import Group
 from rich.text import Text
 
+from usvlearn.core.events import LOSS, event_of
 from usvlearn.display.terminal import Blocks
 from usvlearn.engine.identified import sentences
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.estimators.regressors.terms import SURGE
-from usvlearn.evaluation.events import LOSS, event_of
 from usvlearn.evaluation.measure import measure_of
 from usvlearn.evaluation.metrics import PERSISTENCE, by_error, mean, mean_mae
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, PREDICTIONS, RESULTS, TENSORBOARD

@@ -99,7 +99,8 @@ def _published(state: EnsembleState, kept: dict[str, np.ndarray], filters: Seque
     if not state.monitors:
         return published
     evidence, sums, raised = (kept[name] for name in THRUSTERS)
-    health = state.monitors.thrusters._replace(evidence=torch.from_numpy(evidence), sums=torch.from_numpy(sums))
+    thrusters = zip(("evidence", "sums", "raised"), (evidence, sums, raised), strict=True)
+    health = state.monitors.thrusters._replace(**{name: torch.from_numpy(x) for name, x in thrusters})
     handed, given = np.zeros_like(evidence), state.accommodation
     if filters:
         handed = kept[GIVEN[0]]

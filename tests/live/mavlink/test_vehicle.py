@@ -7,7 +7,7 @@ pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support.mavboat import MavBoat, mavlink, turning
 from tests.support.mavlab import BASE, RECEIPT, SOURCES, Lab
-from usvlearn.evaluation.events import Event
+from usvlearn.core.events import Event
 from usvlearn.live.node import Step
 from usvlearn.logs.channels.channel import Source
 

@@ -20,8 +20,8 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(10 + os.getpid() % 80))
 
 from tests.support import ROOT
 from tests.support.ros2 import NotedSession, Peer, health
+from usvlearn.core.events import Event
 from usvlearn.errors import ConfigError
-from usvlearn.evaluation.events import Event
 from usvlearn.live.node import Step
 from usvlearn.live.ros2 import ros2_launch
 from usvlearn.live.ros2.outputs import message_class

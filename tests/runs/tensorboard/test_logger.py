@@ -32,7 +32,9 @@ TEN = "10 s ahead"
 
 def log(folder, fleet, ensemble, stop=None, resume=None, **more):
     """Replay into a run's folder, up to so many chunks; returns the results, or None if it was stopped."""
-    run = RunFolder(folder, fleet, {"configuration": SETTINGS}, ensemble.names, ensemble.forecasts)
+    run = RunFolder(
+        folder, fleet, {"configuration": SETTINGS}, ensemble.names, ensemble.forecasts, filters=ensemble.accommodated
+    )
     start = run.begin(ensemble.init((len(fleet.boats),)), resume)
     logger = TensorBoardLogger(folder / "tensorboard", fleet, ensemble, start.position, **more)
     with run, logger:

@@ -48,9 +48,12 @@ def give(node, s, side, share, loose, a):
     n, own = node[Node.SIZE], node[AT.mean]
     a = a[:n]
     side_of(node, s[node[AT_TRIAL.past_mean] :], side, a)
-    for i in range(THETA, n):
-        if a[i] != 0.0:
-            s[own + i] = share * a[i]
+    k, e = THETA + 3 + 3 * side, E + 1 + 3 * side
+    for i in range(3):
+        s[own + k + i] = share * a[k + i]
+        if node[Choice.EVEN]:
+            s[own + e + i] = share * a[e + i]
+    s[own + KAPPA + side] = share * a[KAPPA + side]
     along(s[node[AT.factor] : node[AT.factor] + n * n].reshape(n, n), n - 1, loose * loose, a)
 
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from usvlearn.evaluation.events import LOSS
+from usvlearn.core.events import LOSS
 from usvlearn.live.mavlink.boot_clock import BootClock
 from usvlearn.live.mavlink.frames import V1, Frames
 from usvlearn.live.mavlink.intervals import Intervals

@@ -143,9 +143,9 @@ class Aligner:
     def ahead(self, steps: int) -> Inputs:
         """The inputs of the steps after the last one, as far as they are known: arrays `(steps,)`.
 
-        A command stays in force until the next message, and takes effect after its delay. The boat keeps its yaw rate for
-        1.2 s; then the rate fades with a time constant of 1.2 s, because most boats are steered and hold a heading. A
-        value that is older than its window at the newest message is NaN.
+        A command stays in force until the next message, and takes effect after its delay. The boat keeps its yaw rate
+        for 1.2 s; then the rate fades with a time constant of 1.2 s, because most boats are steered and hold a heading.
+        A value that is older than its window at the newest message is NaN.
         """
         left, right, heading, yaw_rate = _compiled().ahead(
             self._settings, self._memory, self._times, self._values, steps

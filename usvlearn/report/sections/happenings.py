@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from usvlearn.core.events import event_of
 from usvlearn.display.event_figure import course_of, event_figure
 from usvlearn.display.result_table import ResultTable
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.monitors.state import THRESHOLD
-from usvlearn.evaluation.events import event_of, events
+from usvlearn.evaluation.events import events
 from usvlearn.evaluation.season import Season
 from usvlearn.report.sections.section import Drawn, Section
 

@@ -5,7 +5,7 @@ import numpy as np
 from usvlearn.core.family import WIDTH, Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, SURGE
-from usvlearn.estimators.ensemble.accommodation.state import AT, Number
+from usvlearn.estimators.ensemble.accommodation.state import AT, NINETY, Number
 from usvlearn.estimators.ensemble.monitors.kernel import effectiveness
 from usvlearn.estimators.ensemble.monitors.state import AT as MONITOR
 from usvlearn.estimators.ensemble.monitors.state import SIGNIFICANT
@@ -24,30 +24,38 @@ def accommodate(program, node, monitors, s, q, row, work):
         on = raised[side] > 0
         if on and not handed[side] > 0 and late:
             handed[side], new = 1.0, True
-            share[side], _ = effectiveness(monitors, s, q, side, work)
+            share[side] = max(effectiveness(monitors, s, q, side, work)[0], 0.0)
         elif handed[side] > 0 and not on:
-            handed[side], share[side], deviation[side] = 0.0, 1.0, 0.0
-            for i in joints:
-                give_back(program[i], s, q, side, own[Number.LOOSE], surge, work)
+            value, spread = fuse(program, joints, monitors, s, q, side, own, False, work)
+            if value + NINETY * spread >= 1:
+                handed[side], share[side] = 0.0, 1.0
+                for i in joints:
+                    give_back(program[i], s, q, side, own[Number.LOOSE], surge, work)
     if new:
         for i in joints:
             hand_over(program[i], s, q, share, own[Number.LOOSE], surge, work)
-    if not (raised[0] > 0 or raised[1] > 0) and evidence[0] < SIGNIFICANT and evidence[1] < SIGNIFICANT:
+    quiet = not (raised[0] > 0 or raised[1] > 0 or handed[0] > 0 or handed[1] > 0)
+    if quiet and evidence[0] < SIGNIFICANT and evidence[1] < SIGNIFICANT:
         s[node[AT.calm]] += row[DT]
         if s[node[AT.calm]] >= own[Number.WAIT]:
             s[node[AT.calm]] = 0.0
             for i in joints:
                 keep_past(program[i], s)
     for side in range(2):
+        on = raised[side] > 0
         if handed[side] > 0:
-            share[side], deviation[side] = fuse(program, joints, monitors, s, q, side, own, work)
+            share[side], deviation[side] = fuse(program, joints, monitors, s, q, side, own, on, work)
+        else:
+            share[side], deviation[side] = effectiveness(monitors, s, q, side, work) if on else (1.0, 0.0)
 
 
 @jit
-def fuse(program, joints, monitors, s, q, side, own, work):
-    """(3): η and s of a side."""
-    value, spread = effectiveness(monitors, s, q, side, work)
-    total, moment = weigh(value, own[Number.MONITOR] * spread, 0.0, 0.0)
+def fuse(program, joints, monitors, s, q, side, own, alarmed, work):
+    """(3): η and s of a side, with the monitor's while its alarm is on."""
+    total, moment = 0.0, 0.0
+    if alarmed:
+        value, spread = effectiveness(monitors, s, q, side, work)
+        total, moment = weigh(value, own[Number.MONITOR] * spread, total, moment)
     for i in joints:
         value, spread = thrust_left(program[i], s, side, own[Number.SCALE], own[Number.FLOOR], work)
         total, moment = weigh(value, spread, total, moment)

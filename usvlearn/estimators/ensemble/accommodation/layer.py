@@ -13,6 +13,7 @@ from usvlearn.estimators.ensemble.accommodation.state import (
     FLOOR,
     LOOSE,
     MONITOR,
+    NINETY,
     SCALE,
     WAIT,
     AccommodationState,
@@ -68,12 +69,13 @@ def accommodate(
         surge: measured, m/s, `(*batch,)`.
     """
     on, handed = thrusters.raised > 0, state.handed > 0
-    share, deviation = effectiveness(thrusters)
+    alone, spread = effectiveness(thrusters)
     new = on & ~handed & (thrusters.since >= AFTER)[..., None]
-    healed = handed & ~on
-    shares = torch.where(new, share, torch.where(healed, 1.0, state.share))
+    value, width = fused(_sources(joints))
+    healed = handed & ~on & (value + NINETY * width >= 1)
+    shares = torch.where(new, alone.clamp(min=0), torch.where(healed, 1.0, state.share))
     handed = (handed | new) & ~healed
-    quiet = ~on.any(-1) & (thrusters.evidence < SIGNIFICANT).all(-1)
+    quiet = ~(on | handed).any(-1) & (thrusters.evidence < SIGNIFICANT).all(-1)
     calm = state.calm + torch.where(quiet, dt, 0.0)
     copies = quiet & (calm >= WAIT)
     found = {}
@@ -81,17 +83,23 @@ def accommodate(
         for side in range(2):
             joint = give_back(joint, healed[..., side], side, LOOSE, surge)
         found[name] = keep_past(hand_over(joint, new.any(-1), shares, LOOSE, surge), copies)
-    sources = [(share, MONITOR * deviation)]
-    for joint in found.values():
-        left = [thrust_left(joint, side, SCALE, FLOOR) for side in range(2)]
-        sources.append((torch.stack([x for x, _ in left], -1), torch.stack([s for _, s in left], -1)))
-    joined, spread = fused(sources)
+    told = torch.where(on, MONITOR * spread, torch.inf)
+    value, width = fused([(alone, told), *_sources(found)])
     return AccommodationState(
         torch.where(copies, 0.0, calm),
         handed.to(surge.dtype),
-        torch.where(handed, joined, 1.0),
-        torch.where(handed, spread, 0.0),
+        torch.where(handed, value, torch.where(on, alone, 1.0)),
+        torch.where(handed, width, torch.where(on, spread, 0.0)),
     ), found
+
+
+def _sources(joints: Mapping[str, Any]) -> list[tuple[Tensor, Tensor]]:
+    """(2) of each filter, `(*batch, 2)` each."""
+    found = []
+    for joint in joints.values():
+        left = [thrust_left(joint, side, SCALE, FLOOR) for side in range(2)]
+        found.append((torch.stack([x for x, _ in left], -1), torch.stack([s for _, s in left], -1)))
+    return found
 
 
 def thrust_remaining(thrusters: ThrusterState, given: Any) -> tuple[Tensor, Tensor]:
@@ -104,8 +112,8 @@ def thrust_remaining(thrusters: ThrusterState, given: Any) -> tuple[Tensor, Tens
     share, deviation = effectiveness(thrusters)
     if not given:
         return share, deviation
-    handed = given.handed > 0
-    return torch.where(handed, given.share, share), torch.where(handed, given.deviation, deviation)
+    told = (thrusters.raised > 0) | (given.handed > 0)
+    return torch.where(told, given.share, share), torch.where(told, given.deviation, deviation)
 
 
 def fused(sources: Sequence[tuple[Tensor, Tensor]]) -> tuple[Tensor, Tensor]:

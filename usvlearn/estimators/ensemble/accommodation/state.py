@@ -11,15 +11,16 @@ update steps. The last two copies are kept, so that the older one, x⁻ and P⁻
     x_side ← η x⁻_side,   other parameters ← x⁻,   P ← P⁻ + loose² d dᵀ                                   (1)
 
 A new segment starts, because b and w may have absorbed the fault, and the periodic estimates begin anew. What a trial
-has learned since the fault is replaced: it may have changed the wrong side. When the alarm ends, the thruster has
-recovered: x_side ← x⁻_side, P ← P + loose² d dᵀ.
+has learned since the fault is replaced: it may have changed the wrong side. The thruster has recovered when the alarm
+has ended, and the 90 % interval that the filters alone give reaches 1: x_side ← x⁻_side, P ← P + loose² d dᵀ.
 
 From (1) on, the effectiveness is that of all sources together. That of a filter is the ratio of the thrust at full
 command and the present speed w, of x to that of x⁻, with a = (1, 1, |w|, 1, 1, 1, w) on (α, β, γ, κ, e₁, e₂, e₃):
 
     η_j = aᵀx/aᵀx⁻,   s_j² = scale² aᵀPa/(aᵀx⁻)² + (1 − η_j)² aᵀP⁻a/(aᵀx⁻)² + floor²                     (2)
 
-That of the monitor has `share` times its standard deviation, because its samples in a fault are not independent:
+That of the monitor, while its alarm is on, has `monitor` times its standard deviation, because its samples in a fault
+are not independent:
 
     1/s² = Σ 1/s_j²,   η = s² Σ η_j/s_j²                                                                  (3)
 
@@ -40,15 +41,16 @@ WAIT, AFTER = 30.0, 10.0  # s
 LOOSE = 0.3  # of (1)
 SCALE, FLOOR = 1.5, 0.03  # of (2)
 MONITOR = 1.4  # times the monitor's standard deviation
+NINETY = 1.645  # standard deviations of a 90 % interval
 
 
 class AccommodationState(NamedTuple):
     """What was given to the filters. Sides are left, right."""
 
     calm: Tensor  # (*batch,) s of update steps, without those that show a fault, since the last copy
-    handed: Tensor  # (*batch, 2) 1 where the filters have got the effectiveness of this alarm, else 0
-    share: Tensor  # (*batch, 2) η of (3) there, else 1
-    deviation: Tensor  # (*batch, 2) s of (3) there, else 0
+    handed: Tensor  # (*batch, 2) 1 where the filters have got an effectiveness, until the thruster recovers, else 0
+    share: Tensor  # (*batch, 2) η of (3) there; the monitor's in an alarm before; else 1
+    deviation: Tensor  # (*batch, 2) likewise, standard deviation; else 0
 
 
 class Number(Numbers):

@@ -7,6 +7,7 @@ from usvlearn.core.family import Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, LEFT, RIGHT, YAW_RATE
 from usvlearn.estimators.ensemble.monitors.state import (
+    APART,
     AT,
     DOUBTFUL,
     FEATURES,
@@ -100,9 +101,11 @@ def observe_thrusters(node, s, q, inputs, work):
     precision = 1.0 / np.sqrt(misfit + (1 + q[Number.HORIZON] * leverage) * variance)  # 1/σ of (5)
     calm = np.exp(-max(evidence[0], evidence[1]) / q[Number.CALM])
     alarm = 0.0
+    power = moments[4, 4] + moments[5, 5]
+    apart = power - 2 * moments[4, 5] > APART * power
     for side in range(2):
         f = x[3 + side] * theta[3 + side] + x[5 + side] * theta[5 + side] + x[7 + side] * theta[7 + side]
-        effect = clamp(f * precision, q[Number.EFFECT])
+        effect = clamp(f * precision, q[Number.EFFECT]) if apart else 0.0
         moment, weight = effect * clamp(e * precision, q[Number.CLIP]), effect * effect
         g = evidence[side] - q[Number.LOSS] * moment - 0.5 * q[Number.LOSS] ** 2 * weight  # (5)
         g = min(max(g, 0.0), 2 * q[Number.THRESHOLD])
@@ -142,7 +145,8 @@ def effectiveness(node, s, q, side, work):
     for i in range(THRUST + side, FEATURES, 2):
         full[i] = 1.0
     weight = sums[1] + q[Number.DOUBT]
-    lost = -sums[0] / weight if s[node[at.evidence] + side] > SIGNIFICANT else 0.0
+    doubted = s[node[at.evidence] + side] > SIGNIFICANT or s[node[at.raised] + side] > 0
+    lost = -sums[0] / weight if doubted else 0.0
     solve_model(moments, q[Number.YAW_RIDGE], L, full, theta, solved)
     effect, square = dot(full, theta), s[node[at.variance]] * dot(full, solved)
     doubtful = lost * lost * DOUBTFUL * DOUBTFUL * square / max(effect * effect, np.finfo(moments.dtype).tiny)

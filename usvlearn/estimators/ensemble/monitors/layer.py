@@ -10,6 +10,7 @@ from torch import Tensor
 
 from usvlearn.core.samples import Inputs, tree_map, where
 from usvlearn.estimators.ensemble.monitors.state import (
+    APART,
     BACKWARDS,
     CALM,
     CLEARED,
@@ -187,6 +188,9 @@ def observe_thrusters(state: ThrusterState, inputs: Inputs, threshold: float = T
     at_full = thrust.unflatten(-1, (3, 2)).sum(-2)  # F of both sides
     effect = (x[..., THRUST:] * thrust).unflatten(-1, (3, 2)).sum(-2)  # f of both sides
     e, variance = inputs.yaw_rate - predicted, state.variance
+    power = state.moments.diagonal(dim1=-2, dim2=-1)[..., 1 + THRUST : 3 + THRUST].sum(-1)
+    apart = power - 2 * state.moments[..., 1 + THRUST, 2 + THRUST] > APART * power
+    effect = effect * apart[..., None]
 
     coherent = 1 + HORIZON * leverage
     misfit = 0.5 * MISFIT**2 * (at_full * at_full).sum(-1)
@@ -248,7 +252,7 @@ def cusum(
 def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
     """The share of each thruster's thrust that remains, by (6), and its standard deviation, `(*batch, 2)` each.
 
-    It is 1 where the evidence is below SIGNIFICANT: healthy thrusters show some evidence, too.
+    It is 1 without an alarm where the evidence is below SIGNIFICANT: healthy thrusters show some evidence, too.
 
     >>> state = init((), 1, torch.zeros(())).thrusters._replace(sums=torch.tensor([[-50.0, 90.0], [0.0, 0.0]]))
     >>> effectiveness(state._replace(evidence=torch.tensor([12.0, 0.0])))[0].tolist()
@@ -256,7 +260,7 @@ def effectiveness(state: ThrusterState) -> tuple[Tensor, Tensor]:
     """
     moment, weight = state.sums.unbind(-1)
     weight = weight + DOUBT
-    lost = torch.where(state.evidence > SIGNIFICANT, -moment / weight, 0.0)
+    lost = torch.where((state.evidence > SIGNIFICANT) | (state.raised > 0), -moment / weight, 0.0)
     full = torch.eye(2, dtype=weight.dtype, device=weight.device).repeat(3, 1)  # h of both sides
     full = torch.cat([full.new_zeros(THRUST, 2), full])
     solved = solve_model(state.moments, full)

@@ -29,7 +29,8 @@ Page's CUSUM (1954) of the log-likelihood ratio of a loss d against none, and wh
 
 N ℓ s² is the error of ϑ, which stays the same over some N steps; η F an error of the model (3), where F is the effect
 of full command, hᵀϑ. The error of F scales the loss that is found. A g_i above the threshold raises the alarm. While g
-is high, little is learned, so that a fault is not absorbed.
+is high, little is learned, so that a fault is not absorbed. Where both commands have always been equal, nothing tells
+the sides apart, and the g_i stay.
 
 The sums M = Σ w x xᵀ are rounded at each of the n = Σ w steps that they remember, by at most some n ε √(M_ii M_jj) in
 all (ε the machine's). In float32, at constant commands, that makes M indefinite. A ridge above that bound keeps M + R
@@ -78,6 +79,7 @@ FEATURES = 9  # x of (3)
 Z = 1 + FEATURES  # z of (3): the yaw rate, and x
 THRUST = 3  # place of the first feature of the commands
 ROUNDING = 16  # of (7)
+APART = 1e-4  # share of Σ w (ξ_L² + ξ_R²), from which Σ w (ξ_L − ξ_R)² tells the sides apart
 
 
 class InnovationState(NamedTuple):

@@ -1,0 +1,144 @@
+"""Events: a thruster loses thrust or recovers, or the boat changes; what the estimators found and did.
+
+`EventWatch` reads one row of numbers for each step of one boat: the first two of `thrusters` and all of `health` that
+`usvlearn.runs.published` describes, each for left and right but for the last:
+
+    share, deviation    effectiveness of the thruster, and its standard deviation
+    raised              1 while its alarm is on
+    handed              1 from when the filters got the effectiveness until the thruster has recovered
+    changes             count of changes that each filter with trials has confirmed
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+SIDES = ("left", "right")
+FIXED = 8  # columns of a row without those of the changes
+SHARE, DEVIATION, RAISED, HANDED = range(0, FIXED, 2)
+SETTLES = 120.0  # s after an alarm, up to which its effectiveness is updated
+TOGETHER = 30.0  # s within which changes of several filters are one event, and a loss explains a change
+NINETY = 1.645  # standard deviations of a 90 % interval
+LOSS, RECOVERY, CHANGE = "loss", "recovery", "change"
+
+
+class Event(NamedTuple):
+    """What happened. The effectiveness is a share of the thrust; NaN where it is not known."""
+
+    time: float  # s
+    kind: str  # LOSS, RECOVERY, CHANGE
+    side: str = ""  # of the thruster; "" of a change
+    effectiveness: float = math.nan
+    low: float = math.nan  # ends of its 90 % interval
+    high: float = math.nan
+    given: float = math.nan  # s after the alarm, when the filters got it
+    filters: tuple[str, ...] = ()  # that got it, or that have replaced their parameters
+
+    @property
+    def is_alarm(self) -> bool:
+        """Whether a thruster has just lost thrust: not that the filters have got its effectiveness."""
+        return self.kind == LOSS and not math.isfinite(self.given)
+
+    @property
+    def sentence(self) -> str:
+        """The event in words.
+
+        >>> Event(12.0, LOSS, "left", 0.41, 0.3, 0.52, 10.0, ("joint",)).sentence
+        'the left thruster gives 41 % of its thrust (30 ... 52 %); joint got this after 10 s'
+        >>> Event(80.0, RECOVERY, "left").sentence
+        'the left thruster gives its full thrust again'
+        >>> Event(30.0, CHANGE, filters=("joint", "joint_averaged")).sentence
+        'the boat has changed: joint and joint_averaged have learned other parameters'
+        """
+        who = " and ".join(self.filters)
+        if self.kind == CHANGE:
+            return f"the boat has changed: {who} ha{'s' if len(self.filters) == 1 else 've'} learned other parameters"
+        if self.kind == RECOVERY:
+            return f"the {self.side} thruster gives its full thrust again"
+        if math.isnan(self.effectiveness):
+            return f"the {self.side} thruster has lost thrust"
+        ends = f" ({100 * self.low:.0f} ... {100 * self.high:.0f} %)" if math.isfinite(self.low) else ""
+        told = f"; {who} got this after {self.given:.0f} s" if math.isfinite(self.given) and who else ""
+        return f"the {self.side} thruster gives {100 * self.effectiveness:.0f} % of its thrust{ends}{told}"
+
+
+class EventWatch:
+    """Finds the events of one boat, step by step.
+
+    Args:
+        filters: the names of those with trials, in the order of the columns.
+        given: the names of those that get the effectiveness.
+
+    >>> watch = EventWatch(["joint"], ["joint"])
+    >>> watch.see(0.0, [1, 1, 0.3, 0.3, 0, 0, 0, 0, 0])
+    []
+    >>> [event.sentence for event in watch.see(0.4, [0.4, 1, 0.1, 0.3, 1, 0, 0, 0, 0])]
+    ['the left thruster gives 40 % of its thrust (24 ... 56 %)']
+    """
+
+    def __init__(self, filters: Sequence[str] = (), given: Sequence[str] = ()):
+        self.filters, self.given = tuple(filters), tuple(given)
+        self.losses: dict[int, Event] = {}  # of the sides that have lost thrust, as far as they are known
+        self._row: np.ndarray | None = None
+        self._time = -math.inf
+
+    def changes(self, row: np.ndarray) -> bool:
+        """Whether a row says something else than the one before, but for shares of sides that are whole."""
+        return self._row is None or bool(self.losses) or not np.array_equal(row[RAISED:], self._row[RAISED:])
+
+    def see(self, time: float, row: Any) -> list[Event]:
+        """The events of a step: a loss again when the filters get it; no change of the boat that a loss explains.
+
+        What is on already at the first step is an alarm, and counts begin there: the model may be that of a checkpoint.
+
+        Args:
+            time: of the step, s. Where it goes back, because a clock began anew, losses count from there.
+            row: of numbers, as above.
+        """
+        row, found = np.asarray(row, float), []
+        before = self._row
+        if before is None:
+            before = row.copy()
+            before[RAISED:HANDED] = 0.0
+            before[HANDED:FIXED] = row[HANDED:FIXED]
+        if time < self._time:
+            self.losses = {side: event._replace(time=time) for side, event in self.losses.items()}
+        self._row, self._time = row, time
+        for side, name in enumerate(SIDES):
+            if not (row[RAISED + side] > 0 or row[HANDED + side] > 0):
+                if side in self.losses:
+                    del self.losses[side]
+                    found.append(Event(time, RECOVERY, name))
+                continue
+            first, new = side not in self.losses, row[HANDED + side] > before[HANDED + side]
+            event = self.losses.get(side, Event(time, LOSS, name))
+            late = time - event.time
+            if not (first or new or late <= SETTLES):
+                continue
+            share, spread = max(row[SHARE + side], 0.0), NINETY * row[DEVIATION + side]
+            known = 0 < spread < math.inf
+            low, high = (max(share - spread, 0.0), share + spread) if known else (math.nan, math.nan)
+            event = event._replace(effectiveness=float(share), low=float(low), high=float(high))
+            if new and not first:
+                event = event._replace(given=late, filters=self.given)
+            if first or new:
+                found.append(event)
+            self.losses[side] = event
+        changed = tuple(name for name, x, y in zip(self.filters, row[FIXED:], before[FIXED:], strict=True) if x > y)
+        if changed and not any(time - event.time <= TOGETHER for event in self.losses.values()):
+            found.append(Event(time, CHANGE, filters=changed))
+        return found
+
+
+def event_of(values: Mapping[str, Any]) -> Event:
+    """The event from its JSON values.
+
+    >>> event_of({"run": "7", "time": 1.0, "kind": "recovery", "side": "left"}).sentence
+    'the left thruster gives its full thrust again'
+    """
+    known = {key: x for key, x in values.items() if key in Event._fields and x is not None}
+    return Event(**{**known, "filters": tuple(known.get("filters", ()))})
