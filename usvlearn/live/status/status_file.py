@@ -27,8 +27,9 @@ def status_lines(folder: Path) -> list[str]:
     if not found and not sets:
         return [f"{folder}: no node has written here"]
     lines = [f"Node        {_state(folder, found)}"]
-    for title, key in (("Boat", "boat"), ("Middleware", "middleware"), ("State", "sentence"), ("Start", "began_from")):
-        if isinstance(found.get(key), str):
+    titles = {"boat": "Boat", "middleware": "Middleware", "sentence": "State", "loss": "Alarm", "began_from": "Start"}
+    for key, title in titles.items():
+        if isinstance(found.get(key), str) and found[key]:
             lines.append(f"{title:<11} {printable(found[key])}")
     last: Any = found.get("last")
     if isinstance(last, dict) and _number(last.get("speed")):
