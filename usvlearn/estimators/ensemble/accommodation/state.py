@@ -4,9 +4,10 @@ Where both commands move together, the speed cannot tell which side has lost thr
 (`usvlearn.estimators.ensemble.monitors`). The speed tells better how much was lost. Both are joined here, for the
 members of an ensemble that are joint EKFs with trials.
 
-While nothing is wrong (no alarm, no fault, all evidence below 6), each of these filters copies its x, P and σ² every `wait` s of
-update steps. The last two copies are kept, so that the older one, x⁻ and P⁻, was made before the thruster failed.
-`after` s after an alarm, if it is still on, with the effectiveness η of the monitor and d as in (9) of the joint EKF:
+While nothing is wrong (no alarm, no fault, all evidence below 6), each of these filters copies its x, P and σ² every
+`wait` s of update steps. The last two copies are kept, so that the older one, x⁻ and P⁻, was made before the thruster
+failed. `after` s after an alarm, if it is still on, with the effectiveness η of the monitor and d as in (9) of the
+joint EKF:
 
     x_side ← η x⁻_side,   other parameters ← x⁻,   P ← P⁻ + loose² d dᵀ                                   (1)
 
