@@ -19,6 +19,7 @@ from peers.online import Peer, plain_nlms, plain_rls
 from truths import NOMINAL, PLANTS
 
 from usvlearn import Ensemble, Persistence
+from usvlearn.core.events import NINETY
 from usvlearn.core.samples import Fleet, Sample, masks, tree_map
 from usvlearn.engine.rollouts import rollout, tensors
 from usvlearn.estimators.ensemble.accommodation.layer import thrust_remaining
@@ -37,7 +38,6 @@ LOOSER = 1e3  # times which the oracle's covariance is, up to its limit
 HEALTH = tuple(f"monitors.thrusters.{name}" for name in ("evidence", "sums", "raised", "moments", "variance"))
 GIVEN = tuple(f"accommodation.{name}" for name in ("handed", "share", "deviation"))
 LONGEST = 500  # steps after the event within which a predictor recovers, or never
-NINETY = 1.645  # standard deviations of a 90 % interval
 
 
 class Event(NamedTuple):

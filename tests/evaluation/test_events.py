@@ -67,14 +67,14 @@ def test_a_loss_goes_on_in_the_next_run_on_one_clock():
 
 def test_a_model_of_a_checkpoint_has_changed_before():
     """Counts begin at the first step; an alarm that is on already is told as one."""
-    watch, row = EventWatch(FILTERS, FILTERS), np.array([0.4, 1, 0.1, 0, 1, 0, 1, 0, 3, 2], float)
+    watch, row = EventWatch(FILTERS), np.array([0.4, 1, 0.1, 0, 1, 0, 1, 0, 3, 2], float)
     (alarm,) = watch.see(0.0, row)
     assert alarm.is_alarm and alarm.low > 0
     assert [event.kind for event in watch.see(200.0, row + np.eye(10)[8])] == [CHANGE]
 
 
 def test_a_clock_that_begins_anew_leaves_no_negative_times():
-    watch, row = EventWatch(FILTERS, FILTERS), np.array([0.4, 1, 0.1, 0, 1, 0, 0, 0, 0, 0], float)
+    watch, row = EventWatch(FILTERS), np.array([0.4, 1, 0.1, 0, 1, 0, 0, 0, 0, 0], float)
     watch.see(1e9, row)
     (given,) = watch.see(5.0, row + np.eye(10)[6])
     assert given.given == 0.0
@@ -110,7 +110,7 @@ def test_older_runs_have_alarms_without_intervals():
 
 
 def test_a_watch_on_board_says_a_loss_again_when_the_filters_have_it():
-    watch, row = EventWatch(FILTERS, FILTERS), np.array([0.4, 1, 0, 0, 1, 0, 0, 0, 0, 0], float)
+    watch, row = EventWatch(FILTERS), np.array([0.4, 1, 0, 0, 1, 0, 0, 0, 0, 0], float)
     (alarm,) = watch.see(10.0, row)
     assert alarm.is_alarm and alarm.sentence == "the left thruster gives 40 % of its thrust"
     assert watch.see(10.4, row) == []

@@ -70,25 +70,28 @@ class EventWatch:
     """Finds the events of one boat, step by step.
 
     Args:
-        filters: the names of those with trials, in the order of the columns.
-        given: the names of those that get the effectiveness.
+        filters: the names of those with trials, which get the effectiveness, in the order of the columns.
 
-    >>> watch = EventWatch(["joint"], ["joint"])
+    >>> watch = EventWatch(["joint"])
     >>> watch.see(0.0, [1, 1, 0.3, 0.3, 0, 0, 0, 0, 0])
     []
     >>> [event.sentence for event in watch.see(0.4, [0.4, 1, 0.1, 0.3, 1, 0, 0, 0, 0])]
     ['the left thruster gives 40 % of its thrust (24 ... 56 %)']
     """
 
-    def __init__(self, filters: Sequence[str] = (), given: Sequence[str] = ()):
-        self.filters, self.given = tuple(filters), tuple(given)
+    def __init__(self, filters: Sequence[str] = ()):
+        self.filters = tuple(filters)
         self.losses: dict[int, Event] = {}  # of the sides that have lost thrust, as far as they are known
         self._row: np.ndarray | None = None
         self._time = -math.inf
 
-    def changes(self, row: np.ndarray) -> bool:
-        """Whether a row says something else than the one before, but for shares of sides that are whole."""
-        return self._row is None or bool(self.losses) or not np.array_equal(row[RAISED:], self._row[RAISED:])
+    def differs(self, row: np.ndarray) -> bool:
+        """Whether a row says something else than the last one that was seen, but for shares."""
+        return self._row is None or not np.array_equal(row[RAISED:], self._row[RAISED:])
+
+    def settles(self, time: float) -> bool:
+        """Whether a loss is so young at `time`, s, that its effectiveness is still updated."""
+        return any(time - event.time <= SETTLES for event in self.losses.values())
 
     def see(self, time: float, row: Any) -> list[Event]:
         """The events of a step: a loss again when the filters get it; no change of the boat that a loss explains.
@@ -124,7 +127,7 @@ class EventWatch:
             low, high = (max(share - spread, 0.0), share + spread) if known else (math.nan, math.nan)
             event = event._replace(effectiveness=float(share), low=float(low), high=float(high))
             if new and not first:
-                event = event._replace(given=late, filters=self.given)
+                event = event._replace(given=late, filters=self.filters)
             if first or new:
                 found.append(event)
             self.losses[side] = event

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from usvlearn.core.events import NINETY
 from usvlearn.core.samples import Inputs
 from usvlearn.display.figures import INK, SIDES, colours, themed
 
 FAULT, MARK = "#B0417A", "#AA4499"
 BEFORE, AFTER = 120.0, 300.0  # s about an event, which are shown
-NINETY = 1.645  # standard deviations of a 90 % interval
 
 
 class Course(NamedTuple):

@@ -112,6 +112,11 @@ def _check_numbers(numbers: Numbers, batch: tuple[int, ...], dtype: np.dtype) ->
         raise CheckpointError(f"{entry}: found {illegal[0]}, expected {legal}")
 
 
+def _owners(description: Any) -> list[str]:
+    """The name of the member that makes each column."""
+    return [name for name, each in description["members"].items() for _ in range(each.get("count", 1))]
+
+
 class _Reading:
     """Reads a specification entry by entry; raises a CheckpointError where one is not legal.
 
@@ -161,8 +166,7 @@ class _Reading:
         _keys(entry, given, ("members", "numbers"))
         if description["monitors"] is None:
             raise CheckpointError(f"{entry}: found no monitors, expected them where filters are accommodated")
-        columns, known = description["columns"], description["members"]
-        singles = [name for name, each in known.items() for _ in range(each.get("count", 1))]
+        columns, known, singles = description["columns"], description["members"], _owners(description)
         members = _list(f"{entry}.members", given["members"], Range(1, len(columns)))
         for k, column in enumerate(members):
             _number(f"{entry}.members[{k}]", column, Range(0, len(columns) - 1))
@@ -181,7 +185,7 @@ class _Reading:
             _number(f"{entry}.members[{k}]", column, Range(0, len(columns) - 1))
             if columns[column] not in description["members"]:
                 raise wrong(f"{entry}.members[{k}]", columns[column], "a member that is no bank")
-        singles = [name for name, each in description["members"].items() for _ in range(each.get("count", 1))]
+        singles = _owners(description)
         if [columns[column] for column in members] != [singles[column] for column in members]:
             raise wrong("kernel.columns", columns, "the names of the members, in their order")
         if len(set(members)) < len(members):

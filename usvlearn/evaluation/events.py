@@ -25,7 +25,7 @@ def events(fleet: Fleet, published: Iterable[Stretch], filters: Sequence[str] = 
         published: stretches in order; none has `thrusters` where nobody watched, and in older runs none has `health`.
         filters: as `Ensemble.accommodated`.
     """
-    watches = [EventWatch(filters, filters) for _ in fleet.boats]
+    watches = [EventWatch(filters) for _ in fleet.boats]
     found: list[Found] = [[] for _ in fleet.boats]
     lengths = np.array([[_length(run.time[:, k]) for k in range(len(fleet.boats))] for run in fleet.runs])
     for index, step, arrays in published:
@@ -54,14 +54,25 @@ def _rows(thrusters: np.ndarray, health: np.ndarray | None, filters: int) -> np.
 
 
 def _scan(watch: EventWatch, time: np.ndarray, sailed: float, rows: np.ndarray, run: str, found: Found) -> None:
-    """Add the events of one boat in one stretch. Most rows say what those before say, and are skipped."""
-    for k in np.flatnonzero(~np.isnan(rows[:, RAISED])):
-        if not watch.changes(rows[k]):
-            continue
-        for event in watch.see(sailed + float(time[k]), rows[k]):
+    """Add the events of one boat in one stretch. Most rows say what those before say, and are skipped at once."""
+    made = np.flatnonzero(~np.isnan(rows[:, RAISED]))
+    said = rows[made, RAISED:]
+    moves = np.flatnonzero((said[1:] != said[:-1]).any(-1)) + 1  # rows that differ from the one before
+    if len(made) and watch.differs(rows[made[0]]):
+        moves = np.append(0, moves)
+    k = 0
+    while k < len(made):
+        now, place = sailed + float(time[made[k]]), int(np.searchsorted(moves, k))
+        if not watch.settles(now):
+            if place == len(moves):
+                return
+            k = int(moves[place])
+            now = sailed + float(time[made[k]])
+        for event in watch.see(now, rows[made[k]]):
             _add(found, run, sailed, event)
         for event in watch.losses.values():
             _update(found, event)
+        k += 1
 
 
 def _add(found: Found, run: str, sailed: float, event: Event) -> None:

@@ -21,8 +21,7 @@ def accommodated(description: Mapping[str, Any]) -> list[str]:
 
 def event_watch(description: Mapping[str, Any]) -> EventWatch | None:
     """What finds the events; None if nobody watches the thrusters. `usvlearn.evaluation.events` does so for a run."""
-    filters = accommodated(description)
-    return None if description.get("monitors") is None else EventWatch(filters, filters)
+    return None if description.get("monitors") is None else EventWatch(accommodated(description))
 
 
 def event_row(online: Online, filters: Sequence[str]) -> np.ndarray:

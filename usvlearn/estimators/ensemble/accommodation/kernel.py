@@ -2,10 +2,11 @@
 
 import numpy as np
 
+from usvlearn.core.events import NINETY
 from usvlearn.core.family import WIDTH, Node
 from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, SURGE
-from usvlearn.estimators.ensemble.accommodation.state import AT, NINETY, Number
+from usvlearn.estimators.ensemble.accommodation.state import AT, Number
 from usvlearn.estimators.ensemble.monitors.kernel import effectiveness
 from usvlearn.estimators.ensemble.monitors.state import AT as MONITOR
 from usvlearn.estimators.ensemble.monitors.state import SIGNIFICANT

@@ -8,12 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from usvlearn.core.events import NINETY
 from usvlearn.estimators.ensemble.accommodation.state import (
     AFTER,
     FLOOR,
     LOOSE,
     MONITOR,
-    NINETY,
     SCALE,
     WAIT,
     AccommodationState,

@@ -42,7 +42,6 @@ WAIT, AFTER = 30.0, 10.0  # s
 LOOSE = 0.3  # of (1)
 SCALE, FLOOR = 1.5, 0.03  # of (2)
 MONITOR = 1.4  # times the monitor's standard deviation
-NINETY = 1.645  # standard deviations of a 90 % interval
 
 
 class AccommodationState(NamedTuple):
