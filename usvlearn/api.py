@@ -199,10 +199,10 @@ def _ensemble(logs: AlignedLogs, estimator: Estimator | None) -> Ensemble:
 
 
 def _started(state: EnsembleState, boats: Sequence[str], start: PathLike | Mapping[str, PathLike]) -> EnsembleState:
-    """The state of all boats from saved checkpoints; see `usvlearn.runs.run_folder.from_sets`."""
-    from usvlearn.runs.run_folder import from_sets
+    """The state of all boats from saved checkpoints; see `usvlearn.runs.run_folder.from_checkpoints`."""
+    from usvlearn.runs.resuming import from_checkpoints
 
     paths = start if isinstance(start, Mapping) else dict.fromkeys(boats, start)
     if missing := [boat for boat in boats if boat not in paths]:
         raise ConfigError(f"start: found nothing for {', '.join(missing)}, expected a checkpoint of each boat")
-    return from_sets(state, [Path(paths[boat]) for boat in boats])[0]
+    return from_checkpoints(state, [Path(paths[boat]) for boat in boats])[0]

@@ -150,7 +150,7 @@ def test_a_compilation_counts_its_seconds_at_a_terminal(tmp_path, monkeypatch):
     with jit.announced(jit.__file__, "trial"):
         time.sleep(1.3)
     assert sys.stderr.getvalue().startswith("usvlearn: compiling the trial, only once …\rusvlearn: compiling the trial")
-    assert " 1 s" in sys.stderr.getvalue() and sys.stderr.getvalue().endswith(f" 1 s\n  kept in {tmp_path}\n")
+    assert " 1 s" in sys.stderr.getvalue() and sys.stderr.getvalue().endswith(f" 1 s\033[K\n  kept in {tmp_path}\n")
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ What needs torch is imported where it is used: --help must not wait for it.
 import shlex
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 from omegaconf import DictConfig, OmegaConf
@@ -42,7 +43,10 @@ def work(cfg: DictConfig, folder: Path, overrides: Sequence[str], resume: str | 
     console = terminal.console(quiet)  # of its own: what a worker is sent must be picklable
     with as_written(cfg):
         if not asked(made):
-            return train(made, folder, console, resume or cfg.resume, overrides)
+            from usvlearn.engine.ahead import compiling
+
+            with nullcontext() if quiet else compiling():
+                return train(made, folder, console, resume or cfg.resume, overrides)
         with Activity(console, "loading"):
             from usvlearn.sweeps.tuning.tune import tune
         settings = plain(made)

@@ -9,6 +9,7 @@ power cut or a bad disk can damage it, and damaged machine code must not run.
 from __future__ import annotations
 
 import ast
+import gc
 import hashlib
 import io
 import os
@@ -262,29 +263,46 @@ def _say_unkept(folder: Path, cause: str) -> None:
     )
 
 
+def mark_of(source: str, what: str) -> Path:
+    """The file that tells that this was compiled, and that its machine code is kept."""
+    return folder(Path(source)) / what.replace(" ", "-")
+
+
+def compiled_parts() -> tuple[int, int]:
+    """How many of the functions that only compiled functions call are compiled, and how many there are."""
+    return (Part.lowered, Part.made) if Part is not None else (0, 0)
+
+
 @contextmanager
-def announced(source: str, what: str) -> Iterator[None]:
+def announced(source: str, what: str, progress: Callable[[], float] | None = None) -> Iterator[None]:
     """Report on stderr the first compilation of a source file's functions on this machine, and its duration.
 
-    On a terminal the seconds are counted while it lasts.
+    On a terminal the seconds are counted while it lasts, with the share that is done, where that is known.
+
+    Args:
+        source: a file; its machine code and that of what it imports is compiled.
+        what: is compiled, in words.
+        progress: tells the share that is done, 0 to 1, where another process compiles it.
     """
-    mark = folder(Path(source)) / what.replace(" ", "-")
+    mark = mark_of(source, what)
     if NUMBA.DISABLE_JIT or mark.exists():
         yield
         return
     text, began, ended = f"usvlearn: compiling the {what}, only once …", time.perf_counter(), threading.Event()
     print(text, end="", file=sys.stderr, flush=True)
-    terminal = sys.stderr.isatty()
+    terminal, share = sys.stderr.isatty(), progress or share_of_parts()
 
     def count() -> None:
         while not ended.wait(1.0):
-            print(f"\r{text} {time.perf_counter() - began:.0f} s", end="", file=sys.stderr, flush=True)
+            done = f", {part:.0%}" if (part := share()) else ""
+            print(f"\r{text} {time.perf_counter() - began:.0f} s{done}", end="", file=sys.stderr, flush=True)
 
     counter = threading.Thread(target=count, daemon=True)
     if terminal:
         counter.start()
     try:
-        yield
+        with rare_collections():
+            yield
     except BaseException:
         ended.set()
         print(file=sys.stderr)  # end the line before the error is printed
@@ -293,8 +311,29 @@ def announced(source: str, what: str) -> Iterator[None]:
     if terminal:
         counter.join()
     taken, kept = f" {time.perf_counter() - began:.0f} s", f"kept in {mark.parent}"
-    print(f"\r{text}{taken}\n  {kept}" if terminal else f"{taken}; {kept}", file=sys.stderr)
-    try:
+    print(f"\r{text}{taken}\033[K\n  {kept}" if terminal else f"{taken}; {kept}", file=sys.stderr)
+    with suppress(OSError):
         mark.touch()
-    except OSError:
-        pass
+
+
+def share_of_parts() -> Callable[[], float]:
+    """Tells the share of a compilation that is done, of one that begins now; four fifths of it go into the parts."""
+    before, _ = compiled_parts()
+
+    def share() -> float:
+        done, made = compiled_parts()
+        return 0.8 * (done - before) / max(made - before, 1)
+
+    return share
+
+
+@contextmanager
+def rare_collections() -> Iterator[None]:
+    """Let Python look for garbage rarely: the compiler makes many objects that stay, and looking took a fifth of it."""
+    before = gc.get_threshold()
+    if before[0]:  # 0: the program has switched it off
+        gc.set_threshold(max(before[0], 100_000), *before[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*before)

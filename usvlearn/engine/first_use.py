@@ -10,7 +10,7 @@ import numpy as np
 from usvlearn.core.family import WIDTH
 from usvlearn.core.jit import NUMBA, announced
 from usvlearn.core.rows import ROW, prepare_all
-from usvlearn.engine import dispatch, forecasting
+from usvlearn.engine import ahead, dispatch, forecasting
 from usvlearn.engine.program import Plan, plan_for
 
 COMPILING = threading.RLock()  # a fork waits for it
@@ -22,7 +22,7 @@ def compile_steps(dtype: np.dtype) -> None:
     if NUMBA.DISABLE_JIT:  # plain Python, for a debugger
         return
     plan, numbers, work = _smallest(dtype)
-    with COMPILING, announced(dispatch.__file__, f"kernels of single steps, {dtype}"):
+    with COMPILING, announced(dispatch.__file__, ahead.steps_of(dtype)):
         dispatch.surge_limit(plan.program, numbers[0])
         dispatch.step_once.disable_compile(False)
         state = np.zeros(plan.size, dtype)
@@ -38,7 +38,8 @@ def compile_runs(dtype: np.dtype) -> None:
     plan, numbers, work = _smallest(dtype)
     samples, masks, column = np.zeros((1, 1), dtype), np.zeros((1, 1), bool), np.zeros(1, np.int64)
     rows, picks = np.zeros((1, 1, ROW), dtype), np.zeros((1, 1, 1), dtype)
-    with COMPILING, announced(dispatch.__file__, f"kernels of runs, {dtype}"):
+    with COMPILING, announced(dispatch.__file__, what := ahead.runs_of(dtype), ahead.share if ahead.running else None):
+        ahead.wait_for(what)
         limit = dispatch.surge_limit(plan.program, numbers[0])
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         states = np.zeros((1, plan.size), dtype)

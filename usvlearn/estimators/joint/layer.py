@@ -26,11 +26,11 @@ from usvlearn.estimators.factored.layer import (
     variances,
 )
 from usvlearn.estimators.joint import state as at
+from usvlearn.estimators.joint.flow import flow, moved
 from usvlearn.estimators.joint.quantities import KNOWN_SIGNS, sums
-from usvlearn.estimators.joint.state import EAST, FAMILY, KAPPA, NORTH, THETA, B, E, JointState, W, names
+from usvlearn.estimators.joint.state import EAST, FAMILY, NORTH, THETA, B, E, JointState, W, names
 from usvlearn.estimators.joint.trial import Stepped, Trial, chosen, exchanged, of
 from usvlearn.estimators.mass import known_rows
-from usvlearn.estimators.regressors.layer import phi1
 from usvlearn.estimators.regressors.terms import CURRENT, DISTURBANCE, LAG
 
 TIME = 2.5  # s, time constant of the prior's boat
@@ -268,45 +268,6 @@ class JointEKF(Estimator):
             numbers |= {"evidence": trial.evidence, "changes": trial.changes, "since_change": trial.since}
         return numbers
 
-    def _flow(self, mean: Tensor, w: Tensor, b: Tensor, before: Tensor, inputs: Inputs) -> tuple[Tensor, Tensor]:
-        """w⁺ of (3), `(*batch,)`, and its gradient g to x, `(*batch, n)`."""
-        h, turn, speed, sign = inputs.dt, inputs.yaw_rate.abs(), w.abs(), torch.where(w >= 0, 1.0, -1.0)
-        u = torch.stack([inputs.command_left, inputs.command_right], -1)
-        xi = (1 - mean[..., -1:]) * u + mean[..., -1:] * before
-        size, side = xi.abs(), torch.where(xi >= 0, 1.0, -1.0)
-        zero = torch.zeros_like(w)
-        alpha, beta, gamma = (mean[..., THETA + 3 + k : THETA + 9 : 3] for k in range(3))
-        cubic, (wide, broad) = mean[..., KAPPA:E], (x[..., None] for x in (w, speed))
-        W_, J_ = [speed * w, w, turn * w], [2 * speed, torch.ones_like(w), turn]  # of f and J to the parameters
-        both = zip(xi.unbind(-1), size.unbind(-1), strict=True)
-        for x, s in both:
-            W_ += [x, x * s, x * speed]
-            J_ += [zero, zero, x * sign]
-        W_ += (xi**3).unbind(-1)
-        J_ += [zero, zero]
-        slope, bend = alpha + 2 * beta * size + gamma * broad + 3 * cubic * xi * xi, gamma * sign[..., None]
-        curve = mean[..., THETA] * sign
-        if self.even is not None:
-            e1, e2, e3 = (mean[..., E + 1 + k : E + 7 : 3] for k in range(3))
-            W_.append(w * w)
-            J_.append(2 * w)
-            for x, s in zip(xi.unbind(-1), size.unbind(-1), strict=True):
-                W_ += [s, x * x, x * w]
-                J_ += [zero, zero, x]
-            slope, bend = slope + e1 * side + 2 * e2 * xi + e3 * wide, bend + e3
-            curve = curve + mean[..., E]
-        by_parameter, by_speed = torch.stack(W_, -1), torch.stack(J_, -1)
-        parameters = mean[..., THETA:-1]
-        f, J = (by_parameter * parameters).sum(-1) + b, (by_speed * parameters).sum(-1)
-        z = (h * J).clamp(max=1)
-        value, derivative = phi1(z)
-        by_f, by_J = h * value, h * h * derivative * f
-        late, later = ((before - u) * slope).sum(-1), ((before - u) * bend).sum(-1)
-        own = [1 + z * value + by_J * 2 * curve, by_f, zero, zero]
-        others = by_f[..., None] * by_parameter + by_J[..., None] * by_speed
-        g = torch.cat([torch.stack(own, -1), others, (by_f * late + by_J * later)[..., None]], -1)
-        return w + by_f * f, g
-
     def _advanced(self, state: JointState, inputs: Inputs) -> tuple[JointState, Tensor, Tensor, Tensor, Tensor, Tensor]:
         """The state after the time update, the prediction, U, D and f = UᵀH, and whether the boat was not at rest."""
         h, zero = inputs.dt, torch.zeros_like(inputs.dt)
@@ -347,7 +308,7 @@ class JointEKF(Estimator):
         w = torch.where(started, state.surge - along, mean[..., W])
         b = torch.where(started, 0.0, mean[..., B])
         commands = torch.stack([inputs.command_left, inputs.command_right], -1)
-        speed, g = self._flow(mean, w, b, where(started, commands, state.commands), inputs)
+        speed, g = flow(mean, w, b, where(started, commands, state.commands), inputs, self.even is not None)
         current = (-(h / self.current_time()).clamp(max=at.DECAYED)).exp()
         slow = (-(h / self.disturbance_time()).clamp(max=at.DECAYED)).exp()
         limited = speed.clamp(-at.SPEED_MAX, at.SPEED_MAX)
@@ -391,17 +352,3 @@ class JointEKF(Estimator):
             reading=state.reading + share[..., None] * away,
             spread=torch.where(counts[..., None, None], spread, state.spread),
         )
-
-
-def moved(U: Tensor, D: Tensor, g: Tensor, decays: Tensor) -> tuple[Tensor, Tensor]:
-    """F P Fᵀ, where F has the first row g and the decays on the rest of its diagonal.
-
-    Args:
-        U, D: of P.
-        g: `(*batch, n)`.
-        decays: `(*batch, n)`, the first 1.
-    """
-    first = (g[..., None] * U).sum(-2, keepdim=True) / decays[..., None, :]
-    others = U[..., 1:, :] * decays[..., 1:, None] / decays[..., None, :]
-    scales = torch.cat([g[..., :1], decays[..., 1:]], -1)
-    return unit(torch.cat([first, others], -2)), D * scales * scales

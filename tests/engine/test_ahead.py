@@ -1,0 +1,88 @@
+"""What a first use needs is compiled by a process in the background; where that fails, all is as without it."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from usvlearn.core import jit
+from usvlearn.engine import ahead
+
+COMPILES = """
+import sys, time, pathlib
+folder = pathlib.Path({folder!r})
+print(0.25, flush=True)
+(folder / "started").touch()
+while not (folder / "go").exists():
+    time.sleep(0.01)
+for what in ("runs", "single steps"):
+    (folder / f"kernels of {{what}}, {{sys.argv[1]}}").touch()
+"""
+
+
+@pytest.fixture
+def marks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which nothing is compiled."""
+    monkeypatch.setattr(ahead, "mark_of", lambda source, what: tmp_path / what)
+    monkeypatch.setattr(jit, "mark_of", lambda source, what: tmp_path / what)
+    monkeypatch.setattr(ahead.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(ahead, "CHILD", COMPILES.format(folder=str(tmp_path)))
+    return tmp_path
+
+
+def until(path: Path) -> None:
+    end = time.monotonic() + 60
+    while not path.exists():
+        assert time.monotonic() < end, f"{path} does not come"
+        time.sleep(0.01)
+
+
+def test_a_run_waits_for_the_process_and_sees_what_it_has_done(marks, capfd):
+    with ahead.compiling("float32"):
+        (process,) = ahead.running
+        until(marks / "started")
+        assert ahead.share() == 0.25
+        (marks / "go").touch()
+        ahead.wait_for(ahead.runs_of("float32"))
+        assert (marks / "kernels of runs, float32").exists()
+    assert (marks / "kernels of single steps, float32").exists() and not ahead.running
+    assert ahead.share() == 0
+    assert process._process.returncode is not None
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_what_is_compiled_starts_no_process(marks):
+    for each in (ahead.runs_of, ahead.steps_of):
+        (marks / each("float64")).touch()
+    with ahead.compiling():
+        assert not ahead.running
+
+
+def test_a_process_that_fails_keeps_nobody_waiting(marks, monkeypatch, capfd):
+    monkeypatch.setattr(ahead, "CHILD", "raise SystemExit('no kernels today')")
+    with ahead.compiling():
+        assert ahead.running and ahead.share() == 0
+        ahead.wait_for(ahead.runs_of("float64"))
+    assert not (marks / "kernels of runs, float64").exists()
+    assert "no kernels today" not in capfd.readouterr().err
+
+
+def test_an_error_ends_the_process(marks):
+    with pytest.raises(ValueError, match="of the job"), ahead.compiling():
+        (process,) = ahead.running
+        until(marks / "started")
+        raise ValueError("of the job")
+    assert process._process.returncode is not None and not ahead.running
+
+
+@pytest.mark.parametrize("lacks", ["processors", "interpreter", "process"])
+def test_without_another_process_nothing_is_different(marks, monkeypatch, lacks):
+    if lacks == "processors":
+        monkeypatch.setattr(ahead.os, "cpu_count", lambda: None)
+    elif lacks == "interpreter":
+        monkeypatch.setattr(ahead.sys, "executable", "")
+    else:
+        monkeypatch.setattr(ahead.sys, "executable", os.devnull)
+    with ahead.compiling():
+        assert not ahead.running

@@ -1,0 +1,130 @@
+"""A process that compiles what a first use needs, while this one imports torch, reads logs and aligns them.
+
+Compiling holds the GIL, so a thread would not help.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from usvlearn.core.jit import HERE, NUMBA, announced, mark_of
+
+DISPATCH = str(HERE / "engine" / "dispatch.py")
+CHILD = f"import {__name__} as ahead; ahead.compile_all()"
+PERIOD = 0.2  # s
+
+
+class Ahead:
+    """The process, if there is one.
+
+    Args:
+        dtype: name of that of the runs.
+    """
+
+    def __init__(self, dtype: str):
+        self._told = tempfile.TemporaryFile()  # the process writes there the share that is done
+        search = os.pathsep.join(filter(None, (str(HERE.parent), os.environ.get("PYTHONPATH"))))
+        quick = {"NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING": "1"}  # numba colours errors that it then drops
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", CHILD, dtype], env={**os.environ, **quick, "PYTHONPATH": search},
+                stdin=subprocess.DEVNULL, stdout=self._told, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+        except OSError:
+            self._told.close()
+            raise
+
+    def share(self) -> float:
+        """What is done of the kernels of runs, 0 to 1."""
+        size = os.fstat(self._told.fileno()).st_size
+        lines = os.pread(self._told.fileno(), 64, max(0, size - 64)).split(b"\n")
+        with suppress(ValueError, IndexError):
+            return float(lines[-2])
+        return 0.0
+
+    def wait(self, what: str) -> None:
+        """Until something is compiled; or until the process has ended, whatever the cause."""
+        mark = mark_of(DISPATCH, what)
+        while self._process.poll() is None and not mark.exists():
+            time.sleep(PERIOD)
+
+    def stop(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        self._told.close()
+
+
+running: list[Ahead] = []  # one at most
+
+
+def runs_of(dtype: object) -> str:
+    """What a run needs, in words."""
+    return f"kernels of runs, {dtype}"
+
+
+def steps_of(dtype: object) -> str:
+    """What single steps need, in words."""
+    return f"kernels of single steps, {dtype}"
+
+
+def wait_for(what: str) -> None:
+    """Wait for the process, if there is one."""
+    for each in running:
+        each.wait(what)
+
+
+def share() -> float:
+    """What the process, if there is one, has done."""
+    return sum(each.share() for each in running)
+
+
+@contextmanager
+def compiling(dtype: str = "float64") -> Iterator[None]:
+    """A context in whose background the kernels are compiled, unless they are; at its end they all are.
+
+    Where the process fails, or there is one processor alone, what needs the kernels compiles them, as without it.
+    """
+    wanted = not NUMBA.DISABLE_JIT and not running and (os.cpu_count() or 1) > 1 and sys.executable
+    if not wanted or all(mark_of(DISPATCH, each(dtype)).exists() for each in (runs_of, steps_of)):
+        yield
+        return
+    try:
+        running.append(Ahead(dtype))
+    except OSError:  # no process, or no temporary file
+        yield
+        return
+    try:
+        yield
+        with announced(DISPATCH, steps_of(dtype)):
+            wait_for(steps_of(dtype))
+    finally:
+        running.pop().stop()
+
+
+def compile_all() -> None:
+    """What the process does."""
+    import threading
+
+    import numpy as np
+
+    from usvlearn.core.jit import share_of_parts
+    from usvlearn.engine.first_use import compile_runs, compile_steps
+
+    dtype, done, parent = np.dtype(sys.argv[1]), share_of_parts(), os.getppid()
+
+    def tell() -> None:
+        while os.getppid() == parent:  # nobody needs this after the command was killed
+            print(done(), flush=True)
+            time.sleep(PERIOD)
+        os._exit(1)
+
+    threading.Thread(target=tell, daemon=True).start()
+    compile_runs(dtype)
+    compile_steps(dtype)

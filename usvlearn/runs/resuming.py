@@ -1,0 +1,174 @@
+"""Where a run begins: from the start, from a checkpoint, or where another run or an earlier session stopped."""
+
+from __future__ import annotations
+
+import shlex
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore, restore_newest, verify, write_atomically
+from usvlearn.core.samples import Fleet, tree_map
+from usvlearn.engine.rollouts import stack
+from usvlearn.errors import CheckpointError
+from usvlearn.estimators.ensemble.state import EnsembleState
+from usvlearn.runs.index import begun
+from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RUNS
+from usvlearn.runs.published import BEGIN, Position, Published, position, stem
+
+
+class Start(NamedTuple):
+    """Where a run begins."""
+
+    state: EnsembleState  # leaves (boats, ...)
+    position: Position
+    note: str  # for the person who started it
+
+
+class Resumption:
+    """Finds where a run may resume, and brings what it then needs into its folder.
+
+    Args:
+        path: the run's folder.
+        fleet: the runs that are replayed.
+        widths: as of `Published`.
+    """
+
+    def __init__(self, path: Path, fleet: Fleet, widths: Mapping[str, int]):
+        self.path, self.fleet, self._widths = path, fleet, widths
+
+    def published(self, folder: Path) -> Published:
+        """What the run of a folder has published, if it is over the same samples."""
+        lengths = [len(run.time) for run in self.fleet.runs]
+        return Published(folder, lengths, len(self.fleet.boats), self._widths)
+
+    def latest(self) -> Path:
+        """The run that began or resumed last: this folder if it has one, else a sibling with checkpoints."""
+        if (self.path / RUNS).exists():
+            return self.path
+        found = [path.parent for path in self.path.parent.glob(f"*/{RUNS}")]
+        found = [folder for folder in found if any((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}"))]
+        if not found:
+            raise CheckpointError(
+                f"resume=latest: no run with checkpoints in {self.path.parent}: give a run's folder, or leave it out"
+            )
+        return max(found, key=begun)
+
+    def from_file(self, source: Path, start: Start) -> Start:
+        """Every boat starts from one checkpoint."""
+        state, facts = from_checkpoints(start.state, [source] * len(self.fleet.boats))
+        of = ", run ".join(str(facts[0][name]) for name in ("boat", "run") if name in facts[0])
+        return start._replace(state=state, note=f"starting from {of or 'a checkpoint'}, {source}")
+
+    def from_newest(self, source: Path, start: Start) -> Start:
+        """Every boat starts from its newest readable checkpoint, at the first run."""
+        elements = []
+        for element, boat in enumerate(self.fleet.boats):
+            folder = source / CHECKPOINTS / boat
+            if not checkpoints(folder):
+                boats = ", ".join(sorted(path.name for path in (source / CHECKPOINTS).glob("*"))) or "none"
+                raise CheckpointError(
+                    f"{source}: has no checkpoint of {boat} (it has: {boats}): give the checkpoint to start from"
+                )
+            try:
+                elements.append(restore_newest(folder, of_boat(start.state, element), ESTIMATOR)[0])
+            except CheckpointError as error:
+                raise CheckpointError(f"{error}{own_settings(source)}") from error
+        note = f"starting from the newest checkpoints of {source}, from the first run on"
+        return start._replace(state=stack(elements), note=note)
+
+    def continued(self, source: Path, start: Start) -> Start:
+        """Resume from the newest place at which every boat's checkpoint and all predictions can be read."""
+        published, readable, before = self.published(source), [], BEGIN
+        for run, step, end in published.places():
+            try:
+                if run != before.run and (run - 1 != before.run or before.step != len(self.fleet.runs[run - 1].time)):
+                    raise CheckpointError(f"{source}: predictions of the end of run {before.run + 1} are missing")
+                published.read(run, step, end)
+            except CheckpointError as error:
+                warnings.warn(f"{error}; resuming from before it", stacklevel=2)
+                break
+            before = Position(run, end)
+            readable.append(before)
+        paths: list[Path] = []
+        while readable:
+            place = readable[-1]
+            paths = [
+                checkpoint_path(source, boat, self._own(element, place))
+                for element, boat in enumerate(self.fleet.boats)
+            ]
+            try:
+                for path in paths:
+                    verify(path)
+                break
+            except CheckpointError as error:
+                warnings.warn(f"{error}; resuming from before it", stacklevel=2)
+                readable.pop()
+        if not readable:
+            place, note = BEGIN, "learning from the start"
+            paths = [checkpoint_path(source, boat, BEGIN) for boat in self.fleet.boats]
+            if not all(path.exists() for path in paths):  # it began without saved checkpoints
+                self._bring(source, BEGIN)
+                return start
+        else:
+            note = f"resuming after step {place.step} of run {place.run + 1} of {len(self.fleet.runs)}, from {source}"
+        elements = [restore(path, of_boat(start.state, element), ESTIMATOR)[0] for element, path in enumerate(paths)]
+        self._bring(source, place)
+        return Start(stack(elements), place, note)
+
+    def _own(self, element: int, place: Position) -> Position:
+        """A boat's own place when the fleet is at `place`: its runs may be shorter, or fewer."""
+        for run in range(place.run, -1, -1):
+            if length := self.fleet.runs[run].lengths[element]:
+                return Position(run, min(length, place.step) if run == place.run else length)
+        raise AssertionError(f"{self.fleet.boats[element]} has no run up to {place}")
+
+    def _bring(self, source: Path, place: Position) -> None:
+        """Copy the checkpoints and predictions up to `place` from another folder, so that this one is complete."""
+        if source.resolve() == self.path.resolve():
+            return
+        for old in [*(source / CHECKPOINTS).glob(f"*/*{SUFFIX}"), *(source / PREDICTIONS).glob("*.npz")]:
+            if (found := position(old)) is not None and found <= place:
+                new = self.path / old.relative_to(source)
+                new.parent.mkdir(parents=True, exist_ok=True)
+                write_atomically(new, old.read_bytes())
+
+
+def from_checkpoints(state: EnsembleState, paths: Sequence[Path]) -> tuple[EnsembleState, list[dict[str, Any]]]:
+    """The state of all boats from one saved checkpoint for each, and the metadata of these checkpoints.
+
+    The monitors, and what they have told the filters, start anew, because the checkpoints may be of other boats, or of
+    an earlier day.
+
+    Args:
+        state: of a fresh start, leaves `(boats, ...)`.
+        paths: of each boat a checkpoint, or a folder of them, of which the newest readable one is taken.
+
+    Raises:
+        CheckpointError: a checkpoint cannot be read, or belongs to another ensemble.
+    """
+    template = of_boat(state, 0)
+    found = {
+        path: (restore_newest if path.is_dir() else restore)(path, template, ESTIMATOR) for path in dict.fromkeys(paths)
+    }
+    anew = {"monitors": state.monitors, "accommodation": state.accommodation}
+    return stack([found[path][0] for path in paths])._replace(**anew), [found[path][1] for path in paths]
+
+
+def own_settings(source: Path) -> str:
+    """How to continue a run with the settings that it was made with, if Hydra has saved them."""
+    settings = source / ".hydra"
+    if not (settings / "config.yaml").is_file():
+        return ""
+    return f"; its own settings are those of --config-dir {shlex.quote(str(settings))} --config-name config"
+
+
+def checkpoint_path(folder: Path, boat: str, place: Position) -> Path:
+    """The checkpoint of a boat at a place."""
+    return folder / CHECKPOINTS / boat / f"{stem(place)}{SUFFIX}"
+
+
+def of_boat(state: EnsembleState, element: int) -> EnsembleState:
+    """The state of one boat."""
+    return tree_map(lambda x: x[element], state)
