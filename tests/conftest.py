@@ -15,6 +15,12 @@ os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Let pytest-xdist keep the order below."""
+    if hasattr(config.option, "loadscopereorder"):
+        config.option.loadscopereorder = False
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """From an empty cache, one process compiles the kernels while the others run what needs none."""
 

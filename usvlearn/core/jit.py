@@ -19,8 +19,9 @@ import sys
 import tempfile
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar, overload
@@ -30,6 +31,9 @@ from llvmlite.binding import get_host_cpu_name
 from numba.core import config, types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.typing import arraydecl
+
+from usvlearn.core.lock import Lock
+from usvlearn.errors import UsvlearnError
 
 try:
     from usvlearn.core.parts import Part
@@ -277,7 +281,7 @@ def compiled_parts() -> tuple[int, int]:
 def announced(source: str, what: str, progress: Callable[[], float] | None = None) -> Iterator[None]:
     """Report on stderr the first compilation of a source file's functions on this machine, and its duration.
 
-    On a terminal the seconds are counted while it lasts, with the share that is done, where that is known.
+    One process at a time compiles; another waits, and then finds the machine code.
 
     Args:
         source: a file; its machine code and that of what it imports is compiled.
@@ -288,9 +292,18 @@ def announced(source: str, what: str, progress: Callable[[], float] | None = Non
     if NUMBA.DISABLE_JIT or mark.exists():
         yield
         return
-    text, began, ended = f"usvlearn: compiling the {what}, only once …", time.perf_counter(), threading.Event()
+    with counted(f"usvlearn: compiling the {what}, only once …", f"kept in {mark.parent}", progress), _alone_in(mark):
+        with rare_collections():
+            yield
+        with suppress(OSError):
+            mark.touch()
+
+
+@contextmanager
+def counted(text: str, end: str, progress: Callable[[], float] | None = None) -> Iterator[None]:
+    """Print on stderr what is done, then how long it took; a terminal counts seconds, and shows the share, if known."""
     print(text, end="", file=sys.stderr, flush=True)
-    terminal, share = sys.stderr.isatty(), progress or share_of_parts()
+    began, ended, terminal, share = time.perf_counter(), threading.Event(), sys.stderr.isatty(), progress or of_parts()
 
     def count() -> None:
         while not ended.wait(1.0):
@@ -301,8 +314,7 @@ def announced(source: str, what: str, progress: Callable[[], float] | None = Non
     if terminal:
         counter.start()
     try:
-        with rare_collections():
-            yield
+        yield
     except BaseException:
         ended.set()
         print(file=sys.stderr)  # end the line before the error is printed
@@ -310,13 +322,19 @@ def announced(source: str, what: str, progress: Callable[[], float] | None = Non
     ended.set()
     if terminal:
         counter.join()
-    taken, kept = f" {time.perf_counter() - began:.0f} s", f"kept in {mark.parent}"
-    print(f"\r{text}{taken}\033[K\n  {kept}" if terminal else f"{taken}; {kept}", file=sys.stderr)
-    with suppress(OSError):
-        mark.touch()
+    taken = f" {time.perf_counter() - began:.0f} s"
+    print(f"\r{text}{taken}\033[K\n  {end}" if terminal else f"{taken}; {end}", file=sys.stderr)
 
 
-def share_of_parts() -> Callable[[], float]:
+def _alone_in(mark: Path) -> AbstractContextManager[object]:
+    """The lock of a mark's folder; nothing where it cannot be locked, as on a disk that is read-only."""
+    with suppress(OSError, UsvlearnError), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a file system without locks
+        return Lock(mark.parent, "NUMBA_CACHE_DIR", wait=True)
+    return nullcontext()
+
+
+def of_parts() -> Callable[[], float]:
     """Tells the share of a compilation that is done, of one that begins now; four fifths of it go into the parts."""
     before, _ = compiled_parts()
 

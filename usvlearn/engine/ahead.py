@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from usvlearn.core.jit import HERE, NUMBA, announced, mark_of
+from usvlearn.core.jit import HERE, NUMBA, counted, mark_of
 
 DISPATCH = str(HERE / "engine" / "dispatch.py")
 CHILD = f"import {__name__} as ahead; ahead.compile_all()"
@@ -48,11 +48,13 @@ class Ahead:
             return float(lines[-2])
         return 0.0
 
-    def wait(self, what: str) -> None:
-        """Until something is compiled; or until the process has ended, whatever the cause."""
-        mark = mark_of(DISPATCH, what)
-        while self._process.poll() is None and not mark.exists():
-            time.sleep(PERIOD)
+    def lives(self) -> bool:
+        """Whether it is still compiling."""
+        return self._process.poll() is None
+
+    def wait(self) -> None:
+        """Until all is compiled; or until the process has ended, whatever the cause."""
+        self._process.wait()
 
     def stop(self) -> None:
         """End the process."""
@@ -72,12 +74,6 @@ def runs_of(dtype: object) -> str:
 def steps_of(dtype: object) -> str:
     """What single steps need, in words."""
     return f"kernels of single steps, {dtype}"
-
-
-def wait_for(what: str) -> None:
-    """Wait for the process, if there is one."""
-    for each in running:
-        each.wait(what)
 
 
 def share() -> float:
@@ -102,8 +98,9 @@ def compiling(dtype: str = "float64") -> Iterator[None]:
         return
     try:
         yield
-        with announced(DISPATCH, steps_of(dtype)):
-            wait_for(steps_of(dtype))
+        if running[0].lives():
+            with counted(f"usvlearn: compiling the {steps_of(dtype)}, only once …", "kept beside the others"):
+                running[0].wait()
     finally:
         running.pop().stop()
 
@@ -114,10 +111,10 @@ def compile_all() -> None:
 
     import numpy as np
 
-    from usvlearn.core.jit import share_of_parts
+    from usvlearn.core.jit import of_parts
     from usvlearn.engine.first_use import compile_runs, compile_steps
 
-    dtype, done, parent = np.dtype(sys.argv[1]), share_of_parts(), os.getppid()
+    dtype, done, parent = np.dtype(sys.argv[1]), of_parts(), os.getppid()
 
     def tell() -> None:
         while os.getppid() == parent:  # nobody needs this after the command was killed

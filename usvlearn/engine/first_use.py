@@ -38,8 +38,7 @@ def compile_runs(dtype: np.dtype) -> None:
     plan, numbers, work = _smallest(dtype)
     samples, masks, column = np.zeros((1, 1), dtype), np.zeros((1, 1), bool), np.zeros(1, np.int64)
     rows, picks = np.zeros((1, 1, ROW), dtype), np.zeros((1, 1, 1), dtype)
-    with COMPILING, announced(dispatch.__file__, what := ahead.runs_of(dtype), ahead.share if ahead.running else None):
-        ahead.wait_for(what)
+    with COMPILING, announced(dispatch.__file__, ahead.runs_of(dtype), ahead.share if ahead.running else None):
         limit = dispatch.surge_limit(plan.program, numbers[0])
         prepare_all(samples, samples, samples, samples, samples, samples, masks, masks, False, limit, rows)
         states = np.zeros((1, plan.size), dtype)
