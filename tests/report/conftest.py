@@ -10,6 +10,12 @@ from tests.support.commands import SMALL, run
 LEAST_SQUARES = "+estimator@estimators.steady_rls=steady_rls"  # whose parameters have a band
 
 
+@pytest.fixture(autouse=True)
+def one_pass(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A page that a test makes times each step in one pass, which is a second less."""
+    monkeypatch.setattr("usvlearn.report.sections.cost.PASSES", 1)
+
+
 @pytest.fixture(scope="session")
 def saved(tmp_path_factory) -> Path:
     """A finished run of two simulated boats, two missions each, and its report; nobody changes it."""

@@ -62,9 +62,10 @@ class Gusts:
             begins, strengths = np.append(begins, 60 * self.minute), np.append(strengths, 1.0)
         for begin, strength in zip(begins, strengths, strict=True):
             direction, length = rng.uniform(0, 2 * math.pi), rng.uniform(*self.seconds)
-            share = ((time - begin) / length).clip(0, 1)
+            during = slice(math.floor(begin * hz), math.ceil((begin + length) * hz) + 1)
+            share = ((time[during] - begin) / length).clip(0, 1)
             w = strength * np.sin(math.pi * share) ** 2  # (1)
-            wind += w[:, None] * np.array([math.cos(direction), math.sin(direction)])
+            wind[during] += w[:, None] * np.array([math.cos(direction), math.sin(direction)])
         return wind
 
     def strength(self, vessel: Vessel) -> tuple[Tensor, Tensor]:
