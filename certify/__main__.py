@@ -157,12 +157,12 @@ def _run(options: argparse.Namespace) -> int:
     code, networks, vectors = CERTIFIED, [], []
     jobs = [] if options.verify else sweep_jobs.jobs(options.paths)
     if jobs:
-        _refuse_options_of_single_sets(options)
+        _refuse_options_of_checkpoints(options)
     for problem in (text for job in jobs for text in job.damaged):
         code = _error(problem)
     for path in sweep_jobs.chosen(jobs, options.all) if jobs else find(options.paths):
         try:
-            most = verification.MOST_SETS if options.verify else math.inf
+            most = verification.MOST_NETWORKS if options.verify else math.inf
             shallow, others = read_both(path, phi, as_vectors=options.steps and not options.verify, most=most)
         except CertifyError as error:  # the other files are still judged
             code = _error(error)
@@ -220,7 +220,7 @@ def _run(options: argparse.Namespace) -> int:
     return max(code, CERTIFIED if all(held + judged.held) else NOT_ALL)
 
 
-def _refuse_options_of_single_sets(options: argparse.Namespace) -> None:
+def _refuse_options_of_checkpoints(options: argparse.Namespace) -> None:
     given = {"--lmi": options.lmi, "--headings": options.headings, "--input": options.input, "--dt": options.dt}
     given |= {"--steps": options.steps, "--activation": options.activation}
     if wrong := [name for name, value in given.items() if value not in (None, False)]:

@@ -71,7 +71,7 @@ def given(paths: Iterable[str | Path], dt: float | None = None, most: int = 100)
             instead = "their time constants are in steps: give --dt" if dt is None else f"--dt, {dt:g} s, is used"
             notes.append(f"{name}: no step is saved beside {unknown} of {len(files)} files; {instead}")
         if len(files) < len(every):
-            notes.append(f"{name}: {len(files)} of {len(every)} files, evenly spaced; --sets takes more")
+            notes.append(f"{name}: {len(files)} of {len(every)} files, evenly spaced; --checkpoints takes more")
         families.append(Given(name, networks, steps, notes))
     return families
 

@@ -208,7 +208,7 @@ def study(options: argparse.Namespace) -> dict[str, Any]:
     """The whole comparison, as JSON."""
     torch.set_num_threads(1)
     rng, count, n = np.random.default_rng(options.seed), options.networks, options.neurons
-    runs, dt = given(options.paths, options.dt, options.sets), options.dt or DT
+    runs, dt = given(options.paths, options.dt, options.checkpoints), options.dt or DT
     with busy("training networks"):
         families = {
             "random": Family(random_networks(count, n, rng), [None] * count, True),
@@ -311,7 +311,7 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("paths", nargs="*", metavar="PATH", help="folders of runs, or checkpoints: a family each")
     parser.add_argument("--page", metavar="FOLDER", help="write the result as a page: index.html, report.md, figures/")
     parser.add_argument("--networks", type=int, help="of each family, and of each size (default: 60)")
-    parser.add_argument("--sets", type=int, default=100, help="most checkpoints of a PATH (default: 100)")
+    parser.add_argument("--checkpoints", type=int, default=100, help="most checkpoints of a PATH (default: 100)")
     parser.add_argument("--neurons", type=int, help="of each network of a family (default: 20)")
     parser.add_argument(
         "--dt",
@@ -336,13 +336,15 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
         raise CertifyError(f"{message}: see python -m certify compare --help")
 
     parser.error = refuse  # type: ignore[method-assign]  # argparse calls this method, and would end the program
+    if any(each.partition("=")[0] == "--sets" for each in arguments):
+        refuse("--sets: it is --checkpoints now")
     options = parser.parse_args(arguments)
     for name, value in (USUAL | (QUICK if options.quick else {})).items():
         if getattr(options, name) is None:
             setattr(options, name, value)
     if options.seed < 0:
         raise CertifyError(f"--seed: found {options.seed}, expected a whole number of 0 or more")
-    for name in ("networks", "sets", "neurons", "dt", "seconds", "training"):
+    for name in ("networks", "checkpoints", "neurons", "dt", "seconds", "training"):
         value = getattr(options, name)
         if value is not None and not 0 < value < math.inf:
             raise CertifyError(f"--{name}: found {value}, expected a number above 0")

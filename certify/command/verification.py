@@ -18,7 +18,7 @@ from certify.networks.vector import digest as vector_digest
 from certify.proofs import certificate, vector_certificate
 from certify.proofs.certificate import Verification
 
-MOST_SETS = 10_000  # that are compared with a certificate, about 1 s
+MOST_NETWORKS = 10_000  # that are compared with a certificate, about 1 s
 LONGEST_PATH = 4096  # characters of a path that a certificate names
 
 
@@ -34,12 +34,12 @@ class Results(NamedTuple):
         return [f"{row['certificate']}: {'valid' if row['valid'] else 'REFUSED'}: {row['reason']}" for row in self.rows]
 
 
-class Sets:
+class Networks:
     """Checkpoints, found by the sha256 of their weights."""
 
     def __init__(self, networks: Sequence[Network], vectors: Sequence[VectorNetwork]) -> None:
         if networks or vectors:
-            refuse_many(len(networks) + len(vectors), MOST_SETS, (networks or vectors)[0].path)
+            refuse_many(len(networks) + len(vectors), MOST_NETWORKS, (networks or vectors)[0].path)
         self.networks, self.vectors = networks, vectors
 
     @cached_property
@@ -74,10 +74,10 @@ def verify(
         phi: the activation of the networks; as claimed by default.
 
     Raises:
-        CertifyError: more than `MOST_SETS` networks, or an unknown activation.
+        CertifyError: more than `MOST_NETWORKS` networks, or an unknown activation.
     """
-    given = Sets(networks, vectors) if networks or vectors else None
-    results, known = Results([], []), dict[Path, Sets]()
+    given = Networks(networks, vectors) if networks or vectors else None
+    results, known = Results([], []), dict[Path, Networks]()
     for path in paths:
         try:
             with about(str(path)):
@@ -100,7 +100,7 @@ def _verified(content: dict[str, Any], network: Network | VectorNetwork | None, 
     return certificate.verify(content, network.weights)
 
 
-def _named(path: str, content: dict[str, Any], known: dict[Path, Sets]) -> Network | VectorNetwork | None:
+def _named(path: str, content: dict[str, Any], known: dict[Path, Networks]) -> Network | VectorNetwork | None:
     """The checkpoint that a certificate names: below the working folder, or beside the certificate."""
     named, seen = str(content.get("path", "")), False
     file = re.sub(r"(\[[\d,]*\])?$", "", named[:LONGEST_PATH])
@@ -110,7 +110,7 @@ def _named(path: str, content: dict[str, Any], known: dict[Path, Sets]) -> Netwo
                 seen = True
                 if candidate not in known:  # certificates of one folder often name the same file
                     known.clear()
-                    known[candidate] = Sets(*read_both(candidate, most=MOST_SETS))
+                    known[candidate] = Networks(*read_both(candidate, most=MOST_NETWORKS))
                 if (network := known[candidate].about(content)) is not None:
                     return network
     if seen:

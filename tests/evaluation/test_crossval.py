@@ -18,7 +18,7 @@ from usvlearn.estimators.regressors.layer import SurgeDynamics
 from usvlearn.evaluation.crossval import FreeErrors, cross_validate, methods
 from usvlearn.evaluation.season import Season
 from usvlearn.report.assembly import assemble, best_start
-from usvlearn.report.sections.boats import best_sets, fleet_matrices
+from usvlearn.report.sections.boats import best_checkpoints, fleet_matrices
 
 
 def spoilt(steps: int, seed: int) -> Sample:
@@ -186,7 +186,7 @@ def test_the_best_set_is_chosen_on_runs_that_it_was_not_saved_in():
     mse[0, 0], mse[0, 1] = 0.0, 3.0  # the first checkpoint: perfect on its own run, bad on the other
     mse[1, 0], mse[1, 1] = 1.0, 9.0
     errors = {"boat0": FreeErrors(("rls", "average"), mse, mse, mse > 99, np.array([10.0, 1000.0]))}
-    assert best_sets(seasons, errors, "average") == [1]
+    assert best_checkpoints(seasons, errors, "average") == [1]
 
 
 def test_judge_writes_every_section_of_a_simulated_fleet():

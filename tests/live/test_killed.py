@@ -12,7 +12,7 @@ import pytest
 from tests.support import ROOT
 from tests.support.live import learned_set
 from usvlearn.core import checkpoint
-from usvlearn.live.sets import newest
+from usvlearn.live.node_folder import newest
 
 LOST = 1.0  # s, of learning: the save period, and what a busy disk takes
 NODE = """
@@ -63,10 +63,10 @@ def check(folder, start, times: int) -> None:
         assert len(checkpoint.checkpoints(folder)) <= 4
 
 
-def test_sets_survive_kills(tmp_path):
+def test_checkpoints_survive_kills(tmp_path):
     check(tmp_path / "node", learned_set(tmp_path), 3)
 
 
 @pytest.mark.slow
-def test_sets_survive_200_kills(tmp_path):
+def test_checkpoints_survive_200_kills(tmp_path):
     check(tmp_path / "node", learned_set(tmp_path), 200)

@@ -18,9 +18,9 @@ from usvlearn.live.health import COMPILING
 from usvlearn.live.held import HeldIntervals
 from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.node import Node
+from usvlearn.live.node_folder import NodeFolder
 from usvlearn.live.plan_requests import parse_plan, sampled
 from usvlearn.live.prior import prior
-from usvlearn.live.sets import Sets
 from usvlearn.live.start import Options, begin
 from usvlearn.live.status.operator_page import WIDTH, page
 from usvlearn.live.status.posts import KINDS, PLANNED, TABLE, of_health, of_step, told
@@ -233,7 +233,7 @@ def test_throttle_and_steering_make_the_sides(start):
 ])  # fmt: skip
 def test_a_wrong_throttle_is_one_sentence(tmp_path, given, sentence):
     with pytest.raises(ConfigError, match=sentence):
-        begin(Sets(tmp_path), Options(tmp_path, mass=36.0, surge_max=3.0, channels=given), MIDDLEWARE)
+        begin(NodeFolder(tmp_path), Options(tmp_path, mass=36.0, surge_max=3.0, channels=given), MIDDLEWARE)
 
 
 def test_a_set_of_two_sides_can_be_continued_with_one_command_and_back(tmp_path):
@@ -242,7 +242,7 @@ def test_a_set_of_two_sides_can_be_continued_with_one_command_and_back(tmp_path)
         (tmp_path / "start.safetensors").unlink(missing_ok=True)
         leaves, known = prior(36.0, 3.0)
         checkpoint.save(tmp_path / "start.safetensors", leaves, **known, **facts)
-        return begin(Sets(tmp_path), options, MIDDLEWARE).setup
+        return begin(NodeFolder(tmp_path), options, MIDDLEWARE).setup
 
     sides = setup({})
     mixed = setup({"setup": sides.json()}, throttle="T", steering="S")
@@ -255,13 +255,13 @@ def test_a_set_of_two_sides_can_be_continued_with_one_command_and_back(tmp_path)
 def test_one_throttle_is_not_read_in_two_ways(tmp_path):
     """A checkpoint with a reversed left side made the throttle ahead on the right and astern on the left."""
     leaves, known = prior(36.0, 3.0)
-    facts = begin(Sets(tmp_path), Options(tmp_path, mass=36.0, surge_max=3.0), MIDDLEWARE).setup.json()
+    facts = begin(NodeFolder(tmp_path), Options(tmp_path, mass=36.0, surge_max=3.0), MIDDLEWARE).setup.json()
     facts["channels"]["command_left"]["span"] = -1.0
     checkpoint.save(tmp_path / "start.safetensors", leaves, **known, setup=facts)
     with pytest.raises(ConfigError, match=r"found span -1.0 of command_left and 1.0 of .*: give throttle.span"):
-        begin(Sets(tmp_path), Options(tmp_path, channels={"throttle": {"name": "T"}}), MIDDLEWARE)
+        begin(NodeFolder(tmp_path), Options(tmp_path, channels={"throttle": {"name": "T"}}), MIDDLEWARE)
     own = {"throttle": {"name": "T", "span": 1.0}}
-    assert begin(Sets(tmp_path), Options(tmp_path, channels=own), MIDDLEWARE).setup.one_command
+    assert begin(NodeFolder(tmp_path), Options(tmp_path, channels=own), MIDDLEWARE).setup.one_command
 
 
 def test_what_an_interval_does_not_tell_is_no_number(start):

@@ -12,8 +12,8 @@ import pytest
 from tests.support.live import PLAIN, boat, learned_set, messages, ready
 from usvlearn.core import checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.live.node_folder import STATUS, NodeFolder
 from usvlearn.live.session import Session
-from usvlearn.live.sets import STATUS, Sets
 from usvlearn.live.start import Middleware, Options, channel_options
 from usvlearn.live.status.status_file import status_lines
 from usvlearn.logs.channels.channel import REQUIRED
@@ -283,10 +283,10 @@ def test_a_pipe_is_no_status(tmp_path):
 def test_the_status_of_another_program_is_not_replaced(tmp_path):
     (tmp_path / STATUS).write_text('{"orders": 3}')
     with pytest.raises(ConfigError, match="is not the status of a node: choose another folder"):
-        Sets(tmp_path)
+        NodeFolder(tmp_path)
     assert (tmp_path / STATUS).read_text() == '{"orders": 3}'
     (tmp_path / STATUS).write_text('{"orders":')  # cut short by a disk: a node starts
-    Sets(tmp_path)
+    NodeFolder(tmp_path)
 
 
 def test_the_status_is_json(tmp_path, start):

@@ -69,11 +69,13 @@ class Online:
         Raises:
             CheckpointError: it cannot be read, or its description of the estimator is missing or not legal.
         """
-        return cls.of(*(checkpoint.newest(path, read_set) if Path(path).is_dir() else read_set(Path(path))))
+        return cls.of(
+            *(checkpoint.newest(path, read_checkpoint) if Path(path).is_dir() else read_checkpoint(Path(path)))
+        )
 
     @classmethod
     def of(cls, leaves: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Online:
-        """Continue, without torch, from what `read_set` has read.
+        """Continue, without torch, from what `read_checkpoint` has read.
 
         Args:
             leaves: of the state, arrays by dotted name.
@@ -232,7 +234,7 @@ class Online:
         return metadata
 
 
-def read_set(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def read_checkpoint(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The leaves and the metadata of a checkpoint from which compiled code can continue.
 
     Raises:

@@ -22,10 +22,10 @@ from usvlearn.live import watched
 from usvlearn.live.background import Background
 from usvlearn.live.health import COMPILING, ONE_COMMAND, Health, finite
 from usvlearn.live.listening import Listening
+from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer
 from usvlearn.live.recent import Recent
 from usvlearn.live.recorder import Recorder
-from usvlearn.live.sets import Sets, unsaved
 from usvlearn.live.start import Begin, Middleware, Options, begin
 from usvlearn.live.usable import Usable
 from usvlearn.logs.channels.channel import SURGE, Source
@@ -68,8 +68,8 @@ class Session:
         self._made = [each for each in (options.folder, *options.folder.parents) if not each.exists()]
         self._lock = Lock(options.folder, "folder of the node")
         try:
-            self._sets = Sets(options.folder, options.keep)
-            self._begin: Begin = begin(self._sets, options, middleware)
+            self._folder = NodeFolder(options.folder, options.keep)
+            self._begin: Begin = begin(self._folder, options, middleware)
             self.setup = self._begin.setup
             self.setup.check_live()
         except BaseException:
@@ -197,7 +197,7 @@ class Session:
         if self._node is None:
             return None
         try:
-            path = self._sets.save(*self._set())
+            path = self._folder.save(*self._checkpoint())
         except OSError as error:
             self._warnings["save"] = unsaved(self.options.folder, error)
             return None
@@ -297,7 +297,7 @@ class Session:
         assert self._node is not None
         if self._recorder is not None:
             self._recorder.close()
-        leaves, facts = self._set()
+        leaves, facts = self._checkpoint()
         from usvlearn.core import checkpoint
 
         self._recorder = Recorder(
@@ -340,7 +340,7 @@ class Session:
             (ONE_COMMAND,) if self.one_command else (), node.loss.sentence if node.loss else "",
         )  # fmt: skip
 
-    def _set(self) -> tuple[dict[str, Any], dict[str, Any]]:
+    def _checkpoint(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """A checkpoint of now: copies of the leaves, and the metadata."""
         node = self._node
         assert node is not None
@@ -355,7 +355,7 @@ class Session:
         """Write a checkpoint in the thread, unless one is being written, and check the data."""
         node = self._node
         assert node is not None
-        if self._background.submit("save", self._sets.save, *self._set()):
+        if self._background.submit("save", self._folder.save, *self._checkpoint()):
             self._due, self._hoped = clock, node.learned
             self._check()
 
@@ -397,4 +397,4 @@ class Session:
             "middleware": self.middleware.name, "boat": self.options.boat, "began_from": self.sentence,
             "written": time.time(), "last": last,
         }  # fmt: skip
-        self._sets.tell(finite({**health, **facts}))
+        self._folder.tell(finite({**health, **facts}))

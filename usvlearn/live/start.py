@@ -14,7 +14,7 @@ import numpy as np
 
 from usvlearn.errors import CheckpointError, ConfigError, check_not_negative, check_positive, did_you_mean
 from usvlearn.live.node import PATIENCE
-from usvlearn.live.sets import Sets, newest
+from usvlearn.live.node_folder import NodeFolder, newest
 from usvlearn.logs.alignment.mixing import PER_NAME, SOURCE_KEYS, STEERING, THROTTLE, listed, sides_of
 from usvlearn.logs.channels.channel import AUTO, AUXILIARY, CHANNELS, COMMANDS
 from usvlearn.logs.read import sources_of
@@ -89,24 +89,24 @@ class Begin(NamedTuple):
     warnings: list[str]
 
 
-def begin(sets: Sets, options: Options, middleware: Middleware) -> Begin:
+def begin(folder: NodeFolder, options: Options, middleware: Middleware) -> Begin:
     """Read the checkpoint from which a node starts, or make a prior.
 
     Raises:
         CheckpointError: there are checkpoints, and none of them can be read.
         ConfigError: there is no checkpoint, and no mass and top speed for a prior; or a channel is not legal.
     """
-    leaves, facts, sentence, told = _set(sets, options)
+    leaves, facts, sentence, told = _found(folder, options)
     setup = _setup(facts, options, middleware)
     return Begin(leaves, facts, setup, sentence, told)
 
 
-def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str, Any], str, list[str]]:
+def _found(folder: NodeFolder, options: Options) -> tuple[dict[str, np.ndarray], dict[str, Any], str, list[str]]:
     damaged = []
-    if sets.any:
+    if folder.any:
         try:
-            leaves, facts, path, told = newest(sets.folder)
-            return leaves, facts, f"continuing from {path.name} of {sets.folder}", told
+            leaves, facts, path, told = newest(folder.folder)
+            return leaves, facts, f"continuing from {path.name} of {folder.folder}", told
         except CheckpointError as error:
             if options.start is None and (options.mass is None or options.surge_max is None):
                 raise
@@ -119,7 +119,7 @@ def _set(sets: Sets, options: Options) -> tuple[dict[str, np.ndarray], dict[str,
         return leaves, facts, f"starting from {path}", [*damaged, *told]
     if options.mass is None or options.surge_max is None:
         raise ConfigError(
-            f"{sets.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to start "
+            f"{folder.folder}: found no checkpoint, and no mass and top speed for a prior: give a checkpoint to start "
             "from (start), or mass in kg and surge_max in m/s"
         )
     from usvlearn.live.prior import prior

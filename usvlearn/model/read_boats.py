@@ -13,7 +13,7 @@ import numpy as np
 
 from usvlearn.core import checkpoint
 from usvlearn.engine.identified import identified, members_of
-from usvlearn.engine.online import read_set
+from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean, printable
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.logs.setup import Setup
@@ -109,7 +109,7 @@ def _read(path: Path) -> IdentifiedBoat:
 
     def read(each: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         used[:] = [each]
-        return read_set(each)
+        return read_checkpoint(each)
 
     with warnings.catch_warnings():
         warnings.simplefilter("default")

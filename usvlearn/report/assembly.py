@@ -17,7 +17,7 @@ from usvlearn.evaluation.members import explained, remarks
 from usvlearn.evaluation.season import Season
 from usvlearn.report.front import Front
 from usvlearn.report.overview import overviews
-from usvlearn.report.sections.boats import best_sets, fleet_matrices, fleet_section
+from usvlearn.report.sections.boats import best_checkpoints, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
 from usvlearn.report.sections.happenings import events_section
@@ -169,7 +169,7 @@ def _between(
     matrices: dict[str, np.ndarray] = {}
     best: dict[str, list[float]] = {}
     for method in _compared(ensemble):
-        chosen = best_sets(seasons, errors, method)
+        chosen = best_checkpoints(seasons, errors, method)
         between = _each_on_all(ensemble, seasons, chosen, advance)
         matrices |= fleet_matrices(seasons, between, [method])
         best[method] = [float(season.hours[k]) for season, k in zip(seasons, chosen, strict=True)]

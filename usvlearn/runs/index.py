@@ -68,9 +68,9 @@ def begun(folder: Path) -> tuple[int, int, Position, str]:
     Clocks can be set back, so runs are numbered as they begin. Of two runs with the same number, the one that came
     further is the later. Runs of older versions have no number: they come first, sorted by the time of their files.
     """
-    sets, own = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), number(folder)
-    stamp = 0 if own else max(path.stat().st_mtime_ns for path in [*sets, folder / RUNS])
-    return own, stamp, max(filter(None, map(position, sets)), default=BEGIN), folder.name
+    found, own = list((folder / CHECKPOINTS).glob(f"*/*{SUFFIX}")), number(folder)
+    stamp = 0 if own else max(path.stat().st_mtime_ns for path in [*found, folder / RUNS])
+    return own, stamp, max(filter(None, map(position, found)), default=BEGIN), folder.name
 
 
 def same_run(folder: Path, runs: Mapping[str, Any]) -> bool:

@@ -195,7 +195,7 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
     template = tree_map(lambda x: x[0], ensemble.init((1,)))
     keys = [run.key for run in runs]
     spacing = {run.key: run.spacing for run in runs if run.spacing}  # a step's may differ from align.dt
-    sets, paths, own, hours, before = [], [], [], [], 0.0
+    found, paths, own, hours, before = [], [], [], [], 0.0
     for folder in folders:
         learned = folder.learned.get(boat, [])
         steps = np.array([spacing.get(key, folder.dt) for _, _, key in learned]) / 3600
@@ -208,7 +208,7 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
                 warnings.warn(f"{path}: belongs to no step of the runs in {RUNS}; continuing without it", stacklevel=2)
                 continue
             try:
-                sets.append(restore(path, template, ESTIMATOR)[0])
+                found.append(restore(path, template, ESTIMATOR)[0])
             except CheckpointError as error:
                 if "damaged" not in str(error) and "cannot be read" not in str(error):
                     raise
@@ -220,9 +220,9 @@ def _season(boat: str, runs: list[SeasonRun], folders: Sequence[_Folder], ensemb
             hours.append(before + ends[at.run] + at.step * steps[at.run])
         before += ends[-1]
         runs = _with_predictions(folder, boat, runs)
-    if not sets:
+    if not found:
         raise CheckpointError(f"{', '.join(str(each.path) for each in folders)}: no checkpoint of {boat} can be read")
-    return Season(boat, tuple(runs), stack(sets), tuple(paths), np.array(own), np.array(hours))
+    return Season(boat, tuple(runs), stack(found), tuple(paths), np.array(own), np.array(hours))
 
 
 def _with_predictions(folder: _Folder, boat: str, runs: list[SeasonRun]) -> list[SeasonRun]:

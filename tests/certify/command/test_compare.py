@@ -290,6 +290,8 @@ def test_the_page_looks_like_the_report_of_a_run():
         (["--networks", "0"], "--networks: found 0"),
         (["--sizes", "4,x"], "--sizes: found '4,x'"),
         (["--dt", "nan"], "--dt: found nan"),
+        (["--checkpoints", "0"], "--checkpoints: found 0"),
+        (["--sets", "9"], "--sets: it is --checkpoints now"),
         (["--unknown"], "unrecognized arguments"),
         (["nowhere"], "nowhere: no such file"),
         (["--page", "{file}"], "--page: found"),

@@ -24,8 +24,8 @@ from usvlearn.live.moos import wire
 from usvlearn.live.moos.app import App, run
 from usvlearn.live.moos.block import MIDDLEWARE, Settings
 from usvlearn.live.moos.wire import Message
+from usvlearn.live.node_folder import NodeFolder
 from usvlearn.live.session import Session
-from usvlearn.live.sets import Sets
 from usvlearn.live.start import Options
 from usvlearn.live.status import posts
 from usvlearn.live.status.status_file import status_lines
@@ -367,7 +367,7 @@ def test_a_full_disk_is_a_warning(tmp_path, monkeypatch):
     async def work():
         async with at_sea(prior(tmp_path, save_period=0.1)) as sea:
             await ready(sea)
-            monkeypatch.setattr(Sets, "save", full)
+            monkeypatch.setattr(NodeFolder, "save", full)
             await sea.steps(20)
             sea.database.post("APPCAST_REQ", ASK)
             await until(lambda: "run_warnings=1:no checkpoint can be saved" in str(sea.posted("APPCAST")[-1:]))

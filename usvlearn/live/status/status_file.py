@@ -11,7 +11,7 @@ from usvlearn.core import checkpoint
 from usvlearn.core.lock import Lock
 from usvlearn.errors import CheckpointError, ConfigError, printable
 from usvlearn.live.health import quantity, seconds
-from usvlearn.live.sets import status_of
+from usvlearn.live.node_folder import status_of
 
 
 def status_lines(folder: Path) -> list[str]:
@@ -23,8 +23,8 @@ def status_lines(folder: Path) -> list[str]:
     """
     if not folder.is_dir():
         raise ConfigError(f"status: found no folder {folder}, expected the one of a node: correct the path")
-    found, sets = status_of(folder), checkpoint.checkpoints(folder)
-    if not found and not sets:
+    found, saved = status_of(folder), checkpoint.checkpoints(folder)
+    if not found and not saved:
         return [f"{folder}: no node has written here"]
     lines = [f"Node        {_state(folder, found)}"]
     titles = {"boat": "Boat", "middleware": "Middleware", "sentence": "State", "loss": "Alarm", "began_from": "Start"}
@@ -39,7 +39,7 @@ def status_lines(folder: Path) -> list[str]:
         said = found.get(key)
         sentences = [each for each in said if isinstance(each, str)] if isinstance(said, list) else []
         lines += [f"{title:<11} {printable(each)}" for each in sentences]
-    return [*lines, f"Checkpoints {_sets(sets)}"]
+    return [*lines, f"Checkpoints {_told(saved)}"]
 
 
 def _state(folder: Path, found: dict[str, Any]) -> str:
@@ -88,16 +88,16 @@ def _identified(found: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _sets(sets: list[Path]) -> str:
-    if not sets:
+def _told(saved: list[Path]) -> str:
+    if not saved:
         return "none"
-    for path in reversed(sets):
+    for path in reversed(saved):
         try:
             _, facts = checkpoint.load(path)
         except CheckpointError:
             continue
         age = seconds(max(time.time() - path.stat().st_mtime, 0.0))
-        damaged = len(sets) - 1 - sets.index(path)
+        damaged = len(saved) - 1 - saved.index(path)
         more = f"; {damaged} newer cannot be read" if damaged else ""
-        return f"{len(sets)}, the newest readable is {path.name}, {age} old, after step {facts.get('step')}{more}"
-    return f"{len(sets)}, none of which can be read"
+        return f"{len(saved)}, the newest readable is {path.name}, {age} old, after step {facts.get('step')}{more}"
+    return f"{len(saved)}, none of which can be read"

@@ -20,7 +20,7 @@ PAPER_RESULT = (
 )
 
 
-def best_sets(seasons: Sequence[Season], errors: Mapping[str, FreeErrors], method: str) -> list[int]:
+def best_checkpoints(seasons: Sequence[Season], errors: Mapping[str, FreeErrors], method: str) -> list[int]:
     """Each boat's checkpoint with the least MSE on the boat's other runs, equal weight per step; its last, if it has no
     other.
 

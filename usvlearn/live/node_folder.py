@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 
 from usvlearn.core import checkpoint
-from usvlearn.engine.online import read_set
+from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.logs.setup import Setup
 
-NAME = re.compile(r"live_(\d{8,18})\.safetensors")  # sorted behind the sets of a run, which begin with a digit
+NAME = re.compile(r"live_(\d{8,18})\.safetensors")  # sorted behind the checkpoints of a run, which begin with a digit
 STATUS = "status.json"
 LARGEST = 1_000_000  # bytes of a status
 
 
-class Sets:
+class NodeFolder:
     """The checkpoints of a folder. Those that a node has written are numbered; the oldest of them are removed.
 
     Args:
@@ -105,7 +105,7 @@ def newest(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any], Path, lis
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A checkpoint whose setup is legal, too."""
-    leaves, facts = read_set(path)
+    leaves, facts = read_checkpoint(path)
     try:
         if (setup := Setup.of_set(facts)) is not None:
             setup.check_alignment()
