@@ -15,6 +15,11 @@ os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
 
 
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+    """One process more than there are processors: a fifth of the time tests wait, for a clock or another process."""
+    return 1 + len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1 + (os.cpu_count() or 1)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Let pytest-xdist keep the order below."""
     if hasattr(config.option, "loadscopereorder"):

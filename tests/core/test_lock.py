@@ -1,6 +1,7 @@
 """One process at a time writes to a folder; a process that was killed holds nothing."""
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -140,10 +141,11 @@ def test_a_second_run_in_one_folder_is_refused_and_the_first_is_whole(tmp_path):
     while not (tmp_path / "run" / ".hydra" / "overrides.yaml").exists():
         assert time.monotonic() - began < 60
         time.sleep(0.01)
+    first.send_signal(signal.SIGSTOP)  # it must not end before the others are refused
     second = run(*SMALL, "data.seed=2", "hydra.run.dir=run", folder=tmp_path)
     tuned = run(*SMALL, "grid=aid", "hydra.run.dir=run", folder=tmp_path)
     searched = run(*SMALL, "search=aid", "hydra.run.dir=run", folder=tmp_path)
-    assert first.poll() is None
+    first.send_signal(signal.SIGCONT)
     for refused in (second, tuned, searched):
         assert refused.returncode == 2 and refused.stdout == ""
         (line,) = refused.stderr.splitlines()

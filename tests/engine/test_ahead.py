@@ -1,6 +1,7 @@
 """What a first use needs is compiled by a process in the background; where that fails, all is as without it."""
 
 import os
+import re
 import time
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def test_a_run_waits_for_the_process_and_sees_what_it_has_done(marks, capfd):
     assert ahead.share() == 0
     assert process._process.returncode is not None
     said = capfd.readouterr().err
-    assert said.startswith("usvlearn: compiling the kernels of single steps, float32, only once … 0 s; kept"), said
+    assert re.match("usvlearn: compiling the kernels of single steps, float32, only once … [0-9]+ s; kept", said), said
 
 
 def test_what_is_compiled_starts_no_process(marks):

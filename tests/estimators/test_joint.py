@@ -16,6 +16,7 @@ from usvlearn.core.protocol import clean
 from usvlearn.core.samples import named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimators.joint.flow import flow as moved_by
 from usvlearn.estimators.joint.state import SIZES
 
 SETTINGS = {
@@ -171,7 +172,7 @@ def test_the_gradient_of_a_step_is_that_of_finite_differences(name, moment):
     inputs, before = Inputs(*tensor(left, right, 0.7, 0.2, 0.4)), tensor(0.3, -0.6)
 
     def flow(x):
-        return joint._flow(x, x[0], x[1], before, inputs)
+        return moved_by(x, x[0], x[1], before, inputs, joint.even is not None)
 
     mean[0], eye, d = speed, torch.eye(n, dtype=torch.float64), 1e-6
     differences = torch.stack([(flow(mean + d * e)[0] - flow(mean - d * e)[0]) / (2 * d) for e in eye])
@@ -188,10 +189,12 @@ def test_a_step_is_of_second_order_and_ends_at_the_steady_speed():
     for parts in (2, 4, 8):
         w, commands = tensor(0.3)[0], tensor(0.9, 0.5)
         for _ in range(parts):
-            w, _ = joint._flow(joint.init().mean, w, 0 * w, commands, inputs._replace(dt=tensor(0.8 / parts)[0]))
+            w, _ = moved_by(joint.init().mean, w, 0 * w, commands, inputs._replace(dt=tensor(0.8 / parts)[0]), False)
         errors.append(abs(float(w) - truth))
     assert errors[0] < 2e-3 and 3.5 < errors[0] / errors[1] < 4.5 and 3.5 < errors[1] / errors[2] < 4.5
-    w, _ = joint._flow(joint.init().mean, tensor(1.39)[0], tensor(0.0)[0], commands, inputs._replace(dt=tensor(5e3)[0]))
+    w, _ = moved_by(
+        joint.init().mean, tensor(1.39)[0], tensor(0.0)[0], commands, inputs._replace(dt=tensor(5e3)[0]), False
+    )
     assert abs(slope(0, float(w))) < 1e-2 * abs(slope(0, 0.0))
 
 

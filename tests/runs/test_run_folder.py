@@ -176,7 +176,7 @@ def test_the_latest_run_is_the_one_that_began_last_whatever_the_clock_says(tmp_p
     for k in range(5):
         shuffled(tmp_path, rng)
         new = RunFolder(tmp_path / f"new{k}", other, SETTINGS, model().names)
-        assert new._latest() == tmp_path / ("b" if k == 0 else f"new{k - 1}")
+        assert new._resumption.latest() == tmp_path / ("b" if k == 0 else f"new{k - 1}")
         new.begin(model().init((2,)), "latest")
     assert [path.name for path in run_folders(tmp_path)] == [*"cab", "new0", "new1", "new2", "new3", "new4"]
 
@@ -187,7 +187,7 @@ def test_a_run_that_went_on_is_the_latest(tmp_path, fleet):
     session(tmp_path / "first", fleet, "latest")
     assert (began(tmp_path / "first"), began(tmp_path / "second")) == (3, 2)
     shuffled(tmp_path, np.random.default_rng(1))
-    assert RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._latest() == tmp_path / "first"
+    assert RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._resumption.latest() == tmp_path / "first"
     elsewhere = session(tmp_path / "other" / "run", fleet, str(tmp_path / "first"))
     assert began(elsewhere.path) == 4  # later than what it goes on from, wherever that is
 
@@ -201,7 +201,7 @@ def test_runs_without_a_record_of_their_beginning(tmp_path, fleet):
         (folder / "runs.json").write_text(json.dumps(content))
         for path in folder.rglob("*.*"):
             os.utime(path, (1e9 - k, 1e9 - k))
-    latest = RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._latest
+    latest = RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._resumption.latest
     assert latest() == tmp_path / "old"
     for number in ("3", None, True, -1, 1e300, [1]):
         content["began"] = {"number": number}
@@ -222,4 +222,4 @@ def test_of_two_that_began_at_once_the_one_that_came_further_is_the_latest(tmp_p
         checkpoint.checkpoints(tmp_path / "z" / "checkpoints" / boat)[-1].unlink()
     for seed in range(10):
         shuffled(tmp_path, np.random.default_rng(seed))
-        assert RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._latest() == tmp_path / "a"
+        assert RunFolder(tmp_path / "next", fleet, SETTINGS, model().names)._resumption.latest() == tmp_path / "a"
