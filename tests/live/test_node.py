@@ -46,6 +46,13 @@ def node(start, channels=None, **options) -> Node:
     return Node(setup, Online.open(start), **options)
 
 
+@pytest.mark.parametrize(("dt", "last"), [(0.4, 30.0), (0.05, 30.0), (0.03, 10.0)])
+def test_a_horizon_of_more_steps_than_a_forecast_has_is_left_out(start, dt, last):
+    setup = Setup.of(checkpoint.load(start)[1]["setup"])
+    one = Node(Setup(setup.channels, {**setup.align, "dt": dt}), Online.open(start))
+    assert max(one.horizons) == last
+
+
 def test_the_next_prediction_is_that_of_the_next_step_where_the_commands_stay(start):
     """With all inputs constant, what is predicted of the next step is what is then predicted of it."""
     one, steps = node(start), []
@@ -167,7 +174,8 @@ def test_a_plan_is_answered_where_the_longest_forecast_has_more_steps_than_an_an
     for message in messages(boat(0.02), 0.0):
         one.push(*message)
     found = json.loads(one.answer('{"t": [0], "left": [1], "right": [1]}'))
-    assert len(found["surge"]) == 600 and found["t"][-1] == 24.0
+    # of 10 s; 30 s have more steps than a forecast
+    assert len(found["surge"]) == 250 and found["t"][-1] == 10.0
 
 
 def test_a_plan_without_inputs_is_answered_so(start):

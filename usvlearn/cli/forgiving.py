@@ -30,7 +30,7 @@ def with_keys(name: str, arguments: Sequence[str], overrides: Sequence[str]) -> 
     ['-m', 'align.dt=0.2,0.4']
     >>> with_keys("evaluate", ["nowhere"], ["nowhere"])
     Traceback (most recent call last):
-    usvlearn.errors.ConfigError: runs: found 'nowhere', but there is no such folder: name one that train.py has written
+    usvlearn.errors.ConfigError: runs: found 'nowhere', but there is no such folder: name one that `train` has written
     """
     meant = {each: _meant(name, each) for each in overrides if "=" not in each and not each.startswith("~")}
     given = [each for each in meant.values() if each.startswith("runs=")]
@@ -47,9 +47,9 @@ def _meant(name: str, word: str) -> str:
         return f"data={shlex.quote(word) if set(word) & set(' ,') else word}"
     if name == "evaluate":
         if path.is_file():
-            raise ConfigError(f"runs: found the file {word!r}, expected a folder that train.py has written")
+            raise ConfigError(f"runs: found the file {word!r}, expected a folder that `train` has written")
         if not path.is_dir():
-            wanted = "name one that train.py has written"
+            wanted = "name one that `train` has written"
             raise ConfigError(f"runs: found {word!r}, but there is no such folder: {wanted}")
         return f"runs={word}"
     if path.exists():

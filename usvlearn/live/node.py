@@ -98,11 +98,12 @@ class Node:
         if description is None:
             raise ConfigError("estimator: found one without compiled code, expected one that has it")
         self._output = str(description.get("output"))
-        self.horizons, self._watch = watched.horizons(description), watched.event_watch(description)
+        self._watch = watched.event_watch(description)
         self.origin = math.nan  # stamps are counted from here, s
         self.derived: float | None = None
         self.took: Callable[[str, float, float], None] = lambda *_: None
         self.dt = float(setup.align["dt"])
+        self.horizons = tuple(each for each in watched.horizons(description) if round(each / self.dt) <= LONGEST)
         self.held = HeldIntervals(self.horizons, self.dt)
         self.last = math.nan  # the end of the last step, s, as the messages are stamped
         self._begin()
@@ -225,7 +226,7 @@ class Node:
     def _outlook(self) -> tuple[float, float, Ends, Ends]:
         """The next speed under the commands in force, the half-width of its interval, and the forecasts."""
         last = max(self.horizons, default=0.0)
-        steps = min(max(round(last / self.dt), 1), LONGEST)
+        steps = max(round(last / self.dt), 1)
         ahead = self._aligner.ahead(steps)
         first = Inputs(*(float(x[0]) for x in ahead))
         if not all(map(math.isfinite, first)):
@@ -239,7 +240,7 @@ class Node:
         if self.horizons:
             found = self._forecast(ahead.command_left, ahead.command_right, ahead.heading, ahead.yaw_rate)
             for horizon in self.horizons:
-                k = min(max(round(horizon / self.dt), 1), steps) - 1
+                k = max(round(horizon / self.dt), 1) - 1
                 speed, half = float(found.surge[k]), self.held.halfwidth(horizon)
                 if_held[horizon] = speed, float(found.low[k]), float(found.high[k])
                 forecasts[horizon] = speed, speed - half, speed + half
@@ -266,7 +267,7 @@ class Node:
         last = float(plan.time[-1]) / self.dt  # steps until then; infinite where t is as large as numbers go
         if last >= LONGEST:
             raise ConfigError(f"plan: found t {plan.time[-1]:g}, expected at most {(LONGEST - 1) * self.dt:g} s")
-        least = min(round(max(self.horizons, default=0.0) / self.dt), LONGEST)
+        least = round(max(self.horizons, default=0.0) / self.dt)
         steps = max(least, math.floor(last) + 1)
         ahead = self._aligner.ahead(steps)
         if not all(math.isfinite(float(x[0])) for x in ahead):

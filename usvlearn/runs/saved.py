@@ -36,7 +36,7 @@ def run_folders(folder: str | Path) -> list[Path]:
     found = [folder] if (folder / RUNS).exists() else [path.parent for path in folder.glob(f"**/{RUNS}")]
     if not found:
         what = "a tuning alone in" if (folder / TUNING).exists() else "no run below"
-        raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which train.py has made a run")
+        raise ConfigError(f"runs: found {what} {str(folder)!r}, expected a folder in which `train` has made a run")
     if len({path.parent for path in found}) == 1:
         return sorted(found, key=begun)
     return sorted(found, key=lambda path: ((path / RUNS).stat().st_mtime_ns, path))  # numbers are per folder

@@ -233,13 +233,13 @@ def jobs(folder: Path, load: Callable[[Path], Any]) -> list[Job]:
 
     >>> jobs(Path("nowhere"), json.loads)
     Traceback (most recent call last):
-    usvlearn.errors.ConfigError: runs: found no run below 'nowhere', expected a folder that train.py has written
+    usvlearn.errors.ConfigError: runs: found no run below 'nowhere', expected a folder that `train` has written
     """
     paths = [path.parents[1] for path in folder.glob("**/.hydra/overrides.yaml")]
     if not paths and (folder / LANES).exists():
         return _elements(folder / LANES)
     if not paths:
-        raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that train.py has written")
+        raise ConfigError(f"runs: found no run below {str(folder)!r}, expected a folder that `train` has written")
     found = []
     for path in sorted(paths, key=lambda path: (path.parent, len(path.name), path.name)):  # 2 before 10
         overrides = load(path / ".hydra" / "overrides.yaml")
