@@ -1,6 +1,7 @@
 """The measurement of batch elements on a GPU: its works compute what they say. Only its part of the CPU runs here."""
 
 import cuda
+import cuda_ways
 import pytest
 import torch
 
@@ -40,7 +41,7 @@ def test_the_part_of_the_cpu_is_printed_and_not_saved(monkeypatch, capsys):
 def test_replays_of_one_step_are_the_run(name):
     """Not captured here; a captured step makes the same operations in the same memory."""
     estimator, run = KNOWN[name](), cuda.elements_of(12, 3)
-    graphed, expected = cuda.Graphed(estimator, run), cuda.eager(estimator, run)()
+    graphed, expected = cuda_ways.Graphed(estimator, run), cuda_ways.eager(estimator, run)()
     torch.testing.assert_close(graphed(), expected, rtol=0, atol=0)
     torch.testing.assert_close(graphed(), expected, rtol=0, atol=0)  # it starts anew
 
@@ -48,7 +49,7 @@ def test_replays_of_one_step_are_the_run(name):
 @each_estimator
 def test_the_gradient_of_all_elements_is_the_mean_of_those_of_each(name):
     estimator, run = KNOWN[name](), cuda.elements_of(4, 3)
-    found, expected = cuda.mapped(estimator, run)(), cuda.backward(estimator, run)()
+    found, expected = cuda_ways.mapped(estimator, run)(), cuda_ways.backward(estimator, run)()
     for key, value in expected.items():
         each = found[f"estimator.{key}"]
         assert each.shape == (3, *value.shape)
@@ -65,10 +66,10 @@ def test_a_difference_ends_the_measurement():
     aid = AID(28.0)
 
     def wrong(estimator, run):
-        return lambda: cuda.eager(estimator, run)() + 1e-5
+        return lambda: cuda_ways.eager(estimator, run)() + 1e-5
 
-    kind = cuda.Kind("A step", {}, cuda.eager, False)
-    assert float(cuda.compared(kind, cuda.Way("cpu", cuda.compiled), aid, cuda.QUICK)) < 1e-9
+    kind = cuda.Kind("A step", {}, cuda_ways.eager, False)
+    assert float(cuda.compared(kind, cuda.Way("cpu", cuda_ways.compiled), aid, cuda.QUICK)) < 1e-9
     with pytest.raises(SystemExit, match="differs by 1e-05 from torch on the CPU"):
         cuda.compared(kind, cuda.Way("cpu", wrong), aid, cuda.QUICK)
 
@@ -80,7 +81,7 @@ def test_what_a_gradient_keeps_is_counted():
 
 def test_what_takes_too_long_is_left_out(monkeypatch):
     monkeypatch.setattr(cuda, "seconds", lambda work, device, repeats: 100.0)
-    kind, way = cuda.Kind("A step", {}, cuda.eager, False), cuda.Way("cpu", cuda.eager)
+    kind, way = cuda.Kind("A step", {}, cuda_ways.eager, False), cuda.Way("cpu", cuda_ways.eager)
     assert cuda.rates(kind, way, AID(28.0), cuda.QUICK)[1] == "–"
 
 
@@ -88,4 +89,4 @@ def test_with_a_gpu_every_kind_has_a_way_there():
     kinds = cuda.kinds(cuda=True, compile_steps=True)
     assert [kind.keeps for kind in kinds] == [False, True, True, False]
     assert all(any(way.device == "cuda" for way in kind.ways.values()) for kind in kinds)
-    assert {way.make for kind in kinds for way in kind.ways.values()} >= {cuda.Graphed, cuda.stepped}
+    assert {way.make for kind in kinds for way in kind.ways.values()} >= {cuda_ways.Graphed, cuda_ways.stepped}

@@ -5,6 +5,7 @@ import json
 
 import mutations
 import pytest
+from mutation_places import Place, changed, places
 
 SOURCE = """def clipped(x, most):
     \"\"\"x, at most `most`.\"\"\"
@@ -23,24 +24,24 @@ class Sum:
 def test_the_places_of_the_table_are_in_the_sources():
     known = mutations.every_place(mutations.ROOT)
     rows = json.loads(mutations.TABLE.read_text())
-    assert len({tuple(row[key] for key in mutations.Place._fields) for row in rows}) == len(rows) > 0
-    lost = [row for row in rows if mutations.Place(*(row[key] for key in mutations.Place._fields)) not in known]
+    assert len({tuple(row[key] for key in Place._fields) for row in rows}) == len(rows) > 0
+    lost = [row for row in rows if Place(*(row[key] for key in Place._fields)) not in known]
     assert not lost, f"rename them in {mutations.TABLE.name}, or draw others: {lost}"
 
 
 def test_a_change_changes_its_place_alone(tmp_path):
     source = tmp_path / "clip.py"
     source.write_text(SOURCE)
-    found = list(mutations.places("any", source))
+    found = list(places("any", source))
     shown = [(place.function, place.expression, place.becomes) for place, *_ in found]
     assert ("clipped", "x > most", "x >= most") in shown and ("Sum.add", "self.total += x", "pass") in shown
     for _, node, other in found:
-        text = mutations.changed(source, node, other)
+        text = changed(source, node, other)
         wrong = [k for k, (a, b) in enumerate(zip(SOURCE.split("\n"), text.split("\n"), strict=True)) if a != b]
         assert len(wrong) == 1 and ast.dump(ast.parse(text)) != ast.dump(ast.parse(SOURCE))
     lower = tmp_path / "lower.py"
     lower.write_text("import math\n\n\n" + SOURCE)
-    assert [place for place, *_ in mutations.places("any", lower)] == [place for place, *_ in found]
+    assert [place for place, *_ in places("any", lower)] == [place for place, *_ in found]
 
 
 @pytest.mark.slow
@@ -73,8 +74,8 @@ def test_a_change_is_seen_by_the_test_that_fails(tmp_path, check, seconds, seen)
     source = tmp_path / "clip.py"
     source.write_text(SOURCE)
     (tmp_path / "test_clip.py").write_text(f"from clip import clipped\n\n\ndef test_clipped():\n    {check}\n")
-    changes = {place.becomes: (node, other) for place, node, other in mutations.places("any", source)}
+    changes = {place.becomes: (node, other) for place, node, other in places("any", source)}
     group = mutations.Group(("*.py",), 1, ("test_clip.py",))
-    text = mutations.changed(source, *changes["x >= most"])
+    text = changed(source, *changes["x >= most"])
     assert mutations.tried(tmp_path, source, text, group, seconds)["killed_by"] == seen
     assert source.read_text() == SOURCE

@@ -14,6 +14,8 @@ from usvlearn.core.samples import PLAUSIBLE, masks, named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
 from usvlearn.errors import ConfigError
 
+pytestmark = pytest.mark.usefixtures("no_gradients")
+
 OPTIONS = {
     "default": {},
     "no_lags": {"lags": 0, "even": False},
@@ -21,12 +23,6 @@ OPTIONS = {
     "gaussian": {"lags": 1, "degrees": None, "surge_max": 1.0, "project": False},
 }
 BACKENDS = ("kernel", "torch")
-
-
-@pytest.fixture(autouse=True)
-def no_gradients():
-    with torch.no_grad():
-        yield
 
 
 class History:

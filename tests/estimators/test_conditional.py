@@ -6,29 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.kernel_cases import mission
-from usvlearn import AID, ARX, BOA, Average, Ensemble, ForecastSettings, JointEKF, Online, Persistence, Sample, rollout
+from tests.support.forecasts import ensemble, plain
+from usvlearn import Online, Sample, rollout
 from usvlearn.core.samples import Inputs, named_leaves, tree_map
 from usvlearn.estimators.ensemble.conditional import layer
 from usvlearn.estimators.ensemble.conditional.state import HIGH, LOW
 from usvlearn.estimators.ensemble.conformal.state import FEW
 
-
-@pytest.fixture(autouse=True)
-def no_gradients():
-    with torch.no_grad():
-        yield
-
-
-def ensemble(**options) -> Ensemble:
-    members = {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "aid": AID(28.0), "persistence": Persistence()}
-    rules = {"average": Average(), "boa": BOA(["joint", "arx"])}
-    return Ensemble(members, rules, forecasts=ForecastSettings((0.4, 2.0, 4.0), list(members)), **options)
-
-
-def plain(steps: int, *batch: int, seed: int = 0) -> Sample:
-    samples = mission(steps, *batch, seed=seed, faults=False)
-    return samples._replace(inputs=samples.inputs._replace(dt=torch.full_like(samples.inputs.dt, 0.4)))
+pytestmark = pytest.mark.usefixtures("no_gradients")
 
 
 def track(spread: np.ndarray, far: np.ndarray, group: np.ndarray, e: np.ndarray) -> np.ndarray:

@@ -9,51 +9,18 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.kernel_cases import mission
-from usvlearn import (
-    AID,
-    ARX,
-    BOA,
-    Average,
-    Bank,
-    Ensemble,
-    ForecastSettings,
-    Inputs,
-    JointEKF,
-    Online,
-    Persistence,
-    Sample,
-    forecast,
-    rollout,
-)
+from tests.support.forecasts import HORIZONS, ensemble, plain
+from usvlearn import AID, BOA, Bank, Ensemble, ForecastSettings, Inputs, Online, Persistence, Sample, rollout
 from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
 from usvlearn.engine.rollouts import simulate
-from usvlearn.errors import ConfigError, ShapeError
+from usvlearn.errors import ConfigError
 from usvlearn.estimators.ensemble.conformal.state import FEW
 from usvlearn.estimators.ensemble.forecasts.state import DELAY, EMPTY, FIRST, MOST
 from usvlearn.evaluation.horizons import LEAST, horizon_scores, horizon_sums
 
-HORIZONS, STEPS = (0.4, 2.0, 4.0), (1, 5, 10)
+pytestmark = pytest.mark.usefixtures("no_gradients")
 
-
-@pytest.fixture(autouse=True)
-def no_gradients():
-    with torch.no_grad():
-        yield
-
-
-def ensemble(**options) -> Ensemble:
-    members = {"joint": JointEKF(2.0, 28.0), "arx": ARX(), "aid": AID(28.0), "persistence": Persistence()}
-    rules = {"average": Average(), "boa": BOA(["joint", "arx"])}
-    return Ensemble(
-        members, rules, forecasts=ForecastSettings(**({"horizons": HORIZONS, "members": list(members)} | options))
-    )
-
-
-def plain(steps: int, *batch: int, seed: int = 0) -> Sample:
-    """Samples without faults, 0.4 s each."""
-    samples = mission(steps, *batch, seed=seed, faults=False)
-    return samples._replace(inputs=samples.inputs._replace(dt=torch.full_like(samples.inputs.dt, 0.4)))
+STEPS = (1, 5, 10)  # of 0.4 s: HORIZONS
 
 
 def made(model: Ensemble, samples: Sample, backend: str = "auto") -> tuple[torch.Tensor, torch.Tensor]:
@@ -218,110 +185,6 @@ def test_a_state_goes_on_where_it_was(dtype, tmp_path):
         expected = whole[k, 1].numpy()
         rounding = 0 if dtype == torch.float64 else 1e-5  # a call and a run round differently in float32
         np.testing.assert_allclose(online.state["forecasts.predictions"], expected, rtol=rounding)
-
-
-def test_online_forecasts_are_those_of_elements():
-    model, samples = ensemble(), plain(50, 3)
-    state = rollout(model, model.init((3,)), samples)[0]
-    online, rng = Online(model, (3,)), np.random.default_rng(0)
-    online.state = state
-    commands, headings = rng.uniform(-1, 1, (12, 3, 2)), rng.uniform(-3, 3, (12, 3))
-    found = online.forecast(commands, headings, 0.1, dt=0.4)
-    left, right = (torch.from_numpy(np.ascontiguousarray(commands[..., k])) for k in (0, 1))
-    psi = torch.from_numpy(headings)
-    inputs = Inputs(left, right, psi, torch.full_like(psi, 0.1), torch.full_like(psi, 0.4))
-    expected = forecast(model, state, inputs)
-    np.testing.assert_allclose(found.surge, expected.surge, rtol=1e-12)
-    np.testing.assert_allclose(found.high, expected.high, rtol=1e-12)
-    assert found.time.tolist() == pytest.approx([0.4 * k for k in range(1, 13)])
-    assert np.isfinite(found.low[:10]).all() and np.isinf(found.low[10:]).all()  # beyond the longest horizon of 4 s
-    plain_torch = Online(model, (3,), backend="torch")
-    plain_torch.state = state
-    np.testing.assert_allclose(plain_torch.forecast(commands, headings, 0.1).surge, found.surge, rtol=1e-12)
-    again = online.forecast(commands, headings, 0.1)
-    np.testing.assert_array_equal(again.surge, found.surge)  # nothing was learned, and the state stays
-
-
-def test_a_forecast_before_the_first_sample_has_no_interval(tmp_path):
-    found = Online(ensemble()).forecast([[0.5, 0.5]] * 10, 0.0)
-    assert np.isfinite(found.surge).all() and np.isinf(found.high).all() and np.isinf(found.low).all()
-    boat, samples = Online(ensemble()), plain(60)
-    calls = [
-        Sample(Inputs(*(float(x[k]) for x in samples.inputs)), float(samples.surge[k]), True, True) for k in range(60)
-    ]
-    for each in calls:
-        boat.step(each)
-    assert np.isfinite(boat.forecast([[0.5, 0.5]] * 10, 0.0).high).all()
-    opened = Online.open(boat.save(tmp_path / "a.safetensors"))  # nobody knows how long ago
-    assert np.isinf(opened.forecast([[0.5, 0.5]] * 10, 0.0).high).all()
-    opened.step(calls[-1])
-    assert np.isfinite(opened.forecast([[0.5, 0.5]] * 10, 0.0).high).all()
-
-
-@pytest.mark.parametrize("backend", ["auto", "torch"])
-def test_a_plan_after_steps_without_speed_is_less_sure(backend):
-    """Its time counts from the last measured speed: widths grow, and end at the longest horizon."""
-    model, samples = ensemble(), plain(60)
-    online = Online(model, backend=backend)
-    online.state = rollout(model, model.init(), samples)[0]
-    sure = online.forecast([[0.5, 0.5]] * 10, 0.0)
-    for _ in range(5):
-        online.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), math.nan, True, False))
-    found = online.forecast([[0.5, 0.5]] * 10, 0.0)
-    np.testing.assert_allclose((found.high - found.low)[:5], (sure.high - sure.low)[5:], rtol=1e-9)
-    assert np.isinf(found.high[5:]).all()
-    inputs = Inputs(*(torch.full((10,), x, dtype=torch.float64) for x in (0.5, 0.5, 0.0, 0.0, 0.4)))
-    state = online.state
-    np.testing.assert_allclose(forecast(model, state, inputs).high, found.high, rtol=1e-9)
-
-
-def test_elements_of_another_number_are_refused():
-    model = ensemble()
-    inputs = Inputs(*(torch.zeros(10, 3, dtype=torch.float64) for _ in range(5)))
-    with pytest.raises(ShapeError, match=r"inputs: found the shapes \[\(10, 3\)\], expected \(time, 2\)"):
-        forecast(model, model.init((2,)), inputs)
-
-
-PLANS = {
-    "few_commands": (([[0.5, 0.5]] * 3, [0.0] * 4), {}, ShapeError, r"headings: found the shape \(4,\), expected one"),
-    "beyond": (([[0.5, 1.2]], 0.0), {}, ConfigError, "commands: found 1.2 for the right side in step 1, expected -1"),
-    "nan": (([[0.5, 0.5], [math.nan, 0.0]], 0.0), {}, ConfigError, "commands: found nan for the left side in step 2"),
-    "nan_heading": (([[0.5, 0.5]], math.nan), {}, ConfigError, "headings: found nan in step 1"),
-    "dt_0": (([[0.5, 0.5]], 0.0), {"dt": 0.0}, ConfigError, "dt: found 0, expected one time of 0.01 … 2 s"),
-    "dt_10": (([[0.5, 0.5]], 0.0), {"dt": 10.0}, ConfigError, "dt: found 10, expected"),
-    "dts": (([[0.5, 0.5]], 0.0), {"dt": [0.4]}, ConfigError, "dt: found the shape"),
-    "none": (([], 0.0), {}, ShapeError, "commands: found the shape"),
-    "one_side": (([0.5, 0.5, 0.5], 0.0), {}, ShapeError, r"commands: found the shape \(3,\), expected \(time, 2\)"),
-    "turns": (([[0.5, 0.5]], 0.0, 30.0), {}, ConfigError, "yaw_rates: found 30 in step 1, expected -10 … 10, rad/s"),
-    "nothing": (([[0.5, 0.5]], None), {}, ShapeError, "headings: found None, expected numbers"),
-    "text": ((["left"], 0.0), {}, ShapeError, "commands: found .* expected numbers"),
-    "rates": (([[0.5, 0.5]], 0.0, [0.1, 0.2]), {}, ShapeError, r"yaw_rates: found the shape \(2,\)"),
-}
-
-
-@pytest.mark.parametrize("name", PLANS)
-def test_a_plan_that_cannot_be_is_refused_in_one_sentence(name):
-    arguments, options, error, message = PLANS[name]
-    with pytest.raises(error, match=message):
-        Online(ensemble()).forecast(*arguments, **options)
-
-
-def test_yaw_rates_are_those_of_the_headings():
-    online = Online(ensemble())
-    online.state = rollout(ensemble(), ensemble().init(), plain(40))[0]
-    headings = [3.0, 3.1, -3.08, -2.98]  # through south
-    rates = [0.25, (2 * math.pi - 6.18) / 0.4, 0.25, 0.25]
-    found = [online.forecast([[0.5, 0.2]] * 4, headings, each).surge for each in (None, rates)]
-    np.testing.assert_allclose(found[0], found[1], rtol=1e-9)
-
-
-def test_an_estimator_without_forecasts_says_what_to_add():
-    for estimator in (AID(28.0), Ensemble({"aid": AID(28.0)})):
-        for backend in ("auto", "torch"):
-            with pytest.raises(
-                ConfigError, match=r"found an estimator without forecasts, .* forecasts=ForecastSettings\(\)"
-            ):
-                Online(estimator, backend=backend).forecast([[0.5, 0.5]], 0.0)
 
 
 OPTIONS = {

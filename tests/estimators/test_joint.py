@@ -19,18 +19,14 @@ from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.joint.flow import flow as moved_by
 from usvlearn.estimators.joint.state import SIZES
 
+pytestmark = pytest.mark.usefixtures("no_gradients")
+
 SETTINGS = {
     "even": {},
     "odd": {"even": None, "disturbance": 20.0, "outlier": 2.0, "lag": 0.3},
     "loose": {"current": 0.5, "drift_time": 50.0, "disturbance_time": 0.2, "current_time": 5.0, "outlier": None},
 }
 each_setting = pytest.mark.parametrize("name", SETTINGS)
-
-
-@pytest.fixture(autouse=True)
-def no_gradients():
-    with torch.no_grad():
-        yield
 
 
 def tensor(*numbers) -> torch.Tensor:

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from tests.support.live import boat, learned_set, messages
+from tests.support.live import boat, messages
 from usvlearn.core import checkpoint
 from usvlearn.core.events import LOSS, Event
 from usvlearn.engine.online import Online
@@ -32,11 +32,6 @@ from usvlearn.logs.channels.derived_surge import COURSES, VELOCITIES
 from usvlearn.logs.setup import Setup
 from usvlearn.simulate.fault import Fault
 from usvlearn.simulate.fleet import fleet
-
-
-@pytest.fixture(scope="module")
-def start(tmp_path_factory):
-    return learned_set(tmp_path_factory.mktemp("start"))
 
 
 def node(start, channels=None, **options) -> Node:

@@ -5,16 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from tests.support.live import PLAIN, boat, learned_set, messages, replayed
+from tests.support.live import PLAIN, boat, messages, replayed
 from usvlearn.live.session import Session
 from usvlearn.live.start import Middleware, Options
 from usvlearn.logs.channels.channel import AUTO
 from usvlearn.logs.channels.derived_surge import VELOCITIES
-
-
-@pytest.fixture(scope="module")
-def start(tmp_path_factory):
-    return learned_set(tmp_path_factory.mktemp("start"))
 
 
 def live(folder, start, posts, middleware=PLAIN) -> np.ndarray:

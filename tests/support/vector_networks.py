@@ -4,7 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from certify.networks.vector import VectorWeights, check
+from certify.networks.vector import RELU, VectorNetwork, VectorWeights, check
 from certify.proofs.vector_exact import Matrix, inverse
 
 
@@ -31,3 +31,11 @@ def spectral(slopes: np.ndarray, metric: Matrix) -> float:
     """The largest norm of the slopes, `(…, q, q)`, in √(xᵀ P x)."""
     root = np.linalg.cholesky(np.array(metric, dtype=float)).T
     return float(np.linalg.norm(root @ slopes @ np.linalg.inv(root), 2, axis=(-2, -1)).max())
+
+
+def network(rng: np.random.Generator, q: int = 2, n: int = 4, two: bool = False, phi=RELU) -> VectorNetwork:
+    """As if read from net.npz: Gaussian weights, of which those behind the neurons are small."""
+    layer = {"V": rng.normal(size=(3, n)) / n, "c": rng.normal(size=3)} if two else {}
+    A = 0.3 * rng.normal(size=(q, 3 if two else n)) / n
+    weights = VectorWeights(0.3 * np.eye(q), A, rng.normal(size=(n, q)), rng.normal(size=(n, 2)), rng.normal(size=n))
+    return VectorNetwork("net.npz", check(weights._replace(**layer)), phi)

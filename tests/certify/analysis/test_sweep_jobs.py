@@ -13,6 +13,7 @@ from certify.analysis.sweep_jobs import jobs
 from certify.display.sweep_figure import sweep_figure
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
+from tests.support.certify_command import told
 from usvlearn.core.checkpoint import save
 from usvlearn.runs.layout import CHECKPOINTS, save_results
 from usvlearn.sweeps.jobs import run_job
@@ -53,11 +54,6 @@ def sweep(tmp_path):
     (tmp_path / "leaderboard").mkdir()
     (tmp_path / "leaderboard.csv").write_text("job\n0\n")
     return tmp_path
-
-
-def told(capsys, *arguments) -> tuple[int, list]:
-    code = main([*map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out)
 
 
 def by_job(rows) -> dict[str, dict]:

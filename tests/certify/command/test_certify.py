@@ -1,12 +1,9 @@
-"""python -m certify, as it is typed: JSON, exit codes, certificates, pictures, and one sentence for bad input."""
+"""python -m certify, as it is typed: JSON, exit codes, tables, certificates and pictures."""
 
-import itertools
-import json
 import os
 import re
 import subprocess
 import sys
-import time
 from fractions import Fraction
 from pathlib import Path
 
@@ -15,38 +12,14 @@ import pytest
 
 from certify.__main__ import main
 from certify.display.printed import show
-from certify.networks.shallow import Network, ShallowWeights
-from certify.networks.vector import VectorNetwork
+from certify.networks.shallow import ShallowWeights
 from certify.proofs.rounding import above, below
 from tests.support import ROOT
-from usvlearn import AID, RNN, Ensemble
+from tests.support.certify_command import told
 from usvlearn.core.checkpoint import save
 
 KEYS = {"path", "n", "margins", "rate", "certified", "equilibria"}
 CONDITIONS = {"simple", "gershgorin", "lmi", "tight"}
-
-
-@pytest.fixture
-def files(tmp_path):
-    """One network on each side of `tight`, one on an edge that only the box sees, and a run's checkpoints."""
-    one, zero = np.ones(1), np.zeros(1)
-    networks = {
-        "good": ShallowWeights(0.6 * one, 0.5 * one, np.zeros((1, 1)), zero),
-        "identity": ShallowWeights(one, one, np.zeros((1, 1)), zero),
-        "tooth": ShallowWeights(2 * one, one, np.zeros((1, 1)), -0.25 * one),
-        "off": ShallowWeights(2 * one, one, np.zeros((1, 1)), -9 * one),
-    }
-    for name, weights in networks.items():
-        np.savez(tmp_path / f"{name}.npz", **weights._asdict())
-    ensemble = Ensemble({"aid": AID(28.0), "rnn": RNN(6, initial="random")})
-    for boat in ("anna", "bert"):
-        save(tmp_path / "run/checkpoints" / boat / "00000_0000010.safetensors", ensemble.init(), boat=boat)
-    return tmp_path
-
-
-def told(capsys, *arguments) -> tuple[int, list]:
-    code = main([*map(str, arguments), "--json"])
-    return code, json.loads(capsys.readouterr().out)
 
 
 def test_json_of_one_network(files, capsys):
@@ -94,111 +67,6 @@ def test_rates_of_any_size_have_a_time_constant(files, capsys):
     code, rows = told(capsys, files / "tiny.npz", files / "edge.npz")
     assert code == 0 and rows[0]["time_constant"] >= 0
     assert rows[1]["rate"] == 1 and rows[1]["time_constant"] == pytest.approx(2**53, rel=0.01)
-
-
-def near_one(bits: int) -> ShallowWeights:
-    """K = 1 − 2^−bits: the sum of 1 − 2⁻⁵³, 2⁻⁵³ (1 − 2⁻⁵³) …"""
-    ends = [*range(0, bits, 53), bits]
-    parts = [
-        (max(-lo, -1000), (1 - 2.0 ** (lo - hi)) * 2.0 ** min(1000 - lo, 0)) for lo, hi in itertools.pairwise(ends)
-    ]
-    a, w1 = np.array([2.0**e for e, _ in parts]), np.array([w for _, w in parts])
-    return ShallowWeights(a, w1, np.zeros((len(a), 4)), np.full(len(a), 0.1))
-
-
-@pytest.mark.parametrize(
-    "options", [[], ["--box", "--seconds", "0.2"], ["--plot", "map.png"], ["--certificate", "proofs"]]
-)
-def test_a_rate_nearer_to_one_than_any_float_is_certified(files, capsys, monkeypatch, options):
-    monkeypatch.chdir(files)
-    weights = near_one(1113)
-    pairs = zip(weights.a.tolist(), weights.w1.tolist(), strict=True)
-    assert sum(Fraction(x) * Fraction(y) for x, y in pairs) == 1 - Fraction(1, 2**1113)
-    np.savez("near.npz", **weights._asdict())
-    wide = {"A": np.stack([weights.a, 0 * weights.a]), "W": np.stack([weights.w1, 0 * weights.w1], -1)}
-    np.savez("wide.npz", **wide, W2=weights.W2, b=weights.b)
-    assert main(["near.npz", "wide.npz", "good.npz", *options]) == 0
-    assert "2 of 2 certified contracting by tight" in capsys.readouterr().out
-    code, rows = told(capsys, "near.npz", "wide.npz", "good.npz", *options)
-    assert code == 0 and [row["time_constant"] is None for row in rows] == [True, False, True]
-    assert not options[:1] == ["--certificate"] or main(["--verify", *map(str, Path("proofs").glob("*"))]) == 0
-
-
-@pytest.mark.parametrize("size", [1e150, 1e100, 5e-324])
-@pytest.mark.parametrize(
-    "options", [["--json"], ["--lmi"], ["--steps", "--box", "--seconds", "0.2"], ["--plot", "m.png"]]
-)
-def test_weights_of_any_size_end_in_a_verdict_or_in_one_sentence(files, capsys, monkeypatch, size, options):
-    monkeypatch.chdir(files)
-    ones = {"A": np.ones((2, 2)), "W": np.ones((2, 2)), "W2": np.ones((2, 1)), "b": np.ones(2)}
-    one = {**ones, "R": np.ones((2, 2))}
-    two = {**ones, "V": np.ones((2, 2)), "c": np.ones(2)}
-    shallow = near_one(60)._asdict()
-    for name, network in {"one": one, "two": two, "shallow": shallow}.items():
-        np.savez(f"{name}.npz", **{key: size * x for key, x in network.items()})
-        code = main([f"{name}.npz", "good.npz", *options])
-        output = capsys.readouterr()
-        assert code in (0, 1, 2) and "good" in output.out
-        assert len(output.err.split("\n")) <= 2 and bool(output.err.strip()) == (code == 2)
-        assert code != 2 or output.err.strip().startswith(f"error: {name}.npz: ")
-
-
-def test_a_certified_set_whose_proof_is_too_long_stops_no_other(files, capsys, monkeypatch):
-    monkeypatch.chdir(files)
-    rng = np.random.default_rng(0)
-    w1 = rng.uniform(1, 2, 400) * 2.0 ** -rng.integers(900, 1000, 400)
-    np.savez("long.npz", a=np.zeros(400), w1=w1, W2=np.zeros((400, 1)), b=np.zeros(400))
-    assert main(["long.npz", "good.npz", "--certificate", "proofs"]) == 2
-    output = capsys.readouterr()
-    assert "long.npz: is certified, but its proof is longer" in output.err and "1 certificates" in output.out
-    assert [path.name for path in Path("proofs").iterdir()] == ["good.tight.json"]
-
-
-def test_errors_that_nobody_foresaw_stop_no_other_set(files, capsys, monkeypatch):
-    from certify.analysis import assess
-    from certify.command import vector_run
-
-    def fails(network, *rest):
-        if "good" in network.path:
-            raise OverflowError("too large")
-        return known[type(network)](network, *rest)
-
-    known = {type(n): f for n, f in ((Network("", None), assess.assess), (VectorNetwork("", None), vector_run.assess))}
-    monkeypatch.setattr(assess, "assess", fails)
-    monkeypatch.setattr(vector_run, "assess", fails)
-    for more in ([], ["--activation", "tanh"]):
-        assert main([str(files / "good.npz"), str(files / "off.npz"), *more]) == 2
-        output = capsys.readouterr()
-        assert "good.npz: cannot be judged (OverflowError: too large)" in output.err and "off" in output.out
-    monkeypatch.setattr("certify.__main__.find", lambda paths: 1 // 0)
-    assert main([str(files / "good.npz")]) == 3
-    assert "ZeroDivisionError" in capsys.readouterr().err
-
-
-def test_verification_compares_no_more_than_some_thousand_sets(files, capsys, monkeypatch):
-    """Told from the shapes: 250,000 checkpoints of one neuron are 8 MB."""
-    monkeypatch.chdir(files)
-    assert main(["good.npz", "--certificate", "proofs"]) == 0
-    (proof,) = map(str, Path("proofs").iterdir())
-    elements = {"a": np.full((250_000, 1), 0.6), "w1": np.ones((250_000, 1)), "b": np.zeros((250_000, 1))}
-    np.savez("many.npz", **elements, W2=np.zeros((250_000, 1, 0)))
-    wide = {
-        "A": elements["a"][:, None],
-        "W": elements["w1"][..., None],
-        "b": elements["b"],
-        "W2": np.zeros((250_000, 1, 0)),
-    }
-    np.savez("wide.npz", **wide)
-    capsys.readouterr()
-    for name in ("many", "wide"):
-        began = time.perf_counter()
-        assert main([f"{name}.npz", "--verify", proof]) == 2 and time.perf_counter() - began < 5
-        assert "found 250000 checkpoints, expected at most 10000" in capsys.readouterr().err
-    text = Path(proof).read_text().replace("good.npz", "many.npz")
-    Path("named.json").write_text(text)
-    assert main(["--verify", "named.json", proof]) == 2
-    output = capsys.readouterr()
-    assert "named.json: many.npz: found 250000" in output.err and f"{proof}: valid" in output.out
 
 
 def test_a_runs_folder_and_a_pattern(files, capsys):
@@ -281,56 +149,6 @@ def test_pictures(files, capsys):
     assert "heading" in (files / "map.svg").read_text()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "no PATH is given"),
-        (["nowhere"], "nowhere: no such file"),
-        (["good.npz", "nowhere*"], "no such file"),
-        (["text.npz"], "text.npz: cannot be read"),
-        (["notes.txt"], "notes.txt: is no checkpoint"),
-        (["nan.npz"], "nan.npz: found 1 NaN"),
-        (["empty.npz"], "without neurons"),
-        (["shapes.npz"], "found the shapes"),
-        (["good.npz", "--box=1:0,0:1"], "lo"),
-        (["good.npz", "--box=0:1"], "1 intervals, expected 2"),
-        (["good.npz", "--lmi", "--solver", "NOSUCH"], "NOSUCH"),
-        (["good.npz", "--input", "1,2"], "expected 1 finite numbers"),
-        (["good.npz", "--input", "one"], "expected numbers"),
-        (["good.npz", "--dt", "-1"], "--dt"),
-        (["good.npz", "--headings", "--plot", "map.png"], "--headings"),
-        (["good.npz", "--plot", ""], "--plot"),
-        (["good.npz", "--plot", "run"], "--plot"),
-        (["x" * 300], "File name too long"),
-        ([""], "empty PATH"),
-        (["good.npz", "--certificate", ""], "expected a folder"),
-        (["good.npz", "--input", "-inf"], "expected 1 finite"),
-        (["compare", "--seed", "-1"], "--seed"),
-        (["empty", "--json"], "holds no checkpoints"),
-        (["good.npz", "--plot", "map.xyz"], "map.xyz"),
-        (["good.npz", "--certificate", "good.npz"], "is a file"),
-        (["good.npz", "--certificate", "/dev/null/proofs"], "cannot be written"),
-        (["--verify", "good.npz"], "good.npz"),
-        (["--verify", "nowhere.json"], "cannot be read"),
-        (["compare", "--networks", "0"], "--networks"),
-        (["compare", "--sizes", "10,x"], "--sizes"),
-    ],
-)
-def test_bad_input_is_one_sentence_and_code_2(files, capsys, monkeypatch, arguments, message):
-    monkeypatch.chdir(files)
-    arrays = dict(np.load("good.npz"))
-    np.savez("nan.npz", **{**arrays, "a": [np.nan]})
-    np.savez("empty.npz", a=[], w1=[], W2=np.zeros((0, 1)), b=[])
-    np.savez("shapes.npz", **{**arrays, "w1": [1.0, 2.0]})
-    Path("text.npz").write_text("hello")
-    Path("notes.txt").write_text("hello")
-    Path("empty").mkdir()
-    assert main(arguments) == 2
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.startswith("error: ") and captured.err.count("\n") == 1
-    assert message in captured.err
-
-
 def test_ctrl_c_is_one_line_and_code_130(files, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
@@ -338,13 +156,6 @@ def test_ctrl_c_is_one_line_and_code_130(files, capsys, monkeypatch):
     monkeypatch.setattr("certify.__main__.find", interrupted)
     assert main([str(files)]) == 130
     assert capsys.readouterr().err == "stopped by SIGINT: the certificates written so far are complete\n"
-
-
-@pytest.mark.parametrize("wrong", [["--condition", "magic"], ["--bx"], ["--certificate"]])
-def test_a_wrong_flag_is_one_sentence_and_code_2(files, capsys, wrong):
-    assert main([str(files / "good.npz"), *wrong]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: ") and wrong[0] in error and len(error.splitlines()) == 1
 
 
 def test_closed_forms_import_no_solver(files):
@@ -357,57 +168,10 @@ def test_closed_forms_import_no_solver(files):
     assert found.returncode == 0, found.stderr + found.stdout
 
 
-def test_a_missing_solver_package_says_which_extra(files, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "cvxpy", None)
-    assert main([str(files / "good.npz"), "--lmi"]) == 2
-    assert "usvlearn[lmi]" in capsys.readouterr().err
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    assert main([str(files / "good.npz"), "--plot", str(files / "x.png")]) == 2
-    assert "usvlearn[plot]" in capsys.readouterr().err
-
-
-def test_what_can_be_verified_is_though_another_cannot(files, capsys, monkeypatch):
-    monkeypatch.chdir(files)
-    assert main(["good.npz", "--certificate", "proofs"]) == 0
-    capsys.readouterr()
-    assert main(["--verify", "nowhere.json", "proofs/good.tight.json"]) == 2
-    captured = capsys.readouterr()
-    assert "nowhere.json" in captured.err and "proofs/good.tight.json: valid" in captured.out
-
-
-def test_one_bad_file_does_not_hide_the_other_verdicts(files, capsys, monkeypatch):
-    monkeypatch.chdir(files)
-    (files / "text.npz").write_text("hello")
-    huge = {**np.load("good.npz"), "b": [1e100]}  # too large for the search on a box
-    np.savez("huge.npz", **huge)
-    assert main([".", "--json", "--box"]) == 2
-    captured = capsys.readouterr()
-    assert (
-        "text.npz: cannot be read" in captured.err and "huge.npz: weights or box: found a value of size" in captured.err
-    )
-    assert len(json.loads(captured.out)) == 6 and captured.err.count("error: ") == 2
-    assert main(["good.npz", "text.npz"]) == 2 and "1 of 1 certified" in capsys.readouterr().out
-    assert main(["huge.npz", "--box"]) == 2 and capsys.readouterr().out == ""
-
-
 def test_a_run_with_a_report_is_judged_by_its_checkpoints(files, capsys):
     (files / "run/report").mkdir()
     np.savez(files / "run/report/crossval.npz", errors=np.zeros(3))
     assert told(capsys, files / "run")[0] == 0
-
-
-@pytest.mark.parametrize(
-    "path", ["x" * 100_000 + ".npz", "a/" * 3000 + "a.npz", "nul\0.npz", ["good.npz"], "\ud800.npz"]
-)
-def test_a_path_that_no_file_can_have_stops_nobody(files, capsys, monkeypatch, path):
-    monkeypatch.chdir(files)
-    assert main(["good.npz", "--certificate", "proofs"]) == 0
-    good = Path("proofs/good.tight.json")
-    Path("bad.json").write_text(json.dumps({**json.loads(good.read_text()), "path": path}))
-    capsys.readouterr()
-    assert main(["--verify", "bad.json", str(good)]) == 2
-    captured = capsys.readouterr()
-    assert f"{good}: valid" in captured.out and "bad.json: its weights" in captured.err and len(captured.err) < 250
 
 
 def test_what_is_printed_is_never_below_the_rate_or_above_a_margin(files, capsys, monkeypatch):

@@ -2,7 +2,6 @@
 
 import copy
 import itertools
-import json
 import time
 from fractions import Fraction
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 import torch
 
-from certify.__main__ import main
 from certify.analysis.vector_assess import assess
 from certify.errors import CertifyError
 from certify.networks.shallow import ShallowWeights
@@ -32,13 +30,7 @@ from certify.proofs.exact import conditions, multipliers
 from certify.proofs.vector_exact import Proof, identity
 from certify.search.vector_lmi import smallest_rate
 from certify.training.conditions import tight
-
-
-def network(rng: np.random.Generator, q: int = 2, n: int = 4, two: bool = False, phi=RELU) -> VectorNetwork:
-    layer = {"V": rng.normal(size=(3, n)) / n, "c": rng.normal(size=3)} if two else {}
-    A = 0.3 * rng.normal(size=(q, 3 if two else n)) / n
-    weights = VectorWeights(0.3 * np.eye(q), A, rng.normal(size=(n, q)), rng.normal(size=(n, 2)), rng.normal(size=n))
-    return VectorNetwork("net.npz", check(weights._replace(**layer)), phi)
+from tests.support.vector_networks import network
 
 
 def made(condition: str, net: VectorNetwork) -> dict:
@@ -197,99 +189,6 @@ def test_all_smaller_steps_are_certified():
         assert (after <= (1 - eta / 1.25 * (1 - float(K))) * before * (1 + 1e-12)).all()
 
 
-def test_the_command_certifies_writes_draws_and_verifies(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    net = network(np.random.default_rng(6), q=3, n=8)
-    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
-    np.savez("one.npz", a=[0.5, -0.2], w1=[1.0, 0.5], W2=[[0.0], [1.0]], b=[0.0, 0.1])
-    assert main(["net.npz", "one.npz", "--certificate", "proofs", "--plot", "map.png"]) == 0
-    printed = capsys.readouterr().out
-    assert "1 of 1 with a vector state certified contracting" in printed and "1 of 1 certified contracting" in printed
-    assert (tmp_path / "map.png").stat().st_size > 5000 and (tmp_path / "map-2.png").stat().st_size > 5000
-    proofs = sorted(map(str, tmp_path.glob("proofs/*.json")))
-    assert len(proofs) == 2 and main(["--verify", *proofs]) == 0
-    assert main(["net.npz", "one.npz", "--verify", *proofs]) == 0
-    assert main(["one.npz", "--verify", *proofs]) == 1
-    capsys.readouterr()
-    assert main(["net.npz", "one.npz", "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)
-    assert [row.get("states") for row in rows] == [None, 3] and rows[1]["rates"]["exact"] < 1
-
-
-@pytest.mark.parametrize(
-    "n, two, said, count",
-    [(2, False, "all 4", 4), (3, True, "all 64", 64), (8, False, "all 256", 256), (9, False, "300 random", 300)],
-)
-def test_the_figure_draws_all_patterns_of_few_neurons_and_says_how_many(n, two, said, count):
-    pytest.importorskip("matplotlib")
-    from certify.display.vector_figures import contraction_figure, patterns
-
-    net = network(np.random.default_rng(8), n=n, two=two, phi=activation("leaky:1/4"))
-    drawn = [tuple(D) for D in patterns(net)]
-    assert {len(D) for D in drawn} == {net.neurons} and {slope for D in drawn for slope in D} == {0.25, 1.0}
-    assert len(drawn) == count and (count == 300 or len(set(drawn)) == 2**net.neurons)
-    axes = contraction_figure(net, {"norm": "inf", "rates": {"exact": 0.9}}, np.eye(2)).axes[1]
-    assert f"its images by {said} activation patterns" in [line.get_label() for line in axes.lines]
-    assert sum(line.get_alpha() is not None for line in axes.lines) == count  # the faint ones
-
-
-def test_the_command_takes_other_activations(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    net = network(np.random.default_rng(6))
-    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
-    assert main(["net.npz", "--activation", "leaky:0.2", "--certificate", "proofs"]) == 0
-    proof = str(next(tmp_path.glob("proofs/*.json")))
-    assert main(["--verify", proof]) == 0
-    assert main(["net.npz", "--activation", "relu", "--verify", proof]) == 1
-    assert "leaky:1/5" in capsys.readouterr().out
-    for wrong in ("gelu", "leaky", "leaky:2", "leaky:-1", "leaky:" + "1" * 100):
-        assert main(["net.npz", "--activation", wrong]) == 2
-        assert "activation" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "arguments, words",
-    [
-        (["--condition", "simple"], "one state"),
-        (["--condition", "interval"], "one state"),
-        (["--input", "0,0"], "one state"),
-        (["--box", "0:1"], "expected 4"),
-        (["--box", "0:0,0:1,0:1,0:1"], "lo < hi"),
-        (["--lmi", "--solver", "NONE"], "not installed"),
-    ],
-)
-def test_options_that_do_not_fit_a_vector_state_are_refused(arguments, words, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    net = network(np.random.default_rng(6))
-    np.savez("net.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
-    assert main(["net.npz", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error and len(error.splitlines()) == 1
-
-
-@pytest.mark.parametrize(
-    "changed",
-    [
-        {"R": np.eye(3)},
-        {"A": np.ones((2, 3))},
-        {"b": np.full(4, np.nan)},
-        {"W": np.ones((4, 7)), "A": np.ones((7, 4)), "R": None},
-        {"V": np.ones((3, 4))},
-        {"c": np.ones(3)},
-        {"W2": np.ones(4)},
-        {"A": np.full((2, 4), 1e200)},
-        {"A": None},
-    ],
-)
-def test_damaged_weights_are_refused_in_one_sentence(changed, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    weights = {**network(np.random.default_rng(6)).weights._asdict(), **changed}
-    np.savez("net.npz", **{key: x for key, x in weights.items() if x is not None})
-    assert main(["net.npz"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("error: net.npz") and len(error.splitlines()) == 1
-
-
 def test_the_identity_scaling_is_the_default():
     net = network(np.random.default_rng(8))
     assert certificates.make(net, "exact") == certificates.make(net, "exact", scaling=identity(2))
@@ -323,49 +222,6 @@ def test_leaky_relu_with_a_skip_connection_has_the_closed_form_for_one_state():
         assert tight(torch.tensor(a), torch.tensor(w1), skip, leak).rate.item() == pytest.approx(
             float(exact), rel=1e-12
         )
-
-
-def test_steps_say_nothing_about_the_step_of_the_network(tmp_path, monkeypatch, capsys):
-    """A network that does not contract at its own step may contract at smaller ones; its verdict stays the same."""
-    monkeypatch.chdir(tmp_path)
-    np.savez("swings.npz", A=[[0.1]], W=[[1.0]], W2=[[0.0]], b=[0.0], R=[[-1.5]])
-    assert main(["swings.npz", "--steps", "--json", "--certificate", "proofs"]) == 1
-    row = json.loads(capsys.readouterr().out)[0]
-    assert row["rates"]["exact"] == 1.5 and not row["certified"]["exact"] and row["rate"] is None
-    assert Fraction(row["steps"]["largest"]) == Fraction(4, 5)
-    assert [path.name for path in tmp_path.glob("proofs/*")] == ["swings.steps.json"]
-    assert main(["--verify", "proofs/swings.steps.json"]) == 0
-
-
-def test_a_certificate_of_steps_is_written_beside_the_other(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    np.savez("one.npz", a=[0.5, -0.2], w1=[1.0, 0.5], W2=[[0.0], [1.0]], b=[0.0, 0.1])
-    assert main(["one.npz", "--json"]) == 0 and main(["one.npz", "--steps", "--json", "--certificate", "proofs"]) == 0
-    plain, stepped = (json.loads(text)[0] for text in capsys.readouterr().out.replace("]\n[", "]\0[").split("\0"))
-    assert plain["time_constant"] == pytest.approx(stepped["time_constant"], rel=1e-5)
-    assert {path.name for path in tmp_path.glob("proofs/*")} == {"one.exact.json", "one.steps.json"}
-
-
-def test_steps_too_long_to_write_are_left_out(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    np.savez("huge.npz", A=[[0.1]], W=[[1.0]], W2=[[0.0]], b=[0.0], R=[[-1e140]])
-    assert main(["huge.npz", "--steps"]) == 1
-    assert main(["huge.npz", "--dt", "1e308"]) == 2 and "--dt" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("arguments", [["--condition", "gershgorin"], ["--condition", "lmi", "--activation", "tanh"]])
-def test_a_condition_for_other_networks_is_refused(arguments, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    net = network(np.random.default_rng(6), two=True)
-    np.savez("deep.npz", **{key: x for key, x in net.weights._asdict().items() if x is not None})
-    assert main(["deep.npz", *arguments]) == 2 and "is for" in capsys.readouterr().err
-
-
-def test_weights_too_large_for_the_search_on_a_box_keep_their_other_verdicts(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    np.savez("huge.npz", A=1e100 * np.eye(2), W=1e-101 * np.eye(2), W2=np.zeros((2, 1)), b=np.zeros(2))
-    assert main(["huge.npz", "--box"]) == 0
-    assert "huge.npz: weights or box: found a value" in capsys.readouterr().out
 
 
 def test_two_layers_of_the_papers_matrix_count_twice():

@@ -19,7 +19,6 @@ import pytest
 pytest.importorskip("pymavlink", reason="needs the package pymavlink")
 
 from tests.support import ROOT, commands
-from tests.support.live import learned_set
 from tests.support.mavboat import MavBoat, Motion, OnTheAir, RecordingSession, mavlink, turning
 from tests.support.voyages import voyage
 from usvlearn.core import checkpoint
@@ -114,11 +113,6 @@ def begun(folder, start, **options) -> Session:
     session.start()
     assert session.wait(300)
     return session
-
-
-@pytest.fixture(scope="module")
-def start(tmp_path_factory):
-    return learned_set(tmp_path_factory.mktemp("start"))
 
 
 def errors_of(steps) -> np.ndarray:

@@ -1,111 +1,24 @@
-"""The app at the stand-in: what it publishes, and that no fault of the database or of a message stops it."""
+"""The app at the stand-in: what it publishes, what it answers, and how it ends."""
 
 import asyncio
-import contextlib
-import errno
 import json
 import math
-import os
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
 
 import pytest
 
 from tests.support import ROOT
 from tests.support.live import boat, messages
+from tests.support.moos_app import ASK, NAMES, SCALE, at_sea, prior, ready, until
 from tests.support.moosdb import Moosdb
-from usvlearn.errors import ConfigError
-from usvlearn.live.moos import client as link
-from usvlearn.live.moos import wire
-from usvlearn.live.moos.app import App, run
-from usvlearn.live.moos.block import MIDDLEWARE, Settings
-from usvlearn.live.moos.wire import Message
-from usvlearn.live.node_folder import NodeFolder
+from usvlearn.live.moos.block import MIDDLEWARE
 from usvlearn.live.session import Session
-from usvlearn.live.start import Options
 from usvlearn.live.status import posts
 from usvlearn.live.status.status_file import status_lines
-
-NAMES = {"command_left": "DESIRED_THRUST_L", "command_right": "DESIRED_THRUST_R",
-         "heading": "NAV_HEADING", "surge": "NAV_SPEED"}  # fmt: skip
-SCALE = {"command_left": 100.0, "command_right": 100.0, "heading": 180 / math.pi, "surge": 1.0}
-ASK = "node=usv,app=pUSVLearn,duration=30,key=test,thresh=any"
-
-
-async def until(condition: Callable[[], object], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "the condition did not come true"
-        await asyncio.sleep(0.005)
-
-
-def prior(folder, **options) -> Options:
-    return Options(folder, mass=36.0, surge_max=3.0, **options)
-
-
-class Sea:
-    """A database, a boat that posts there, and the app."""
-
-    def __init__(self, database: Moosdb, app: App):
-        self.database, self.app = database, app
-        self.began = database.now()
-        self._rows: Iterator[tuple[str, float, float]] = messages(boat(), 0.0)
-        self.sent = 0
-
-    def sail(self, seconds: float, shift: float = 0.0, leave_out: str = "") -> None:
-        """Post what the boat says in the next seconds of its time, at once."""
-        end = None
-        for part, stamp, value in self._rows:
-            if part in NAMES and part != leave_out:
-                self.database.post(NAMES[part], SCALE[part] * value, at=self.began + shift + stamp)
-                self.sent += 1
-            end = stamp + seconds if end is None else end
-            if stamp > end:
-                return
-
-    def posted(self, name: str) -> list[Message]:
-        return [each for each in self.database.posted if each.key == name and each.source == self.app.settings.name]
-
-    def health(self) -> dict[str, str]:
-        text = self.posted("USV_HEALTH")[-1].text if self.posted("USV_HEALTH") else ""
-        return dict(part.partition("=")[::2] for part in text.split(","))
-
-    async def steps(self, seconds: float = 10.0, **how) -> None:
-        """Sail, and wait until the app has made steps of it."""
-        before = len(self.posted("USV_SPEED_NEXT"))
-        self.sail(seconds, **how)
-        await until(lambda: len(self.posted("USV_SPEED_NEXT")) > before + seconds / 2)
-
-
-@contextlib.asynccontextmanager
-async def at_sea(options: Options, database: Moosdb | None = None, **changes) -> AsyncIterator[Sea]:
-    """The app beside a database, until the end of the block; it then ends in order."""
-    database = database or Moosdb()
-    await database.start()
-    settings = Settings("pUSVLearn", "127.0.0.1", database.port, database.warp, "usv", 20.0, "USV_", False, options)
-    app = App(Session(options, MIDDLEWARE), settings._replace(**changes))
-    task = asyncio.create_task(app.main())
-    try:
-        sea = Sea(database, app)
-        await until(lambda: task.done() or app.client.connected)
-        yield sea
-    finally:
-        app.stop()
-        database.thaw()
-        code = await task
-        database.kill()
-        await asyncio.sleep(0.02)
-    assert code == 0
-
-
-async def ready(sea: Sea) -> Sea:
-    await until(lambda: sea.health().get("state", "compiling") != "compiling", 300)
-    sea.began = sea.database.now()
-    return sea
 
 
 def test_it_publishes_what_the_node_says(tmp_path):
@@ -172,31 +85,6 @@ def test_while_code_compiles_it_answers_and_then_asks_again(tmp_path, monkeypatc
     asyncio.run(work())
 
 
-def test_messages_that_are_no_numbers(tmp_path):
-    async def work():
-        async with at_sea(prior(tmp_path)) as sea:
-            await ready(sea)
-            await sea.steps(10)
-            now = sea.database.values["NAV_SPEED"].time
-            for value in (math.nan, math.inf, 1e308, -1e308):
-                sea.database.post("NAV_SPEED", value, at=now + 0.01)
-            for stamp in (math.nan, math.inf, -math.inf, 1e308):
-                sea.database.post("NAV_SPEED", 1.0, at=stamp)
-            del sea.database.values["NAV_SPEED"]  # as after a restart: another app may post another type
-            for text in ("nan", "1e308", "off", "", " ", "\0", "1.0"):
-                sea.database.post("NAV_SPEED", text, at=now + 0.02)
-            del sea.database.values["NAV_SPEED"]
-            sea.database._accept(Message("N", "NAV_SPEED", wire.BINARY, text="1.0", time=now, source="boat"))
-            del sea.database.values["NAV_SPEED"]
-            await sea.steps(20)
-            return sea.app.session._node.counts["surge"]
-
-    counts = asyncio.run(work())
-    assert counts["wrong_type"] == 3 and counts["empty"] == 2
-    assert counts["not_a_number"] == 3 and counts["no_time"] == 4  # the stamp 1e308 is no time that can be aligned
-    assert counts["out_of_range"] == 3
-
-
 def test_an_old_last_value_is_no_news_but_a_held_command_is(tmp_path):
     async def work():
         database, old = Moosdb(), time.time() - 5000
@@ -210,18 +98,6 @@ def test_an_old_last_value_is_no_news_but_a_held_command_is(tmp_path):
             assert set(sea.app.session._listening.heard) == {"command_left", "command_right"}
             await sea.steps(20, leave_out="command_left")
             assert sea.app.session._node.counts["surge"]["last_value"] in (1, 2)  # also while it starts
-
-    asyncio.run(work())
-
-
-def test_a_database_that_knows_a_name_with_another_type(tmp_path):
-    async def work():
-        database = Moosdb()
-        database.post("USV_SPEED_PRED", "none")
-        async with at_sea(prior(tmp_path), database) as sea:
-            await ready(sea)
-            await sea.steps(20)
-            assert {each.key for each in database.refused} == {"USV_SPEED_PRED"}
 
     asyncio.run(work())
 
@@ -304,74 +180,6 @@ def test_a_plan_that_is_posted_is_answered(tmp_path):
             assert json.loads(last)["id"] == 2 and len(json.loads(last)["surge"]) == 75
             assert node.counts["plan"]["refused"] in (1, 1 + len(early))  # an early one came before the node or to it
             assert not database.refused
-
-    asyncio.run(work())
-
-
-def test_a_pattern_is_no_variable(tmp_path):
-    options = prior(tmp_path, channels={"surge": {"name": "*SPEED"}})
-    settings = Settings("pUSVLearn", "127.0.0.1", 1, 1.0, "", 4.0, "USV_", False, options)
-    for _ in range(2):  # the folder is free again
-        with pytest.raises(ConfigError, match=r"surge: found '\*SPEED', expected the name of one variable"):
-            run(Session(options, MIDDLEWARE), settings)
-
-
-def test_faults_of_the_database_do_not_stop_it(tmp_path, monkeypatch):
-    monkeypatch.setattr(link, "FIRST", 0.02)
-    monkeypatch.setattr(link, "SILENCE", 2.0)
-
-    async def work():
-        async with at_sea(prior(tmp_path)) as sea:
-            database, client = sea.database, sea.app.client
-            await ready(sea)
-            await sea.steps()
-            for fault in ("killed", "restarted", "frozen", "garbage", "cut"):
-                count = client.counts["connected"]
-                if fault in ("killed", "restarted"):
-                    database.kill()
-                    await asyncio.sleep(0.3 if fault == "killed" else 0.0)
-                    await database.start()
-                elif fault == "frozen":
-                    database.freeze()
-                    await until(lambda: client.counts["silent"])
-                    database.thaw()
-                elif fault == "garbage":
-                    database.inject(b"\xff" * 99)
-                else:
-                    database.inject(wire.encode([Message("N", "NAV_SPEED", value=1.0)])[:30])
-                    database.links["pUSVLearn"].writer.close()
-                await until(lambda count=count: client.counts["connected"] > count and database.links)
-                await asyncio.sleep(0.05)
-                await sea.steps()
-            database.post("APPCAST_REQ", ASK)
-            await until(lambda: "garbage 1" in str([each.text for each in sea.posted("APPCAST")[-1:]]))
-            assert not client.counts["outbox"]
-
-    asyncio.run(work())
-
-
-def test_clocks_that_jump_by_an_hour(tmp_path):
-    async def work():
-        async with at_sea(prior(tmp_path)) as sea:
-            await ready(sea)
-            for shift in (0.0, 3600.0, 0.0, -3600.0, 0.0):
-                await sea.steps(20, shift=shift)
-
-    asyncio.run(work())
-
-
-def test_a_full_disk_is_a_warning(tmp_path, monkeypatch):
-    def full(self, *_):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    async def work():
-        async with at_sea(prior(tmp_path, save_period=0.1)) as sea:
-            await ready(sea)
-            monkeypatch.setattr(NodeFolder, "save", full)
-            await sea.steps(20)
-            sea.database.post("APPCAST_REQ", ASK)
-            await until(lambda: "run_warnings=1:no checkpoint can be saved" in str(sea.posted("APPCAST")[-1:]))
-            await sea.steps(20)
 
     asyncio.run(work())
 

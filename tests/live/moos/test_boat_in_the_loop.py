@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.support.live import boat, learned_set, messages, replayed
+from tests.support.live import boat, messages, replayed
 from tests.support.real_moosdb import run_isolated
 from usvlearn.live.moos.app import App
 from usvlearn.live.moos.block import MIDDLEWARE, Settings
@@ -19,11 +19,6 @@ from usvlearn.live.start import Options
 WARP = 20.0
 VARIABLES = {"command_left": ("DESIRED_THRUST_L", 100.0), "command_right": ("DESIRED_THRUST_R", 100.0),
              "heading": ("NAV_HEADING", 180 / math.pi), "surge": ("NAV_SPEED", 1.0)}  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def start(tmp_path_factory):
-    return learned_set(tmp_path_factory.mktemp("start"))
 
 
 async def sail(client: Client, seconds: float) -> None:
