@@ -187,15 +187,14 @@ def logging(fleet: Fleet, effort: Effort) -> str:
         with (
             tempfile.TemporaryDirectory() as folder,
             TensorBoardLogger(folder, fleet, model) as watch,
-            RunFolder(folder, fleet, {}, model.names) as archive,
+            RunFolder(folder, fleet, {}, model.names, model.forecasts, filters=model.accommodated) as archive,
         ):
             start = archive.begin(model.init((len(fleet.boats),)), None)
             began, spent = time.perf_counter(), 0.0
             for chunk in replay(model, fleet, start.state, every=watch.every):
                 spent += once(partial(archive.save, chunk)) + once(partial(watch.show, chunk))
             boats = fleet_scores(fleet, archive.published, model.names)
-            quiet = {boat: [] for boat in fleet.boats}
-            results = {"boats": boats, "alarms": quiet}
+            results = {"boats": boats, "events": {boat: [] for boat in fleet.boats}}
             spent += once(partial(watch.finish, SETTINGS, results, archive.published))
             seconds.append(spent)
             shares.append(spent / (time.perf_counter() - began - spent))
