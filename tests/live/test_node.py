@@ -43,9 +43,8 @@ def node(start, channels=None, **options) -> Node:
 
 @pytest.mark.parametrize(("dt", "last"), [(0.4, 30.0), (0.05, 30.0), (0.03, 10.0)])
 def test_a_horizon_of_more_steps_than_a_forecast_has_is_left_out(start, dt, last):
-    setup = Setup.of(checkpoint.load(start)[1]["setup"])
-    one = Node(Setup(setup.channels, {**setup.align, "dt": dt}), Online.open(start))
-    assert max(one.horizons) == last
+    setup = node(start).setup
+    assert max(Node(Setup(setup.channels, {**setup.align, "dt": dt}), Online.open(start)).horizons) == last
 
 
 def test_the_next_prediction_is_that_of_the_next_step_where_the_commands_stay(start):
@@ -169,8 +168,7 @@ def test_a_plan_is_answered_where_the_longest_forecast_has_more_steps_than_an_an
     for message in messages(boat(0.02), 0.0):
         one.push(*message)
     found = json.loads(one.answer('{"t": [0], "left": [1], "right": [1]}'))
-    # of 10 s; 30 s have more steps than a forecast
-    assert len(found["surge"]) == 250 and found["t"][-1] == 10.0
+    assert len(found["surge"]) == 250 and found["t"][-1] == 10.0  # 30 s have more steps than a forecast
 
 
 def test_a_plan_without_inputs_is_answered_so(start):
