@@ -13,11 +13,7 @@ os.environ["COLUMNS"] = "160"  # of tables, wherever the tests run
 
 
 WITHOUT_KERNELS = ("tests/certify", "tests/logs", "tests/core", "tests/display", "tests/simulate")
-
-
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """One process more than there are processors: a fifth of the time tests wait, for a clock or another process."""
-    return 1 + len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1 + (os.cpu_count() or 1)
+WITH = "tests/core/test_lock.py"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -32,7 +28,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     def turn(item: pytest.Item) -> int:
         if item.nodeid.startswith("tests/engine/test_kernels.py"):
             return 0
-        return 1 if item.nodeid.startswith(WITHOUT_KERNELS) else 2
+        return 1 if item.nodeid.startswith(WITHOUT_KERNELS) and not item.nodeid.startswith(WITH) else 2
 
     items.sort(key=turn)
 

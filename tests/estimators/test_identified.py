@@ -9,12 +9,13 @@ import torch
 
 from tests.support.known_boats import MASS, THETA_ODD
 from usvlearn import AID, Ensemble, Inputs, JointEKF, Online, Persistence, Sample
+from usvlearn.core.events import NINETY
 from usvlearn.core.samples import named_leaves
 from usvlearn.engine.rollouts import rollout
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.quantities import FORCES, SIDES, quantities, sums
-from usvlearn.estimators.joint.reading import DEVIATIONS, Identified, identify
+from usvlearn.estimators.joint.reading import Identified, identify
 from usvlearn.estimators.joint.state import THETA
 from usvlearn.estimators.regressors.terms import SURGE
 from usvlearn.evaluation.identification import as_results, identified_boats
@@ -94,12 +95,12 @@ def test_many_readings_leave_their_own_covariance_and_the_filters():
     changed = {"mean": mean, "reading": THETA_ODD, "spread": root @ root.T, "readings": 1e12, "factor": np.diag(D)}
     found = read(joint, **changed, updates=1e9)
     row = sums(False)["thrust_full_left"]
-    half = DEVIATIONS * MASS * math.sqrt(row @ (root @ root.T + 1e-4 * np.eye(12)) @ row)
+    half = NINETY * MASS * math.sqrt(row @ (root @ root.T + 1e-4 * np.eye(12)) @ row)
     value, low, high, unit = found["thrust_full_left"]
     assert (value, unit) == (pytest.approx(MASS * 1.0), "N")
     assert high - value == pytest.approx(half, rel=1e-6) and value - low == pytest.approx(half, rel=1e-6)
     few = read(joint, **changed | {"readings": 4.0}, updates=1e9)["thrust_full_left"]
-    expected = DEVIATIONS * MASS * math.sqrt(row @ (3 * root @ root.T + 9e-4 * np.eye(12)) @ row)
+    expected = NINETY * MASS * math.sqrt(row @ (3 * root @ root.T + 9e-4 * np.eye(12)) @ row)
     assert few.high - few.value == pytest.approx(expected, rel=1e-6)
 
 
@@ -111,8 +112,8 @@ def test_before_the_first_reading_intervals_are_wider_and_shrink():
         read(joint, mean=mean, factor=factor, learned=t, updates=1e9)["thrust_full_left"] for t in (0.0, 2000.0)
     )
     sd = MASS * math.sqrt(3e-4)
-    assert first.high - first.value == pytest.approx(DEVIATIONS * sd * math.sqrt(5) * 3, rel=1e-6)
-    assert later.high - later.value == pytest.approx(DEVIATIONS * sd * math.sqrt(5) * (1 + 600 / 2300), rel=1e-6)
+    assert first.high - first.value == pytest.approx(NINETY * sd * math.sqrt(5) * 3, rel=1e-6)
+    assert later.high - later.value == pytest.approx(NINETY * sd * math.sqrt(5) * (1 + 600 / 2300), rel=1e-6)
 
 
 def test_an_interval_contains_the_present_estimate():
@@ -251,7 +252,7 @@ def test_twenty_samples_say_so_and_are_wider_than_the_prior():
     assert found.lacks[0].startswith("Only 19 steps were learned")
     prior = averaged().variance.sqrt().detach()
     single = found["drag_linear"]
-    assert single.high - single.low > MASS * DEVIATIONS * float(prior[1])
+    assert single.high - single.low > MASS * NINETY * float(prior[1])
 
 
 def test_a_filter_that_diverged_identifies_nothing_and_writes_null(tmp_path):

@@ -35,6 +35,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.events import NINETY
 from usvlearn.estimators.joint.lacking import (
     POSITIVE_OF_BOATS,
     SILENT,
@@ -51,7 +52,6 @@ from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES, gradients, s
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
 from usvlearn.estimators.joint.state import DROPPED, THETA
 
-DEVIATIONS = 1.645  # of a normal distribution: 90 %
 FEW_P, FEW_C = 8.0, 2.0  # of (1)
 FIRST, FADES = 600.0, 300.0  # s, of (2)
 POSITIVE = ("time_constant", "stopping_distance", "thrust_ratio")
@@ -253,7 +253,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
         value, low, high, unit = signed[name]
         signed[name] = Quantity(value, low, value + TWICE * (high - value), unit)
     if top < 0:  # its sign is known sooner than its size: the filter's own interval tells it
-        own = DEVIATIONS * _deviation(slopes["steady_speed_full"], P[THETA:, THETA:])
+        own = NINETY * _deviation(slopes["steady_speed_full"], P[THETA:, THETA:])
         signed["steady_speed_full"] = Quantity(top, top - own, top + own, QUANTITIES["steady_speed_full"])
     impossible = unphysical(signed)
     if top < 0:  # a sign is reversed
@@ -305,7 +305,7 @@ def _deviation(slope: np.ndarray, covariance: np.ndarray) -> float:
 
 
 def _around(name: str, value: float, deviation: float) -> tuple[float, float]:
-    half = DEVIATIONS * deviation
+    half = NINETY * deviation
     if name in POSITIVE and value > 0:
         ratio = math.exp(min(half / value, WIDEST))
         return value / ratio, value * ratio

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from usvlearn.core.events import NINETY
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.joint.curves import Curve, banded
 from usvlearn.estimators.joint.quantities import SIDES, Ahead
-from usvlearn.estimators.joint.reading import DEVIATIONS, Identified
+from usvlearn.estimators.joint.reading import Identified
 from usvlearn.logs.setup import Setup
 from usvlearn.model.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
 from usvlearn.model.controller.closed_loop import Law, Responses, Step, draws, simulate, steps_of
@@ -103,9 +104,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     linear = linearised(name, found, forward.at(speeds))
     late, spread = _late(name, found, boat.setup, wanted.delay)
     period = PERIOD if wanted.period is None else wanted.period
-    gains, left = design(
-        name, linear, max(late + DEVIATIONS * spread, 0.0) + period / 2, wanted.bandwidth, wanted.damping
-    )
+    gains, left = design(name, linear, max(late + NINETY * spread, 0.0) + period / 2, wanted.bandwidth, wanted.damping)
     cruise = wanted.speed if wanted.speed is not None else (low + high) / 2
     up, down = (_force(found, speeds, full) for full in (1.0, 0.0))
     theta = draws(found, wanted.boats, wanted.seed)
@@ -129,7 +128,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     rover, moos = slower, Moos.of(gains.proportional, gains.integral, rover.slope, period)
     loops = loop("ArduRover", RoverLaw(rover, period)), loop("MOOS-IvP", MoosLaw(moos))
     return Controller(
-        boat, forward, speeds, linear, max(late + DEVIATIONS * spread, 0.0), period, gains, left, up, down, rover,
+        boat, forward, speeds, linear, max(late + NINETY * spread, 0.0), period, gains, left, up, down, rover,
         moos, loops,
     )  # fmt: skip
 
