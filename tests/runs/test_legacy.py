@@ -1,16 +1,23 @@
-"""A run of version 0.1, whose settings name modules that have moved since: it is opened, judged and gone on from.
+"""Runs of versions 0.1 and 0.2, whose settings name what has moved since: they are opened, judged and gone on from.
 
-It was made by version 0.1.0 with these settings:
+Both were made with these settings:
 
-    data.hours=0.03 data.mission_minutes=1 data.seed=3 data.hulls=7 save_minutes=0.5 estimators.rnn.neurons=3
-    ~estimators.memory_aid ~estimators.memory_rls ~estimators.steady_rls ~combiners.weighted
+    data.hours=0.03 data.mission_minutes=1 data.seed=3 save_minutes=0.5 estimators.rnn.neurons=3
+
+by version 0.1.0, with the addition
+
+    data.hulls=7 ~estimators.memory_aid ~estimators.memory_rls ~estimators.steady_rls ~combiners.weighted
     ~combiners.ensemble.prior.memory_rls
+
+and by version 0.2.0, with
+
+    data.fleet_seed=7 ~estimators.arx ~estimators.joint_quick ~estimators.sift_map ~combiners.average
+    ~combiners.weighted combiners.ensemble.members=[aid,reader,joint] forecasts.members=[aid,joint]
 """
 
 import json
 import shutil
-import subprocess
-import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +25,7 @@ from omegaconf import OmegaConf
 from rich.console import Console
 
 from tests.support import ROOT
+from tests.support.commands import run
 from usvlearn import AID, Inputs, Online, Robust, Sample
 from usvlearn.cli.settings import instantiate
 from usvlearn.cli.settings import instantiate as instantiate_settings
@@ -27,18 +35,22 @@ from usvlearn.errors import ConfigError
 from usvlearn.runs.legacy import TARGETS, current
 from usvlearn.runs.saved import configuration
 
-RUN = ROOT / "tests" / "data" / "run_of_version_0_1"
-NEWEST = RUN / "checkpoints" / "heron" / "00001_0000120.safetensors"
-FOUND = [0.6336783731641761, 1.2476286769282514, 1.2902282720963953, 1.2279661703830946]  # by version 0.1.0
+RUN, RUN_2 = (ROOT / "tests" / "data" / f"run_of_version_0_{k}" for k in (1, 2))
+NEWEST = Path("checkpoints", "heron", "00001_0000120.safetensors")
+FOUND = {  # by the version that has made the run
+    RUN: [0.6336783731641761, 1.2476286769282514, 1.2902282720963953, 1.2279661703830946],
+    RUN_2: [0.6503927146062585, 1.1846265088143606, 1.2948220308549834, 1.359218645458605],
+}
 
 
 def samples():
     return [Sample(Inputs(0.5, 0.4, 0.1 * k, 0.01, 0.4), 1 + 0.01 * k, True, True) for k in range(4)]
 
 
-def test_its_parameter_set_goes_on_aboard():
-    boat = Online.open(NEWEST)
-    np.testing.assert_allclose([boat.step(sample) for sample in samples()], FOUND, rtol=1e-12)
+@pytest.mark.parametrize("run", FOUND, ids=lambda run: run.name)
+def test_its_checkpoint_goes_on_aboard(run):
+    boat = Online.open(run / NEWEST)
+    np.testing.assert_allclose([boat.step(sample) for sample in samples()], FOUND[run], rtol=1e-12)
 
 
 def test_its_settings_make_the_same_estimators():
@@ -60,10 +72,11 @@ def test_an_old_name_in_a_file_tells_the_new_one():
         instantiate_settings({"forecasts": {"_target_": "usvlearn.Forecasts"}})
 
 
-def test_it_is_judged(tmp_path):
+@pytest.mark.parametrize("made", FOUND, ids=lambda run: run.name)
+def test_it_is_judged(made, tmp_path):
     folder = tmp_path / "run"
-    shutil.copytree(RUN, folder)
-    done = subprocess.run([sys.executable, ROOT / "evaluate.py", f"runs={folder}"], capture_output=True, text=True)
+    shutil.copytree(made, folder)
+    done = run(f"runs={folder}", folder=tmp_path, script="evaluate.py")
     assert done.returncode == 0, done.stderr
     assert (folder / "report" / "index.html").exists()
 
@@ -74,28 +87,30 @@ NEWER = {  # arguments that version 0.1 did not have
 }
 
 
-@pytest.mark.parametrize("member", ["rls", "sift_map"])
-def test_it_continues_where_it_was_killed(member, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    "made, member", [(RUN, "rls"), (RUN, "sift_map"), (RUN_2, "reader"), (RUN_2, "joint_averaged")]
+)
+def test_it_continues_where_it_was_killed(made, member, tmp_path, monkeypatch):
     """By its own settings under the names of today, also of its members; it ends as it ended then.
 
     The last bits of simulated samples depend on the processor, so the samples count as those of then by their names.
     That they are the same to rounding shows at the end, where the learned parameters are.
     """
-    (then,) = json.loads((RUN / "runs.json").read_text())["boats"].values()
+    (then,) = json.loads((made / "runs.json").read_text())["boats"].values()
     digests = {name: digest for name, _, digest in then}
     monkeypatch.setattr("usvlearn.runs.run_folder.digest", lambda run, element: digests[run.names[element]])
-    folder, text = tmp_path / "run", json.dumps(configuration(RUN))
-    for old, new in NEWER.items():
+    folder, text = tmp_path / "run", json.dumps(configuration(made))
+    for old, new in NEWER.items() if made == RUN else ():
         assert old in text
         text = text.replace(old, new)
-    shutil.copytree(RUN, folder)
+    shutil.copytree(made, folder)
     for lost in ("results.json", "predictions/00001_0000120.npz", "checkpoints/heron/00001_0000120.safetensors"):
         (folder / lost).unlink()
-    console = Console(record=True, width=200)
-    train(OmegaConf.create(json.loads(text.replace('"rls"', f'"{member}"'))), folder, console, str(folder))
+    console, before = Console(record=True, width=200), {RUN: "rls", RUN_2: "reader"}[made]
+    train(OmegaConf.create(json.loads(text.replace(f'"{before}"', f'"{member}"'))), folder, console, str(folder))
     assert "resuming after step 75 of run 2 of 2" in console.export_text()
-    found, expected = (checkpoint.load(each / NEWEST.relative_to(RUN))[0] for each in (folder, RUN))
-    expected = {name.replace("members.rls.", f"members.{member}."): leaf for name, leaf in expected.items()}
+    found, expected = (checkpoint.load(each / NEWEST)[0] for each in (folder, made))
+    expected = {name.replace(f"members.{before}.", f"members.{member}."): leaf for name, leaf in expected.items()}
     assert found.keys() == expected.keys()
     for name, leaf in expected.items():
         if not name.startswith("monitors.thrusters."):  # the numbers of this monitor are those of this version
