@@ -1,0 +1,67 @@
+"""Which terms are used: those that do best on missions that were left out, and what one step leaves out of them."""
+
+import numpy as np
+import pytest
+
+from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
+from usvlearn.core.rows import LEARN, MODE, SURGE
+from usvlearn.model.fit.choice import FEWEST, choose, left_out
+from usvlearn.model.fit.fitted import fit_boat
+from usvlearn.model.fit.gauss_newton import Missions
+from usvlearn.model.fit.intervals import intervals, spread
+from usvlearn.model.fit.quantities import quantities
+from usvlearn.model.fit.terms import NAMES, PLACE_LAG, PLACE_TIME, prior
+
+
+def missions(terms: str, count: int, noise: float = 0.05) -> tuple[Missions, np.ndarray]:
+    """Missions of a boat that a set of terms describes exactly, and its parameters."""
+    theta, known, rng = boat(5), prior(terms, TOP), np.random.default_rng(1)
+    theta[np.setdiff1d(np.arange(len(NAMES)), known.active)] = 0.0
+    theta[PLACE_LAG], theta[PLACE_TIME] = 0.2 * (PLACE_LAG in known.active), 0.2 * (PLACE_TIME in known.active)
+    found = []
+    for seed in range(count):
+        rows = mission(2000, seed)
+        rows[1:, SURGE] = simulated(rows, theta, terms)[1:] + noise * rng.standard_normal(len(rows) - 1)
+        rows[1:, MODE] = LEARN
+        found.append(rows)
+    return Missions(found, TOP), theta
+
+
+@pytest.mark.parametrize("terms", ["nine", "thrust curves"])
+@pytest.mark.parametrize("count", [1, 8])
+def test_the_terms_that_made_the_data_are_used(terms, count):
+    made, _ = missions(terms, count, 0.01)
+    fits = {name: made.fit(name) for name in ("nine", "cubic", "thrust curves")}
+    chosen, scores = choose(made, fits)
+    assert chosen == terms
+    assert scores[terms].gain == 0 and np.isfinite(scores["cubic"].error) == (count >= FEWEST)
+
+
+def test_one_step_leaves_a_mission_out_as_a_fit_without_it_does():
+    made, _ = missions("cubic", 5)
+    fit = made.fit("cubic")
+    quick = left_out(made, fit, fit.deviation)
+    for k in range(5):
+        others = Missions([rows for j, rows in enumerate(made.rows) if j != k], TOP).fit("cubic")
+        whole = made.evaluate("cubic", others.theta, fit.deviation, [k])
+        assert quick[k] == pytest.approx(whole.loss[0] / whole.count[0], abs=2e-3)
+
+
+def test_intervals_hold_and_shrink_with_the_missions():
+    widths = []
+    for count in (4, 16):
+        made, theta = missions("cubic", count)
+        fits = {"cubic": made.fit("cubic")}
+        chosen, scores = choose(made, fits)
+        found, truth = intervals(fits, scores, chosen, MASS), quantities(theta, TOP, MASS)
+        inside = [found[name].low <= truth[name] <= found[name].high for name in truth]
+        assert np.mean(inside) >= 0.8
+        widths.append(np.sqrt(np.diag(spread(fits["cubic"]))))
+    assert np.median(widths[1] / widths[0]) < 0.7  # a half, by the square root of four times the missions
+
+
+def test_a_fit_is_saved_as_json_without_nan():
+    made, _ = missions("nine", 2)
+    facts = fit_boat("a", made.rows, MASS, TOP, "nine").json()
+    assert facts["terms"] == "nine" and all(each["error"] is None for each in facts["sets"].values())
+    assert all(np.isfinite(value) for value in facts["parameters"].values())

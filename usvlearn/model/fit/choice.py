@@ -1,0 +1,85 @@
+"""Which terms a log supports, by leaving out one mission at a time.
+
+A set of terms is fitted to all missions, which gives each mission's g and H at θ. Without mission m one Gauss-Newton
+step leads to
+
+    θ₋ₘ = θ + (Σ H − H_m + I₀)⁻¹ g_m                                                                   (1)
+
+and the loss of mission m is then that of a mission which nothing has learned. So a set costs one pass more over the
+missions, not one fit for each. Missions, never single steps, are left out: errors of neighbouring steps are alike. A
+larger set is taken only if its losses are lower than those of the smaller one by more than their standard error over
+the missions. Of one or two missions the set with the largest evidence is taken, which is a weaker reason.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
+
+FEWEST = 3  # missions, of which one can be left out
+
+
+class Score(NamedTuple):
+    """How a set of terms does on missions that it has not learned."""
+
+    losses: np.ndarray  # (missions,) a measured step, at one deviation for all sets
+    gain: float  # mean loss of the chosen set minus that of this one; positive where this one is better
+    error: float  # its standard error over the missions; NaN with too few of them
+
+
+def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
+    """The loss of each mission, left out, `(missions,)`, over its measured steps.
+
+    Args:
+        missions: all of them.
+        fit: to all of them.
+        deviation: σ of a speed at which the losses are computed, m/s, the same for all sets that are compared.
+    """
+    known, total = fit.known, fit.information.sum(0) + fit.known.information
+    found = np.zeros(len(missions.rows))
+    for k in range(len(found)):
+        theta, covariance = fit.theta.copy(), np.linalg.inv(total - fit.information[k])
+        theta[known.active] += covariance @ fit.score[k]  # (1)
+        one = missions.evaluate(fit.terms, legal(theta, known, covariance), deviation, [k])
+        found[k] = one.loss[0] / max(one.count[0], 1.0)
+    return found
+
+
+def choose(missions: Missions, fits: Mapping[str, Fit]) -> tuple[str, dict[str, Score]]:
+    """The name of the set to use, and the score of each.
+
+    Args:
+        missions: all of them.
+        fits: to all of them, by the names of `terms.SETS`, from the smallest set to the largest.
+    """
+    deviation = min(fit.deviation for fit in fits.values())
+    losses = {name: left_out(missions, fit, deviation) for name, fit in fits.items()}
+    chosen = next(iter(fits))
+    if len(missions.rows) < FEWEST:
+        chosen = max(fits, key=lambda name: fits[name].evidence)
+    for name in fits:
+        better, error = compared(losses[chosen], losses[name], missions.steps)
+        if better > error:
+            chosen = name
+    scores = {name: Score(each, *compared(losses[chosen], each, missions.steps)) for name, each in losses.items()}
+    return chosen, scores
+
+
+def compared(first: np.ndarray, second: np.ndarray, steps: Sequence[int]) -> tuple[float, float]:
+    """By how much the second losses are lower, a step, and the standard error of that over the missions.
+
+    >>> compared(np.array([2.0, 2.0, 3.0]), np.array([1.0, 1.0, 2.0]), [1, 1, 1])
+    (1.0, 0.0)
+    """
+    weight = np.asarray(steps, float) / max(sum(steps), 1)
+    gains = first - second
+    mean = float(weight @ gains)
+    if len(gains) < FEWEST:
+        return mean, math.inf
+    count = len(gains)
+    return mean, math.sqrt(float((weight**2) @ (gains - mean) ** 2) * count / (count - 1))

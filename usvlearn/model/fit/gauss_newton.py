@@ -1,0 +1,214 @@
+"""The batch fit: the parameters that simulate all missions best, by Gauss-Newton steps on (2) of `motion_kernel`.
+
+With the prior mean θ₀ and its information I₀, the fit minimises
+
+    Σ_missions loss(θ) + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀)                                                       (1)
+
+by the steps −(Σ H + I₀)⁻¹ (Σ g + I₀ (θ − θ₀)), each halved until (1) falls. Drag that pushes has no boat: after each
+step the parameters go to the nearest with q, l, c ≤ 0 and q ± e₀ ≤ 0, in the metric of Σ H + I₀. The variance of a
+speed comes from the errors of the simulation itself, between rounds: the square of 1.4826 times their median size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from usvlearn.core.jit import announced
+from usvlearn.core.rows import LEARN, MODE, ROW, prepare_all
+from usvlearn.core.rows import SURGE as SPEED
+from usvlearn.core.samples import PLAUSIBLE, Sample, tree_map
+from usvlearn.estimators.joint.quantities import SIDES
+from usvlearn.estimators.regressors.terms import SURGE
+from usvlearn.model.fit import motion_kernel as kernel
+from usvlearn.model.fit.terms import AT, NAMES, PLACE_LAG, PLACE_TIME, Prior, prior
+
+ROBUST = 4.0  # deviations from which on an error counts less
+CURRENT = 0.3  # m/s, prior deviation of a component of the current
+NOISE, NOISE_LEAST = 0.1, 0.01  # m/s, the first deviation of a speed, and the least
+ROUNDS, STEPS = 3, 5  # of the variance, each with as many steps of Gauss-Newton
+SHRINK, SHORTEST = 0.35, 6  # of a step that makes (1) larger, so often
+TOLERANCE = 1e-2  # of (1): a smaller gain ends a round
+NEGATIVE = tuple(name for name, sign in SURGE.items() if sign < 0)  # drag, and the thrust that is lost with speed
+LAGS, TIMES = (-0.5, 1.5), (0.02, 5.0)  # the limits of μ, and of τ, s
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What was fitted with one set of terms.
+
+    Attributes:
+        terms: a name of `terms.SETS`.
+        top: top speed of the prior and of the nodes of drag, m/s.
+        theta: parameters by `terms.NAMES`, per unit mass; those that are not fitted are 0.
+        known: the prior.
+        loss: of each mission, `(missions,)`.
+        count: measured steps of each mission.
+        score: g of each mission, `(missions, m)`.
+        information: H of each mission, `(missions, m, m)`.
+        current: at the end of each mission, m/s towards north and east, `(missions, 2)`.
+        deviation: σ of a speed, m/s.
+    """
+
+    terms: str
+    top: float
+    theta: np.ndarray
+    known: Prior
+    loss: np.ndarray
+    count: np.ndarray
+    score: np.ndarray
+    information: np.ndarray
+    current: np.ndarray
+    deviation: float
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(Σ H + I₀)⁻¹, `(m, m)`."""
+        return np.linalg.inv(self.information.sum(0) + self.known.information)
+
+    @property
+    def total(self) -> float:
+        """(1)."""
+        return float(self.loss.sum()) + self.known.penalty(self.theta)
+
+    @property
+    def evidence(self) -> float:
+        """The logarithm of the probability of the data under the prior, by Laplace's approximation."""
+        known = self.known.information
+        gained = np.linalg.slogdet(self.information.sum(0) + known)[1] - np.linalg.slogdet(known)[1]
+        return -self.total - 0.5 * float(gained)
+
+
+def rows_of(samples: Sample) -> np.ndarray:
+    """Prepared samples of one mission, `(time, ROW)`; leaves of `samples` are `(time,)`."""
+    wide: Sample = tree_map(lambda x: np.ascontiguousarray(np.asarray(x)[:, None]), samples)
+    rows = np.empty((1, len(samples.surge), ROW))
+    prepare_all(*wide.inputs, *wide[1:], True, PLAUSIBLE, rows)
+    return rows[0]
+
+
+@cache
+def compile_fit() -> None:
+    """Compile the kernel, unless that is done or cached on the disk."""
+    one, none = np.zeros(1), np.zeros((0, ROW))
+    with announced(kernel.__file__, "kernel of the fit"):
+        kernel.mission(
+            none, np.zeros(len(NAMES)), np.zeros(1, np.int64), 1.0, 1.0, 1.0, 1.0, np.zeros(0), one, np.zeros((1, 1)),
+            np.zeros(3 * len(NAMES) + 4), np.zeros((4, 3)), np.zeros((3, 1)),
+        )  # fmt: skip
+
+
+class Missions:
+    """The missions of one boat.
+
+    Args:
+        rows: prepared samples of each, see `rows_of`.
+        top: top speed, m/s.
+        advance: is told of each mission that was simulated, for a progress bar; what it raises ends the fit.
+    """
+
+    def __init__(self, rows: Sequence[np.ndarray], top: float, advance: Callable[[], object] = lambda: None):
+        compile_fit()
+        self.rows, self.top, self._advance = list(rows), top, advance
+        self.steps = [int((each[:, MODE] == LEARN).sum()) for each in self.rows]  # measured ones
+
+    def evaluate(self, terms: str, theta: np.ndarray, deviation: float, some: Sequence[int] | None = None) -> Fit:
+        """Simulate missions, all by default, with the sensitivities of a set of terms."""
+        known = prior(terms, self.top)
+        places = range(len(self.rows)) if some is None else some
+        m, count = len(known.active), len(places)
+        loss, steps, ends = np.zeros(count), np.zeros(count), np.zeros((count, 2))
+        score, information = np.zeros((count, m)), np.zeros((count, m, m))
+        work, P, S = np.zeros(3 * len(NAMES) + m + 3), np.zeros((4, 3)), np.zeros((3, m))
+        for k, place in enumerate(places):
+            rows = self.rows[place]
+            loss[k], steps[k] = kernel.mission(
+                rows, theta, known.active, self.top, deviation**2, CURRENT, ROBUST, np.empty(len(rows)), score[k],
+                information[k], work, P, S,
+            )  # fmt: skip
+            ends[k] = work[-2:]
+            self._advance()
+        information += np.tril(information, -1).transpose(0, 2, 1)
+        return Fit(terms, self.top, theta, known, loss, steps, score, information, ends, deviation)
+
+    def errors(self, fit: Fit) -> np.ndarray:
+        """Errors of the simulation at all measured steps, m/s."""
+        found, m = [], len(fit.known.active)
+        work, P, S = np.zeros(3 * len(NAMES) + m + 3), np.zeros((4, 3)), np.zeros((3, m))
+        for rows in self.rows:
+            predicted = np.empty(len(rows))
+            kernel.mission(
+                rows, fit.theta, fit.known.active, self.top, fit.deviation**2, CURRENT, ROBUST, predicted,
+                np.zeros(m), np.zeros((0, 0)), work, P, S,
+            )  # fmt: skip
+            learns = rows[:, MODE] == LEARN
+            found.append((predicted - rows[:, SPEED])[learns])
+        return np.concatenate(found)
+
+    def fit(self, terms: str, start: np.ndarray | None = None) -> Fit:
+        """The best parameters of a set of terms.
+
+        Args:
+            terms: a name of `terms.SETS`.
+            start: parameters by `terms.NAMES` to begin with, per unit mass; the prior's by default.
+        """
+        known = prior(terms, self.top)
+        theta = known.mean.copy()
+        if start is not None:
+            theta[known.active] = start[known.active]
+            theta[PLACE_TIME] = known.mean[PLACE_TIME]
+        now = self.evaluate(terms, _bounded(theta), NOISE)
+        for _ in range(ROUNDS):
+            now = self._settled(now)
+            deviation = max(1.4826 * float(np.median(np.abs(self.errors(now)))), NOISE_LEAST)
+            now = self.evaluate(terms, now.theta, deviation)
+        return self._settled(now)
+
+    def _settled(self, now: Fit) -> Fit:
+        """After some Gauss-Newton steps."""
+        known = now.known
+        for _ in range(STEPS):
+            covariance = now.covariance
+            away = (now.theta - known.mean)[known.active]
+            step, share = -covariance @ (now.score.sum(0) + known.information @ away), 1.0
+            for _ in range(SHORTEST):
+                theta = now.theta.copy()
+                theta[known.active] += share * step
+                new = self.evaluate(now.terms, legal(theta, known, covariance), now.deviation)
+                if new.total <= now.total:
+                    break
+                share *= SHRINK
+            else:
+                return now
+            gain, now = now.total - new.total, new
+            if gain < TOLERANCE * len(known.active):
+                break
+        return now
+
+
+def legal(theta: np.ndarray, known: Prior, covariance: np.ndarray) -> np.ndarray:
+    """The nearest parameters whose drag does not push, and whose lag and time constant are within their limits."""
+    places = {place: k for k, place in enumerate(known.active)}
+    quadratic, even = AT["drag_quadratic"], AT["drag_even"]
+    directions = [{AT[name]: 1.0} for name in NEGATIVE]
+    if even in places:
+        directions += [{quadratic: 1.0, even: sign} for sign in (1.0, -1.0)]
+        directions += [{AT[f"thrust_speed_{side}"]: 1.0, AT[f"thrust_even_speed_{side}"]: 1.0} for side in SIDES]
+    for _ in range(3):
+        for direction in directions:
+            d = np.zeros(len(known.active))
+            for place, value in direction.items():
+                d[places[place]] = value
+            if (beyond := d @ theta[known.active]) > 0:
+                theta[known.active] -= covariance @ d * (beyond / (d @ covariance @ d))
+    return _bounded(theta)
+
+
+def _bounded(theta: np.ndarray) -> np.ndarray:
+    theta[PLACE_LAG] = min(max(theta[PLACE_LAG], LAGS[0]), LAGS[1])
+    if theta[PLACE_TIME] != 0:
+        theta[PLACE_TIME] = min(max(theta[PLACE_TIME], TIMES[0]), TIMES[1])
+    return theta

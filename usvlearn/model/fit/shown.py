@@ -1,0 +1,38 @@
+"""The tables of a batch fit for the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from rich.console import RenderableType
+from rich.text import Text
+
+from usvlearn.display.terminal import Blocks
+from usvlearn.estimators.joint.quantities import MEANING
+from usvlearn.estimators.joint.reading import Identified, shown
+from usvlearn.model.fit.fitted import Fitted
+from usvlearn.model.fit.terms import SETS
+
+
+def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
+    """The quantities beside those learned online, the sets of terms, and what they mean."""
+    heads = ["fit", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
+    table = Blocks(f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"], heads)
+    for name, each in found.quantities.items():
+        told = [shown(x) for x in online.told(name)[:3]] if online is not None and name in online else []
+        told = told or ["–"] * (3 if online is not None else 0)
+        table.add(name, *map(shown, each[:3]), *told, each.unit)
+    sets = Blocks(
+        "Terms, by their loss on missions that they have not learned", ["set"], ["parameters", "worse by", "±", "MAE"]
+    )
+    for name, score in found.scores.items():
+        error = "–" if math.isinf(score.error) else f"{score.error:.4f}"
+        used = f"{name} (used)" if name == found.chosen else name
+        sets.add(used, str(len(SETS[name])), f"{-score.gain:.4f}", error, f"{found.errors[name]:.4f}")
+    fit = found.fit
+    lines = [
+        MEANING,
+        f"Simulated in open loop, {len(fit.count)} missions err by {found.errors[found.chosen]:.4f} m/s in the mean.",
+        f"Forces are those of a boat of {found.mass:g} kg, as configured: speeds alone do not tell the mass.",
+    ]
+    return [table, Text(), sets, *map(Text, lines)]
