@@ -86,7 +86,8 @@ def test_logs_that_have_moved_are_named_by_their_key(folder, tmp_path, monkeypat
         work(["run", "--out", str(tmp_path)])
 
 
-def test_help_fits_a_screen(capsys):
+def test_help_fits_a_screen(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["usvlearn"])
     with pytest.raises(SystemExit) as end:
         main(["fit", "--help"])
     assert end.value.code == 0 and "--terms" in capsys.readouterr().out

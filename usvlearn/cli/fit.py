@@ -41,19 +41,21 @@ def work(arguments: Sequence[str]) -> None:
         UsvlearnError: the logs cannot be read.
     """
     given = parser().parse_args(list(arguments))
+    folder = Path(given.run).expanduser()
+    out = folder / "fit" if given.out is None else out_folder(given.out)
     from usvlearn.display import terminal
     from usvlearn.display.activity_bar import Activity
 
     console = terminal.console()
     with Activity(console, "loading"):
-        from usvlearn.model.fit.fitted import fit_boat
+        from usvlearn.model.fit.fitted import check_terms, fit_boat
         from usvlearn.model.fit.logs import missions_of
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
         from usvlearn.model.read_boats import read_boats
         from usvlearn.runs.saved import configuration
 
-        folder = Path(given.run).expanduser()
+        check_terms(given.terms)
         settings = configuration(folder)
         fleet = _logs(settings, given.data)
     if given.boat is not None and given.boat not in fleet.boats:
@@ -72,7 +74,6 @@ def work(arguments: Sequence[str]) -> None:
                 activity.advance(1)
 
             fitted.append(fit_boat(boat, rows, mass, top, given.terms, advance))
-    out = out_folder(given.out) if given.out is not None else folder / "fit"
     for number, each in enumerate(fitted):
         if number:
             console.print()

@@ -74,6 +74,12 @@ def finite(facts: dict[str, Any]) -> dict[str, Any]:
     return {key: None if isinstance(x, float) and not np.isfinite(x) else x for key, x in facts.items()}
 
 
+def check_terms(terms: str | None) -> None:
+    """Raise a ConfigError if this is no set of terms; None is one that is chosen later."""
+    if terms is not None and terms not in SETS:
+        raise ConfigError(f"--terms: found {terms!r}, expected one of {', '.join(SETS)}{did_you_mean(terms, SETS)}")
+
+
 def fit_boat(
     boat: str,
     rows: Sequence[np.ndarray],
@@ -95,8 +101,7 @@ def fit_boat(
     Raises:
         ConfigError: there is no such set.
     """
-    if terms is not None and terms not in SETS:
-        raise ConfigError(f"--terms: found {terms!r}, expected one of {', '.join(SETS)}{did_you_mean(terms, SETS)}")
+    check_terms(terms)
     missions, fits, before = Missions(rows, top), {}, None
     for name in SETS:
         advance(name)
