@@ -61,9 +61,13 @@ def test_one_boat_and_one_set_may_be_named(folder, tmp_path, capsys, monkeypatch
         (["nowhere"], "nowhere"),
         (["run", "--boat", "heron3"], "--boat: found 'heron3', expected one of heron1, heron2"),
         (["run", "--terms", "curve"], "--terms: found 'curve', expected one of nine, cubic"),
+        (["run", "data.path=[a"], "data.path: found '[a', expected a value as YAML has them"),
         (["run", "path=logs"], "found 'path=logs', expected data.KEY=VALUE"),
         (["run", "--out", ""], "--out: found ''"),
-        (["run", "data.hours=0.01", "data.mission_minutes=0.6"], "measured speeds, expected at least 600"),
+        (
+            ["run", "data.hours=0.01", "data.mission_minutes=0.6"],
+            "measured speeds of a boat that moves, expected at least 600",
+        ),
         (["run", "data.plant=raft"], "raft"),
     ],
 )

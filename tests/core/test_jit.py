@@ -3,6 +3,7 @@
 import errno
 import os
 import shutil
+import threading
 from pathlib import Path
 from typing import IO
 
@@ -14,6 +15,7 @@ from numba.core import caching
 from tests.support import ROOT
 from tests.support.commands import python
 from usvlearn.core import jit as compiled
+from usvlearn.core.lock import Lock
 from usvlearn.engine import dispatch
 
 PREPARE = """
@@ -269,3 +271,22 @@ with torch.no_grad():
 Online(ensemble)
 print(before, compiled())
 """
+
+
+def test_who_waits_goes_on_once_the_machine_code_is_there(tmp_path):
+    """Though the process that made it holds the lock, because it compiles something else."""
+    mark = tmp_path / "kernels of runs"
+    with Lock(tmp_path, "x"):
+        threading.Timer(0.2, mark.touch).start()
+        with compiled._alone_in(mark) as lock:
+            assert mark.exists() and lock is None
+
+
+def test_one_process_at_a_time_compiles(tmp_path):
+    lock = Lock(tmp_path, "x")
+    threading.Timer(0.2, lock.release).start()
+    with compiled._alone_in(tmp_path / "kernels of runs") as own:
+        assert isinstance(own, Lock)
+    (tmp_path / ".lock").mkdir()
+    with compiled._alone_in(tmp_path / "kernels of runs") as none:
+        assert none is None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from usvlearn.cli.forgiving import without_key
 from usvlearn.cli.without_hydra import out_folder, run_command
-from usvlearn.errors import ConfigError, UsvlearnError
+from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError
 
 if TYPE_CHECKING:
     from usvlearn.core.samples import Fleet
@@ -61,13 +61,15 @@ def work(arguments: Sequence[str]) -> None:
     if given.boat is not None and given.boat not in fleet.boats:
         raise ConfigError(f"--boat: found {given.boat!r}, expected one of {', '.join(fleet.boats)}")
     mass, top = float(settings["vehicle"]["mass"]), float(settings["vehicle"]["surge_max"])
-    online = {each.name: each.found for each in read_boats(folder, given.boat)}
+    try:
+        online = {each.name: each.found for each in read_boats(folder, given.boat)}
+    except (CheckpointError, ConfigError):  # an ensemble that identifies nothing online
+        online = {}
     boats = [boat for boat in fleet.boats if given.boat in (None, boat)]
-    fitted = []
+    missions, fitted = [missions_of(fleet, boat) for boat in boats], []
     with Activity(console) as activity:
         activity.begin("fitting", total=len(boats) * len(SETS))
-        for boat in boats:
-            rows = missions_of(fleet, boat)
+        for boat, rows in zip(boats, missions, strict=True):
 
             def advance(name: str, boat: str = boat) -> None:
                 activity.tell(f"fitting {boat}: {name}")
@@ -95,7 +97,10 @@ def _logs(settings: dict[str, Any], changed: Sequence[str]) -> Fleet:
         name = key.removeprefix("data.")
         if not equals or key == name:
             raise ConfigError(f"found {each!r}, expected data.KEY=VALUE, such as data.path=LOGS")
-        data[name] = yaml.safe_load(value)
+        try:
+            data[name] = yaml.safe_load(value)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"{key}: found {value!r}, expected a value as YAML has them") from error
     try:
         recordings = list(instantiate(data))
     except UsvlearnError as error:

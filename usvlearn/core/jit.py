@@ -32,6 +32,7 @@ from numba.core import config, types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.typing import arraydecl
 
+from usvlearn.core.lock import NAME as LOCK
 from usvlearn.core.lock import Lock
 from usvlearn.errors import UsvlearnError
 
@@ -46,6 +47,7 @@ R = TypeVar("R", covariant=True)
 NUMBA: Any = config  # numba's options, which it makes as it is imported, so that no checker sees their names
 HERE = Path(__file__).parents[1]  # the package
 DIGEST = hashlib.sha256().digest_size
+PERIOD = 0.02  # s between two looks at what another process compiles
 
 if numba.version_info.short < (0, 68):  # these take a member of an IntEnum as a number, but not as an index
     _index_type = arraydecl.get_array_index_type
@@ -327,10 +329,16 @@ def counted(text: str, end: str, progress: Callable[[], float] | None = None) ->
 
 
 def _alone_in(mark: Path) -> AbstractContextManager[object]:
-    """The lock of a mark's folder; nothing where it cannot be locked, as on a disk that is read-only."""
-    with suppress(OSError, UsvlearnError), warnings.catch_warnings():
+    """The lock of a mark's folder; nothing once another process has left the mark, or where it cannot be locked, as on
+    a disk that is read-only.
+    """
+    lock = mark.parent / LOCK
+    with suppress(OSError), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a file system without locks
-        return Lock(mark.parent, "NUMBA_CACHE_DIR", wait=True)
+        while not mark.exists() and not lock.is_symlink() and (lock.is_file() or not lock.exists()):
+            with suppress(UsvlearnError):  # another process compiles
+                return Lock(mark.parent, "NUMBA_CACHE_DIR")
+            time.sleep(PERIOD)
     return nullcontext()
 
 

@@ -1,5 +1,7 @@
 """Which terms are used: those that do best on missions that were left out, and what one step leaves out of them."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
 from usvlearn.core.rows import LEARN, MODE, SURGE
 from usvlearn.model.fit.choice import FEWEST, choose, left_out
 from usvlearn.model.fit.fitted import fit_boat
-from usvlearn.model.fit.gauss_newton import Missions
+from usvlearn.model.fit.gauss_newton import Missions, scored
 from usvlearn.model.fit.intervals import intervals, spread
 from usvlearn.model.fit.quantities import quantities
 from usvlearn.model.fit.terms import NAMES, PLACE_LAG, PLACE_TIME, prior
@@ -34,7 +36,8 @@ def test_the_terms_that_made_the_data_are_used(terms, count):
     fits = {name: made.fit(name) for name in ("nine", "cubic", "thrust curves")}
     chosen, scores = choose(made, fits)
     assert chosen == terms
-    assert scores[terms].gain == 0 and np.isfinite(scores["cubic"].error) == (count >= FEWEST)
+    assert scores[terms].gain == 0 if count > 1 else np.isnan(scores[terms].gain)
+    assert np.isfinite(scores["cubic"].error) == (count >= FEWEST)
 
 
 def test_one_step_leaves_a_mission_out_as_a_fit_without_it_does():
@@ -45,6 +48,17 @@ def test_one_step_leaves_a_mission_out_as_a_fit_without_it_does():
         others = Missions([rows for j, rows in enumerate(made.rows) if j != k], TOP).fit("cubic")
         whole = made.evaluate("cubic", others.theta, fit.deviation, [k])
         assert quick[k] == pytest.approx(whole.loss[0] / whole.count[0], abs=2e-3)
+
+
+def test_a_boat_at_rest_counts_nowhere_and_absurd_parameters_end_in_an_infinite_loss():
+    made, _ = missions("nine", 1)
+    still = mission(500)
+    still[1:, MODE] = LEARN
+    still[:, :SURGE] *= 0
+    still[:, SURGE] = 0.0
+    assert not scored(still).any() and Missions([still], TOP).steps == [0]
+    theta = made.fit("nine").theta * np.nan
+    assert made.evaluate("nine", theta, 0.1).loss[0] == np.inf
 
 
 def test_intervals_hold_and_shrink_with_the_missions():
@@ -60,8 +74,17 @@ def test_intervals_hold_and_shrink_with_the_missions():
     assert np.median(widths[1] / widths[0]) < 0.7  # a half, by the square root of four times the missions
 
 
-def test_a_fit_is_saved_as_json_without_nan():
-    made, _ = missions("nine", 2)
+def test_what_is_compared_is_the_set_that_is_used():
+    made, _ = missions("cubic", 4)
+    fits = {name: made.fit(name) for name in ("nine", "cubic")}
+    chosen, scores = choose(made, fits, "nine")
+    assert chosen == "nine" and scores["nine"].gain == 0 < scores["cubic"].gain
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_fit_is_saved_as_json_without_nan(count):
+    made, _ = missions("nine", count)
     facts = fit_boat("a", made.rows, MASS, TOP, "nine").json()
+    json.dumps(facts, allow_nan=False)
     assert facts["terms"] == "nine" and all(each["error"] is None for each in facts["sets"].values())
     assert all(np.isfinite(value) for value in facts["parameters"].values())

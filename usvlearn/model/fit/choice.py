@@ -28,8 +28,8 @@ class Score(NamedTuple):
     """How a set of terms does on missions that it has not learned."""
 
     losses: np.ndarray  # (missions,) a measured step, at one deviation for all sets
-    gain: float  # mean loss of the chosen set minus that of this one; positive where this one is better
-    error: float  # its standard error over the missions; NaN with too few of them
+    gain: float  # mean loss of the used set minus that of this one, positive where this one is better; NaN: one mission
+    error: float  # its standard error over the missions; infinite with too few of them
 
 
 def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
@@ -50,12 +50,13 @@ def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
     return found
 
 
-def choose(missions: Missions, fits: Mapping[str, Fit]) -> tuple[str, dict[str, Score]]:
-    """The name of the set to use, and the score of each.
+def choose(missions: Missions, fits: Mapping[str, Fit], terms: str | None = None) -> tuple[str, dict[str, Score]]:
+    """The name of the set to use, and the score of each beside it.
 
     Args:
         missions: all of them.
         fits: to all of them, by the names of `terms.SETS`, from the smallest set to the largest.
+        terms: the set to use, where a person has chosen.
     """
     deviation = min(fit.deviation for fit in fits.values())
     losses = {name: left_out(missions, fit, deviation) for name, fit in fits.items()}
@@ -66,6 +67,7 @@ def choose(missions: Missions, fits: Mapping[str, Fit]) -> tuple[str, dict[str, 
         better, error = compared(losses[chosen], losses[name], missions.steps)
         if better > error:
             chosen = name
+    chosen = terms or chosen
     scores = {name: Score(each, *compared(losses[chosen], each, missions.steps)) for name, each in losses.items()}
     return chosen, scores
 
@@ -76,6 +78,8 @@ def compared(first: np.ndarray, second: np.ndarray, steps: Sequence[int]) -> tup
     >>> compared(np.array([2.0, 2.0, 3.0]), np.array([1.0, 1.0, 2.0]), [1, 1, 1])
     (1.0, 0.0)
     """
+    if len(first) < 2:  # without its only mission a fit is the prior
+        return math.nan, math.inf
     weight = np.asarray(steps, float) / max(sum(steps), 1)
     gains = first - second
     mean = float(weight @ gains)

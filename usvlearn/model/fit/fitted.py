@@ -52,8 +52,8 @@ class Fitted:
             if name in scaled:
                 scaled[name] /= self.mass
         scores = {
-            name: {"gain": score.gain, "error": score.error if np.isfinite(score.error) else None,
-                   "mae": self.errors[name]} for name, score in self.scores.items()
+            name: finite({"gain": score.gain, "error": score.error, "mae": self.errors[name]})
+            for name, score in self.scores.items()
         }  # fmt: skip
         return {
             "boat": self.boat,
@@ -107,7 +107,6 @@ def fit_boat(
         advance(name)
         fits[name] = missions.fit(name, before)
         before = fits[name].theta
-    chosen, scores = choose(missions, fits)
-    chosen = terms or chosen
+    chosen, scores = choose(missions, fits, terms)
     errors = {name: float(np.mean(np.abs(missions.errors(fit)))) for name, fit in fits.items()}
     return Fitted(boat, mass, fits, scores, chosen, intervals(fits, scores, chosen, mass), errors)

@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 
 from usvlearn.core.jit import announced
-from usvlearn.core.rows import LEARN, MODE, ROW, prepare_all
+from usvlearn.core.rows import LEARN, LEFT, MODE, RIGHT, ROW, prepare_all
 from usvlearn.core.rows import SURGE as SPEED
 from usvlearn.core.samples import PLAUSIBLE, Sample, tree_map
 from usvlearn.estimators.joint.quantities import SIDES
@@ -90,6 +90,12 @@ def rows_of(samples: Sample) -> np.ndarray:
     return rows[0]
 
 
+def scored(rows: np.ndarray) -> np.ndarray:
+    """Which steps are measured and tell something: at rest friction holds the boat, bool `(time,)`."""
+    moves: np.ndarray = (rows[:, [LEFT, RIGHT, SPEED]] ** 2).sum(1) > kernel.REST
+    return moves & (rows[:, MODE] == LEARN)
+
+
 @cache
 def compile_fit() -> None:
     """Compile the kernel, unless that is done or cached on the disk."""
@@ -113,7 +119,7 @@ class Missions:
     def __init__(self, rows: Sequence[np.ndarray], top: float, advance: Callable[[], object] = lambda: None):
         compile_fit()
         self.rows, self.top, self._advance = list(rows), top, advance
-        self.steps = [int((each[:, MODE] == LEARN).sum()) for each in self.rows]  # measured ones
+        self.steps = [int(scored(each).sum()) for each in self.rows]
 
     def evaluate(self, terms: str, theta: np.ndarray, deviation: float, some: Sequence[int] | None = None) -> Fit:
         """Simulate missions, all by default, with the sensitivities of a set of terms."""
@@ -135,7 +141,7 @@ class Missions:
         return Fit(terms, self.top, theta, known, loss, steps, score, information, ends, deviation)
 
     def errors(self, fit: Fit) -> np.ndarray:
-        """Errors of the simulation at all measured steps, m/s."""
+        """Errors of the simulation at all measured steps of a boat that moves, m/s."""
         found, m = [], len(fit.known.active)
         work, P, S = np.zeros(3 * len(NAMES) + m + 3), np.zeros((4, 3)), np.zeros((3, m))
         for rows in self.rows:
@@ -144,8 +150,7 @@ class Missions:
                 rows, fit.theta, fit.known.active, self.top, fit.deviation**2, CURRENT, ROBUST, predicted,
                 np.zeros(m), np.zeros((0, 0)), work, P, S,
             )  # fmt: skip
-            learns = rows[:, MODE] == LEARN
-            found.append((predicted - rows[:, SPEED])[learns])
+            found.append((predicted - rows[:, SPEED])[scored(rows)])
         return np.concatenate(found)
 
     def fit(self, terms: str, start: np.ndarray | None = None) -> Fit:

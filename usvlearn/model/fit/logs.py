@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import savgol_filter
 
-from usvlearn.core.rows import LEARN, MODE, PREDICT, YAW_RATE
+from usvlearn.core.rows import MODE, PREDICT, YAW_RATE
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.errors import ConfigError
-from usvlearn.model.fit.gauss_newton import rows_of
+from usvlearn.model.fit.gauss_newton import rows_of, scored
 
 DT = 0.1  # s, of the grid
 WINDOW = 3.0  # s, of the parabola
@@ -31,18 +31,19 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> list[np.ndarray]:
         dt: s.
 
     Raises:
-        ConfigError: there are too few measured steps, or the boat never moves.
+        ConfigError: there are too few measured steps in which the boat moves.
     """
     element, found = fleet.boats.index(boat), []
     for run in fleet.runs:
         if length := run.lengths[element]:
             rows = rows_of(tree_map(lambda x, n=length: x[:n, element], run.samples))
-            if (rows[:, MODE] == LEARN).any():
+            if scored(rows).any():
                 found.append(smoothed(rows, dt))
-    measured = sum(int((rows[:, MODE] == LEARN).sum()) for rows in found)
+    measured = sum(int(scored(rows).sum()) for rows in found)
     if measured < FEWEST:
         raise ConfigError(
-            f"{boat}: found {measured} measured speeds, expected at least {FEWEST}: a fit needs some minutes of logs"
+            f"{boat}: found {measured} measured speeds of a boat that moves, expected at least {FEWEST}: a fit needs "
+            "some minutes of logs in which the boat sails"
         )
     return found
 

@@ -65,7 +65,7 @@ def commanded(theta, now, before, state, h):
 @jit
 def hat(size, apart, count):
     """The index of the node above `size`, and its share; beyond the last node the line goes on."""
-    k = min(int(size / apart), count - 1)
+    k = int(size / apart) if size < apart * count else count - 1  # NaN too
     return k, size / apart - k
 
 
@@ -199,7 +199,7 @@ def mission(rows, theta, active, top, noise, current, robust, predictions, score
             for i in range(3):
                 P[0, i] = P[i, 0] = 0.0
             fill(S[0], 0.0)
-            P[0, 0] = SPEED_VARIANCE
+            P[0, 0], begins = SPEED_VARIANCE, False
             left_before, right_before = np.nan, np.nan
             continue
         if begins:
@@ -234,6 +234,8 @@ def mission(rows, theta, active, top, noise, current, robust, predictions, score
         error = row[SURGE] - predictions[k]
         total = noise + P[0, 0] + 2 * c * P[0, 1] + 2 * s * P[0, 2]
         total += c * c * P[1, 1] + s * s * P[2, 2] + 2 * c * s * P[1, 2]
+        if not total > 0:  # parameters of an unstable motion
+            return np.inf, count
         size = np.sqrt(error * error / total)
         weight = 1.0 if size <= robust else robust / size
         if not rests:

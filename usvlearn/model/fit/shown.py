@@ -26,9 +26,9 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
         "Terms, by their loss on missions that they have not learned", ["set"], ["parameters", "worse by", "±", "MAE"]
     )
     for name, score in found.scores.items():
-        error = "–" if math.isinf(score.error) else f"{score.error:.4f}"
+        worse, error = (f"{x:.4f}" if math.isfinite(x) else "–" for x in (-score.gain, score.error))
         used = f"{name} (used)" if name == found.chosen else name
-        sets.add(used, str(len(SETS[name])), f"{-score.gain:.4f}", error, f"{found.errors[name]:.4f}")
+        sets.add(used, str(len(SETS[name])), worse, error, f"{found.errors[name]:.4f}")
     fit = found.fit
     lines = [
         MEANING,
