@@ -4,14 +4,15 @@ With the prior mean θ₀ and its information I₀, the fit minimises
 
     Σ_missions loss(θ) + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀)                                                       (1)
 
-by the steps −(Σ H + I₀)⁻¹ (Σ g + I₀ (θ − θ₀)), each halved until (1) falls. Drag that pushes has no boat: after each
-step the parameters go to the nearest with q, l, c ≤ 0 and q ± e₀ ≤ 0, in the metric of Σ H + I₀. The variance of a
+by the steps −(Σ H + I₀)⁻¹ (Σ g + I₀ (θ − θ₀)), each shortened until (1) falls. Drag that pushes and
+thrust that grows with speed have no boat: after each step the parameters go to the nearest with q, l, c, γ ≤ 0,
+q ± e₀ ≤ 0 and γ + e₃ ≤ 0, in the metric of Σ H + I₀. The variance of a
 speed comes from the errors of the simulation itself, between rounds: the square of 1.4826 times their median size.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -49,7 +50,6 @@ class Fit:
         count: measured steps of each mission.
         score: g of each mission, `(missions, m)`.
         information: H of each mission, `(missions, m, m)`.
-        current: at the end of each mission, m/s towards north and east, `(missions, 2)`.
         deviation: σ of a speed, m/s.
     """
 
@@ -61,7 +61,6 @@ class Fit:
     count: np.ndarray
     score: np.ndarray
     information: np.ndarray
-    current: np.ndarray
     deviation: float
 
     @property
@@ -113,12 +112,11 @@ class Missions:
     Args:
         rows: prepared samples of each, see `rows_of`.
         top: top speed, m/s.
-        advance: is told of each mission that was simulated, for a progress bar; what it raises ends the fit.
     """
 
-    def __init__(self, rows: Sequence[np.ndarray], top: float, advance: Callable[[], object] = lambda: None):
+    def __init__(self, rows: Sequence[np.ndarray], top: float):
         compile_fit()
-        self.rows, self.top, self._advance = list(rows), top, advance
+        self.rows, self.top = list(rows), top
         self.steps = [int(scored(each).sum()) for each in self.rows]
 
     def evaluate(self, terms: str, theta: np.ndarray, deviation: float, some: Sequence[int] | None = None) -> Fit:
@@ -126,7 +124,7 @@ class Missions:
         known = prior(terms, self.top)
         places = range(len(self.rows)) if some is None else some
         m, count = len(known.active), len(places)
-        loss, steps, ends = np.zeros(count), np.zeros(count), np.zeros((count, 2))
+        loss, steps = np.zeros(count), np.zeros(count)
         score, information = np.zeros((count, m)), np.zeros((count, m, m))
         work, P, S = np.zeros(3 * len(NAMES) + m + 3), np.zeros((4, 3)), np.zeros((3, m))
         for k, place in enumerate(places):
@@ -135,10 +133,8 @@ class Missions:
                 rows, theta, known.active, self.top, deviation**2, CURRENT, ROBUST, np.empty(len(rows)), score[k],
                 information[k], work, P, S,
             )  # fmt: skip
-            ends[k] = work[-2:]
-            self._advance()
         information += np.tril(information, -1).transpose(0, 2, 1)
-        return Fit(terms, self.top, theta, known, loss, steps, score, information, ends, deviation)
+        return Fit(terms, self.top, theta, known, loss, steps, score, information, deviation)
 
     def errors(self, fit: Fit) -> np.ndarray:
         """Errors of the simulation at all measured steps of a boat that moves, m/s."""
