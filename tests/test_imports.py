@@ -37,13 +37,13 @@ OURS: dict[str, set[str]] = {
     "usvlearn.evaluation": LEARNS | {"certify.networks", "certify.proofs"},
     "usvlearn.live": LEARNS | {"usvlearn.display", "usvlearn.logs", "certify.networks", "certify.proofs"},
     "usvlearn.runs": LEARNS | {"usvlearn.display", "usvlearn.evaluation"},
-    "usvlearn.model": LEARNS | {"usvlearn.display", "usvlearn.logs", "usvlearn.runs"},
+    "usvlearn.model": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.runs"},
     "usvlearn.report": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.runs", "certify.display",
                                  "certify.proofs"},
     "usvlearn.sweeps": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.runs", "usvlearn.report",
                                  "certify.analysis", "certify.proofs"},
-    "usvlearn.learned": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.report",
-                                  "usvlearn.runs"},
+    "usvlearn.learned": LEARNS | {"usvlearn.display", "usvlearn.evaluation", "usvlearn.logs", "usvlearn.model",
+                                  "usvlearn.report", "usvlearn.runs"},
     "usvlearn.cli": {"usvlearn"},  # everything
     "usvlearn.api": {"usvlearn"},  # everything, and nothing imports it
     "usvlearn.__main__": {"usvlearn.cli.beginning", "usvlearn.errors"},

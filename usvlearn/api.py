@@ -132,7 +132,8 @@ def read(
         recordings = read_arrays(log, composed["data"]["channels"], composed["data"]["boat"])
     checked = CheckedAlignment(composed)
     fleet = checked(recordings, **composed["align"])
-    return AlignedLogs(fleet, composed, tuple(checked.findings or ()), setups_of(composed, recordings))
+    setups = setups_of(composed, recordings)
+    return AlignedLogs(fleet, composed, tuple(checked.findings or ()), setups, tuple(recordings))
 
 
 def learn(

@@ -17,8 +17,10 @@ if TYPE_CHECKING:
     from usvlearn.estimators.ensemble.layer import Ensemble
     from usvlearn.estimators.ensemble.state import EnsembleState
     from usvlearn.estimators.joint.reading import Identified
+    from usvlearn.logs.channels.channel import Recording
     from usvlearn.logs.checks.finding import Finding
     from usvlearn.logs.setup import Setup
+    from usvlearn.model.fit.fitted import Fitted
 
 PathLike = str | os.PathLike[str]
 
@@ -50,12 +52,14 @@ class AlignedLogs:
         settings: the whole configuration, as in train.py.
         findings: of the data check, warnings first; see `usvlearn.logs.checks.data_check`.
         setups: boat -> how its messages became samples.
+        recordings: the messages themselves, which a fit aligns again on a finer grid.
     """
 
     fleet: Fleet
     settings: Mapping[str, Any]
     findings: tuple[Finding, ...] = ()
     setups: Mapping[str, Setup] = field(default_factory=dict)
+    recordings: tuple[Recording, ...] = ()
 
     @property
     def boats(self) -> tuple[str, ...]:
@@ -191,12 +195,42 @@ class Learned:
 
         return identified_boats(self.ensemble, self.state, self.boats, required=True)
 
-    def save(self, path: PathLike, boat: str | None = None) -> Path:
+    def fit(self, terms: str | None = None) -> dict[str, Fitted]:
+        """The best parameters that the logs can give, of each boat by name; `print` shows one as a table.
+
+        The physical model, with curves of thrust and drag, is fitted to all missions at once, in open loop
+        (`usvlearn.model.fit.gauss_newton`).
+
+        Args:
+            terms: a name of `usvlearn.model.fit.terms.SETS`, in place of the set that does best on missions which it
+                has not learned.
+
+        Raises:
+            ConfigError: there is no such set; the logs have no messages, as those of a `Fleet`; too little was
+                measured while a boat moved; or its commands never changed.
+
+        >>> from usvlearn import AID, learn, read
+        >>> found = learn(read(data="simulated", hours=0.2), AID(mass=28.0)).fit(terms="cubic")
+        >>> print(round(found["heron"].quantities["steady_speed_full"].value, 1))
+        2.6
+        """
+        from usvlearn.logs.recordings import align_fleet
+        from usvlearn.model.fit.fitted import fit_boat
+        from usvlearn.model.fit.logs import fine, missions_of
+
+        if not self.logs.recordings:
+            raise ConfigError("fit: found logs without their messages, expected those that usvlearn.read has made")
+        fleet = align_fleet(self.logs.recordings, **fine(self.logs.settings["align"]))
+        mass, top = (float(self.logs.settings["vehicle"][name]) for name in ("mass", "surge_max"))
+        return {boat: fit_boat(boat, missions_of(fleet, boat), mass, top, terms) for boat in self.boats}
+
+    def save(self, path: PathLike, boat: str | None = None, fit: Fitted | None = None) -> Path:
         """Write a boat's checkpoint, which `usvlearn.Online.open`, `learn(start=)` and train.py's `resume` take.
 
         Args:
             path: of the file; its folder is created.
             boat: its name; not needed if there is only one.
+            fit: of this boat, from which its joint EKFs are to go on.
 
         Raises:
             ConfigError: there is no such boat, or there are several and none is named.
@@ -210,11 +244,19 @@ class Learned:
             raise ConfigError(f"boat: found none, expected one of {', '.join(self.boats)}")
         element = 0 if boat is None else self._element(boat)
         last = next(run for run in reversed(self.predictions) if run.boat == self.boats[element])
+        state: Any = tree_map(lambda leaf: leaf[element].detach(), self.state)
+        kernel, fitted = of_element(self.ensemble.spec(), len(self.boats), element), dict[str, Any]()
+        if fit is not None:
+            from usvlearn.model.fit.hand_over import handed_over
+
+            leaves = {name: leaf.numpy() for name, leaf in named_leaves(state)}
+            state, fitted = handed_over(leaves, kernel, fit, float(self.logs.settings["align"]["dt"]))
         return checkpoint.save(
             Path(path),
-            tree_map(lambda leaf: leaf[element].detach(), self.state),
+            state,
             estimator=ESTIMATOR,
-            kernel=of_element(self.ensemble.spec(), len(self.boats), element),
+            kernel=kernel,
+            **fitted,
             boat=last.boat,
             run=last.run,
             step=len(last.time),

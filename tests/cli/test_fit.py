@@ -1,8 +1,11 @@
 """`usvlearn fit`: what it finds of a simulated boat, what it writes, and what it refuses in one sentence."""
 
 import json
+import math
 import shutil
+import signal
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +13,15 @@ import pytest
 from tests.support.commands import SMALL, run
 from usvlearn.__main__ import main
 from usvlearn.cli.fit import work
+from usvlearn.cli.stopping import Stopped
+from usvlearn.core.samples import Inputs, Sample
+from usvlearn.engine.online import Online
 from usvlearn.errors import UsvlearnError
+from usvlearn.live.node_folder import newest
+from usvlearn.model.fit.boat import FittedBoat
+from usvlearn.model.fit.gauss_newton import Missions
 from usvlearn.model.fit.terms import SETS
+from usvlearn.model.read_boats import read_boats
 from usvlearn.runs import saved
 
 SCRIPT = "usvlearn/__main__.py"
@@ -50,7 +60,7 @@ def test_one_boat_and_one_set_may_be_named(folder, tmp_path, capsys, monkeypatch
     monkeypatch.chdir(folder)
     work(["run", "--boat", "heron2", "--terms", "nine", "--out", str(tmp_path)])
     assert "nine (used)" in capsys.readouterr().out
-    (path,) = tmp_path.iterdir()
+    (path,) = tmp_path.glob("*.json")
     found = json.loads(path.read_text())
     assert path.name == "heron2.fit.json" and found["terms"] == "nine" and len(found["parameters"]) == 9
 
@@ -61,7 +71,9 @@ def test_one_boat_and_one_set_may_be_named(folder, tmp_path, capsys, monkeypatch
         (["nowhere"], "nowhere"),
         (["run", "--boat", "heron3"], "--boat: found 'heron3', expected one of heron1, heron2"),
         (["run", "--terms", "curve"], "--terms: found 'curve', expected one of nine, cubic"),
-        (["run", "data.path=[a"], "data.path: found '[a', expected a value as YAML has them"),
+        (["run", "data.hours=[a"], "data.hours: found '[a', expected a value as YAML has them"),
+        (["run", "data.path=logs"], "data.path: expected a key of the run's logs: n, plant"),
+        (["run", "data._target_=os.system"], "data._target_: expected a key of the run's logs"),
         (["run", "path=logs"], "found 'path=logs', expected data.KEY=VALUE"),
         (["run", "--out", ""], "--out: found ''"),
         (
@@ -88,6 +100,81 @@ def test_logs_that_have_moved_are_named_by_their_key(folder, tmp_path, monkeypat
     monkeypatch.chdir(folder)
     with pytest.raises(UsvlearnError, match=r"if the logs have moved, give data.path=FOLDER \(found 'gone'\)"):
         work(["run", "--out", str(tmp_path)])
+
+
+def test_what_it_writes_is_read_by_all_that_read_a_run(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(folder)
+    if not Path("run/fit").exists():
+        work(["run"])
+    before, after = read_boats("run")[0], read_boats("run/fit")[0]
+    saved = json.loads(Path("run/fit/heron1.fit.json").read_text())
+    assert after.name == "heron1" and isinstance(after.found, FittedBoat) and after.setup == before.setup
+    for name, each in saved["quantities"].items():
+        assert after.found[name][:3] == tuple(math.nan if x is None else x for x in list(each.values())[:3]), name
+    tables = after.model.tables
+    for side in ("left", "right"):
+        full = float(
+            np.sum([after.model.coefficients[f"thrust_{kind}_{side}"] for kind in ("linear", "quadratic", "cubic")])
+        )
+        full += tables.thrust[side][-1] + sum(
+            after.model.coefficients.get(f"thrust_even_{kind}_{side}", 0.0) for kind in ("linear", "quadratic")
+        )
+        assert full == pytest.approx(after.found[f"thrust_full_{side}"].value, rel=1e-9)
+    commands = [
+        ["export", "run/fit", "--boat", "heron1", "--to", "json,c,mat"],
+        ["controller", "run/fit", "--boat", "heron2"],
+        ["plan", "run/fit", "--boat", "heron1", "--minutes", "2", "--out", str(tmp_path)],
+    ]
+    for command in commands:
+        done = run(*command, folder=folder, script=SCRIPT)
+        assert done.returncode == 0, done.stderr
+    document = json.loads(Path("run/fit/export/heron1.json").read_text())
+    assert (
+        document["tables"]["drag_table"]["value"] == [0.0, *tables.drag] and len(document["covariance"]["matrix"]) > 40
+    )
+    boat = Path("run/fit/checkpoints/heron1")
+    online = Online.open(boat)
+    fit = after.found["steady_speed_full"]
+    assert fit.low < online.identified()["steady_speed_full"].value < fit.high
+    assert newest(boat)[2].name == "fit.safetensors"  # `live --start`
+    assert math.isfinite(online.step(Sample(Inputs(0.5, 0.5, 0.0, 0.0, 0.4), 1.0, True, True)))
+
+
+def test_it_says_which_open_loop_simulation_to_use(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    if not Path("run/fit").exists():
+        work(["run"])
+    results = json.loads(Path("run/results.json").read_text())
+    for boat in ("heron1", "heron2"):
+        mode = json.loads(Path(f"run/fit/{boat}.fit.json").read_text())["simulation"]
+        assert results["fit"][boat]["simulation"] == mode and results["fit"][boat]["terms"] in SETS
+        assert mode["missions"] == 2 and mode["error"] is None and mode["used"] == "ensemble"  # too few to decide
+        assert mode["ensemble"] == pytest.approx(results["free"][boat]["ensemble"], rel=1e-9) and mode["fit"] < 0.2
+
+
+def test_other_logs_than_those_of_the_run_are_used_and_said(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    work(["run", "--boat", "heron1", "--terms", "cubic", "--out", str(tmp_path), "data.seed=5"])
+    said = capsys.readouterr()
+    assert "heron1: '001_" in said.err and "is not as the run has learned it" in said.err
+    assert json.loads((tmp_path / "heron1.fit.json").read_text())["simulation"] is None
+
+
+def test_a_fit_that_is_stopped_keeps_the_sets_that_are_done(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    before = Missions.fit
+
+    def interrupted(self, terms, start=None):
+        if terms == "even":
+            raise Stopped(signal.SIGINT)
+        return before(self, terms, start)
+
+    monkeypatch.setattr(Missions, "fit", interrupted)
+    with pytest.raises(SystemExit) as end:
+        work(["run", "--boat", "heron1", "--out", str(tmp_path)])
+    assert end.value.code == 130
+    assert "Stopped after 2 of 7 sets of terms." in " ".join(capsys.readouterr().out.split())
+    assert list(json.loads((tmp_path / "heron1.fit.json").read_text())["sets"]) == ["nine", "cubic"]
 
 
 def test_help_fits_a_screen(capsys, monkeypatch):

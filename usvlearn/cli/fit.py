@@ -5,16 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.cli.forgiving import without_key
+from usvlearn.cli.stopping import Stopped
 from usvlearn.cli.without_hydra import out_folder, run_command
-from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError
+from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain, did_you_mean
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from usvlearn.core.samples import Fleet
+    from usvlearn.estimators.joint.reading import Identified
     from usvlearn.model.fit.fitted import Fitted
+    from usvlearn.model.fit.open_loop import FreeMode
 
 USAGE = (
     "usage: usvlearn fit RUN [--boat NAME] [--terms SET] [--out FOLDER] [data.KEY=VALUE …]; more: usvlearn fit --help"
@@ -40,7 +46,7 @@ def work(arguments: Sequence[str]) -> None:
         ConfigError: there is no run, no such boat or set of terms, or too little was measured.
         UsvlearnError: the logs cannot be read.
     """
-    given = parser().parse_args(list(arguments))
+    given = parser().parse_intermixed_args(list(arguments))
     folder = Path(given.run).expanduser()
     out = folder / "fit" if given.out is None else out_folder(given.out)
     from usvlearn.display import terminal
@@ -52,44 +58,81 @@ def work(arguments: Sequence[str]) -> None:
         from usvlearn.model.fit.logs import missions_of
         from usvlearn.model.fit.shown import tables
         from usvlearn.model.fit.terms import SETS
-        from usvlearn.model.read_boats import read_boats
         from usvlearn.runs.saved import configuration
 
         check_terms(given.terms)
         settings = configuration(folder)
-        fleet = _logs(settings, given.data)
-    if given.boat is not None and given.boat not in fleet.boats:
-        raise ConfigError(f"--boat: found {given.boat!r}, expected one of {', '.join(fleet.boats)}")
+        coarse, fine = _logs(settings, given.data)
+        changed = _changed(folder, coarse)
+    if given.boat is not None and given.boat not in fine.boats:
+        hint = did_you_mean(given.boat, fine.boats)
+        raise ConfigError(f"--boat: found {given.boat!r}, expected one of {', '.join(fine.boats)}{hint}")
     mass, top = float(settings["vehicle"]["mass"]), float(settings["vehicle"]["surge_max"])
-    try:
-        online = {each.name: each.found for each in read_boats(folder, given.boat)}
-    except (CheckpointError, ConfigError):  # an ensemble that identifies nothing online
-        online = {}
-    boats = [boat for boat in fleet.boats if given.boat in (None, boat)]
-    missions, fitted = [missions_of(fleet, boat) for boat in boats], []
+    boats = [boat for boat in fine.boats if given.boat in (None, boat)]
+    missions, fitted, stopped = [missions_of(fine, boat) for boat in boats], [], False
+    for sentence in changed:
+        complain(f"warning: {sentence}")
     with Activity(console) as activity:
-        activity.begin("fitting", total=len(boats) * len(SETS))
+        activity.begin("fitting", total=len(boats) * (len(SETS) + 1))
         for boat, rows in zip(boats, missions, strict=True):
 
             def advance(name: str, boat: str = boat) -> None:
                 activity.tell(f"fitting {boat}: {name}")
                 activity.advance(1)
 
-            fitted.append(fit_boat(boat, rows, mass, top, given.terms, advance))
+            found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped)
+            stopped = len(found.fits) < len(SETS)
+            if not stopped and not changed:
+                advance("on half of the missions")
+                found = replace(found, simulation=_simulation(folder, found, fine, coarse))
+            fitted.append(found)
+            if stopped:
+                break
     for number, each in enumerate(fitted):
         if number:
             console.print()
-        console.print(*tables(each, online.get(each.boat)), sep="\n")
-        terminal.show(f"Written to {_write(out, each)}")
+        last = _last(folder, each.boat)
+        console.print(*tables(each, None if last is None else last.online), sep="\n")
+        terminal.show(f"Written to {', '.join(map(str, _write(out, each, last, settings)))}")
+    if out == folder / "fit" and not stopped:
+        _add_to_results(folder, fitted)
+    if stopped:
+        raise SystemExit(130)
 
 
-def _logs(settings: dict[str, Any], changed: Sequence[str]) -> Fleet:
-    """The run's logs on the grid of the fit."""
+class Last(NamedTuple):
+    """What a run has learned of a boat."""
+
+    leaves: dict[str, np.ndarray]
+    facts: dict[str, Any]
+    online: Identified | None  # None: it identifies nothing
+
+
+def _last(folder: Path, boat: str) -> Last | None:
+    """The newest readable checkpoint of a boat; None without one."""
+    from usvlearn.core.checkpoint import newest
+    from usvlearn.engine.identified import identified, members_of
+    from usvlearn.engine.online import read_checkpoint
+    from usvlearn.runs.layout import CHECKPOINTS
+
+    try:
+        leaves, facts = newest(folder / CHECKPOINTS / boat, read_checkpoint)
+    except CheckpointError:
+        return None
+    try:
+        (online,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
+    except ConfigError:
+        return Last(leaves, facts, None)
+    return Last(leaves, facts, online)
+
+
+def _logs(settings: dict[str, Any], changed: Sequence[str]) -> tuple[Fleet, Fleet]:
+    """The run's logs, on its own grid and on that of the fit."""
     import yaml
 
     from usvlearn.cli.settings import instantiate
     from usvlearn.logs.recordings import align_fleet
-    from usvlearn.model.fit.logs import DT
+    from usvlearn.model.fit.logs import fine
 
     data = dict(settings["data"])
     for each in changed:
@@ -97,6 +140,8 @@ def _logs(settings: dict[str, Any], changed: Sequence[str]) -> Fleet:
         name = key.removeprefix("data.")
         if not equals or key == name:
             raise ConfigError(f"found {each!r}, expected data.KEY=VALUE, such as data.path=LOGS")
+        if name not in (keys := [each for each in data if not each.startswith("_")]):
+            raise ConfigError(f"{key}: expected a key of the run's logs: {', '.join(keys)}{did_you_mean(name, keys)}")
         try:
             data[name] = yaml.safe_load(value)
         except yaml.YAMLError as error:
@@ -106,16 +151,80 @@ def _logs(settings: dict[str, Any], changed: Sequence[str]) -> Fleet:
     except UsvlearnError as error:
         hint = "" if "path" not in data else f"; if the logs have moved, give data.path=FOLDER (found {data['path']!r})"
         raise type(error)(f"{error}{hint}") from error
-    return align_fleet(recordings, **{**settings["align"], "dt": DT, "steps": "grid"})
+    options = settings["align"]
+    coarse = align_fleet(recordings, **options)
+    return coarse, align_fleet(recordings, **fine(options))
 
 
-def _write(folder: Path, found: Fitted) -> Path:
-    from usvlearn.core.checkpoint import write_atomically
+def _changed(folder: Path, fleet: Fleet) -> list[str]:
+    """A sentence for each boat whose logs are not those of which the run has learned."""
+    from usvlearn.runs.index import digest, runs_file
+
+    try:
+        learned = runs_file(folder)["boats"]
+    except CheckpointError:
+        return []
+    found = []
+    for element, boat in enumerate(fleet.boats):
+        now = {digest(run, element): run.names[element] for run in fleet.runs if run.lengths[element]}
+        then = {key: name for name, length, key in learned.get(boat, []) if length}
+        other, gone = ([a[key] for key in a if key not in b] for a, b in ((now, then), (then, now)))
+        if other or gone:
+            names = ", ".join(map(repr, dict.fromkeys([*other, *gone])))
+            found.append(f"{boat}: {names} is not as the run has learned it: the fit takes the logs as they are now")
+    return found
+
+
+def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> FreeMode:
+    """Which open-loop simulation to use, by the errors of the ensemble in the run's folder."""
+    from usvlearn.evaluation.by_run import FREE, from_csv
+    from usvlearn.evaluation.free_simulation import middle
+    from usvlearn.model.fit.open_loop import ENSEMBLE, NOTHING, decide
+    from usvlearn.runs.layout import ERRORS
+
+    try:
+        errors = from_csv((folder / ERRORS).read_text())
+    except (OSError, ValueError):  # the run was stopped before its end
+        return NOTHING
+    ensemble = {
+        each.run: each.mae[ENSEMBLE]
+        for each in errors
+        if each.boat == found.boat and each.ahead == FREE and ENSEMBLE in each.mae
+    }
+    return decide(found.boat, found.chosen, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
+
+
+def _write(folder: Path, found: Fitted, last: Last | None, settings: dict[str, Any]) -> list[Path]:
+    """Write the files of a boat; returns their paths."""
+    from usvlearn.core import checkpoint
+    from usvlearn.model.fit.hand_over import handed_over
+    from usvlearn.runs.layout import CHECKPOINTS
 
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{found.boat}.fit.json"
-    write_atomically(path, (json.dumps(found.json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode())
-    return path
+    text = json.dumps(found.json(), indent=1, ensure_ascii=False, allow_nan=False)
+    checkpoint.write_atomically(path, f"{text}\n".encode())
+    if last is None:
+        return [path]
+    leaves, own = handed_over(last.leaves, last.facts["kernel"], found, float(settings["align"]["dt"]))
+    facts = {key: value for key, value in last.facts.items() if key != "schema"} | own
+    file = folder / CHECKPOINTS / found.boat / f"fit{checkpoint.SUFFIX}"
+    return [path, checkpoint.save(file, leaves, **facts)]
+
+
+def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
+    """Say in `results.json` which terms were chosen, and which open-loop simulation to use."""
+    from usvlearn.runs.layout import RESULTS, save_results
+    from usvlearn.runs.saved import results
+
+    if not (folder / RESULTS).exists() or not (known := results(folder)):
+        return
+    new = {
+        each.boat: {"terms": each.chosen}
+        | ({} if (mode := each.simulation) is None else {"simulation": mode._asdict()})
+        for each in fitted
+    }
+    save_results(folder, known | {"fit": known.get("fit", {}) | new})
 
 
 def main() -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from usvlearn.errors import printable
+from usvlearn.core.json_values import finite
 
 ONE_COMMAND = (
     "one command drives both sides: nothing tells left from right, so that neither the thrust of a side nor "
@@ -45,17 +45,6 @@ def quantity(value: float, low: float, high: float, unit: str) -> str:
     ('1.5 (1.25 ... 1.75) m/s', 'not known yet')
     """
     return f"{value:.3g} ({low:.3g} ... {high:.3g}) {unit}" if math.isfinite(value) else "not known yet"
-
-
-def finite(value: Any) -> Any:
-    """JSON values, in which a number that is not finite becomes None, and text cannot control a terminal."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, dict):
-        return {str(key): finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(each) for each in value]
-    return printable(value) if isinstance(value, str) else value
 
 
 COMPILING = Health(

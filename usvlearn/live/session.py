@@ -16,11 +16,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import usvlearn
+from usvlearn.core.json_values import finite
 from usvlearn.core.lock import Lock
 from usvlearn.errors import ConfigError
 from usvlearn.live import watched
 from usvlearn.live.background import Background
-from usvlearn.live.health import COMPILING, ONE_COMMAND, Health, finite
+from usvlearn.live.health import COMPILING, ONE_COMMAND, Health
 from usvlearn.live.listening import Listening
 from usvlearn.live.node_folder import NodeFolder, unsaved
 from usvlearn.live.plan_requests import answer

@@ -17,6 +17,7 @@ from usvlearn.engine.online import read_checkpoint
 from usvlearn.errors import CheckpointError, ConfigError, did_you_mean, printable
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.logs.setup import Setup
+from usvlearn.model.fit.boat import FITTED, FittedBoat
 from usvlearn.model.surge import SurgeModel
 from usvlearn.runs.layout import CHECKPOINTS
 
@@ -29,7 +30,7 @@ class IdentifiedBoat(NamedTuple):
     name: str
     path: Path  # of the checkpoint
     found: Identified
-    model: SurgeModel  # at the means of the periodic estimates
+    model: SurgeModel  # at the means of the periodic estimates, or of a batch fit
     setup: Setup | None  # None in checkpoints of old versions
     leaves: dict[str, np.ndarray]  # of the state, by dotted name
     facts: dict[str, Any]  # the checkpoint's metadata
@@ -114,14 +115,19 @@ def _read(path: Path) -> IdentifiedBoat:
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         leaves, facts = checkpoint.newest(path, read) if path.is_dir() else read(path)
+    found: Identified
     try:
-        (found,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
-        if found.beside is None:
-            raise ConfigError("; ".join(found.lacks))
-        model = SurgeModel.of(found)
+        if FITTED in facts:
+            found = FittedBoat.read(facts[FITTED])
+            model = found.model
+        else:
+            (found,) = identified(members_of(facts["kernel"]), {name: leaf[None] for name, leaf in leaves.items()})
+            if found.beside is None:
+                raise ConfigError("; ".join(found.lacks))
+            model = SurgeModel.of(found)
         setup = Setup.of_set(facts)
-    except ConfigError as error:
-        raise ConfigError(f"{used[0]}: {error}") from error
+    except (ConfigError, CheckpointError) as error:
+        raise type(error)(f"{used[0]}: {error}") from error
     name = facts.get("boat")
     return IdentifiedBoat(
         name if isinstance(name, str) and name else used[0].parent.name, used[0], found, model, setup, leaves, facts

@@ -7,14 +7,15 @@ With the speed v through the water, commands ξ as shares of full scale, the yaw
     v⁺ = v + h φ₁(z) f,   φ₁(z) = (e^z − 1)/z                                                              (2)
 
 (2) is the step of the joint EKF (`usvlearn.estimators.joint.state`, equation (3)) without disturbance, current and
-lag of the commands. See `docs/theory.md`, section 19.
+lag of the commands. See `docs/theory.md`, section 19. A batch fit (`usvlearn.model.fit`) adds tables of thrust and drag
+to (1), linear between their points.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,12 +23,40 @@ from usvlearn.core.jit import jit
 from usvlearn.core.rows import DT, LEFT, RIGHT, ROW, SURGE, YAW_RATE
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.kernel import flow
-from usvlearn.estimators.joint.quantities import Ahead, kilograms_of
+from usvlearn.estimators.joint.quantities import SIDES, Ahead, kilograms_of
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.estimators.joint.state import THETA, names
 from usvlearn.estimators.regressors.terms import LAG
+from usvlearn.model.fit import terms
+from usvlearn.model.fit.motion_kernel import moved
+from usvlearn.model.fit.quantities import CurvedAhead
 
 WITHOUT_EVEN, WITH_EVEN = (tuple(name for name in names(even) if name != LAG) for even in (False, True))
+
+
+class Tables(NamedTuple):
+    """What a batch fit adds to (1), linear between its points; beyond the last one the line goes on."""
+
+    top: float  # m/s
+    thrust: Mapping[str, np.ndarray]  # N, of "left" and "right", at `TABLE_COMMANDS`, 0 at ξ = 0
+    drag: np.ndarray  # N, the force, at speeds of `terms.DRAG_NODES` times `top`; 0 at v = 0, and odd in v
+
+    @classmethod
+    def of(cls, theta: np.ndarray, top: float, mass: float) -> Tables:
+        """Those of parameters by `terms.NAMES`, per unit mass."""
+        nodes = mass * theta[terms.PLACE_THRUST : terms.PLACE_DRAG].reshape(2, 2, -1)  # side, sign, node
+        thrust = {
+            side: np.concatenate([0.0 - each[1][::-1], [0.0], each[0]]) for side, each in zip(SIDES, nodes, strict=True)
+        }
+        return cls(top, thrust, mass * theta[terms.PLACE_DRAG : terms.PLACE_LAG])
+
+    @property
+    def speeds(self) -> np.ndarray:
+        """Of `drag`, m/s."""
+        return self.top * terms.DRAG_NODES
+
+
+TABLE_COMMANDS = np.concatenate([-terms.THRUST_NODES[::-1], [0.0], terms.THRUST_NODES])
 
 
 @dataclass(frozen=True)
@@ -38,6 +67,9 @@ class SurgeModel:
         mass: m of (1), kg, added mass included.
         coefficients: of (1), by the names of `usvlearn.estimators.regressors.terms`: kg/m, kg/s, kg/rad, N, N s/m.
             Drag is negative and thrust ahead is positive. Without the fore-aft asymmetry terms, e is 0.
+        tables: of a batch fit; else None.
+        thruster: time constant of the thrust after a command, s; 0 where it is not known. `step` takes ξ as it acts,
+            with (1) of `usvlearn.model.fit.motion_kernel`.
 
     Raises:
         ConfigError: the mass is not positive, a coefficient is missing or unknown, or a number is not finite.
@@ -49,6 +81,8 @@ class SurgeModel:
 
     mass: float
     coefficients: Mapping[str, float]
+    tables: Tables | None = None
+    thruster: float = 0.0
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.mass) and self.mass > 0):
@@ -78,6 +112,32 @@ class SurgeModel:
         own = names(len(theta) == len(names(even=True)))
         return cls(mass, {name: mass * float(each) for name, each in zip(own, theta, strict=True) if name != LAG})
 
+    @classmethod
+    def fitted(cls, theta: np.ndarray, top: float, mass: float) -> SurgeModel:
+        """The boat of a batch fit.
+
+        Args:
+            theta: by `terms.NAMES`, per unit mass.
+            top: top speed of the nodes of drag, m/s.
+            mass: kg.
+        """
+        even = any(theta[terms.AT[name]] for name in terms.EVEN)
+        coefficients = {name: mass * float(theta[terms.AT[name]]) for name in (WITH_EVEN if even else WITHOUT_EVEN)}
+        return cls(mass, coefficients, Tables.of(theta, top, mass), float(theta[terms.PLACE_TIME]))
+
+    @property
+    def theta(self) -> np.ndarray:
+        """All parameters of a batch fit per unit mass, by `terms.NAMES`, without a lag."""
+        found = np.zeros(len(terms.NAMES))
+        for name, value in self.coefficients.items():
+            found[terms.AT[name]] = value / self.mass
+        if self.tables is not None:
+            middle = len(terms.THRUST_NODES)
+            nodes = [(each[middle + 1 :], -each[:middle][::-1]) for each in (self.tables.thrust[s] for s in SIDES)]
+            found[terms.PLACE_THRUST : terms.PLACE_DRAG] = np.ravel(nodes) / self.mass
+            found[terms.PLACE_DRAG : terms.PLACE_LAG] = self.tables.drag / self.mass
+        return found
+
     @property
     def even(self) -> bool:
         """Whether it has the fore-aft asymmetry terms."""
@@ -91,7 +151,7 @@ class SurgeModel:
     @property
     def ahead(self) -> Ahead:
         """Forces per mass and steady speeds of motion straight ahead."""
-        return Ahead(self.per_mass)
+        return Ahead(self.per_mass) if self.tables is None else CurvedAhead(self.theta, self.tables.top)
 
     def step(self, surge: Any, left: Any, right: Any, yaw_rate: Any, dt: Any) -> np.ndarray:
         """v⁺ of (2), m/s; all arguments broadcast.
@@ -120,9 +180,12 @@ class SurgeModel:
         rows = np.zeros((arrays[0].size, ROW))
         for place, array in zip((SURGE, LEFT, RIGHT, YAW_RATE, DT), arrays, strict=True):
             rows[:, place] = array.reshape(-1)
-        mean = np.concatenate([np.zeros(THETA), self.per_mass])  # x of a joint EKF
         out = np.empty(len(rows))
-        _steps(self.even, mean, rows, chained, np.empty_like(mean), out)
+        if self.tables is not None:
+            _fitted_steps(self.theta, self.tables.top, rows, chained, np.empty((3, len(terms.NAMES))), out)
+        else:
+            mean = np.concatenate([np.zeros(THETA), self.per_mass])  # x of a joint EKF
+            _steps(self.even, mean, rows, chained, np.empty_like(mean), out)
         return out.reshape(arrays[0].shape)
 
 
@@ -135,4 +198,17 @@ def _steps(even, mean, rows, chained, g, out):
             speed = rows[k, SURGE]
         x = rows[k]
         speed = flow(even, mean, speed, 0.0, x[LEFT], x[RIGHT], x, g)
+        out[k] = speed
+
+
+@jit(entry=True)
+def _fitted_steps(theta, top, rows, chained, work, out):
+    """Likewise with tables. `work`, `(3, parameters)`, is used as memory."""
+    speed, none = 0.0, (0.0, 0.0)
+    for k in range(len(out)):
+        if k == 0 or not chained:
+            speed = rows[k, SURGE]
+        x = rows[k]
+        xi, turn = (x[LEFT], x[RIGHT]), abs(x[YAW_RATE])
+        speed, _ = moved(theta, top, speed, xi, none, none, x[DT], turn, work[0], work[1], work[2])
         out[k] = speed

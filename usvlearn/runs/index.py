@@ -6,6 +6,7 @@ A run removes only files that its index names, and writes through no link. Impor
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from usvlearn.core.checkpoint import LEFT, SUFFIX
+from usvlearn.core.samples import Run, named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.runs.layout import (
     CHECKPOINTS,
@@ -51,6 +53,14 @@ def runs_file(folder: Path) -> dict[str, Any]:
         return {"boats": boats, "ensemble": str(found["ensemble"])}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"{path}: is damaged ({error}): make the run anew") from error
+
+
+def digest(run: Run, element: int) -> str:
+    """A sha256 of one boat's samples."""
+    total = hashlib.sha256()
+    for name, leaf in named_leaves(run.samples):
+        total.update(name.encode() + leaf[: run.lengths[element], element].tobytes())
+    return total.hexdigest()
 
 
 def number(folder: Path) -> int:

@@ -16,14 +16,14 @@ import numpy as np
 import usvlearn
 from usvlearn.core.checkpoint import SUFFIX, checkpoints, restore, write_atomically
 from usvlearn.core.checkpoint import save as save_checkpoint
-from usvlearn.core.samples import Fleet, Run, named_leaves, tree_map
+from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.engine import of_element
 from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.estimators.ensemble.state import EnsembleState
 from usvlearn.evaluation.identification import Truth
-from usvlearn.runs.index import check_own, no_run, number, own_predictions, same_run
+from usvlearn.runs.index import check_own, digest, no_run, number, own_predictions, same_run
 from usvlearn.runs.layout import CHECKPOINTS, ERRORS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, save_results
 from usvlearn.runs.legacy import first_named
 from usvlearn.runs.outcome import judged
@@ -249,14 +249,6 @@ class RunFolder:
         for old in reversed(own):
             if (found := position(old)) is not None and found > place:
                 old.unlink()
-
-
-def digest(run: Run, element: int) -> str:
-    """A sha256 of one boat's samples."""
-    total = hashlib.sha256()
-    for name, leaf in named_leaves(run.samples):
-        total.update(name.encode() + leaf[: run.lengths[element], element].tobytes())
-    return total.hexdigest()
 
 
 def _has_checkpoints(folder: Path) -> bool:

@@ -16,11 +16,10 @@ from usvlearn.engine.rollouts import stack
 from usvlearn.errors import CheckpointError, ConfigError, check_positive
 from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season, SeasonRun
-from usvlearn.runs.index import begun, runs_file
+from usvlearn.runs.index import begun, digest, runs_file
 from usvlearn.runs.layout import CHECKPOINTS, ESTIMATOR, PREDICTIONS, RESULTS, RUNS, TUNING
 from usvlearn.runs.legacy import current
 from usvlearn.runs.published import DAMAGE, position, read_published, widths_of
-from usvlearn.runs.run_folder import digest
 from usvlearn.runs.trust import check_settings
 
 SETTINGS = ("estimators", "combiners", "data", "align", "vehicle")  # what a saved configuration must contain

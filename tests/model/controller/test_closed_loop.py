@@ -5,6 +5,7 @@ import pytest
 
 from tests.support.known_boats import known_boat
 from usvlearn.errors import ConfigError
+from usvlearn.estimators.joint.quantities import Ahead
 from usvlearn.model.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
 from usvlearn.model.controller.closed_loop import ahead_step, draws, simulate, steps_of
 from usvlearn.model.controller.design import Wanted, controller, facts
@@ -23,7 +24,7 @@ def test_a_step_is_that_of_the_model():
 
 def test_a_late_command_acts_later_by_its_delay():
     theta = np.stack([known_boat().found.theta] * 2)
-    found = simulate(theta, np.array([0.0, 0.6]), RoverLaw(ROVER, 0.2), [1.0], 4.0)
+    found = simulate(Ahead(theta), np.array([0.0, 0.6]), RoverLaw(ROVER, 0.2), [1.0], 4.0)
     first = [float(found.time[np.flatnonzero(found.speed[:, k] > 0)[0]]) for k in range(2)]
     assert first[1] - first[0] == pytest.approx(0.6)
 
@@ -69,7 +70,9 @@ def test_gains_beyond_the_margins_are_seen_to_be_unstable():
     loud = found.rover._replace(proportional=times * found.rover.proportional, integral=times * found.rover.integral)
     theta = draws(found.boat.found, 50)
     course = [found.speeds[0], found.speeds[4], found.speeds[-1]]
-    responses = simulate(theta, np.full(50, found.late + found.period), RoverLaw(loud, found.period), course, 30.0)
+    responses = simulate(
+        Ahead(theta), np.full(50, found.late + found.period), RoverLaw(loud, found.period), course, 30.0
+    )
     assert any(step.sways.any() for step in steps_of(responses))
 
 

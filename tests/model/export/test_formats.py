@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 import torch
 
+from tests.support.fitted_boats import TOP
+from tests.support.fitted_boats import boat as fitted_parameters
 from tests.support.surge_models import by_torch, some
 from usvlearn import Inputs, Online
 from usvlearn.errors import CheckpointError, ConfigError
@@ -54,12 +56,19 @@ def test_the_c_header_prints_no_number_for_what_is_not_known(boat):
     assert float(row.split()[2]) == pytest.approx(boat.found["time_constant"].value, rel=1e-4)
 
 
-@pytest.mark.parametrize("even", [True, False])
+def fitted(boat):
+    """The same boat with a model that has tables and a thruster's time constant."""
+    model = SurgeModel.fitted(fitted_parameters(), TOP, boat.model.mass)
+    return boat._replace(model=replace(model, thruster=0.11))
+
+
+@pytest.mark.parametrize("even", [True, False, "tables"])
 def test_the_c_header_compiles_strictly_and_makes_the_step(boat, even, tmp_path):
     if (gcc := shutil.which("gcc") or shutil.which("cc")) is None:
         pytest.skip("needs a C compiler")
     hostile = "b */ *\\ *ü/\n/ int x; ??/"
     boat = boat._replace(name=hostile) if even else without_even(boat)._replace(name="b")
+    boat = fitted(boat) if even == "tables" else boat
     name = identifier(boat.name)
     (tmp_path / "boat.h").write_text(c_header(boat), "ascii")
     (tmp_path / "main.c").write_text(PROGRAM.replace("NAME", name))
@@ -90,6 +99,23 @@ def test_casadi_has_the_step_and_its_jacobian(boat, even):
     jacobian = np.array([[float(each) for each in slopes(*row)] for row in rows])
     smooth = (rows != 0).all(1)  # at 0 an absolute value has no derivative
     np.testing.assert_allclose(jacobian[smooth], gradient.numpy()[smooth], rtol=1e-10, atol=1e-10)
+
+
+def test_casadi_has_the_tables_of_a_fit(boat):
+    pytest.importorskip("casadi", reason="needs the package casadi")
+    boat, module = fitted(boat), {}
+    exec(compile(casadi_text(boat), "boat_casadi", "exec"), module)  # our own text
+    step = module["surge_step"]()
+    slopes = step.factory("slopes", step.name_in(), [f"jac:v_next:{name}" for name in step.name_in()])
+    rows, h = some(np.random.default_rng(3), 400), 1e-6
+    expected = boat.model.step(*rows.T)
+    np.testing.assert_allclose([float(step(*row)) for row in rows], expected, rtol=1e-12, atol=1e-12)
+    ends = [boat.model.step(*(rows + sign * h * np.eye(5)[:, None]).transpose(2, 0, 1)) for sign in (1, -1)]
+    away = np.abs(rows[:, :3] / [boat.model.tables.speeds[0], 0.125, 0.125])  # no node between the ends
+    smooth = (np.abs(away - away.round()) > 1e-3).all(1) & (np.abs(rows[:, 3:]) > 1e-3).all(1)
+    found = np.array([[float(each) for each in slopes(*row)] for row in rows])
+    np.testing.assert_allclose(found[smooth], ((ends[0] - ends[1]) / (2 * h)).T[smooth], rtol=1e-6, atol=1e-6)
+    assert smooth.sum() > 200
 
 
 def test_the_network_is_the_same_in_onnx(boat):

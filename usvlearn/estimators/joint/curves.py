@@ -36,7 +36,7 @@ def curves(found: Identified) -> dict[str, Curve]:
 
     def force(of: Callable[[Ahead], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         return lambda theta: (
-            kilograms_of(theta, found.mass, found.inverse_mass)[..., None] * of(Ahead(theta[..., None, :]))
+            kilograms_of(theta, found.mass, found.inverse_mass)[..., None] * of(found.ahead(theta[..., None, :]))
         )
 
     def pull(side: str) -> Callable[[Ahead], np.ndarray]:
@@ -45,7 +45,7 @@ def curves(found: Identified) -> dict[str, Curve]:
     functions = {
         "drag": (speeds, force(lambda boat: boat.drag(speeds))),
         **{f"thrust_{side}": (commands, force(pull(side))) for side in SIDES},
-        "steady_speed": (commands, lambda theta: Ahead(theta[..., None, :]).steady_speed(commands)),
+        "steady_speed": (commands, lambda theta: found.ahead(theta[..., None, :]).steady_speed(commands)),
     }
     return {name: banded(found, beside, name, *function) for name, function in functions.items()}
 

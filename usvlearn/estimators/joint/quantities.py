@@ -113,6 +113,21 @@ class Ahead:
         """Force of the water, positive, m/s²."""
         return -(self.quadratic * speed + self.linear) * speed
 
+    def motion(self, speed, command):
+        """dv/dt, m/s², and its derivative by the speed, 1/s, under one command 0 … 1 of both sides."""
+        brake, size = self.linear + self.lift * command, np.abs(speed)
+        f = self.quadratic * speed * size + brake * speed + sum(self.thrust(command, side) for side in SIDES)
+        return f, 2 * self.quadratic * size + brake
+
+    def settling(self, speed, command):
+        """The time constant near a speed ahead, s."""
+        return -1 / (2 * self.quadratic * speed + self.linear + self.lift * command)
+
+    @property
+    def brakes(self):
+        """Whether drag brakes at every speed, bool."""
+        return (self.quadratic <= 0) & (self.linear <= 0)
+
     def steady_speed(self, command):
         """(2), m/s; where the thrust points astern, minus the speed of as much thrust ahead; infinite without drag, NaN
         where drag that falls with speed, q > 0, never balances the thrust.

@@ -48,9 +48,9 @@ from usvlearn.estimators.joint.lacking import (
     undetermined,
     unphysical,
 )
-from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES, gradients, steps_of
+from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES, Ahead, gradients, steps_of
 from usvlearn.estimators.joint.quantities import quantities as quantities_of
-from usvlearn.estimators.joint.state import DROPPED, THETA
+from usvlearn.estimators.joint.state import DROPPED, THETA, names
 
 FEW_P, FEW_C = 8.0, 2.0  # of (1)
 FIRST, FADES = 600.0, 300.0  # s, of (2)
@@ -91,11 +91,11 @@ class Beside(NamedTuple):
         if not (math.isfinite(value) and np.isfinite(slope).all()):
             return math.nan, math.nan
         own = math.hypot(OWN_ERROR.get(name, 0.0), self.common) * abs(value)
-        ends = [*_around(name, value, math.hypot(_deviation(slope, covariance), own))]
+        ends = [*around(name, value, math.hypot(_deviation(slope, covariance), own))]
         ends.append(present if math.isfinite(present) else value)
         if self.vague:
             ends += [
-                x for x in _around(name, first, _deviation(slope_of_prior, np.diag(self.variance))) if not math.isnan(x)
+                x for x in around(name, first, _deviation(slope_of_prior, np.diag(self.variance))) if not math.isnan(x)
             ]
         return (min(ends), max(ends)) if np.isfinite(ends).all() else (math.nan, math.nan)
 
@@ -129,6 +129,27 @@ class Identified(Mapping[str, Quantity]):
     beside: Beside | None = None
     unknown: frozenset[str] = frozenset()
     unphysical: str = ""
+
+    def ahead(self, theta: np.ndarray) -> Ahead:
+        """The boat of some parameters while it moves straight ahead.
+
+        Args:
+            theta: like the attribute, `(..., m)`.
+        """
+        return Ahead(theta)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters, in the order of `theta`."""
+        return names(len(self.theta) == len(names(even=True)))
+
+    def lag(self, dt: float) -> tuple[float, float]:
+        """By how much the thrust follows the command, s, and its standard deviation.
+
+        Args:
+            dt: of the samples, s.
+        """
+        return float(self.theta[-1]) * dt, math.sqrt(self.covariance[-1, -1]) * dt
 
     def told(self, name: str) -> Quantity:
         """A quantity as people are told it: NaN while its interval says nothing."""
@@ -214,7 +235,7 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     state = {name: np.asarray(leaf, dtype=np.float64) for name, leaf in leaves.items()}
     mass, inverse = float(numbers["mass"]), np.asarray(vectors["inverse_mass"], dtype=np.float64)
     prior, variance = (np.asarray(vectors[name], dtype=np.float64) for name in ("prior", "variance"))
-    now, P = state["mean"][THETA:], _covariance(state["factor"])
+    now, P = state["mean"][THETA:], covariance_of(state["factor"])
     used = max(float(state["readings"]) - DROPPED, 0.0)
     every = float(numbers["read_every"])
     learned = float(state["learned"]) + (float(state["readings"]) * every if math.isfinite(every) else 0.0)
@@ -268,19 +289,19 @@ def identify(description: Mapping[str, Any], leaves: Mapping[str, np.ndarray]) -
     return Identified(
         quantities,
         basis,
-        "" if wrong else _scale(inverse, mass),
+        "" if wrong else scale_sentence(inverse, mass),
         tuple(lacks or undetermined(quantities)),
         mass,
         inverse,
         theta,
         total,
         beside,
-        frozenset(name for name, each in quantities.items() if _says_nothing(name, each, first, mass)),
+        frozenset(name for name, each in quantities.items() if says_nothing(name, each, first, mass)),
         impossible,
     )
 
 
-def _says_nothing(name: str, found: Quantity, prior: Mapping[str, float], mass: float) -> bool:
+def says_nothing(name: str, found: Quantity, prior: Mapping[str, float], mass: float) -> bool:
     """Whether an interval is wider than what a boat like that of the prior can have.
 
     The scale of a unit follows from the prior's speed and thrust at full command.
@@ -294,8 +315,8 @@ def _says_nothing(name: str, found: Quantity, prior: Mapping[str, float], mass: 
     return half > SAYS_NOTHING * scales.get(unit, force / speed) and half > abs(value)
 
 
-def _covariance(factor: np.ndarray) -> np.ndarray:
-    """P = U D Uᵀ."""
+def covariance_of(factor: np.ndarray) -> np.ndarray:
+    """P = U D Uᵀ of the leaf `factor`, `(n, n)`."""
     U = np.tril(factor, -1).T + np.eye(len(factor))
     return (U * np.diag(factor)) @ U.T
 
@@ -304,7 +325,8 @@ def _deviation(slope: np.ndarray, covariance: np.ndarray) -> float:
     return math.sqrt(max(float(slope @ covariance @ slope), 0.0))
 
 
-def _around(name: str, value: float, deviation: float) -> tuple[float, float]:
+def around(name: str, value: float, deviation: float) -> tuple[float, float]:
+    """The ends of a 90 % interval; on the log scale where only positive values make sense."""
     half = NINETY * deviation
     if name in POSITIVE and value > 0:
         ratio = math.exp(min(half / value, WIDEST))
@@ -312,7 +334,7 @@ def _around(name: str, value: float, deviation: float) -> tuple[float, float]:
     return value - half, value + half
 
 
-def _scale(inverse: np.ndarray, mass: float) -> str:
+def scale_sentence(inverse: np.ndarray, mass: float) -> str:
     """A sentence that says what fixes the scale of the forces."""
     if inverse.any():
         return "The mass and all forces follow from the known forces."

@@ -15,7 +15,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from usvlearn.errors import ConfigError
-from usvlearn.estimators.joint.quantities import SIDES, Ahead
+from usvlearn.estimators.joint.quantities import Ahead
 from usvlearn.estimators.joint.reading import Identified
 
 STEP = 0.05  # s, longest of the simulation
@@ -68,10 +68,10 @@ def draws(found: Identified, count: int, seed: int = 0) -> np.ndarray:
     normal = np.random.default_rng(seed).standard_normal((TRIALS * count, len(found.theta)))
     every = found.theta + (normal * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
     every = np.concatenate([found.theta[None], beside.now[None], every])
-    boat = Ahead(every)
+    boat = found.ahead(every)
     with np.errstate(invalid="ignore"):
         speeds = boat.steady_speed(1.0)
-        real = (boat.quadratic <= 0) & (boat.linear <= 0) & np.isfinite(speeds) & (speeds > 0)
+        real = boat.brakes & np.isfinite(speeds) & (speeds > 0)
     if real.sum() < count:
         raise ConfigError(
             "--boats: found hardly any boat in the intervals, in which drag brakes: learn from a longer log"
@@ -79,17 +79,17 @@ def draws(found: Identified, count: int, seed: int = 0) -> np.ndarray:
     return every[real][:count]
 
 
-def simulate(theta: np.ndarray, delay: np.ndarray, law: Law, wanted: Sequence[float], hold: float) -> Responses:
+def simulate(boat: Ahead, delay: np.ndarray, law: Law, wanted: Sequence[float], hold: float) -> Responses:
     """Boats from rest that are to have some speeds in turn.
 
     Args:
-        theta: parameters per unit mass, `(boats, m)`.
+        boat: of parameters `(boats, m)`.
         delay: of the commands, s, `(boats,)`.
         law: the controller.
         wanted: speeds, m/s, each for `hold` s.
         hold: s.
     """
-    boat, boats = Ahead(theta), len(theta)
+    boats = len(delay)
     substeps = math.ceil(law.period / STEP)
     h = law.period / substeps
     late = np.rint(np.clip(delay, 0.0, None) / h).astype(int)
@@ -112,9 +112,8 @@ def simulate(theta: np.ndarray, delay: np.ndarray, law: Law, wanted: Sequence[fl
 
 def ahead_step(boat: Ahead, v: np.ndarray, xi: np.ndarray, h: float) -> np.ndarray:
     """The speeds h s later, m/s, `(boats,)`, under the same command on both sides, 0 … 1."""
-    brake = boat.linear + boat.lift * xi
-    f = boat.quadratic * v * np.abs(v) + brake * v + sum(boat.thrust(xi, side) for side in SIDES)
-    z = np.minimum(h * (2 * boat.quadratic * np.abs(v) + brake), 1.0)
+    f, slope = boat.motion(v, xi)
+    z = np.minimum(h * slope, 1.0)
     small = np.abs(z) < 1e-8
     return v + h * f * np.where(small, 1.0, np.expm1(z) / np.where(small, 1.0, z))
 

@@ -10,7 +10,7 @@ import numpy as np
 from usvlearn.core.events import NINETY
 from usvlearn.errors import ConfigError, check_positive
 from usvlearn.estimators.joint.curves import Curve, banded
-from usvlearn.estimators.joint.quantities import SIDES, Ahead
+from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.logs.setup import Setup
 from usvlearn.model.controller.autopilots import Moos, MoosLaw, Rover, RoverLaw
@@ -117,7 +117,7 @@ def controller(boat: IdentifiedBoat, wanted: Wanted | None = None) -> Controller
     hold += (high - low) / (SHARES[-1] * min(rover.acceleration, rover.deceleration))
 
     def loop(each: str, law: Law, boats: int = wanted.boats) -> Loop:
-        responses = simulate(theta[:boats], delays[:boats], law, course, hold)
+        responses = simulate(found.ahead(theta[:boats]), delays[:boats], law, course, hold)
         return Loop(each, responses, steps_of(responses))
 
     for share in SHARES:  # ArduRover's base is a straight line, and acts before the boat follows
@@ -175,7 +175,8 @@ def _late(name: str, found: Identified, setup: Setup | None, given: float | None
     assert setup is not None
     aligned = setup.aligned
     before = max(aligned[f"command_{side}"].delay for side in SIDES)
-    return before + float(found.theta[-1]) * dt, math.sqrt(found.covariance[-1, -1]) * dt
+    late, deviation = found.lag(dt)
+    return before + late, deviation
 
 
 def _force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
@@ -184,7 +185,7 @@ def _force(found: Identified, speeds: np.ndarray, command: float) -> Curve:
     assert beside is not None
 
     def force(theta: np.ndarray) -> np.ndarray:
-        boat = Ahead(theta[..., None, :])
+        boat = found.ahead(theta[..., None, :])
         if command == 0:
             return boat.drag(speeds)
         return sum(boat.thrust(command, side) for side in SIDES) + boat.lift * command * speeds - boat.drag(speeds)

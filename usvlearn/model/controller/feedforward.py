@@ -13,7 +13,6 @@ import numpy as np
 
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import Curve, banded
-from usvlearn.estimators.joint.quantities import Ahead
 from usvlearn.estimators.joint.reading import Identified
 
 POINTS = 201
@@ -67,7 +66,7 @@ class Feedforward:
             name,
             banded(
                 found, beside, "steady_speed", commands,
-                lambda theta: Ahead(theta[..., None, :]).steady_speed(commands),
+                lambda theta: found.ahead(theta[..., None, :]).steady_speed(commands),
             ),
         )  # fmt: skip
 

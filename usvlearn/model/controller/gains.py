@@ -26,7 +26,7 @@ import numpy as np
 
 from usvlearn.errors import ConfigError
 from usvlearn.estimators.joint.curves import Curve, banded
-from usvlearn.estimators.joint.quantities import SIDES, Ahead
+from usvlearn.estimators.joint.quantities import SIDES
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.model.controller.feedforward import SAIL
 
@@ -84,11 +84,11 @@ def linearised(name: str, found: Identified, commands: np.ndarray) -> Linearised
     assert beside is not None
 
     def time_constant(theta: np.ndarray) -> np.ndarray:
-        boat = Ahead(theta[..., None, :])
-        return -1 / (2 * boat.quadratic * boat.steady_speed(commands) + boat.linear + boat.lift * commands)
+        boat = found.ahead(theta[..., None, :])
+        return boat.settling(boat.steady_speed(commands), commands)
 
     def gain(theta: np.ndarray) -> np.ndarray:
-        boat = Ahead(theta[..., None, :])
+        boat = found.ahead(theta[..., None, :])
         return sum(boat.thrust_slope(commands, side) for side in SIDES) + boat.lift * boat.steady_speed(commands)
 
     T, b = (banded(found, beside, each, commands, f) for each, f in (("time_constant", time_constant), ("gain", gain)))

@@ -8,12 +8,12 @@ from typing import Any
 import usvlearn
 from usvlearn.estimators.joint.curves import curves
 from usvlearn.estimators.joint.quantities import MEANING
-from usvlearn.estimators.joint.state import names
 from usvlearn.estimators.regressors.terms import UNITS
 from usvlearn.logs.alignment.mixing import Mix
 from usvlearn.logs.channels.channel import COMMANDS
 from usvlearn.model.export.conventions import NOTE, conventions
 from usvlearn.model.read_boats import IdentifiedBoat
+from usvlearn.model.surge import TABLE_COMMANDS, SurgeModel
 
 FORMAT = "usvlearn boat 1"
 FORCE = (
@@ -21,6 +21,9 @@ FORCE = (
     "thrust_quadratic x|x| + thrust_speed x|v| + thrust_cubic x^3)"
 )
 EVEN_FORCE = " + drag_even v^2 + sum of (thrust_even_linear |x| + thrust_even_quadratic x^2 + thrust_even_speed x v)"
+TABLES = (
+    " + sum of thrust_table(x) + sign(v) drag_table(|v|); tables are linear between their points, and go on beyond them"
+)
 STEP = "with f = dv/dt, J = df/dv, z = min(dt J, 1): the speed after dt is v + dt f (exp(z) - 1)/z"
 SIGNS = (
     "v: speed ahead through the water, m/s. x: command of a side as a share of full scale, -1 to 1, positive ahead. "
@@ -42,11 +45,12 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
         "usvlearn": usvlearn.__version__,
         "boat": boat.name,
         "set": {"file": boat.path.name} | {key: str(boat.facts[key]) for key in ("run", "step") if key in boat.facts},
-        "equation": FORCE + (EVEN_FORCE if model.even else ""),
+        "equation": equation(model),
         "step": STEP,
         "signs": SIGNS,
         "mass": {"value": model.mass, "unit": "kg", "basis": found.scale},
         "model": {name: {"value": value, "unit": UNITS[name]} for name, value in model.coefficients.items()},
+        **_tables(model),
         "identified": {
             "basis": found.basis,
             "meaning": MEANING,
@@ -55,7 +59,7 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
         },
         "covariance": {
             "note": "of the parameters per unit mass, of which the intervals are made; command_lag: a share of a step",
-            "parameters": list(names(model.even)),
+            "parameters": list(found.names),
             "values": found.theta.tolist(),
             "matrix": found.covariance.tolist(),
         },
@@ -67,6 +71,30 @@ def described(boat: IdentifiedBoat) -> dict[str, Any]:
         "commands": _commands(boat),
         "names": {"note": NOTE, **conventions(model)},
     }
+
+
+def equation(model: SurgeModel) -> str:
+    """The forces of a model, one line."""
+    return FORCE + (EVEN_FORCE if model.even else "") + (TABLES if model.tables is not None else "")
+
+
+def _tables(model: SurgeModel) -> dict[str, Any]:
+    """The tables of a batch fit, and the time constant of its thrusters; {} without."""
+    if model.tables is None:
+        return {}
+    thrust = {
+        f"thrust_table_{side}": {"at": TABLE_COMMANDS.tolist(), "at_unit": "1", "value": each.tolist(), "unit": "N"}
+        for side, each in model.tables.thrust.items()
+    }
+    drag = {
+        "at": [0.0, *model.tables.speeds.tolist()], "at_unit": "m/s",
+        "value": [0.0, *model.tables.drag.tolist()], "unit": "N",
+    }  # fmt: skip
+    lag = {
+        "value": model.thruster, "unit": "s",
+        "note": "x follows the command with this time constant; 0: at once, or not known",
+    }  # fmt: skip
+    return {"tables": thrust | {"drag_table": drag}, "thruster_time_constant": lag}
 
 
 def _commands(boat: IdentifiedBoat) -> dict[str, Any]:

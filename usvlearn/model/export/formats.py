@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from usvlearn.core.json_values import finite
 from usvlearn.model.export.c_header import c_header, identifier
 from usvlearn.model.export.casadi_text import casadi_text
 from usvlearn.model.export.described import described
@@ -28,12 +29,7 @@ class Format(NamedTuple):
 
 
 def _json(boat: IdentifiedBoat, folder: Path) -> Files:
-    return {".json": (json.dumps(_without_nan(described(boat)), indent=1) + "\n").encode()}
-
-
-def _without_nan(given: Any) -> Any:
-    """JSON has no NaN and no infinity: null."""
-    return json.loads(json.dumps(given), parse_constant=lambda _: None)
+    return {".json": (json.dumps(finite(described(boat)), indent=1) + "\n").encode()}
 
 
 FORMATS = {

@@ -8,70 +8,82 @@ from typing import Any
 
 import numpy as np
 
+from usvlearn.core.json_values import finite
 from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.regressors.terms import LAG
+from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.choice import Score, choose
 from usvlearn.model.fit.gauss_newton import Fit, Missions
-from usvlearn.model.fit.intervals import intervals
-from usvlearn.model.fit.terms import NAMES, SETS
+from usvlearn.model.fit.logs import lacking
+from usvlearn.model.fit.open_loop import FreeMode
+from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Fitted:
     """A fitted boat.
 
     Attributes:
         boat: its name.
-        mass: kg.
+        missions: what it was fitted to.
         fits: of all sets of terms, by name.
         scores: of the same, on missions that they have not learned.
         chosen: the set to use.
-        quantities: of the chosen set, with 90 % intervals.
+        found: the quantities of the chosen set, with 90 % intervals; it prints as a table.
         errors: mean |error| of the simulation of each set over the logs, m/s.
+        simulation: which open-loop simulation to use; None where that was not asked.
     """
 
     boat: str
-    mass: float
+    missions: Missions
     fits: dict[str, Fit]
     scores: dict[str, Score]
     chosen: str
-    quantities: dict[str, Quantity]
+    found: FittedBoat
     errors: dict[str, float]
+    simulation: FreeMode | None = None
 
     @property
     def fit(self) -> Fit:
         """The fit with the chosen set."""
         return self.fits[self.chosen]
 
+    @property
+    def quantities(self) -> dict[str, Quantity]:
+        """Of the chosen set, with 90 % intervals."""
+        return self.found.quantities
+
+    def __repr__(self) -> str:
+        return repr(self.found)
+
     def json(self) -> dict[str, Any]:
-        """What is saved: JSON values; parameters are in units of force, times the mass."""
-        theta = self.fit.theta
-        places = {*self.fit.known.active, *np.flatnonzero(theta)}
-        scaled = {name: self.mass * theta[k] for k, name in enumerate(NAMES) if k in places}
-        for name in ("command_lag", "thruster_time_constant"):  # neither is a force
-            if name in scaled:
-                scaled[name] /= self.mass
-        scores = {
-            name: finite({"gain": score.gain, "error": score.error, "mae": self.errors[name]})
-            for name, score in self.scores.items()
-        }  # fmt: skip
-        return {
+        """What `BOAT.fit.json` has: JSON values; parameters are in units of force, times the mass."""
+        mass = self.found.mass
+        theta = self.found.every(self.found.theta)
+        forces = {name: mass for name in NAMES} | {LAG: 1.0, TIME_CONSTANT: 1.0}  # neither of these is a force
+        return finite({
             "boat": self.boat,
-            "mass": self.mass,
+            "mass": mass,
             "top": self.fit.top,
             "terms": self.chosen,
             "missions": len(self.fit.count),
             "steps": int(self.fit.count.sum()),
             "deviation": self.fit.deviation,
-            "parameters": {name: float(value) for name, value in scaled.items()},
-            "quantities": {name: finite(each._asdict()) for name, each in self.quantities.items()},
-            "sets": scores,
-        }
-
-
-def finite(facts: dict[str, Any]) -> dict[str, Any]:
-    """Values with None for what is not a finite number, which JSON does not have."""
-    return {key: None if isinstance(x, float) and not np.isfinite(x) else x for key, x in facts.items()}
+            "parameters": {name: forces[name] * float(theta[AT[name]]) for name in self.found.names},
+            "quantities": {name: each._asdict() for name, each in self.found.items()},
+            "lacks": list(self.found.lacks),
+            "simulation": None if self.simulation is None else self.simulation._asdict(),
+            "sets": {
+                name: {
+                    "parameters": len(SETS[name]),
+                    "gain": score.gain,
+                    "error": score.error,
+                    "mae": self.errors[name],
+                }
+                for name, score in self.scores.items()
+            },
+        })  # fmt: skip
 
 
 def check_terms(terms: str | None) -> None:
@@ -87,6 +99,7 @@ def fit_boat(
     top: float,
     terms: str | None = None,
     advance: Callable[[str], object] = lambda name: None,
+    stop: type[BaseException] = KeyboardInterrupt,
 ) -> Fitted:
     """Fit every set of terms to a boat's missions, and choose.
 
@@ -96,17 +109,24 @@ def fit_boat(
         mass: kg.
         top: top speed, m/s.
         terms: the set to use, in place of the one that does best on missions which it has not learned.
-        advance: is told the name of each set before it is fitted.
+        advance: receives the name of each set before it is fitted.
+        stop: what ends the fit early: the sets that are done are used. Without any, or the wanted one, it is raised.
 
     Raises:
-        ConfigError: there is no such set.
+        ConfigError: there is no such set, or the commands never changed.
     """
     check_terms(terms)
+    lacks = lacking(rows)
     missions, fits, before = Missions(rows, top), {}, None
-    for name in SETS:
-        advance(name)
-        fits[name] = missions.fit(name, before)
-        before = fits[name].theta
+    try:
+        for name in SETS:
+            advance(name)
+            fits[name] = missions.fit(name, before)
+            before = fits[name].theta
+    except stop:  # the sets that are done are there
+        if not fits or terms not in (None, *fits):
+            raise
+        lacks = (f"Stopped after {len(fits)} of {len(SETS)} sets of terms.", *lacks)
     chosen, scores = choose(missions, fits, terms)
     errors = {name: float(np.mean(np.abs(missions.errors(fit)))) for name, fit in fits.items()}
-    return Fitted(boat, mass, fits, scores, chosen, intervals(fits, scores, chosen, mass), errors)
+    return Fitted(boat, missions, fits, scores, chosen, FittedBoat.of(fits, scores, chosen, mass, lacks), errors)

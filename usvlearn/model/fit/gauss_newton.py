@@ -12,7 +12,7 @@ speed comes from the errors of the simulation itself, between rounds: the square
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -136,9 +136,11 @@ class Missions:
         information += np.tril(information, -1).transpose(0, 2, 1)
         return Fit(terms, self.top, theta, known, loss, steps, score, information, deviation)
 
-    def errors(self, fit: Fit) -> np.ndarray:
-        """Errors of the simulation at all measured steps of a boat that moves, m/s."""
-        found, m = [], len(fit.known.active)
+    def simulate(self, fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The speed of each mission, m/s, `(time,)`, NaN where no step is made; and its current at the end, north and
+        east, m/s, `(2,)`.
+        """
+        m = len(fit.known.active)
         work, P, S = np.zeros(3 * len(NAMES) + m + 3), np.zeros((4, 3)), np.zeros((3, m))
         for rows in self.rows:
             predicted = np.empty(len(rows))
@@ -146,8 +148,12 @@ class Missions:
                 rows, fit.theta, fit.known.active, self.top, fit.deviation**2, CURRENT, ROBUST, predicted,
                 np.zeros(m), np.zeros((0, 0)), work, P, S,
             )  # fmt: skip
-            found.append((predicted - rows[:, SPEED])[scored(rows)])
-        return np.concatenate(found)
+            yield predicted, work[-2:].copy()
+
+    def errors(self, fit: Fit) -> np.ndarray:
+        """Errors of the simulation at all measured steps of a boat that moves, m/s."""
+        simulated = zip(self.rows, self.simulate(fit), strict=True)
+        return np.concatenate([(speed - rows[:, SPEED])[scored(rows)] for rows, (speed, _) in simulated])
 
     def fit(self, terms: str, start: np.ndarray | None = None) -> Fit:
         """The best parameters of a set of terms.

@@ -18,17 +18,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from usvlearn.core.events import NINETY
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.quantities import QUANTITIES
-from usvlearn.estimators.joint.reading import POSITIVE
+from usvlearn.estimators.joint.reading import around
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.quantities import quantities
 
 SCATTER = 4.0
 STEP = 0.1  # deviations: the step of a central difference
-OWN = dict.fromkeys(QUANTITIES, 0.03) | {"drag_cross": 0.3, "drag_linear": 0.1, "drag_quadratic": 0.1}
+OWN_ERROR = 0.03
+OWN = dict.fromkeys(QUANTITIES, OWN_ERROR) | {"drag_cross": 0.3, "drag_linear": 0.1, "drag_quadratic": 0.1}
 ALIKE = 0.02  # loss a step by which another set may be worse than the chosen one, and still counts
 
 
@@ -41,18 +41,24 @@ def intervals(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str,
         mass: kg.
     """
     fit = fits[chosen]
-    values = quantities(fit.theta, fit.top, mass)
-    slopes = _gradients(fit, mass)
-    covariance = spread(fit)
-    alike = [name for name in fits if name != chosen and -scores[name].gain <= ALIKE]
-    others = [quantities(fits[name].theta, fit.top, mass) for name in alike]
+    values, slopes, covariance = quantities(fit.theta, fit.top, mass), _gradients(fit, mass), spread(fit)
+    differ = disagreement(fits, scores, chosen, mass)
     found = {}
-    for name, value in values.items():
-        apart = max((abs(each[name] - value) for each in others if math.isfinite(each[name])), default=0.0)
-        variance = float(slopes[name] @ covariance @ slopes[name]) + apart**2 + (OWN[name] * value) ** 2
-        low, high = _around(name, value, NINETY * math.sqrt(max(variance, 0.0)))
-        found[name] = Quantity(value, low, high, QUANTITIES[name])
+    for name, value in ((name, float(each)) for name, each in values.items()):
+        variance = float(slopes[name] @ covariance @ slopes[name]) + differ[name] ** 2 + (OWN[name] * value) ** 2
+        found[name] = Quantity(value, *around(name, value, math.sqrt(max(variance, 0.0))), QUANTITIES[name])
     return found
+
+
+def disagreement(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float) -> dict[str, float]:
+    """|q' − q| of (1) for all quantities; 0 where no other set does about as well. The arguments are those of
+    `intervals`.
+    """
+    values = quantities(fits[chosen].theta, fits[chosen].top, mass)
+    alike = [name for name in fits if name != chosen and -scores[name].gain <= ALIKE]
+    others = [quantities(fits[name].theta, fits[name].top, mass) for name in alike]
+    away = {name: [abs(float(each[name] - value)) for each in others] for name, value in values.items()}
+    return {name: max(filter(math.isfinite, each), default=0.0) for name, each in away.items()}
 
 
 def spread(fit: Fit) -> np.ndarray:
@@ -67,22 +73,8 @@ def spread(fit: Fit) -> np.ndarray:
 
 def _gradients(fit: Fit, mass: float) -> dict[str, np.ndarray]:
     """The gradients of all quantities to the fitted parameters, `(m,)` each."""
-    deviations = np.sqrt(np.diag(fit.covariance))
-    found: dict[str, list[float]] = {}
-    for place, deviation in zip(fit.known.active, deviations, strict=True):
-        ends = []
-        for sign in (1.0, -1.0):
-            theta = fit.theta.copy()
-            theta[place] += sign * STEP * deviation
-            ends.append(quantities(theta, fit.top, mass))
-        for name in ends[0]:
-            found.setdefault(name, []).append((ends[0][name] - ends[1][name]) / (2 * STEP * deviation))
-    return {name: np.nan_to_num(np.array(each)) for name, each in found.items()}
-
-
-def _around(name: str, value: float, half: float) -> tuple[float, float]:
-    """The ends of an interval; on the log scale where only positive values make sense."""
-    if name in POSITIVE and value > 0:
-        ratio = math.exp(min(half / value, 10.0))
-        return value / ratio, value * ratio
-    return value - half, value + half
+    active, steps = fit.known.active, STEP * np.sqrt(np.diag(fit.covariance))
+    shifts = np.zeros((len(active), len(fit.theta)))
+    shifts[np.arange(len(active)), active] = steps
+    ends = quantities(fit.theta + np.stack([shifts, -shifts]), fit.top, mass)
+    return {name: np.nan_to_num((each[0] - each[1]) / (2 * steps)) for name, each in ends.items()}

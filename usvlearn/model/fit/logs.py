@@ -9,10 +9,13 @@ whole log is there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import numpy as np
 from scipy.signal import savgol_filter
 
-from usvlearn.core.rows import MODE, PREDICT, YAW_RATE
+from usvlearn.core.rows import LEFT, MODE, PREDICT, RIGHT, YAW_RATE
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.model.fit.gauss_newton import rows_of, scored
@@ -20,10 +23,24 @@ from usvlearn.model.fit.gauss_newton import rows_of, scored
 DT = 0.1  # s, of the grid
 WINDOW = 3.0  # s, of the parabola
 FEWEST = 600  # measured steps, below which nothing is fitted
+CHANGE = 0.02  # standard deviation of the mean command, below which nothing tells thrust from drag
+APART = 0.02  # likewise of the difference of the sides
+ASTERN, SMALL, LARGE, SOME = -0.1, 0.15, 0.85, 0.01  # commands; share of the steps
+
+
+def fine(align: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of an alignment on the grid of the fit, from those of a run."""
+    return {**align, "dt": DT, "steps": "grid"}
 
 
 def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> list[np.ndarray]:
-    """The missions of a boat as prepared samples, `(time, ROW)` each; those without measured steps are left out.
+    """The missions of a boat as prepared samples, `(time, ROW)` each; see `named_missions`."""
+    return [rows for _, rows in named_missions(fleet, boat, dt)]
+
+
+def named_missions(fleet: Fleet, boat: str, dt: float = DT) -> list[tuple[str, np.ndarray]]:
+    """The missions of a boat, by name, as prepared samples, `(time, ROW)` each; those without measured steps are left
+    out.
 
     Args:
         fleet: logs, aligned on a grid of `dt`.
@@ -38,8 +55,8 @@ def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> list[np.ndarray]:
         if length := run.lengths[element]:
             rows = rows_of(tree_map(lambda x, n=length: x[:n, element], run.samples))
             if scored(rows).any():
-                found.append(smoothed(rows, dt))
-    measured = sum(int(scored(rows).sum()) for rows in found)
+                found.append((run.names[element], smoothed(rows, dt)))
+    measured = sum(int(scored(rows).sum()) for _, rows in found)
     if measured < FEWEST:
         raise ConfigError(
             f"{boat}: found {measured} measured speeds of a boat that moves, expected at least {FEWEST}: a fit needs "
@@ -58,3 +75,33 @@ def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:
     smooth: np.ndarray = np.asarray(savgol_filter(rate, count, 2))
     rows[steps, YAW_RATE] = smooth[steps]
     return rows
+
+
+def lacking(missions: Sequence[np.ndarray]) -> tuple[str, ...]:
+    """What the commands of some missions do not show, one sentence each.
+
+    Raises:
+        ConfigError: the commands never changed, so that thrust and drag have no sizes of their own.
+    """
+    commands = np.concatenate([rows[scored(rows)][:, [LEFT, RIGHT]] for rows in missions])
+    mean = commands.mean(1)
+    if mean.std() < CHANGE:
+        raise ConfigError(
+            f"found commands of {100 * mean.min():.0f} to {100 * mean.max():.0f} % that hardly ever changed while the "
+            "boat moved, expected steps between low and high ones: thrust and drag show where the commands change"
+        )
+    found = []
+    if np.std(commands[:, 0] - commands[:, 1]) < APART:
+        found.append(
+            "Both thrusters always had the same command: the thrust of the left side cannot be separated from that of "
+            "the right side."
+        )
+    if not all((commands[:, side] < ASTERN).mean() > SOME for side in range(2)):
+        found.append("The thrusters hardly ever pushed astern: their thrust astern is an assumption.")
+    size = np.abs(commands)
+    if (size > LARGE).any(1).mean() < SOME:
+        most = 100 * float(np.quantile(size.max(1), 1 - SOME))
+        found.append(f"Commands were hardly ever above {most:.0f} %: what is beyond is an extrapolation.")
+    if ((size > SOME) & (size < SMALL)).any(1).mean() < SOME:
+        found.append(f"Commands were hardly ever below {100 * SMALL:.0f} %: a dead band would not show.")
+    return tuple(found)

@@ -36,7 +36,7 @@ from usvlearn.model.fit.terms import (
 SPEED_VARIANCE = 4.0  # (m/s)², of the speed through the water before a measurement
 REST = 1e-3  # of u_L² + u_R² + w²: below, friction holds the boat, and nothing is learned
 FASTEST = 20.0  # m/s
-STEEPEST = -20.0  # of hJ: a fit may try parameters that are far off
+STEEPEST = -500.0  # of hJ: a fit may try parameters that are far off
 DRAG, SIDE, KAPPA, EVEN, PARAMETERS = 3, 3, AT["thrust_cubic_left"], AT["drag_even"], len(NAMES)
 THRUSTS, DRAGS = len(THRUST_NODES), len(DRAG_NODES)
 APART, DRAG_APART = float(THRUST_NODES[0]), float(DRAG_NODES[0])

@@ -9,122 +9,170 @@ integral.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from scipy.optimize import brentq
 
-from usvlearn.estimators.joint.quantities import COAST, COMMANDS, SIDES
+from usvlearn.estimators.joint.quantities import COAST, COMMANDS, SIDES, Ahead
+from usvlearn.estimators.joint.state import names
 from usvlearn.model.fit.terms import AT, DRAG_NODES, PLACE_DRAG, PLACE_LAG, THRUST_NODES
 
 GRID = 101  # points of a least-squares fit, and of the integral
 FARTHEST = 3.0  # top speeds within which a steady speed is looked for
 NEAR = 0.1  # top speeds: the departure of the time constant
+JOINT = [AT[name] for name in names(even=True)]  # the parameters of a joint EKF
 
 
-class Ahead:
-    """The forces of some parameters of motion straight ahead, per unit mass.
+class CurvedAhead(Ahead):
+    """A boat with curves of thrust and drag while it moves straight ahead: forces per mass, and speeds.
 
     Args:
-        theta: by `terms.NAMES`, `(parameters,)`.
+        theta: by `terms.NAMES`, per unit mass, `(..., parameters)`.
         top: top speed of the nodes of drag, m/s.
+
+    >>> from usvlearn.model.fit.terms import prior
+    >>> boat = CurvedAhead(prior("nine", top=2.0).mean, 2.0)
+    >>> round(float(boat.steady_speed(1.0)), 3)
+    2.0
     """
 
     def __init__(self, theta: np.ndarray, top: float):
+        super().__init__(theta[..., JOINT])
         self.theta, self.top = theta, top
+        self.drag_nodes = theta[..., PLACE_DRAG:PLACE_LAG]
 
-    def _at(self, name: str) -> float:
-        return float(self.theta[AT[name]])
-
-    def thrust(self, command: np.ndarray | float, side: str) -> np.ndarray:
+    def thrust(self, command, side: str):
         """T(ξ), m/s², of commands −1 … 1."""
-        x: Any = np.asarray(command, float)
-        a, b, k, e1, e2 = (
-            self._at(f"thrust_{name}_{side}")
-            for name in ("linear", "quadratic", "cubic", "even_linear", "even_quadratic")
-        )
-        size, found = np.abs(x), np.zeros(np.shape(x))
-        for sign, way in (("ahead", x >= 0), ("astern", x < 0)):
-            first = AT[f"thrust_node_{side}_{sign}_{THRUST_NODES[0]:g}"]
-            found = found + np.where(way, _line(size, THRUST_NODES, self.theta[first : first + len(THRUST_NODES)]), 0.0)
-        return a * x + b * x * size + k * x**3 + e1 * size + e2 * x * x + np.sign(x) * found
+        x = np.asarray(command, float)
+        a, b, k, e1, e2 = self._thrust_terms(side)
+        size = np.abs(x)
+        curve = (hats(size, THRUST_NODES) * self._thrust_nodes(x, side)).sum(-1)
+        return a * x + b * x * size + k * x**3 + e1 * size + e2 * x * x + np.sign(x) * curve
 
-    def drag(self, speed: np.ndarray | float) -> np.ndarray:
-        """D(v), positive for v > 0, m/s²."""
-        v = np.asarray(speed, float)
-        size, nodes = np.abs(v), self.theta[PLACE_DRAG:PLACE_LAG]
-        curve = np.sign(v) * _line(size, DRAG_NODES * self.top, nodes)
-        return -(
-            self._at("drag_quadratic") * size * v + self._at("drag_linear") * v + self._at("drag_even") * v * v + curve
+    def thrust_slope(self, command, side: str):
+        """Derivative of `thrust` by the command, m/s²; at a node that towards larger commands."""
+        x = np.asarray(command, float)
+        a, b, k, e1, e2 = self._thrust_terms(side)
+        size, way = np.abs(x), np.where(x >= 0, 1.0, -1.0)
+        curve = (hat_slopes(size, THRUST_NODES) * self._thrust_nodes(x, side)).sum(-1)
+        return a + 2 * b * size + 3 * k * x * x + e1 * way + 2 * e2 * x + curve
+
+    def _thrust_terms(self, side: str) -> list[np.ndarray]:
+        kinds = ("linear", "quadratic", "cubic", "even_linear", "even_quadratic")
+        return [self.theta[..., AT[f"thrust_{kind}_{side}"]] for kind in kinds]
+
+    def _thrust_nodes(self, x: np.ndarray, side: str) -> np.ndarray:
+        """Those of the command's own sign, `(..., nodes)`."""
+        ahead, astern = (AT[f"thrust_node_{side}_{sign}_{THRUST_NODES[0]:g}"] for sign in ("ahead", "astern"))
+        count = len(THRUST_NODES)
+        return np.where(
+            x[..., None] >= 0, self.theta[..., ahead : ahead + count], self.theta[..., astern : astern + count]
         )
+
+    def drag(self, speed):
+        """D(v), m/s², of v ≥ 0."""
+        return super().drag(speed) - self._drag_curve(speed)
+
+    def _drag_curve(self, speed) -> np.ndarray:
+        """What the nodes of drag add to the force at v ≥ 0, m/s²."""
+        found: np.ndarray = (hats(np.abs(speed) / self.top, DRAG_NODES) * self.drag_nodes).sum(-1)
+        return found
+
+    def motion(self, speed, command):
+        """dv/dt, m/s², and its derivative by the speed, 1/s, as in `Ahead`."""
+        f, J = super().motion(speed, command)
+        slopes = (hat_slopes(np.abs(speed) / self.top, DRAG_NODES) * self.drag_nodes).sum(-1)
+        return f + np.sign(speed) * self._drag_curve(speed), J + slopes / self.top
+
+    def settling(self, speed, command):
+        """The time constant of a departure of `NEAR` top speeds, s, as in `Ahead`."""
+        away = NEAR * self.top
+        slope = (self.drag(speed + away) - self.drag(np.maximum(speed - away, 0.0))) / (
+            away + np.minimum(away, speed)
+        ) - self.lift * command
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return 1 / slope
 
     @property
-    def lift(self) -> dict[str, float]:
-        """γ + e₃ of each side, 1/s: what its thrust loses with speed."""
-        return {side: self._at(f"thrust_speed_{side}") + self._at(f"thrust_even_speed_{side}") for side in SIDES}
+    def brakes(self):
+        """Whether drag grows with speed at every node, `(...)`, bool."""
+        speeds = self.top * np.append(0.0, DRAG_NODES)
+        along = CurvedAhead(self.theta[..., None, :], self.top)
+        return (np.diff(along.drag(speeds), axis=-1) > 0).all(-1)
 
-    def balance(self, speed: float, command: float) -> float:
-        """Acceleration with one command for both sides, m/s²."""
-        pull = sum(float(self.thrust(command, side)) for side in SIDES)
-        return pull + sum(self.lift.values()) * command * speed - float(self.drag(speed))
+    def steady_speed(self, command):
+        """The first speed at which drag and thrust are equal, m/s, with the sign of the thrust; NaN without one up to
+        `FARTHEST` top speeds.
+        """
+        push = sum(self.thrust(command, side) for side in SIDES)
+        brake = self.linear + self.lift * command
+        c2, c1, c0 = (np.asarray(x)[..., None] for x in np.broadcast_arrays(self.quadratic, brake, np.abs(push)))
+        # between two nodes the balance is a parabola: c₂ v² + (c₁ + slope) v + (c₀ + the line's height at v = 0)
+        starts, ends = self.top * np.append(0.0, DRAG_NODES[:-1]), self.top * np.append(DRAG_NODES[:-1], FARTHEST)
+        nodes = np.concatenate([np.zeros_like(self.drag_nodes[..., :1]), self.drag_nodes], -1)
+        slope = np.diff(nodes, axis=-1) / (DRAG_NODES[0] * self.top)
+        c1, c0 = c1 + slope, c0 + nodes[..., :-1] - slope * starts
+        with np.errstate(all="ignore"):
+            root = np.sqrt(c1 * c1 - 4 * c2 * c0)
+            falling = np.where(c1 > 0, (-c1 - root) / (2 * c2), 2 * c0 / (root - c1))  # where the balance falls
+            found = np.where((falling >= starts) & (falling <= ends), falling, np.inf).min(-1)
+        return np.where(np.isfinite(found), np.sign(push) * found, np.nan)
 
-    def steady_speed(self, command: float) -> float:
-        """m/s; NaN where drag and thrust are never equal."""
-        speeds = np.linspace(0.0, FARTHEST * self.top, 3 * GRID)
-        sign = np.array([self.balance(v, command) > 0 for v in speeds])
-        if not sign[0] or sign.all():
-            return np.nan
-        k = int(np.argmin(sign))
-        root: Any = brentq(self.balance, speeds[k - 1], speeds[k], args=(command,))
-        return float(root)
 
-
-def quantities(theta: np.ndarray, top: float, mass: float) -> dict[str, float]:
-    """All quantities; NaN where the parameters determine none.
+def quantities(theta: np.ndarray, top: float, mass: float) -> dict[str, np.ndarray]:
+    """All quantities, `(...)` each; NaN where the parameters determine none.
 
     Args:
-        theta: by `terms.NAMES`, per unit mass.
+        theta: by `terms.NAMES`, per unit mass, `(..., parameters)`.
         top: top speed of the nodes of drag, m/s.
         mass: kg.
 
     >>> from usvlearn.model.fit.terms import prior
     >>> found = quantities(prior("nine", top=2.0).mean, 2.0, 28.0)
-    >>> round(found["steady_speed_full"], 3), round(found["thrust_full_left"], 2)
+    >>> round(float(found["steady_speed_full"]), 3), round(float(found["thrust_full_left"]), 2)
     (2.0, 8.4)
     """
-    boat = Ahead(theta, top)
-    found: dict[str, float] = {}
-    commands = np.linspace(0.0, 1.0, GRID)
-    fastest = boat.steady_speed(1.0)
-    speeds = np.linspace(0.0, fastest if np.isfinite(fastest) else top, GRID)
-    quadratic, linear = _fitted(speeds, -boat.drag(speeds))
-    found |= {"drag_quadratic": quadratic, "drag_linear": linear, "drag_cross": float(theta[AT["drag_cross"]])}
-    for side in SIDES:
-        quadratic, linear = _fitted(commands, boat.thrust(commands, side))
-        found |= {f"thrust_linear_{side}": linear, f"thrust_quadratic_{side}": quadratic}
-        found[f"thrust_speed_{side}"] = boat.lift[side]
-        found[f"thrust_full_{side}"] = float(boat.thrust(1.0, side))
-    found["drag_half_speed"] = float(boat.drag(fastest / 2))
-    found = {name: mass * value for name, value in found.items()}
-    found |= {f"steady_speed_{name}": boat.steady_speed(command) for name, command in COMMANDS.items()}
-    step = NEAR * fastest
-    slope = (boat.balance(fastest / 2 - step, 0.5) - boat.balance(fastest / 2 + step, 0.5)) / (2 * step)
-    found["time_constant"] = 1 / slope if slope > 0 else np.nan
-    coasts = np.linspace(COAST, 1.0, GRID) * fastest
+    boat, along = CurvedAhead(theta, top), CurvedAhead(theta[..., None, :], top)
+    found: dict[str, np.ndarray] = {}
+    share = np.linspace(0.0, 1.0, GRID)
+    paper = np.linalg.pinv(np.stack([share * share, share], -1))  # of the two terms of the paper
     with np.errstate(all="ignore"):
-        found["stopping_distance"] = float(np.trapezoid(coasts / boat.drag(coasts), coasts))
+        fastest = np.abs(boat.steady_speed(1.0))
+        over = np.where(np.isfinite(fastest), fastest, top)
+        quadratic, linear = np.moveaxis(-along.drag(over[..., None] * share) @ paper.T, -1, 0)
+        found |= {"drag_quadratic": quadratic / over**2, "drag_linear": linear / over}
+        found["drag_cross"] = theta[..., AT["drag_cross"]]
+        for side in SIDES:
+            quadratic, linear = np.moveaxis(along.thrust(share, side) @ paper.T, -1, 0)
+            found |= {f"thrust_linear_{side}": linear, f"thrust_quadratic_{side}": quadratic}
+            found[f"thrust_speed_{side}"] = boat.sums[f"thrust_speed_{side}"]
+            found[f"thrust_full_{side}"] = boat.thrust(1.0, side)
+        found["drag_half_speed"] = boat.drag(fastest / 2)
+        found = {name: mass * value for name, value in found.items()}
+        found |= {f"steady_speed_{name}": boat.steady_speed(command) for name, command in COMMANDS.items()}
+        step = NEAR * fastest
+        slope = (boat.drag(fastest / 2 + step) - boat.drag(fastest / 2 - step)) / (2 * step) - boat.lift / 2
+        found["time_constant"] = np.where(slope > 0, 1 / slope, np.nan)
+        coasts = (COAST + (1 - COAST) * share) * fastest[..., None]
+        found["stopping_distance"] = np.trapezoid(coasts / along.drag(coasts), coasts)
         found["thrust_ratio"] = found["thrust_full_left"] / found["thrust_full_right"]
     return found
 
 
-def _line(x: np.ndarray, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """A piecewise linear curve from 0, which goes on beyond its last node."""
-    inside = np.interp(x, np.append(0.0, nodes), np.append(0.0, values))
-    slope = (values[-1] - values[-2]) / (nodes[-1] - nodes[-2])
-    return np.where(x > nodes[-1], values[-1] + slope * (x - nodes[-1]), inside)
+def hats(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """The weights of equally spaced nodes at x ≥ 0, `(..., nodes)`: 0 at x = 0; beyond the last node the line goes on.
+
+    >>> hats(np.array([0.25, 1.25]), np.array([0.5, 1.0]))
+    array([[ 0.5,  0. ],
+           [-0.5,  1.5]])
+    """
+    x = np.asarray(x, float)[..., None] / nodes[0]
+    places = np.arange(1, len(nodes) + 1)
+    beyond = np.maximum(x - len(nodes), 0.0)
+    found = np.clip(1 - np.abs(np.minimum(x, len(nodes)) - places), 0.0, 1.0)
+    return found + beyond * (places == len(nodes)) - beyond * (places == len(nodes) - 1)
 
 
-def _fitted(x: np.ndarray, y: np.ndarray) -> tuple[float, float]:
-    """The least-squares fit a x² + b x, (a, b)."""
-    a, b = np.linalg.lstsq(np.stack([x * x, x], -1), y, rcond=None)[0]
-    return float(a), float(b)
+def hat_slopes(x: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """The derivatives of `hats` by x, towards larger x, `(..., nodes)`."""
+    above = np.minimum(np.floor(np.asarray(x, float)[..., None] / nodes[0]), len(nodes) - 1) + 1
+    places = np.arange(1, len(nodes) + 1)
+    return ((places == above) - 1.0 * (places == above - 1)) / nodes[0]

@@ -19,9 +19,9 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     heads = ["fit", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
     table = Blocks(f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"], heads)
     for name, each in found.quantities.items():
-        told = [shown(x) for x in online.told(name)[:3]] if online is not None and name in online else []
-        told = told or ["–"] * (3 if online is not None else 0)
-        table.add(name, *map(shown, each[:3]), *told, each.unit)
+        beside = [shown(x) for x in online.told(name)[:3]] if online is not None and name in online else []
+        beside = beside or ["–"] * (3 if online is not None else 0)
+        table.add(name, *map(shown, found.found.told(name)[:3]), *beside, each.unit)
     sets = Blocks(
         "Terms, by their loss on missions that they have not learned", ["set"], ["parameters", "worse by", "±", "MAE"]
     )
@@ -33,6 +33,8 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     lines = [
         MEANING,
         f"Simulated in open loop, {len(fit.count)} missions err by {found.errors[found.chosen]:.4f} m/s in the mean.",
-        f"Forces are those of a boat of {found.mass:g} kg, as configured: speeds alone do not tell the mass.",
+        *([] if found.simulation is None else [found.simulation.sentence]),
+        found.found.scale,
+        *found.found.lacks,
     ]
     return [table, Text(), sets, *map(Text, lines)]

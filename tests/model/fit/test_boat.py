@@ -1,0 +1,111 @@
+"""A fitted boat: what its logs lack, what a checkpoint says of it, and the joint EKFs that go on from it."""
+
+import copy
+import json
+
+import numpy as np
+import pytest
+
+from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
+from usvlearn import JointEKF
+from usvlearn.core.rows import LEARN, LEFT, MODE, RIGHT, SURGE
+from usvlearn.core.samples import named_leaves
+from usvlearn.errors import CheckpointError, ConfigError
+from usvlearn.estimators.joint.reading import covariance_of, identify
+from usvlearn.estimators.joint.state import LAG_MOST, THETA, names
+from usvlearn.model.fit.boat import FITTED, FittedBoat
+from usvlearn.model.fit.fitted import fit_boat
+from usvlearn.model.fit.hand_over import factored, handed_over
+from usvlearn.model.fit.intervals import spread
+from usvlearn.model.fit.logs import DT, lacking
+from usvlearn.model.fit.terms import AT
+
+
+def rows_of_boat(seed: int = 0, steps: int = 1500) -> np.ndarray:
+    rows = mission(steps, seed)
+    rows[1:, SURGE] = simulated(rows, boat())[1:] + 0.02 * np.random.default_rng(seed).standard_normal(steps)
+    rows[1:, MODE] = LEARN
+    return rows
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return fit_boat("heron", [rows_of_boat(seed) for seed in range(3)], MASS, TOP)
+
+
+def test_a_checkpoint_has_the_whole_boat(fitted):
+    found = FittedBoat.read(json.loads(json.dumps(fitted.found.facts(), allow_nan=False)))
+    assert found.json() == fitted.found.json() and found.lacks == fitted.found.lacks
+    assert found.lag(0.4) == fitted.found.lag(0.4) and found.beside.common == fitted.found.beside.common
+    np.testing.assert_array_equal(found.covariance, fitted.found.covariance)
+    np.testing.assert_array_equal(found.every(found.theta), fitted.fit.theta)
+    assert repr(found).splitlines()[1].split()[0] == "drag_quadratic" and "Fitted to 3 missions" in repr(found)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"terms": "other"}, {"terms": ["nine"]}, {"top": 0.0}, {"top": None}, {"mass": -1.0}, {"common": -0.1},
+        {"theta": {}}, {"theta": [1.0]}, {"covariance": [[1.0]]}, {"covariance": "x"}, {"quantities": {}},
+        {"quantities": {"drag_linear": [1.0]}}, {"quantities": 3}, {"lacks": None}, {"top": 1e400},
+    ],
+)  # fmt: skip
+def test_a_damaged_one_is_refused_in_one_sentence(fitted, change):
+    with pytest.raises(CheckpointError, match="its fit is damaged .*: run usvlearn fit again") as error:
+        FittedBoat.read(copy.deepcopy(fitted.found.facts()) | change)
+    assert "\n" not in str(error.value)
+    with pytest.raises(CheckpointError):
+        FittedBoat.read(None)
+    facts = copy.deepcopy(fitted.found.facts())
+    facts["covariance"][0][0] = -1.0
+    with pytest.raises(CheckpointError, match="negative variance"):
+        FittedBoat.read(facts)
+
+
+def test_what_the_commands_do_not_show_is_said():
+    rows = rows_of_boat()
+    assert lacking([rows]) == ()
+
+    def changed(left=None, right=None):
+        new = rows.copy()
+        new[:, LEFT] = new[:, LEFT] if left is None else left(new[:, LEFT])
+        new[:, RIGHT] = new[:, RIGHT] if right is None else right(new[:, RIGHT])
+        return lacking([new])
+
+    assert changed(right=lambda x: rows[:, LEFT])[0].startswith("Both thrusters always had the same command")
+    assert changed(np.abs)[0].startswith("The thrusters hardly ever pushed astern")
+    (slow,) = changed(lambda x: x / 2, lambda x: x / 2)
+    assert slow == "Commands were hardly ever above 50 %: what is beyond is an extrapolation."
+    assert "a dead band would not show" in changed(*[lambda x: x + np.sign(x) * 0.2] * 2)[0]
+    with pytest.raises(ConfigError, match="found commands of 60 to 60 % that hardly ever changed while the boat moved"):
+        changed(*[lambda x: 0.6 + 0 * x] * 2)
+
+
+def test_joint_filters_go_on_from_the_fit(fitted):
+    joint = JointEKF(surge_max=TOP, mass=MASS, read_every=600.0, even=None)
+    leaves = {name: leaf.detach().numpy() for name, leaf in named_leaves(joint.init())}
+    found, facts = handed_over(leaves, joint.spec(), fitted, dt=0.4)
+    assert facts == {FITTED: fitted.found.facts()} and set(found) == set(leaves)
+    assert all(found[name].shape == leaf.shape and found[name].dtype == leaf.dtype for name, leaf in leaves.items())
+    cubic = fitted.fits["cubic"]
+    own = names(even=False)
+    expected = np.array([cubic.theta[AT[name]] for name in own])
+    expected[-1] = min(expected[-1] * DT / 0.4, LAG_MOST)
+    np.testing.assert_allclose(found["mean"][THETA:], expected, rtol=1e-12)
+    np.testing.assert_array_equal(found["mean"][:THETA], leaves["mean"][:THETA])
+    P, before = covariance_of(found["factor"]), covariance_of(leaves["factor"])
+    np.testing.assert_allclose(P[:THETA, :THETA], before[:THETA, :THETA], rtol=1e-9, atol=1e-12)
+    assert not P[:THETA, THETA:].any()
+    places = [list(cubic.known.active).index(AT[name]) for name in own[:-1]]
+    np.testing.assert_allclose(P[THETA:-1, THETA:-1], spread(cubic)[np.ix_(places, places)], rtol=1e-6, atol=1e-12)
+    online = identify(joint.spec(), found)
+    for name in ("steady_speed_full", "drag_half_speed", "thrust_full_left"):
+        each = online[name]
+        assert each.low <= fitted.quantities[name].value <= each.high, name
+
+
+def test_a_covariance_is_factored_and_back():
+    rng = np.random.default_rng(0)
+    A = rng.standard_normal((9, 9))
+    np.testing.assert_allclose(covariance_of(factored(A @ A.T)), A @ A.T, rtol=1e-10, atol=1e-10)
+    assert not factored(np.zeros((3, 3))).any()

@@ -1,0 +1,163 @@
+"""A fitted boat as an identified one: for the controller, the exports and the figures, and in a checkpoint."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from usvlearn.errors import CheckpointError
+from usvlearn.estimators.joint.lacking import POSITIVE_OF_BOATS, Quantity, unphysical
+from usvlearn.estimators.joint.quantities import QUANTITIES
+from usvlearn.estimators.joint.reading import Beside, Identified, says_nothing, scale_sentence
+from usvlearn.estimators.regressors.terms import LAG
+from usvlearn.model.fit.choice import Score
+from usvlearn.model.fit.gauss_newton import Fit
+from usvlearn.model.fit.intervals import OWN_ERROR, disagreement, intervals, spread
+from usvlearn.model.fit.logs import DT
+from usvlearn.model.fit.quantities import CurvedAhead, quantities
+from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT, prior
+from usvlearn.model.surge import SurgeModel
+
+SPEEDS = ("steady_speed_full", "steady_speed_half", "steady_speed_quarter")
+LARGEST = 1e9  # m/s, kg: nothing is larger
+UNCLEAR = 0.5  # half-width over value
+FITTED = "fit"  # of a checkpoint's metadata
+
+
+@dataclass(frozen=True, repr=False)
+class FittedBoat(Identified):
+    """The quantities of a fitted boat; `theta` and `covariance` are of the fitted parameters, in the order of `NAMES`.
+
+    Attributes:
+        terms: a name of `terms.SETS`.
+        top: top speed of the prior and of the nodes of drag, m/s.
+    """
+
+    terms: str = "nine"
+    top: float = 1.0
+
+    @classmethod
+    def of(
+        cls, fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float, lacks: tuple[str, ...]
+    ) -> FittedBoat:
+        """The boat of the chosen set.
+
+        Args:
+            fits, scores: of all sets, by name.
+            chosen: the set to use.
+            mass: kg.
+            lacks: what the logs lack, one sentence each.
+        """
+        fit = fits[chosen]
+        found, differ = intervals(fits, scores, chosen, mass), disagreement(fits, scores, chosen, mass)
+        common = max(differ[name] / abs(found[name].value) for name in SPEEDS)
+        split = [found[f"drag_{name}"] for name in ("linear", "quadratic")]
+        if any(each.high - each.low > 2 * UNCLEAR * abs(each.value) for each in split):
+            lacks = (
+                *lacks,
+                "The logs hardly separate linear from quadratic drag: use drag_half_speed.",
+            )
+        many = "1 mission" if len(fit.count) == 1 else f"{len(fit.count)} missions"
+        return cls._made(
+            chosen, fit.top, mass, fit.theta[fit.known.active], spread(fit), found,
+            math.hypot(OWN_ERROR, common if math.isfinite(common) else 0.0), lacks,
+            f"Fitted to {many} at once, with 90 % intervals; terms: {chosen}.",
+        )  # fmt: skip
+
+    @classmethod
+    def _made(
+        cls, terms: str, top: float, mass: float, theta: np.ndarray, covariance: np.ndarray,
+        found: Mapping[str, Quantity], common: float, lacks: tuple[str, ...], basis: str,
+    ) -> FittedBoat:  # fmt: skip
+        known = prior(terms, top)
+        start = known.mean[known.active]
+        first = {name: float(each) for name, each in quantities(known.mean, top, mass).items()}
+        impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
+        return cls(
+            dict(found), basis, scale_sentence(np.zeros(0), mass), tuple(filter(None, [impossible, *lacks])), mass,
+            np.zeros(len(theta)), theta, covariance,
+            Beside(common, theta, start, np.diag(np.linalg.inv(known.information)), vague=False),
+            frozenset(name for name, each in found.items() if says_nothing(name, each, first, mass)), impossible,
+            terms, top,
+        )  # fmt: skip
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the fitted parameters, in the order of `theta`."""
+        return tuple(name for name in NAMES if name in SETS[self.terms])
+
+    def every(self, theta: np.ndarray) -> np.ndarray:
+        """All parameters by `terms.NAMES` of the fitted ones, `(..., m)`."""
+        found = np.zeros((*theta.shape[:-1], len(NAMES)))
+        found[..., [AT[name] for name in self.names]] = theta
+        return found
+
+    def ahead(self, theta: np.ndarray) -> CurvedAhead:
+        return CurvedAhead(self.every(theta), self.top)
+
+    def lag(self, dt: float) -> tuple[float, float]:
+        """By how much the thrust follows the command, s, and its standard deviation; `dt` is that of the fit."""
+        for name, unit in ((TIME_CONSTANT, 1.0), (LAG, DT)):
+            if name in self.names:
+                k = self.names.index(name)
+                return float(self.theta[k]) * unit, math.sqrt(max(self.covariance[k, k], 0.0)) * unit
+        return 0.0, 0.0
+
+    @property
+    def model(self) -> SurgeModel:
+        """The step of this boat."""
+        return SurgeModel.fitted(self.every(self.theta), self.top, self.mass)
+
+    def facts(self) -> dict[str, Any]:
+        """As JSON values, for the metadata of a checkpoint."""
+        assert self.beside is not None
+        return {
+            "terms": self.terms,
+            "top": self.top,
+            "mass": self.mass,
+            "theta": dict(zip(self.names, self.theta.tolist(), strict=True)),
+            "covariance": self.covariance.tolist(),
+            "quantities": {
+                name: [x if math.isfinite(x) else None for x in each[:3]] for name, each in self.quantities.items()
+            },
+            "common": self.beside.common,
+            "lacks": list(self.lacks),
+            "basis": self.basis,
+        }
+
+    @classmethod
+    def read(cls, facts: Any) -> FittedBoat:
+        """The boat of what `facts` wrote.
+
+        Raises:
+            CheckpointError: it is something else.
+        """
+        try:
+            terms, top, mass, common = facts["terms"], *(float(facts[key]) for key in ("top", "mass", "common"))
+            theta = np.array([float(facts["theta"][name]) for name in NAMES if name in SETS[terms]])
+            covariance = np.array(facts["covariance"], dtype=float)
+            if covariance.shape != (len(theta), len(theta)):
+                raise ValueError(f"its covariance has the shape {covariance.shape}, expected {(len(theta),) * 2}")
+            if not (all(np.isfinite(x).all() for x in (theta, covariance)) and 0 <= common < LARGEST):
+                raise ValueError("a number is not finite")
+            if not (1 / LARGEST < top < LARGEST and 1 / LARGEST < mass < LARGEST):
+                raise ValueError(f"its top speed is {top:g} m/s, and its mass {mass:g} kg")
+            if np.linalg.eigvalsh(covariance)[0] < -1e-9 * np.abs(covariance).max():
+                raise ValueError("its covariance has a negative variance")
+            found = {}
+            for name, each in facts["quantities"].items():
+                value, low, high = (math.nan if x is None else float(x) for x in each)
+                found[name] = Quantity(value, low, high, QUANTITIES[name])
+            if missing := [name for name in QUANTITIES if name not in found and name != "mass"]:
+                raise KeyError(missing[0])
+            lacks, basis = tuple(map(str, facts["lacks"])), str(facts["basis"])
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise CheckpointError(f"its fit is damaged ({error!r}): run usvlearn fit again") from error
+        impossible = unphysical({name: found[name] for name in POSITIVE_OF_BOATS})
+        return cls._made(
+            terms, top, mass, theta, covariance, found, common, tuple(x for x in lacks if x != impossible), basis
+        )

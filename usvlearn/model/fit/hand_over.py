@@ -1,0 +1,112 @@
+"""A checkpoint in which the joint EKFs go on from a batch fit.
+
+An ensemble that has learned online keeps everything else: other members, intervals, noise, current. Its joint EKFs get
+the parameters and the covariance of the fitted set whose terms are theirs, and no trial. A periodic mean becomes the
+fit, too. The lag is a share of a step, and scales with the length of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from usvlearn.engine.identified import members_of
+from usvlearn.estimators.joint.reading import covariance_of
+from usvlearn.estimators.joint.state import DROPPED, LAG_LEAST, LAG_MOST, THETA, names
+from usvlearn.estimators.regressors.terms import LAG
+from usvlearn.model.fit.boat import FITTED
+from usvlearn.model.fit.fitted import Fitted
+from usvlearn.model.fit.gauss_newton import Fit
+from usvlearn.model.fit.intervals import spread
+from usvlearn.model.fit.logs import DT
+from usvlearn.model.fit.terms import AT
+
+POLYNOMIAL = ("even", "cubic", "nine")  # sets whose terms a joint EKF has, from the largest
+
+
+def handed_over(
+    leaves: Mapping[str, np.ndarray], description: Mapping[str, Any], fitted: Fitted, dt: float
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The leaves of a boat's state with the fit in its joint EKFs, and what the checkpoint's metadata say of the fit.
+
+    Args:
+        leaves: by dotted name, without batch axes.
+        description: of the ensemble (`Estimator.spec`).
+        fitted: the boat.
+        dt: of the ensemble's samples, s.
+    """
+    found = {name: np.array(leaf) for name, leaf in leaves.items()}
+    for name, member in members_of(description).items():
+        if member is not None and member.get("kind") == "joint":
+            prefix = f"members.{name}." if name else ""
+            own = {key: prefix + key for key in ("mean", "factor", "reading", "spread", "readings", "weight")}
+            m = len(found[own["mean"]]) - THETA
+            theta, covariance = _parameters(fitted.fits, m == len(names(even=True)), dt, member)
+            mean, P = found[own["mean"]].copy(), covariance_of(found[own["factor"]])
+            mean[THETA:] = theta
+            P[THETA:], P[:, THETA:] = 0.0, 0.0
+            P[THETA:, THETA:] = covariance
+            new = {
+                "mean": mean,
+                "factor": factored(P),
+                "reading": theta,
+                "spread": covariance,
+                "readings": max(float(found[own["readings"]]), DROPPED + 1),
+                "weight": max(float(found[own["weight"]]), 1.0),
+            }
+            new |= _without_trial(found, prefix, new)
+            for key, value in new.items():
+                old = found[prefix + key]
+                found[prefix + key] = np.broadcast_to(np.asarray(value, old.dtype), old.shape).copy()
+    return found, {FITTED: fitted.found.facts()}
+
+
+def _parameters(
+    fits: Mapping[str, Fit], even: bool, dt: float, member: Mapping[str, Any]
+) -> tuple[np.ndarray, np.ndarray]:
+    """θ and its covariance as a joint EKF has them; what no fitted set has is as the prior."""
+    fit = next(fits[name] for name in POLYNOMIAL if name in fits and (even or name != "even"))
+    own, places = names(even), {int(place): k for k, place in enumerate(fit.known.active)}
+    scale = np.array([DT / dt if name == LAG else 1.0 for name in own])
+    theta = np.array([fit.theta[AT[name]] for name in own]) * scale
+    theta[-1] = np.clip(theta[-1], LAG_LEAST, LAG_MOST)
+    covariance = np.diag(np.asarray(member["vectors"]["variance"], float))
+    there = [k for k, name in enumerate(own) if AT[name] in places]
+    some = [places[AT[own[k]]] for k in there]
+    covariance[np.ix_(there, there)] = spread(fit)[np.ix_(some, some)] * np.outer(scale[there], scale[there])
+    return theta, covariance
+
+
+def _without_trial(leaves: Mapping[str, np.ndarray], prefix: str, new: Mapping[str, Any]) -> dict[str, Any]:
+    """The leaves of a trial that has not begun, {} for a filter without trials."""
+    if f"{prefix}trial.mean" not in leaves:
+        return {}
+    noise, updates = leaves[f"{prefix}noise"], leaves[f"{prefix}updates"]
+    none = dict.fromkeys(
+        ("statistic", "last", "usual", "evidence", "best", "run", "tried", "leads", "early"), 0.0
+    )  # fmt: skip
+    found = {
+        "mean": new["mean"], "factor": new["factor"], "noise": noise, "updates": updates,
+        "kept": new["reading"], "before": new["reading"],
+        "past_mean": new["mean"], "past_factor": new["factor"], "past_noise": noise, **none,
+    }  # fmt: skip
+    return {f"trial.{key}": value for key, value in found.items()}
+
+
+def factored(P: np.ndarray) -> np.ndarray:
+    """The leaf `factor` of a covariance, `(n, n)`.
+
+    >>> P = np.array([[2.0, 0.5], [0.5, 1.0]])
+    >>> np.allclose(covariance_of(factored(P)), P)
+    True
+    """
+    rest, n = np.array(P, float), len(P)
+    found = np.zeros((n, n))
+    for j in range(n - 1, -1, -1):
+        found[j, j] = max(rest[j, j], 0.0)
+        if found[j, j] > 0:
+            found[j, :j] = rest[:j, j] / found[j, j]
+            rest[:j, :j] -= found[j, j] * np.outer(found[j, :j], found[j, :j])
+    return found

@@ -1,0 +1,114 @@
+"""Open-loop simulations by a fit, and whether the fit or the ensemble simulates a boat better.
+
+Which of them to use is decided on missions that neither has learned: the second half. For it the chosen terms are
+fitted to the first half alone, and the ensemble is frozen where it was after that half (`free` in `results.json`). The
+fit is used if its errors are smaller by more than their standard error over the missions; with fewer than three of
+them the ensemble stays. Both know the speed with which each segment starts, the commands and the headings, and nothing
+else; the current is the mean one of the learned missions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from usvlearn.core.rows import COS, MODE, PREDICT, SIN, START, SURGE
+from usvlearn.core.samples import Fleet, masks, tree_map
+from usvlearn.errors import ConfigError
+from usvlearn.model.fit.choice import compared
+from usvlearn.model.fit.gauss_newton import Fit, Missions, rows_of
+from usvlearn.model.fit.logs import DT, missions_of, smoothed
+
+ENSEMBLE, FIT = "ensemble", "fit"
+
+
+class FreeMode(NamedTuple):
+    """Which open-loop simulation to use, and why."""
+
+    used: str  # `FIT` or `ENSEMBLE`
+    missions: int  # on which that was decided
+    fit: float | None  # m/s, MAE there; None: there were too few missions to decide
+    ensemble: float | None
+    gain: float | None  # m/s, by which the fit errs less
+    error: float | None  # its standard error over the missions; None: too few of them
+
+    @property
+    def sentence(self) -> str:
+        """What was decided, for a person."""
+        if self.fit is None or self.ensemble is None:
+            return "Open-loop simulation: the ensemble's, as there were too few missions to compare it with the fit's."
+        return (
+            f"Open-loop simulation: use the {self.used}'s. On {self.missions} missions that neither had learned, the "
+            f"fit errs by {self.fit:.4f} m/s, the ensemble by {self.ensemble:.4f}."
+        )
+
+
+NOTHING = FreeMode(ENSEMBLE, 0, None, None, None, None)
+
+
+def open_loop(fit: Fit, rows: np.ndarray, current: np.ndarray) -> np.ndarray:
+    """Speeds after each step, m/s, `(time,)`, without measured speeds but those with which segments start.
+
+    Args:
+        fit: the parameters.
+        rows: prepared samples of a mission on the grid of the fit, `(time, ROW)`.
+        current: towards north and east, m/s.
+    """
+    rows, steps = rows.copy(), rows[:, MODE] >= PREDICT
+    along = rows[:, [COS, SIN]] @ current
+    rows[steps, MODE] = PREDICT
+    starts = np.flatnonzero(rows[:, MODE] == START)
+    after = (starts + 1).clip(max=len(rows) - 1)
+    begun = rows[starts, SURGE]
+    rows[starts, SURGE] -= along[after]  # the kernel knows of no current
+    ((speeds, _),) = Missions([rows], fit.top).simulate(fit)
+    speeds = speeds + along
+    speeds[starts] = begun
+    known = np.maximum.accumulate(np.where(np.isfinite(speeds), np.arange(len(speeds)), 0))
+    return np.nan_to_num(speeds[known])  # where no step is made, the speed is held
+
+
+def decide(
+    boat: str, terms: str, top: float, fine: Fleet, coarse: Fleet, first: int, ensemble: Mapping[str, float]
+) -> FreeMode:
+    """Which simulation to use for a boat.
+
+    Args:
+        boat: its name in the fleets.
+        terms: the set to fit.
+        top: top speed, m/s.
+        fine: the logs on the grid of the fit.
+        coarse: the same on the grid of the run.
+        first: index of the first run of the second half.
+        ensemble: MAE of the ensemble's simulation, m/s, by the name of a run of the second half.
+    """
+    element = fine.boats.index(boat)
+    try:
+        rows = missions_of(fine._replace(runs=fine.runs[:first]), boat)
+    except ConfigError:
+        return NOTHING
+    learned = Missions(rows, top)
+    fit = learned.fit(terms)
+    current = np.mean([end for _, end in learned.simulate(fit)], 0)
+    found = []
+    for small, run in zip(fine.runs[first:], coarse.runs[first:], strict=True):
+        name, n, m = run.names[element], small.lengths[element], run.lengths[element]
+        if n and m and name in ensemble:
+            speeds = open_loop(
+                fit, smoothed(rows_of(tree_map(lambda x, n=n: x[:n, element], small.samples)), DT), current
+            )
+            samples = tree_map(lambda x, m=m: x[:m, element], run.samples)
+            places = np.searchsorted(small.time[:n, element], run.time[:m, element] - DT / 2).clip(max=n - 1)
+            learns = masks(samples).learns
+            if learns.any():
+                error = float(np.abs(speeds[places] - samples.surge)[learns].mean())
+                found.append((ensemble[name], error, int(learns.sum())))
+    if not found:
+        return NOTHING
+    theirs, ours, steps = (np.array(each, float) for each in zip(*found, strict=True))
+    gain, error = compared(theirs, ours, steps.astype(int).tolist())
+    own, other = (float(each @ steps / steps.sum()) for each in (ours, theirs))
+    used = FIT if gain > error else ENSEMBLE
+    return FreeMode(used, len(found), own, other, gain, error if np.isfinite(error) else None)
