@@ -13,6 +13,7 @@ import argparse
 import statistics
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from output_error import Fit, fit, free_runs  # noqa: E402
 from truths import MINUTES, NOMINAL, PLANTS, Boat, Truths, boats, errors, free_run_mae, model_acceleration, truths  # noqa: E402
 
+from usvlearn.core.samples import Sample  # noqa: E402
 from usvlearn.engine.backend import arrays_of  # noqa: E402
 from usvlearn.engine.rollouts import rollout, tensors  # noqa: E402
 from usvlearn.estimators.joint.quantities import Ahead, sums  # noqa: E402
@@ -82,12 +84,12 @@ def ahead(theta: np.ndarray) -> dict[str, float]:
     return found
 
 
-def learned(estimator: Any, boat: Boat) -> tuple[list[Any], float]:
-    """The state after each of the boat's runs, and the seconds that a step took."""
+def learned(estimator: Any, runs: Sequence[Sample]) -> tuple[list[Any], float]:
+    """The state after each run of a boat, and the seconds that a step took."""
     state, states, steps = estimator.init(), [], 0
     began = time.perf_counter()
     with torch.no_grad():
-        for run in boat.learned:
+        for run in runs:
             state, _, _ = rollout(estimator, state, tensors(run, torch.float64))
             states.append(state)
             steps += len(run.surge)
@@ -116,14 +118,14 @@ def study(
             best = fit(boat.learned, top)
             batch = judged(best.parameters, best.lag, best.current.mean(0), boat)
             found["output error, batch"].append(batch)
-            states, _ = learned(every["joint_averaged"], boat)
+            states, _ = learned(every["joint_averaged"], boat.learned)
             noted = {k: identified(every["joint_averaged"], states[min(k, len(states)) - 1]) for k in AT}
             intervals.append((noted, truth[boat.name]))
             theta = noted[AT[-1]].theta
             flow = np.mean([state.mean[NORTH:THETA].numpy() for state in states], 0)
             found["joint_averaged"].append(judged(ahead(theta), float(theta[-1]), flow, boat))
             for name in ("aid", "steady_rls"):
-                inner, state = unwrapped(every[name], learned(every[name], boat)[0][-1])
+                inner, state = unwrapped(every[name], learned(every[name], boat.learned)[0][-1])
                 per_mass = dict(zip(inner.model.names, (state.theta / mass).tolist(), strict=True))
                 found[name].append(judged(per_mass, 0.0, np.zeros(2), boat))
             print(boat.name, *(f"{name} {each[-1].free:.3f}" for name, each in found.items()), flush=True)

@@ -2,7 +2,6 @@
 
 import base64
 import hashlib
-import html.parser
 import json
 import re
 import shutil
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.pages import BAD, Page
 from tests.support.runs import tools
 from tests.support.seasons import boats, decoded
 from usvlearn.estimators.joint.reading import shown
@@ -23,41 +23,6 @@ from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.page import write_report
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-BAD = '</script><img src=x onerror="document.title=1">'  # a name that would do something where it is not escaped
-
-
-class Page(html.parser.HTMLParser):
-    """Tags with their attributes, the text of scripts, rows of tables, and ids."""
-
-    def __init__(self, text: str):
-        super().__init__()
-        self.tags: list[tuple[str, dict[str, str | None]]] = []
-        self.scripts: list[str] = []
-        self.rows: list[list[str]] = []
-        self.in_cell = False
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag == "script":
-            self.scripts.append("")
-        if tag == "tr":
-            self.rows.append([])
-        if tag in ("td", "th"):
-            self.rows[-1].append("")
-            self.in_cell = True
-
-    def handle_endtag(self, tag):
-        self.in_cell = self.in_cell and tag not in ("td", "th")
-
-    def handle_data(self, data):
-        if self.cdata_elem == "script":
-            self.scripts[-1] += data
-        elif self.in_cell:
-            self.rows[-1][-1] += data
-
-    def data(self) -> dict:
-        return json.loads(self.scripts[0])
 
 
 def page_of(folder: Path) -> Page:

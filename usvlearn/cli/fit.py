@@ -49,6 +49,7 @@ def work(arguments: Sequence[str]) -> None:
     given = parser().parse_intermixed_args(list(arguments))
     folder = Path(given.run).expanduser()
     out = folder / "fit" if given.out is None else out_folder(given.out)
+    from usvlearn.cli.fit_report import REPORT, renew_report
     from usvlearn.display import terminal
     from usvlearn.display.activity_bar import Activity
 
@@ -73,7 +74,7 @@ def work(arguments: Sequence[str]) -> None:
     for sentence in changed:
         complain(f"warning: {sentence}")
     with Activity(console) as activity:
-        activity.begin("fitting", total=len(boats) * (len(SETS) + 1))
+        activity.begin("fitting", total=len(boats) * (len(SETS) + 2))
         for boat, rows in zip(boats, missions, strict=True):
 
             def advance(name: str, boat: str = boat) -> None:
@@ -81,7 +82,7 @@ def work(arguments: Sequence[str]) -> None:
                 activity.advance(1)
 
             found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped)
-            stopped = len(found.fits) < len(SETS)
+            stopped = not set(SETS) <= set(found.fits)
             if not stopped and not changed:
                 advance("on half of the missions")
                 found = replace(found, simulation=_simulation(folder, found, fine, coarse))
@@ -96,6 +97,10 @@ def work(arguments: Sequence[str]) -> None:
         terminal.show(f"Written to {', '.join(map(str, _write(out, each, last, settings)))}")
     if out == folder / "fit" and not stopped:
         _add_to_results(folder, fitted)
+        if (folder / REPORT).exists() and not changed:
+            renew_report(folder, console)
+        else:
+            terminal.show(f"report: usvlearn evaluate runs={folder}")
     if stopped:
         raise SystemExit(130)
 
@@ -191,7 +196,7 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
         for each in errors
         if each.boat == found.boat and each.ahead == FREE and ENSEMBLE in each.mae
     }
-    return decide(found.boat, found.chosen, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
+    return decide(found.boat, found.fit.terms, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
 
 
 def _write(folder: Path, found: Fitted, last: Last | None, settings: dict[str, Any]) -> list[Path]:

@@ -20,6 +20,8 @@ from usvlearn.report.overview import overviews
 from usvlearn.report.sections.boats import best_checkpoints, fleet_matrices, fleet_section
 from usvlearn.report.sections.cost import cost_section
 from usvlearn.report.sections.cross import cross_section
+from usvlearn.report.sections.fit import fit_section
+from usvlearn.report.sections.fit_file import SavedFit
 from usvlearn.report.sections.happenings import events_section
 from usvlearn.report.sections.horizon_skill import forecast_section
 from usvlearn.report.sections.identified_boats import identified_section
@@ -59,6 +61,7 @@ def assemble(
     truth: Truth,
     advance: Callable[[int], object] = lambda steps: None,
     known: Mapping[str, Mapping[str, float]] | None = None,
+    fits: Mapping[str, SavedFit | str] | None = None,
 ) -> tuple[list[Section], dict[str, FreeErrors]]:
     """Simulate, compare and draw.
 
@@ -68,6 +71,7 @@ def assemble(
         truth: true parameters of simulated boats (see `usvlearn.simulate.truth`), else empty.
         advance: receives the number of simulated steps, for a progress bar.
         known: true quantities of simulated boats at the end.
+        fits: batch fits of the boats (`saved_fits`).
 
     Returns:
         The sections, what a boat's owner asks first, and the errors of every boat's cross-validation.
@@ -85,6 +89,7 @@ def assemble(
         if season.boat in truth
     }
     sections: list[Section | None] = [
+        fit_section(seasons, ensemble, fits or {}, known or {}),
         identified_section(seasons, ensemble, known or {}),
         forecast_section(seasons, ensemble),
         events_section(seasons, ensemble),
@@ -104,18 +109,22 @@ def front_of(
     seasons: Sequence[Season],
     checks: Sequence[Any],
     advance: Callable[[int], object] = lambda steps: None,
+    fits: Mapping[str, SavedFit | str] | None = None,
 ) -> Front:
     """The first page: simulate each run free once, and draw the last runs of each boat.
 
     Args:
-        ensemble, seasons, advance: as of `assemble`.
+        ensemble, seasons, advance, fits: as of `assemble`.
         checks: findings of the data checks, as of `overviews`.
     """
     free = {}
     for season in seasons:
         free[season.boat] = list(free_runs(ensemble, season))
         advance(sum(int(run.steps.sum()) for run in season.runs))
-    boats = overviews(ensemble, seasons, free, checks)
+    boats = [
+        each._replace(batch=fit.quantities) if isinstance(fit := (fits or {}).get(each.boat), SavedFit) else each
+        for each in overviews(ensemble, seasons, free, checks)
+    ]
     return Front(boats, viewer_data(ensemble, seasons, free), [_picture(ensemble, each) for each in seasons])
 
 

@@ -8,12 +8,13 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
+from usvlearn.display.result_table import ResultTable
 from usvlearn.report.front import Front, first_page, title
 from usvlearn.report.sections.section import Section
 
 TITLE = "What was learned"
 INLINE = 16  # most rows of a table that is shown without a click
-OPEN = ("identified", "forecast")  # sections that are shown without a click
+OPEN = ("fit", "identified", "forecast")  # sections that are shown without a click
 STYLE = Path(__file__).with_name("page.css").read_text()
 SCRIPT = "".join(Path(__file__).with_name(name).read_text() for name in ("viewer_plots.js", "viewer.js"))
 
@@ -75,13 +76,16 @@ def _section(section: Section, drawings: Mapping[str, str]) -> str:
         body.append(f"<div><h3>The paper found</h3><p>{escape(section.paper)}</p></div>")
     here = "".join(f"<li>{escape(sentence)}</li>" for sentence in section.here)
     body.append(f"<div><h3>Found here</h3><ul>{here}</ul></div></div>")
+    body += [_table(each, True) for each in section.sheets[: section.first]]
     for drawn in section.figures:
         caption = f"<figcaption>{escape(drawn.caption)}</figcaption>" if drawn.caption else ""
         body.append(f'<figure><div class="wide">{drawings[drawn.name]}</div>{caption}</figure>')
-    for each in section.sheets:
-        shown = " open" if len(each.rows) <= INLINE else ""
-        body.append(
-            f"<details{shown}><summary>{escape(each.name)}: table of {len(each.rows)} rows</summary>"
-            f'<div class="rows">{each.html()}</div></details>'
-        )
+    body += [_table(each, len(each.rows) <= INLINE) for each in section.sheets[section.first :]]
     return "\n".join([*body, "</div></details></section>"])
+
+
+def _table(each: ResultTable, opened: bool) -> str:
+    return (
+        f"<details{' open' if opened else ''}><summary>{escape(each.name)}: table of {len(each.rows)} rows</summary>"
+        f'<div class="rows">{each.html()}</div></details>'
+    )

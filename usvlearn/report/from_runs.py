@@ -20,6 +20,7 @@ from usvlearn.estimators.ensemble.layer import Ensemble
 from usvlearn.evaluation.season import Season
 from usvlearn.report.assembly import assemble, best_start, facts, front_of, simulations
 from usvlearn.report.page import check_report_folder, write_report
+from usvlearn.report.sections.fit_file import saved_fits
 from usvlearn.report.sections.parameters import Truth
 from usvlearn.report.sections.section import Section
 from usvlearn.runs.saved import configuration, data_check, read_seasons, results
@@ -109,8 +110,9 @@ def evaluate(
         with Activity(tools.console) as activity:
             activity.begin("simulating each checkpoint on each run", total=simulations(ensemble, seasons))
             known = known_quantities(found[-1]) if data is None else {}
-            sections, errors = assemble(ensemble, seasons, truth, activity.advance, known)
-            front = front_of(ensemble, seasons, checks, activity.advance)
+            fits = saved_fits(folders, [season.boat for season in seasons]) if data is None else {}
+            sections, errors = assemble(ensemble, seasons, truth, activity.advance, known, fits)
+            front = front_of(ensemble, seasons, checks, activity.advance, fits)
             activity.begin("drawing the report")
             other = "Judged on other logs than those of the runs from which the boats learned."
             notes = [*unfinished, *([] if data is None else [other])]

@@ -10,6 +10,7 @@ from html import escape
 from typing import Any, NamedTuple
 
 from usvlearn.core.events import LOSS, event_of
+from usvlearn.estimators.joint.lacking import WIDE, Quantity
 from usvlearn.estimators.joint.reading import shown
 from usvlearn.report.overview import MAIN, Ahead, Overview
 from usvlearn.report.sections.section import Drawn
@@ -62,7 +63,8 @@ def _fleet(boats: Sequence[Overview]) -> str:
     rows = []
     for k, boat in enumerate(boats):
         near = next((each for each in boat.ahead if each.what == NEAR), None)
-        top = boat.identified.told("steady_speed_full") if boat.identified else None
+        own = boat.identified.told("steady_speed_full") if boat.identified else None
+        top = (boat.batch or {}).get("steady_speed_full", own)
         cells = [
             str(len(boat.runs)),
             _duration(boat.hours),
@@ -107,19 +109,42 @@ def _cards(boat: Overview) -> str:
 
 
 def _identified(boat: Overview) -> str:
+    """The values of a batch fit, if there is one, before those that were learned online."""
+    online = _online(boat)
+    if boat.batch is None:
+        return online
+    wide = [words[0].lower() + words[1:] for name, words in MAIN.items() if _is_wide(boat.batch.get(name))]
+    unsure = f'<p class="bad">The log does not determine: {", ".join(wide)}.</p>' if wide else ""
+    return (
+        f'<p>Fitted to all missions at once; use these values. <a href="#fit">The batch fit</a></p>{_rows(boat.batch)}'
+        f"{unsure}<details><summary>Learned online</summary>{online}</details>"
+    )
+
+
+def _is_wide(found: Quantity | None) -> bool:
+    return found is not None and not found.high - found.low <= 2 * WIDE * abs(found.value)
+
+
+def _online(boat: Overview) -> str:
     if boat.identified is None:
         return "<p>Nothing: the ensemble has no estimator that reads physical quantities.</p>"
+    found = {name: boat.identified.told(name) for name in MAIN if name in boat.identified}
+    wrong, scale, lacks = boat.identified.unphysical, boat.identified.scale, boat.identified.lacks
+    notes = "".join(f"<p>{escape(in_words(each))}</p>" for each in (scale, *lacks) if each and each != wrong)
+    warning = f'<p class="bad"><b>{escape(wrong)}</b></p>' if wrong else ""
+    return f'{warning}{_rows(found)}<div class="notes">{notes}</div>'
+
+
+def _rows(quantities: Mapping[str, Quantity]) -> str:
+    """A table of the quantities of MAIN."""
     rows = "".join(
         f'<tr><th scope="row">{words}</th><td class="n"><b>{shown(found.value)}</b> {escape(found.unit)}</td>'
         f'<td class="n">{shown(found.low)} to {shown(found.high)}</td></tr>'
         for name, words in MAIN.items()
-        if name in boat.identified and (found := boat.identified.told(name))
+        if (found := quantities.get(name))
     )
-    wrong, scale, lacks = boat.identified.unphysical, boat.identified.scale, boat.identified.lacks
-    notes = "".join(f"<p>{escape(in_words(each))}</p>" for each in (scale, *lacks) if each and each != wrong)
-    warning = f'<p class="bad"><b>{escape(wrong)}</b></p>' if wrong else ""
     head = '<thead><tr><th></th><th class="n">value</th><th class="n">90 % interval</th></tr></thead>'
-    return f'{warning}<table>{head}<tbody>{rows}</tbody></table><div class="notes">{notes}</div>'
+    return f"<table>{head}<tbody>{rows}</tbody></table>"
 
 
 def in_words(sentence: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 
 from usvlearn.core.samples import tree_map
 from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.joint.reading import Identified
 from usvlearn.evaluation.events import events
 from usvlearn.evaluation.free_simulation import FreeRun
@@ -61,6 +62,7 @@ class Overview(NamedTuple):
     free_fit: float | None  # percent, of the same open-loop simulations
     events: Sequence[Mapping[str, Any]] | None  # None if nobody watched
     findings: Sequence[Mapping[str, Any]] | None  # of the data check; None if there was none
+    batch: Mapping[str, Quantity] | None = None  # the quantities of a batch fit, if there is one
 
 
 def overviews(

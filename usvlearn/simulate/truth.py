@@ -138,12 +138,11 @@ def true_parameters(
     """
     missions, vessel = _season(n, plant, hours, mission_minutes, seed, spread, drift, fleet_seed)
     one = torch.ones(2, dtype=torch.float64)
-    top = float(steady_surge(vessel, one).max())
-    v = torch.linspace(0.0, top, GRID, dtype=torch.float64)[1:]
     xi = torch.linspace(0.0, 1.0, GRID, dtype=torch.float64)[1:]
+    v = steady_surge(vessel, one).expand(missions, n)[..., None] * xi
     scale = (mass / vessel.mass).expand(missions, n)
     cut = vessel._replace(**{name: leaf[..., None] for name, leaf in vessel._asdict().items() if leaf.ndim == 2})
-    force = drag(cut, v).expand(missions, n, len(v))
+    force = drag(cut, v).expand(missions, n, len(xi))
     linear, quadratic = _fit(v, force)
     found = {"drag_quadratic": quadratic, "drag_linear": linear, "drag_cross": vessel.drag_cross.expand(missions, n)}
     sides = torch.stack([static_thrust(vessel, x.expand(2)) for x in xi], -1)  # (missions, n, 2, commands)
@@ -159,13 +158,13 @@ def true_parameters(
 
 
 def _fit(x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """a and b of y ≈ a x + b x², x > 0, `(grid,)`, y `(..., grid)`.
+    """a and b of y ≈ a x + b x², x > 0, `(grid,)` or like y, y `(..., grid)`.
 
     x² is made orthogonal to x first. `torch.linalg.lstsq` is not used: its pivots begin from memory that nobody has
     set (`jpvt` of LAPACK's gelsy), so its last digits differ between calls with equal numbers.
     """
     square = x * x
-    rest = square - (square * x).sum() / square.sum() * x
-    b = (y * rest).sum(-1) / (rest * rest).sum()
-    a = ((y - b[..., None] * square) * x).sum(-1) / square.sum()
+    rest = square - (square * x).sum(-1, keepdim=True) / square.sum(-1, keepdim=True) * x
+    b = (y * rest).sum(-1) / (rest * rest).sum(-1)
+    a = ((y - b[..., None] * square) * x).sum(-1) / square.sum(-1)
     return a, b

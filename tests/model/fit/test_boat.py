@@ -30,7 +30,7 @@ def rows_of_boat(seed: int = 0, steps: int = 1500) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def fitted():
-    return fit_boat("heron", [rows_of_boat(seed) for seed in range(3)], MASS, TOP)
+    return fit_boat("heron", {f"{seed}.csv": rows_of_boat(seed) for seed in range(3)}, MASS, TOP)
 
 
 def test_a_checkpoint_has_the_whole_boat(fitted):
@@ -51,7 +51,7 @@ def test_a_checkpoint_has_the_whole_boat(fitted):
     ],
 )  # fmt: skip
 def test_a_damaged_one_is_refused_in_one_sentence(fitted, change):
-    with pytest.raises(CheckpointError, match="its fit is damaged .*: run usvlearn fit again") as error:
+    with pytest.raises(CheckpointError, match=r"its fit is damaged .*: run usvlearn fit again") as error:
         FittedBoat.read(copy.deepcopy(fitted.found.facts()) | change)
     assert "\n" not in str(error.value)
     with pytest.raises(CheckpointError):

@@ -63,7 +63,7 @@ class FittedBoat(Identified):
             )
         many = "1 mission" if len(fit.count) == 1 else f"{len(fit.count)} missions"
         return cls._made(
-            chosen, fit.top, mass, fit.theta[fit.known.active], spread(fit), found,
+            fit.terms, fit.top, mass, fit.theta[fit.known.active], spread(fit), found,
             math.hypot(OWN_ERROR, common if math.isfinite(common) else 0.0), lacks,
             f"Fitted to {many} at once, with 90 % intervals; terms: {chosen}.",
         )  # fmt: skip

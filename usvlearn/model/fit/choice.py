@@ -14,7 +14,7 @@ the missions. Of one or two missions the set with the largest evidence is taken,
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,8 @@ import numpy as np
 from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
 
 FEWEST = 3  # missions, of which one can be left out
+WEAR = ", wear"  # what the name of a set with wear ends with
+Wear = Callable[[Missions, Fit, float], tuple[Fit, np.ndarray]]
 
 
 class Score(NamedTuple):
@@ -45,31 +47,44 @@ def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
     for k in range(len(found)):
         theta, covariance = fit.theta.copy(), np.linalg.inv(total - fit.information[k])
         theta[known.active] += covariance @ fit.score[k]  # (1)
-        one = missions.evaluate(fit.terms, legal(theta, known, covariance), deviation, [k])
-        found[k] = one.loss[0] / max(one.count[0], 1.0)
-    return found
+        found[k] = missions.loss(legal(theta, known, covariance), deviation, k)
+    return found / np.maximum(missions.steps, 1)
 
 
-def choose(missions: Missions, fits: Mapping[str, Fit], terms: str | None = None) -> tuple[str, dict[str, Score]]:
+def choose(
+    missions: Missions, fits: dict[str, Fit], terms: str | None = None, wear: Wear | None = None
+) -> tuple[str, dict[str, Score]]:
     """The name of the set to use, and the score of each beside it.
 
     Args:
         missions: all of them.
         fits: to all of them, by the names of `terms.SETS`, from the smallest set to the largest.
         terms: the set to use, where a person has chosen.
+        wear: makes of a set one whose boat wears (`wear.worn`); the best of them is added to `fits`.
     """
-    deviation = min(fit.deviation for fit in fits.values())
+    deviation, steps = min(fit.deviation for fit in fits.values()), missions.steps
     losses = {name: left_out(missions, fit, deviation) for name, fit in fits.items()}
-    chosen = next(iter(fits))
     if len(missions.rows) < FEWEST:
-        chosen = max(fits, key=lambda name: fits[name].evidence)
-    for name in fits:
-        better, error = compared(losses[chosen], losses[name], missions.steps)
+        chosen = terms or max(fits, key=lambda name: fits[name].evidence)
+    else:
+        chosen = terms or _smallest(losses, steps)
+        if wear is not None:
+            worn = {name: wear(missions, fits[name], deviation) for name in ([terms] if terms else list(fits))}
+            of = _smallest({name: each[1] for name, each in worn.items()}, steps)
+            fits[f"{of}{WEAR}"], losses[f"{of}{WEAR}"] = worn[of]
+            better, error = compared(losses[chosen], losses[f"{of}{WEAR}"], steps)
+            chosen = f"{of}{WEAR}" if better > error else chosen
+    return chosen, {name: Score(each, *compared(losses[chosen], each, steps)) for name, each in losses.items()}
+
+
+def _smallest(losses: Mapping[str, np.ndarray], steps: Sequence[int]) -> str:
+    """The first set than which no later one is better by more than the standard error."""
+    chosen = next(iter(losses))
+    for name in losses:
+        better, error = compared(losses[chosen], losses[name], steps)
         if better > error:
             chosen = name
-    chosen = terms or chosen
-    scores = {name: Score(each, *compared(losses[chosen], each, missions.steps)) for name, each in losses.items()}
-    return chosen, scores
+    return chosen
 
 
 def compared(first: np.ndarray, second: np.ndarray, steps: Sequence[int]) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,10 +14,13 @@ from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FittedBoat
 from usvlearn.model.fit.choice import Score, choose
+from usvlearn.model.fit.diagnostics import diagnostics
 from usvlearn.model.fit.gauss_newton import Fit, Missions
+from usvlearn.model.fit.intervals import alike
 from usvlearn.model.fit.logs import lacking
 from usvlearn.model.fit.open_loop import FreeMode
 from usvlearn.model.fit.terms import AT, NAMES, SETS, TIME_CONSTANT
+from usvlearn.model.fit.wear import worn
 
 
 @dataclass(frozen=True, repr=False)
@@ -54,6 +57,11 @@ class Fitted:
         """Of the chosen set, with 90 % intervals."""
         return self.found.quantities
 
+    @property
+    def alike(self) -> list[str]:
+        """Other sets that do about as well as the chosen one on missions which they have not learned."""
+        return alike(self.scores, self.chosen)
+
     def __repr__(self) -> str:
         return repr(self.found)
 
@@ -74,9 +82,10 @@ class Fitted:
             "quantities": {name: each._asdict() for name, each in self.found.items()},
             "lacks": list(self.found.lacks),
             "simulation": None if self.simulation is None else self.simulation._asdict(),
+            "diagnostics": diagnostics(self.missions, self.fit, mass, [self.fits[name] for name in self.alike]),
             "sets": {
                 name: {
-                    "parameters": len(SETS[name]),
+                    "parameters": len(self.fits[name].known.active),
                     "gain": score.gain,
                     "error": score.error,
                     "mae": self.errors[name],
@@ -94,7 +103,7 @@ def check_terms(terms: str | None) -> None:
 
 def fit_boat(
     boat: str,
-    rows: Sequence[np.ndarray],
+    rows: Mapping[str, np.ndarray],
     mass: float,
     top: float,
     terms: str | None = None,
@@ -105,7 +114,7 @@ def fit_boat(
 
     Args:
         boat: its name.
-        rows: its missions, see `usvlearn.model.fit.logs.missions_of`.
+        rows: its missions by name, see `usvlearn.model.fit.logs.missions_of`.
         mass: kg.
         top: top speed, m/s.
         terms: the set to use, in place of the one that does best on missions which it has not learned.
@@ -116,8 +125,8 @@ def fit_boat(
         ConfigError: there is no such set, or the commands never changed.
     """
     check_terms(terms)
-    lacks = lacking(rows)
-    missions, fits, before = Missions(rows, top), {}, None
+    lacks = lacking(list(rows.values()))
+    missions, fits, before = Missions(list(rows.values()), top, list(rows)), {}, None
     try:
         for name in SETS:
             advance(name)
@@ -127,6 +136,7 @@ def fit_boat(
         if not fits or terms not in (None, *fits):
             raise
         lacks = (f"Stopped after {len(fits)} of {len(SETS)} sets of terms.", *lacks)
-    chosen, scores = choose(missions, fits, terms)
+    advance("wear")
+    chosen, scores = choose(missions, fits, terms, worn)
     errors = {name: float(np.mean(np.abs(missions.errors(fit)))) for name, fit in fits.items()}
     return Fitted(boat, missions, fits, scores, chosen, FittedBoat.of(fits, scores, chosen, mass, lacks), errors)

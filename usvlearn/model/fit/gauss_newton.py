@@ -35,6 +35,7 @@ SHRINK, SHORTEST = 0.35, 6  # of a step that makes (1) larger, so often
 TOLERANCE = 1e-2  # of (1): a smaller gain ends a round
 NEGATIVE = tuple(name for name, sign in SURGE.items() if sign < 0)  # drag, and the thrust that is lost with speed
 LAGS, TIMES = (-0.5, 1.5), (0.02, 5.0)  # the limits of μ, and of τ, s
+NO_PLACES, NOTHING, NO_MATRIX = np.zeros(0, np.int64), np.zeros(0), np.zeros((0, 0))  # without sensitivities
 
 
 @dataclass(frozen=True)
@@ -112,43 +113,50 @@ class Missions:
     Args:
         rows: prepared samples of each, see `rows_of`.
         top: top speed, m/s.
+        names: of the missions; numbers from 1 by default.
     """
 
-    def __init__(self, rows: Sequence[np.ndarray], top: float):
+    def __init__(self, rows: Sequence[np.ndarray], top: float, names: Sequence[str] = ()):
         compile_fit()
         self.rows, self.top = list(rows), top
+        self.names = list(names) or [str(k + 1) for k in range(len(rows))]
         self.steps = [int(scored(each).sum()) for each in self.rows]
 
-    def evaluate(self, terms: str, theta: np.ndarray, deviation: float, some: Sequence[int] | None = None) -> Fit:
-        """Simulate missions, all by default, with the sensitivities of a set of terms."""
+    def evaluate(self, terms: str, theta: np.ndarray, deviation: float) -> Fit:
+        """Simulate all missions with the sensitivities of a set of terms."""
         known = prior(terms, self.top)
-        places = range(len(self.rows)) if some is None else some
-        m, count = len(known.active), len(places)
+        m, count = len(known.active), len(self.rows)
         loss, steps = np.zeros(count), np.zeros(count)
         score, information = np.zeros((count, m)), np.zeros((count, m, m))
-        work, P, S = np.zeros(3 * len(NAMES) + m + 3), np.zeros((4, 3)), np.zeros((3, m))
-        for k, place in enumerate(places):
-            rows = self.rows[place]
-            loss[k], steps[k] = kernel.mission(
-                rows, theta, known.active, self.top, deviation**2, CURRENT, ROBUST, np.empty(len(rows)), score[k],
-                information[k], work, P, S,
-            )  # fmt: skip
+        for k in range(count):
+            loss[k], steps[k], *_ = self._one(k, theta, deviation, known.active, score[k], information[k])
         information += np.tril(information, -1).transpose(0, 2, 1)
         return Fit(terms, self.top, theta, known, loss, steps, score, information, deviation)
+
+    def loss(self, theta: np.ndarray, deviation: float, k: int | None = None) -> float:
+        """The loss of mission k, by default of all, without sensitivities."""
+        places = range(len(self.rows)) if k is None else [k]
+        return float(sum(self._one(place, theta, deviation)[0] for place in places))
 
     def simulate(self, fit: Fit) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """The speed of each mission, m/s, `(time,)`, NaN where no step is made; and its current at the end, north and
         east, m/s, `(2,)`.
         """
-        m = len(fit.known.active)
-        work, P, S = np.zeros(3 * len(NAMES) + m + 3), np.zeros((4, 3)), np.zeros((3, m))
-        for rows in self.rows:
-            predicted = np.empty(len(rows))
-            kernel.mission(
-                rows, fit.theta, fit.known.active, self.top, fit.deviation**2, CURRENT, ROBUST, predicted,
-                np.zeros(m), np.zeros((0, 0)), work, P, S,
-            )  # fmt: skip
-            yield predicted, work[-2:].copy()
+        for k in range(len(self.rows)):
+            yield self._one(k, fit.theta, fit.deviation)[2:]
+
+    def _one(
+        self, k: int, theta: np.ndarray, deviation: float, active: np.ndarray = NO_PLACES,
+        score: np.ndarray = NOTHING, information: np.ndarray = NO_MATRIX,
+    ) -> tuple[float, float, np.ndarray, np.ndarray]:  # fmt: skip
+        """Loss, measured steps, speeds and current of mission k; adds to `score` and `information`."""
+        rows, m = self.rows[k], len(active)
+        predicted, work = np.empty(len(rows)), np.zeros(3 * len(NAMES) + m + 3)
+        loss, steps = kernel.mission(
+            rows, theta, active, self.top, deviation**2, CURRENT, ROBUST, predicted, score, information, work,
+            np.zeros((4, 3)), np.zeros((3, m)),
+        )  # fmt: skip
+        return loss, steps, predicted, work[-2:]
 
     def errors(self, fit: Fit) -> np.ndarray:
         """Errors of the simulation at all measured steps of a boat that moves, m/s."""
@@ -184,13 +192,14 @@ class Missions:
             for _ in range(SHORTEST):
                 theta = now.theta.copy()
                 theta[known.active] += share * step
-                new = self.evaluate(now.terms, legal(theta, known, covariance), now.deviation)
-                if new.total <= now.total:
+                theta = legal(theta, known, covariance)
+                gain = now.total - self.loss(theta, now.deviation) - known.penalty(theta)
+                if gain >= 0:
                     break
                 share *= SHRINK
             else:
                 return now
-            gain, now = now.total - new.total, new
+            now = self.evaluate(now.terms, theta, now.deviation)
             if gain < TOLERANCE * len(known.active):
                 break
         return now

@@ -1,25 +1,26 @@
-"""90 % intervals of what was fitted: from the missions' scatter, from the sets of terms, and from wear.
+"""90 % intervals of what was fitted: from the missions' scatter and from the sets of terms.
 
 With A = (Σ H + I₀)⁻¹ and the scatter B of the missions' scores g_m about their mean, M/(M − 1) Σ (g_m − ḡ)(g_m − ḡ)ᵀ,
 a quantity q with gradient ∇q has the variance
 
-    ∇qᵀ (A + SCATTER · A B A) ∇q + (q' − q)² + (OWN q)²                                                (1)
+    ∇qᵀ (A + SCATTER · A B A) ∇q + (q' − q)² + (own error)²                                            (1)
 
 A alone supposes that the model is true and that errors are independent; A B A, the sandwich, sees what differs from
 mission to mission (White 1982). q' is the value, farthest from q, by another set of terms that does about as well on
-missions which it has not learned. OWN is an error that no log shows: the wear of a boat between its missions, and what
-every set lacks. SCATTER and OWN were chosen on simulated boats.
+missions which it has not learned. The own error is what no log shows, such as what every set lacks: gusts make drag and
+thrust look more linear than they are. SCATTER and the own errors were chosen on simulated boats.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from usvlearn.estimators.joint.lacking import Quantity
-from usvlearn.estimators.joint.quantities import QUANTITIES
+from usvlearn.estimators.joint.quantities import QUANTITIES, SIDES
 from usvlearn.estimators.joint.reading import around
 from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit
@@ -27,8 +28,13 @@ from usvlearn.model.fit.quantities import quantities
 
 SCATTER = 4.0
 STEP = 0.1  # deviations: the step of a central difference
-OWN_ERROR = 0.03
-OWN = dict.fromkeys(QUANTITIES, OWN_ERROR) | {"drag_cross": 0.3, "drag_linear": 0.1, "drag_quadratic": 0.1}
+OWN_ERROR = 0.015  # of a value
+OWN = dict.fromkeys(QUANTITIES, OWN_ERROR) | {"stopping_distance": 0.03, "drag_cross": 0.3}
+OWN_SHARES = {  # of the full drag or thrust that the terms add up to: how it splits is an extrapolation
+    "drag_linear": 0.05, "drag_quadratic": 0.13,
+    **{f"thrust_{kind}_{side}": share for side in SIDES
+       for kind, share in {"linear": 0.03, "quadratic": 0.045, "speed": 0.03}.items()},
+}  # fmt: skip
 ALIKE = 0.02  # loss a step by which another set may be worse than the chosen one, and still counts
 
 
@@ -45,9 +51,26 @@ def intervals(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str,
     differ = disagreement(fits, scores, chosen, mass)
     found = {}
     for name, value in ((name, float(each)) for name, each in values.items()):
-        variance = float(slopes[name] @ covariance @ slopes[name]) + differ[name] ** 2 + (OWN[name] * value) ** 2
+        variance = float(slopes[name] @ covariance @ slopes[name]) + differ[name] ** 2 + own_error(name, values) ** 2
         found[name] = Quantity(value, *around(name, value, math.sqrt(max(variance, 0.0))), QUANTITIES[name])
     return found
+
+
+def own_error(name: str, values: Mapping[str, Any]) -> float:
+    """The error of a quantity that no log shows, in its unit; 0 where it is unknown.
+
+    >>> own_error("steady_speed_full", {"steady_speed_full": 2.0})
+    0.03
+    """
+    if name not in OWN_SHARES:
+        return float(np.nan_to_num(OWN[name] * abs(values[name])))
+    speed = values["steady_speed_full"]
+    powers = {"drag_linear": 1, "drag_quadratic": 2}
+    if name in powers:
+        whole = 2 * values["drag_half_speed"] / speed ** powers[name]
+    else:
+        whole = values[f"thrust_full_{name.rpartition('_')[2]}"] / (speed if "speed" in name else 1.0)
+    return float(np.nan_to_num(OWN_SHARES[name] * abs(whole), posinf=0.0))
 
 
 def disagreement(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: str, mass: float) -> dict[str, float]:
@@ -55,10 +78,14 @@ def disagreement(fits: Mapping[str, Fit], scores: Mapping[str, Score], chosen: s
     `intervals`.
     """
     values = quantities(fits[chosen].theta, fits[chosen].top, mass)
-    alike = [name for name in fits if name != chosen and -scores[name].gain <= ALIKE]
-    others = [quantities(fits[name].theta, fits[name].top, mass) for name in alike]
+    others = [quantities(fits[name].theta, fits[name].top, mass) for name in alike(scores, chosen)]
     away = {name: [abs(float(each[name] - value)) for each in others] for name, value in values.items()}
     return {name: max(filter(math.isfinite, each), default=0.0) for name, each in away.items()}
+
+
+def alike(scores: Mapping[str, Score], chosen: str) -> list[str]:
+    """The other sets that do about as well as the chosen one on missions which they have not learned."""
+    return [name for name, score in scores.items() if name != chosen and -score.gain <= ALIKE]
 
 
 def spread(fit: Fit) -> np.ndarray:

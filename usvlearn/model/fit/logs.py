@@ -33,13 +33,8 @@ def fine(align: Mapping[str, Any]) -> dict[str, Any]:
     return {**align, "dt": DT, "steps": "grid"}
 
 
-def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> list[np.ndarray]:
-    """The missions of a boat as prepared samples, `(time, ROW)` each; see `named_missions`."""
-    return [rows for _, rows in named_missions(fleet, boat, dt)]
-
-
-def named_missions(fleet: Fleet, boat: str, dt: float = DT) -> list[tuple[str, np.ndarray]]:
-    """The missions of a boat, by name, as prepared samples, `(time, ROW)` each; those without measured steps are left
+def missions_of(fleet: Fleet, boat: str, dt: float = DT) -> dict[str, np.ndarray]:
+    """The missions of a boat by name, as prepared samples, `(time, ROW)` each; those without measured steps are left
     out.
 
     Args:
@@ -50,13 +45,14 @@ def named_missions(fleet: Fleet, boat: str, dt: float = DT) -> list[tuple[str, n
     Raises:
         ConfigError: there are too few measured steps in which the boat moves.
     """
-    element, found = fleet.boats.index(boat), []
-    for run in fleet.runs:
+    element, found = fleet.boats.index(boat), dict[str, np.ndarray]()
+    for k, run in enumerate(fleet.runs):
         if length := run.lengths[element]:
             rows = rows_of(tree_map(lambda x, n=length: x[:n, element], run.samples))
             if scored(rows).any():
-                found.append((run.names[element], smoothed(rows, dt)))
-    measured = sum(int(scored(rows).sum()) for _, rows in found)
+                name = run.names[element]
+                found[name if name not in found else f"{name} ({k + 1})"] = smoothed(rows, dt)
+    measured = sum(int(scored(rows).sum()) for rows in found.values())
     if measured < FEWEST:
         raise ConfigError(
             f"{boat}: found {measured} measured speeds of a boat that moves, expected at least {FEWEST}: a fit needs "

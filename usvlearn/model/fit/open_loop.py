@@ -89,7 +89,7 @@ def decide(
         rows = missions_of(fine._replace(runs=fine.runs[:first]), boat)
     except ConfigError:
         return NOTHING
-    learned = Missions(rows, top)
+    learned = Missions(list(rows.values()), top)
     fit = learned.fit(terms)
     current = np.mean([end for _, end in learned.simulate(fit)], 0)
     found = []

@@ -11,7 +11,6 @@ from usvlearn.display.terminal import Blocks
 from usvlearn.estimators.joint.quantities import MEANING
 from usvlearn.estimators.joint.reading import Identified, shown
 from usvlearn.model.fit.fitted import Fitted
-from usvlearn.model.fit.terms import SETS
 
 
 def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
@@ -28,7 +27,7 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     for name, score in found.scores.items():
         worse, error = (f"{x:.4f}" if math.isfinite(x) else "–" for x in (-score.gain, score.error))
         used = f"{name} (used)" if name == found.chosen else name
-        sets.add(used, str(len(SETS[name])), worse, error, f"{found.errors[name]:.4f}")
+        sets.add(used, str(len(found.fits[name].known.active)), worse, error, f"{found.errors[name]:.4f}")
     fit = found.fit
     lines = [
         MEANING,

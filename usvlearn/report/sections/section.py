@@ -26,6 +26,7 @@ class Section(NamedTuple):
     here: Sequence[str]  # sentences
     figures: Sequence[Drawn] = ()
     sheets: Sequence[ResultTable] = ()
+    first: int = 0  # tables that stand open before the figures
 
 
 def summary(

@@ -1,0 +1,107 @@
+"""Runs of a boat on the grid of the batch fit beside those on the grid of a run, and how the fit simulates them.
+
+The batch fit learns on a grid of its own (`usvlearn.model.fit.logs`), and simulates on it. It is judged where all
+others are: at the steps of the coarser grid whose speed was measured. As those of the other methods, its simulations
+are told the speed with which each segment starts, and the mean current of the missions that it has learned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from truths import DT, free_run_mae
+
+from usvlearn.core.samples import Fleet, Run, Sample, tree_map
+from usvlearn.logs.recordings import align_fleet
+from usvlearn.model.fit.gauss_newton import Fit, Missions, rows_of, scored
+from usvlearn.model.fit.logs import DT as FINE
+from usvlearn.model.fit.logs import smoothed
+from usvlearn.model.fit.open_loop import open_loop
+from usvlearn.simulate.fleet import fleet
+
+
+class Later(NamedTuple):
+    """A run to simulate."""
+
+    rows: np.ndarray  # (fine time, ROW) on the grid of the fit
+    places: np.ndarray  # (time,) the fine row at the end of each step of the run
+
+
+class Halves(NamedTuple):
+    """The runs of a boat to learn from, and those after them."""
+
+    learned: list[Sample]  # leaves (time,)
+    later: list[Sample]
+    rows: dict[str, np.ndarray]  # those to learn from on the grid of the fit, by number, as `usvlearn fit` has them
+    ahead: list[Later]  # the later runs again
+
+
+def season(first: int, **given) -> dict[str, Halves]:
+    """Simulated boats by name, and their runs; the `first` missions are to learn from.
+
+    Args:
+        **given: of `usvlearn.simulate.fleet.fleet`.
+    """
+    logs = fleet(**given)
+    grids = [align_fleet(logs, dt=dt, patience=1.0) for dt in (DT, FINE)]
+
+    def parts(one: Fleet, element: int) -> tuple[list[Run], list[Run]]:
+        found: tuple[list[Run], list[Run]] = [], []
+        for run in one.runs:
+            if run.names[element]:
+                found[int(run.names[element][:3]) > first].append(alone(run, element))
+        return found
+
+    return {boat: _halves(*(parts(grid, k) for grid in grids)) for k, boat in enumerate(grids[0].boats)}
+
+
+def halves(coarse: Fleet, fine: Fleet) -> Halves:
+    """The halves of the runs of a fleet of one boat, or of its only run."""
+    parts = []
+    for grid in (coarse, fine):
+        runs = [alone(run, 0) for run in grid.runs]
+        if len(runs) == 1:
+            middle = coarse.runs[0].time[len(coarse.runs[0].time) // 2, 0]
+            runs = cut(runs[0], middle - FINE / 2)
+        parts.append((runs[: len(runs) // 2], runs[len(runs) // 2 :]))
+    return _halves(*parts)
+
+
+def alone(run: Run, element: int) -> Run:
+    """A run of one boat of a fleet, `(time, 1)`."""
+    part = slice(run.lengths[element]), slice(element, element + 1)
+    return Run(run.time[part], tree_map(lambda x: x[part], run.samples), run.names[element : element + 1],
+               run.lengths[element : element + 1])  # fmt: skip
+
+
+def cut(run: Run, time: float) -> list[Run]:
+    """A run of one boat before and after a time, s; the second part starts a segment."""
+    at, found = int((run.time[:, 0] < time).sum()), []
+    for part in (slice(at), slice(at, None)):
+        samples = tree_map(lambda x, part=part: x[part].copy(), run.samples)
+        samples.inputs.dt[0] = 0.0
+        found.append(Run(run.time[part], samples, run.names, (len(samples.surge),)))
+    return found
+
+
+def _halves(coarse: Sequence[list[Run]], fine: Sequence[list[Run]]) -> Halves:
+    learned, later = ([_flat(run) for run in runs] for runs in coarse)
+    rows = {str(k + 1): smoothed(rows_of(_flat(run)), FINE) for k, run in enumerate(fine[0])}
+    ahead = []
+    for run, small in zip(coarse[1], fine[1], strict=True):
+        places = np.searchsorted(small.time[:, 0], run.time[:, 0] - FINE / 2).clip(max=len(small.time) - 1)
+        ahead.append(Later(smoothed(rows_of(_flat(small)), FINE), places))
+    return Halves(learned, later, {name: each for name, each in rows.items() if scored(each).any()}, ahead)
+
+
+def _flat(run: Run) -> Sample:
+    return tree_map(lambda x: x[:, 0], run.samples)
+
+
+def free_mae(fit: Fit, runs: Halves) -> float:
+    """MAE, m/s, of the open-loop simulations of the later runs, as of `truths.free_run_mae`."""
+    current = np.mean([end for _, end in Missions(list(runs.rows.values()), fit.top).simulate(fit)], 0)
+    found = [open_loop(fit, each.rows, current)[each.places] for each in runs.ahead]
+    return free_run_mae(found, runs.later)

@@ -1,0 +1,156 @@
+"""What a batch fit and other methods find about boats, how well they simulate them, and what a fit takes.
+
+Of simulated boats the truth is known: `study`. Recorded boats have later runs: `frozen`. The page is made by `fit`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import accuracy
+import batch
+import identify
+import numpy as np
+import output_error
+from fit_simulation import Halves, free_mae, halves, season
+from peers import narmax, physics, state_space
+from peers.batch import Held, free_run_errors
+from timing import in_turn
+from truths import MINUTES, NOMINAL, free_run_mae
+
+from usvlearn import SurgeDynamics
+from usvlearn.estimators.joint.lacking import Quantity
+from usvlearn.estimators.joint.state import NORTH, THETA
+from usvlearn.model.fit.fitted import fit_boat
+from usvlearn.model.fit.gauss_newton import Missions
+from usvlearn.model.fit.logs import DT as FINE
+from usvlearn.model.fit.logs import missions_of
+from usvlearn.model.fit.quantities import quantities
+from usvlearn.model.fit.terms import AT, NAMES, SETS
+from usvlearn.runs.replay import replay
+from usvlearn.simulate.truth import true_parameters, true_quantities
+
+N, HOURS, LATER, LONG = 3, 3.0, 1.0, 30.0  # boats of a plant and seed; h
+LARGEST = list(SETS)[-1]
+FIT, ONLINE, BATCH, SQUARES = "fit", "averaged joint EKF, online", "batch output error", "least squares of one step"
+PEERS = {"SysIdentPy": narmax, "jax-sysid": state_space, BATCH: physics}
+Values = dict[str, Quantity]
+
+
+class Study(NamedTuple):
+    """What every method found about one boat."""
+
+    plant: str
+    truth: dict[str, float]
+    found: dict[str, Values]  # by method; intervals of the fit and of the online estimate alone
+    free: dict[str, float]  # m/s, MAE of the open-loop simulations of the later runs, by method
+    terms: str  # the set that was chosen
+
+
+class Frozen(NamedTuple):
+    """MAE, m/s, of the open-loop simulations of the second half of a boat's runs, by method; NaN: not installed."""
+
+    errors: dict[str, float]
+    terms: str
+
+
+def polynomial(parameters: Mapping[str, float], top: float, mass: float) -> Values:
+    """The quantities of parameters per mass, by the names of `SurgeDynamics`, and cubic thrust if any."""
+    theta = np.zeros(len(NAMES))
+    for name, value in parameters.items():
+        theta[AT[name]] = value
+    nan = float("nan")
+    return {name: Quantity(float(x), nan, nan, "") for name, x in quantities(theta, top, mass).items()}
+
+
+def squares(runs: Halves, mass: float) -> dict[str, float]:
+    """Least squares of the increments between measured speeds, per mass."""
+    model = SurgeDynamics(mass)
+    theta = accuracy.least_squares(model, [accuracy.tensors(run) for run in runs.learned]).theta
+    return dict(zip(model.names, (theta.double() / mass).tolist(), strict=True))
+
+
+def online(runs: Halves, plant: str) -> tuple[Values, output_error.Fit]:
+    """The averaged joint EKF after the runs: its quantities, and its parameters for simulations."""
+    averaged = identify.members(plant)["joint_averaged"]
+    states, _ = identify.learned(averaged, runs.learned)
+    known = identify.identified(averaged, states[-1])
+    current = np.mean([state.mean[NORTH:THETA].numpy() for state in states], 0)
+    frozen = output_error.Fit(identify.ahead(known.theta), float(known.theta[-1]), current[None], 0.0)
+    return dict(known), frozen
+
+
+def study(plant: str, seed: int, n: int = N, hours: float = HOURS, later: float = LATER) -> Iterator[Study]:
+    """Every method on every boat of a plant."""
+    (mass, top), first = NOMINAL[plant], round(hours * 60 / MINUTES)
+    given: dict[str, Any] = {"n": n, "plant": plant, "hours": hours + later, "mission_minutes": MINUTES, "seed": seed}
+    truth = true_quantities(mass, true_parameters(mass, **given), **given, mission=first - 1)
+    for boat, runs in season(first, **given).items():
+        fitted = fit_boat(boat, runs.rows, mass, top)
+        values, frozen = online(runs, plant)
+        nine, plain = output_error.fit(runs.learned, top), squares(runs, mass)
+        found = {FIT: fitted.quantities, ONLINE: values, BATCH: polynomial(nine.parameters, top, mass),
+                 SQUARES: polynomial(plain, top, mass)}  # fmt: skip
+        models = {ONLINE: frozen, BATCH: nine, SQUARES: output_error.Fit(plain, 0.0, np.zeros((1, 2)), 0.0)}
+        free = {FIT: free_mae(fitted.fit, runs)} | {
+            name: free_run_mae(output_error.free_runs(model, runs.later), runs.later) for name, model in models.items()
+        }
+        yield Study(plant, truth[boat], found, free, fitted.chosen)
+
+
+def frozen(log: batch.Log, runs: Halves, mass: float) -> Frozen:
+    """Every method on the second half of a boat's runs, its parameters frozen."""
+    fitted = fit_boat(log.name, runs.rows, mass, log.top)
+    errors = {"persistence": free_run_errors(Held(), runs.later)[1]}
+    for name, module in PEERS.items():
+        row = batch.peer_row(module, log)
+        errors[name] = float("nan") if row is None else row.free
+    errors["ensemble"] = batch.ours_by_free_run(log)["ensemble"]
+    return Frozen(errors | {FIT: free_mae(fitted.fit, runs)}, fitted.chosen)
+
+
+def boats(folder: Path) -> Iterator[tuple[batch.Log, Halves, float]]:
+    """The recorded boats, and two simulated ones of `benchmarks/batch.py`, with their masses."""
+    for name in batch.REAL:
+        log = batch.recorded(folder, name)
+        grids = (accuracy.fleet_of((*log.overrides[:2], *more)) for more in ((), (f"align.dt={FINE}",)))
+        yield log, halves(*grids), accuracy.configuration(log.overrides).vehicle.mass
+    for plant in batch.PLANTS:
+        given = {"n": 1, "plant": plant, "hours": HOURS + LATER, "mission_minutes": MINUTES, "seed": batch.SEED}
+        (runs,) = season(round(HOURS * 60 / MINUTES), **given).values()
+        yield batch.simulated(plant), runs, NOMINAL[plant][0]
+
+
+class Times(NamedTuple):
+    """Seconds of the processor, of one boat."""
+
+    rounds: dict[str, list[float]]  # of a replay, a fit of one set, and one of all
+    rows: float  # to align LONG hours of logs
+    long: float  # to fit all sets to them
+
+
+def times(hours: float = HOURS, long: float = LONG, repeats: int = 3) -> Times:
+    """What a fit takes beside a replay of the default ensemble, in turn."""
+    given = (f"data.hours={hours}",)
+    model, logs, vehicle = accuracy.ensemble(given), accuracy.fleet_of(given), accuracy.configuration(given).vehicle
+    mass, top = vehicle.mass, vehicle.surge_max
+
+    def rows_of(hours: float) -> dict[str, np.ndarray]:
+        return missions_of(accuracy.fleet_of((f"data.hours={hours}", f"align.dt={FINE}")), "heron")
+
+    def replayed() -> None:
+        for _ in replay(model, logs, model.init((1,))):
+            pass
+
+    rows = rows_of(hours)
+    works = {"replay": replayed, "one set": lambda: Missions(list(rows.values()), top).fit(LARGEST),
+             "all sets": lambda: fit_boat("heron", rows, mass, top)}  # fmt: skip
+    rounds = in_turn(works, repeats, time.process_time)
+    begun = time.process_time()
+    rows = rows_of(long)
+    aligned = time.process_time()
+    fit_boat("heron", rows, mass, top)
+    return Times(rounds, aligned - begun, time.process_time() - aligned)

@@ -1,0 +1,222 @@
+"""How well a fit describes its missions, as JSON: errors, their correlations, the curves, and where the boat sailed.
+
+An error is simulated − measured. What is shown is that of MATLAB's `compare` and `resid`, and of WPILib's SysId: the
+fit of each mission, its worst minute, the autocorrelation of the errors, and their correlation with the commands
+(`usvlearn.model.fit.correlations`). For both correlations errors are cut at `ROBUST` deviations: larger ones count
+less in the fit, too. The curves are thrust at standstill T(ξ) of each side, and drag D(v). They are linear in the
+parameters, so that with the slopes s = ∂T/∂θ the variance of a value is
+
+    sᵀ C s + (T' − T)² + (OWN_ERROR T)²                                                                (1)
+
+as of `usvlearn.model.fit.intervals`, (1), where C is `spread` and T' the curve, farthest from T, of another fit. Beside
+each curve stands for how many seconds the boat sailed at such commands and speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from usvlearn.core.events import NINETY
+from usvlearn.core.rows import DT, LEARN, LEFT, MODE, PREDICT, RIGHT, SURGE
+from usvlearn.estimators.joint.quantities import SIDES
+from usvlearn.evaluation.metrics import fit as per_cent
+from usvlearn.model.fit.correlations import Correlation, autocorrelation, cross_correlation
+from usvlearn.model.fit.gauss_newton import ROBUST, Fit, Missions, scored
+from usvlearn.model.fit.intervals import OWN_ERROR, spread
+from usvlearn.model.fit.motion_kernel import REST
+from usvlearn.model.fit.quantities import CurvedAhead
+
+MINUTE, AROUND = 60.0, 30.0  # s: the worst stretch of a mission, and what is shown before and after it
+SHOWN = 6  # missions whose worst minutes are kept as courses, those with the largest errors
+EVERY = 0.5  # s, between two steps of a course
+DIGITS = 5  # significant, of what is saved
+COMMANDS = np.linspace(-1.0, 1.0, 81)  # of the curves of thrust
+SPEEDS = 61  # points of the curve of drag
+COMMAND_BINS, SPEED_BINS = np.linspace(-1.0, 1.0, 41), 30  # of the seconds beside the curves
+FASTEST = 0.999  # quantile of the speed that ends the curve of drag
+HALF = 0.5  # of the known steps of the fullest minute: fewer are no minute that is compared
+
+
+class Simulated(NamedTuple):
+    """A mission beside its simulation."""
+
+    name: str
+    time: np.ndarray  # (time,) s since the start of the log
+    measured: np.ndarray  # (time,) m/s; NaN where there is none, or the boat rests
+    speed: np.ndarray  # (time,) m/s, simulated; NaN where no step is made
+    left: np.ndarray  # (time,) command; NaN where unknown
+    right: np.ndarray  # (time,)
+    moves: np.ndarray  # (time,) bool: a step is made in which the boat does not rest
+    current: np.ndarray  # (2,) m/s north and east, at the end
+
+    @property
+    def error(self) -> np.ndarray:
+        """Simulated − measured, m/s; NaN where a step does not count."""
+        return self.speed - self.measured
+
+
+def diagnostics(missions: Missions, fit: Fit, mass: float, others: Sequence[Fit] = ()) -> dict[str, Any]:
+    """All of it for one boat, as JSON values; what is unknown is None.
+
+    Args:
+        missions: those that were fitted.
+        fit: the one that is used.
+        mass: kg.
+        others: fits of other sets of terms that do about as well, which widen the bands of the curves.
+    """
+    made = zip(missions.names, missions.rows, missions.simulate(fit), strict=True)
+    every = [simulated(name, rows, speed, current) for name, rows, (speed, current) in made]
+    dt = float(np.median(np.concatenate([rows[rows[:, DT] > 0, DT] for rows in missions.rows])))
+    most = ROBUST * fit.deviation  # beyond, an outlier would hide what is correlated
+    errors = [np.clip(each.error, -most, most) for each in every]
+    pushes = {
+        "mean": [(each.left + each.right) / 2 for each in every],
+        "difference": [each.left - each.right for each in every],
+    }
+    rows = [_mission(each, dt) for each in every]
+    worst = sorted((k for k in range(len(rows)) if rows[k]["worst"]), key=lambda k: -rows[k]["worst"]["mae"])
+    return _plain({
+        "missions": rows,
+        "worst": [_course(every[k], dt, rows[k]["worst"]["start"]) for k in worst[:SHOWN]],
+        "autocorrelation": _table(autocorrelation(errors, dt)),
+        "cross_correlation": {name: _table(cross_correlation(errors, u, dt)) for name, u in pushes.items()},
+        **_curves(every, fit, mass, others, dt),
+    })  # fmt: skip
+
+
+def simulated(name: str, rows: np.ndarray, speed: np.ndarray, current: np.ndarray) -> Simulated:
+    """A mission beside its simulation, from prepared samples `(time, ROW)`."""
+    dt, steps = float(rows[:, DT].max()), rows[:, MODE] >= PREDICT
+    left, right = (np.where(steps, rows[:, place], np.nan) for place in (LEFT, RIGHT))
+    with np.errstate(invalid="ignore"):
+        moves = left**2 + right**2 + speed**2 > REST
+    counts = scored(rows) & (rows[:, MODE] == LEARN) & np.isfinite(speed)
+    return Simulated(
+        name, dt * np.arange(len(rows)), np.where(counts, rows[:, SURGE], np.nan), speed, left, right, moves, current
+    )
+
+
+def worst_minute(time: np.ndarray, error: np.ndarray) -> tuple[int, int] | None:
+    """The first step and the end of the minute with the largest mean |error|; all of a mission that is shorter.
+
+    Minutes with less than `HALF` of the known steps of the fullest one are left out; None without a known step.
+
+    Args:
+        time: s, `(time,)`.
+        error: m/s, `(time,)`; NaN where unknown.
+
+    >>> worst_minute(np.arange(200.0), np.where(np.arange(200) == 100, 1.0, 0.0))
+    (41, 101)
+    """
+    known = np.isfinite(error)
+    if not known.any():
+        return None
+    sums, counts = (np.append(0.0, np.cumsum(x)) for x in (np.abs(np.nan_to_num(error)), known))
+    begins, ends = np.arange(len(time)), np.searchsorted(time, time + MINUTE - 1e-6)
+    whole = begins == 0 if time[-1] - time[0] < MINUTE else time + MINUTE <= time[-1] + 1e-6
+    number = np.where(whole, counts[ends] - counts[begins], 0)
+    enough = number >= max(HALF * number.max(), 1)
+    if not enough.any():
+        return None
+    mean = np.where(enough, (sums[ends] - sums[begins]) / np.maximum(number, 1), -1.0)
+    k = int(mean.argmax())
+    return k, int(ends[k])
+
+
+def _mission(each: Simulated, dt: float) -> dict[str, Any]:
+    """A mission in numbers."""
+    known = np.isfinite(each.error)
+    error, speed, minute = each.error[known], each.measured[known], worst_minute(each.time, each.error)
+    found: dict[str, Any] = {"name": each.name, "steps": int(known.sum()), "minutes": float(each.moves.sum()) * dt / 60}
+    if minute is None:
+        return found | {"mae": None, "fit": None, "bias": None, "current": None, "worst": None}
+    start, end = minute
+    return found | {
+        "mae": float(np.abs(error).mean()),
+        "fit": per_cent(float((error**2).sum()), float(((speed - speed.mean()) ** 2).sum())),
+        "bias": float(error.mean()),
+        "current": list(each.current),
+        "worst": {"start": float(each.time[start]), "mae": float(np.nanmean(np.abs(each.error[start:end])))},
+    }
+
+
+def _course(each: Simulated, dt: float, start: float) -> dict[str, Any]:
+    """The worst minute and what is around it, in means over `EVERY` seconds."""
+    first, last = np.searchsorted(each.time, [start - AROUND, start + MINUTE + AROUND])
+    step = max(1, round(EVERY / dt))
+    count = -(-(last - first) // step)
+
+    def thinned(x: np.ndarray) -> np.ndarray:
+        part = np.full(count * step, np.nan)
+        part[: last - first] = x[first:last]
+        part = part.reshape(count, step)
+        known = np.isfinite(part).sum(1)
+        return np.where(known > 0, np.nansum(part, 1) / np.maximum(known, 1), np.nan)
+
+    series = {"measured": each.measured, "simulated": each.speed, "left": each.left, "right": each.right}
+    return {"name": each.name, "start": start, "time": thinned(each.time)} | {k: thinned(x) for k, x in series.items()}
+
+
+def _table(found: Correlation) -> dict[str, Any]:
+    return dict(found._asdict())
+
+
+def _curves(every: Sequence[Simulated], fit: Fit, mass: float, others: Sequence[Fit], dt: float) -> dict[str, Any]:
+    """The curves with their bands, and the seconds that the boat sailed at such commands and speeds."""
+    speed = np.concatenate([np.abs(each.speed[each.moves]) for each in every])
+    highest = float(np.quantile(speed, FASTEST)) if len(speed) else fit.top
+    curves, sailed, speeds = {}, {}, np.linspace(0.0, highest, SPEEDS)
+    for side in SIDES:
+
+        def thrust(boat: CurvedAhead, side: str = side) -> np.ndarray:
+            found: np.ndarray = boat.thrust(COMMANDS, side)
+            return found
+
+        curves[f"thrust_{side}"] = {"at": COMMANDS} | band(fit, mass, others, thrust)
+        used = np.concatenate([getattr(each, side)[each.moves] for each in every])
+        sailed[side] = _seconds(used, COMMAND_BINS, dt)
+    curves["drag"] = {"at": speeds} | band(fit, mass, others, lambda boat: boat.drag(speeds))
+    sailed["speed"] = _seconds(speed, np.linspace(0.0, highest, SPEED_BINS + 1), dt)
+    return {"curves": curves, "sailed": sailed}
+
+
+def band(
+    fit: Fit, mass: float, others: Sequence[Fit], force: Callable[[CurvedAhead], np.ndarray]
+) -> dict[str, np.ndarray]:
+    """A curve that is linear in the parameters, with its 90 % band by (1).
+
+    Args:
+        fit: that is used.
+        mass: kg.
+        others: see `diagnostics`.
+        force: the curve of a boat, m/s², `(points,)`.
+    """
+
+    def curve(theta: np.ndarray) -> np.ndarray:
+        return mass * force(CurvedAhead(theta, fit.top))
+
+    value, units = curve(fit.theta), np.eye(len(fit.theta))
+    slopes = np.stack([curve(units[k]) for k in fit.known.active])  # (m, points)
+    apart = np.max([np.zeros_like(value), *(np.abs(curve(each.theta) - value) for each in others)], axis=0)
+    variance = np.einsum("mi,mn,ni->i", slopes, spread(fit), slopes) + apart**2 + (OWN_ERROR * value) ** 2
+    half = NINETY * np.sqrt(np.maximum(variance, 0.0))
+    return {"value": value, "low": value - half, "high": value + half}
+
+
+def _seconds(x: np.ndarray, edges: np.ndarray, dt: float) -> dict[str, np.ndarray]:
+    """The seconds in each bin; what is beyond the edges counts in the last ones."""
+    return {"edges": edges, "seconds": dt * np.histogram(np.clip(x, edges[0], edges[-1]), edges)[0]}
+
+
+def _plain(x: Any) -> Any:
+    """JSON values, with `DIGITS` digits; None for what is no finite number."""
+    if isinstance(x, dict):
+        return {key: _plain(each) for key, each in x.items()}
+    if isinstance(x, list | tuple | np.ndarray):
+        return [_plain(each) for each in x]
+    if isinstance(x, float | np.floating):
+        return float(f"{x:.{DIGITS}g}") if np.isfinite(x) else None
+    return x.item() if isinstance(x, np.generic) else x

@@ -1,0 +1,75 @@
+"""Thrust and drag that change from mission to mission, as a boat fouls, wears, or carries another load.
+
+In mission k the thrust of the left side, that of the right side and the drag are multiplied by 1 + δ_k, three numbers
+that walk at random by `WALK` from a mission to the next, and are 0 in the last one, whose boat the parameters θ
+describe. With the columns B = ∂θ/∂δ, and g_k and H_k of `motion_kernel` at the fit θ̂ without wear, θ = θ̂ + Δ and all
+δ minimise
+
+    Σ_k [g_kᵀ e_k + ½ e_kᵀ H_k e_k] + ½ (θ − θ₀)ᵀ I₀ (θ − θ₀) + ½ Σ_k |δ_{k+1} − δ_k|²/WALK²,   e_k = Δ + B δ_k   (1)
+
+which is a linear system. Without the terms of mission k it predicts that mission, and its loss says whether wear helps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from usvlearn.estimators.joint.quantities import SIDES
+from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
+from usvlearn.model.fit.terms import NAMES
+
+WALK = 0.005  # of thrust and drag, from a mission to the next
+
+
+def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarray]:
+    """The fit of the boat as it is in its last mission, and the loss of each mission left out, `(missions,)`, over its
+    measured steps.
+
+    Args:
+        missions: all of them, in the order in which they were sailed.
+        fit: to all of them, without wear.
+        deviation: σ of a speed at which the losses are computed, m/s, as in `choice.left_out`.
+    """
+    count, m, known = len(missions.rows), len(fit.known.active), fit.known
+    B = columns(fit)
+    HB = fit.information @ B  # (missions, m, 3)
+    parts = [slice(m + 3 * k, m + 3 * (k + 1)) for k in range(count - 1)]  # of δ; that of the last mission is 0
+    K, right = np.zeros((m + 3 * (count - 1),) * 2), np.zeros(m + 3 * (count - 1))
+    apart = (np.eye(count)[1:] - np.eye(count)[:-1])[:, :-1]
+    K[m:, m:] = np.kron(apart.T @ apart, np.eye(3)) / WALK**2
+    K[:m, :m] = known.information + fit.information.sum(0)
+    right[:m] = -known.information @ (fit.theta - known.mean)[known.active] - fit.score.sum(0)
+    for k, part in enumerate(parts):
+        K[:m, part], K[part, :m] = HB[k], HB[k].T
+        K[part, part] += B.T @ HB[k]
+        right[part] -= B.T @ fit.score[k]
+    C = np.linalg.inv(K)
+    z, covariance = C @ right, C[:m, :m]
+    losses, score = np.zeros(count), np.zeros_like(fit.score)
+    for k in range(count):
+        away, spread = z[:m].copy(), covariance.copy()  # e_k of (1), and its covariance
+        if k < count - 1:
+            across = C[:m, parts[k]] @ B.T
+            away += B @ z[parts[k]]
+            spread += across + across.T + B @ C[parts[k], parts[k]] @ B.T
+        score[k] = fit.score[k] + fit.information[k] @ away
+        unseen = np.eye(m) - spread @ fit.information[k]  # what is left without mission k, (1) solved again
+        theta = fit.theta.copy()
+        theta[known.active] += np.linalg.solve(unseen, away + spread @ fit.score[k])
+        losses[k] = missions.loss(legal(theta, known, covariance), deviation, k)
+    theta = fit.theta.copy()
+    theta[known.active] += z[:m]
+    said = (np.linalg.inv(covariance) - known.information) / count  # by all missions, of the last one's boat
+    found = replace(fit, theta=legal(theta, known, covariance), score=score, information=np.tile(said, (count, 1, 1)))
+    return found, losses / np.maximum(missions.steps, 1)
+
+
+def columns(fit: Fit) -> np.ndarray:
+    """B of (1), `(m, 3)`: the fitted parameters of the thrust of each side and of the drag; 0 elsewhere."""
+    names = [NAMES[place] for place in fit.known.active]
+    kinds = [[name.startswith("thrust_") and f"_{side}" in name for name in names] for side in SIDES]
+    kinds.append([name.startswith("drag_") for name in names])
+    found: np.ndarray = (np.array(kinds) * fit.theta[fit.known.active]).T
+    return found

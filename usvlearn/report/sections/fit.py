@@ -1,0 +1,223 @@
+"""The batch fit of each boat: its quantities beside those learned online, its sets of terms, and its diagnostics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from usvlearn.core.samples import tree_map
+from usvlearn.display.result_table import ResultTable
+from usvlearn.estimators.ensemble.layer import Ensemble
+from usvlearn.estimators.joint.lacking import WIDE, Quantity
+from usvlearn.estimators.joint.quantities import MEANING, SIDES
+from usvlearn.evaluation.identification import Truth, identified_boats
+from usvlearn.evaluation.season import Season
+from usvlearn.report.sections.fit_figures import curves_figure, residuals_figure, sailed_at, worst_figure
+from usvlearn.report.sections.fit_file import Diagnostics, Lags, Sailed, SavedFit
+from usvlearn.report.sections.section import Drawn, Section
+
+WEAR = ", wear"  # what the name of a set ends with, if the boat wears
+STRONG = 0.6  # m/s, a current that is larger than what is expected, twice its prior deviation
+TINY = 1e-12
+UNKNOWN = "no: not determined"
+USES = (
+    "Use the values of the fit: it has learned from all missions at once, the online estimate sees each sample once. "
+    f"“{UNKNOWN}” marks an interval that is wider than ± half of the value."
+)
+CURVES = (
+    "Curves of the fit with 90 % bands; below, for how long the boat sailed at such commands and speeds. Shaded and "
+    "dotted: it sailed there for less than 5 s, so that the curve is an extrapolation."
+)
+RESIDUALS = (
+    "Correlations of the errors, simulated − measured, with 99 % bounds (Ljung 1999, section 16.6). Those of the left "
+    "panel are for errors that do not depend on each other; the others take into account that errors and commands do. "
+    "By chance, one lag in a hundred is beyond them. "
+    "A peak within some seconds after a command is thrust or its delay that the model lacks, a broad one drag; before "
+    "0 s, a controller answers the speed."
+)
+WORST = "The missions with the largest errors: their worst minute, shaded, and 30 s around it."
+
+
+def fit_section(
+    seasons: Sequence[Season], ensemble: Ensemble, fits: Mapping[str, SavedFit | str], truth: Truth
+) -> Section | None:
+    """Tables of quantities, sets of terms and missions, and three figures a boat; None without a fit.
+
+    Args:
+        seasons: of all boats.
+        ensemble: to which the checkpoints belong.
+        fits: of `usvlearn.report.sections.fit_file.saved_fits`.
+        truth: quantities of simulated boats, else empty.
+    """
+    if not fits:
+        return None
+    here, drawn, held = [], [], []
+    rows: dict[str, list[tuple]] = {"fit": [], "fit_sets": [], "fit_missions": []}
+    for season in seasons:
+        if isinstance(fit := fits.get(season.boat), str):
+            here.append(fit)
+        if not isinstance(fit, SavedFit):
+            continue
+        last = tree_map(lambda leaf: leaf[-1:], season.state)
+        online, known = identified_boats(ensemble, last, [season.boat]).get(season.boat), truth.get(season.boat, {})
+        beside = {name: online.told(name) for name in online} if online is not None else {}
+        rows["fit"] += _quantities(season.boat, fit, beside, known)
+        rows["fit_sets"] += [
+            (
+                season.boat,
+                name,
+                *map(_known, (each.parameters, 0.0 - each.gain, each.error, each.mae)),
+                name == fit.terms,
+            )
+            for name, each in fit.sets.items()
+        ]
+        held += [each.low <= known[name] <= each.high for name, each in fit.quantities.items() if name in known]
+        here += _findings(season, fit, beside)
+        if fit.diagnostics is not None:
+            rows["fit_missions"] += [
+                (season.boat, each.name, *map(_known, each[1:])) for each in fit.diagnostics.missions
+            ]
+            drawn += _figures(season.boat, fit.diagnostics, known)
+    if rows["fit"]:
+        here += [USES, MEANING]
+    if held:
+        here.insert(0, f"The intervals of the fit hold {100 * np.mean(held):.0f} % of the truths (90 % asked).")
+    true = any(row[-1] is not None for row in rows["fit"])
+    columns = {
+        "fit": ("boat", "quantity", "unit", "fit", "from (90 %)", "to (90 %)", "online", "from (90 %) online",
+                "to (90 %) online", "use the fit", *(["truth"] if true else [])),
+        "fit_sets": ("boat", "terms", "parameters", "worse by, a step", "± (one deviation)", "MAE, m/s", "used"),
+        "fit_missions": ("boat", "mission", "measured steps", "sailed, min", "MAE, m/s", "fit, %", "bias, m/s",
+                         "current, m/s", "worst minute from, s", "its MAE, m/s"),
+    }  # fmt: skip
+    if not true:
+        rows["fit"] = [row[:-1] for row in rows["fit"]]
+    sheets = [ResultTable(name, columns[name], each) for name, each in rows.items() if each]
+    return Section("fit", "Batch fit: the best parameters of the whole log", "", here, drawn, sheets, first=2)
+
+
+def _quantities(boat: str, fit: SavedFit, online: Mapping[str, Quantity], truth: Mapping[str, float]) -> list[tuple]:
+    """Rows of the table."""
+    rows = []
+    for name, (value, low, high, unit) in fit.quantities.items():
+        beside = [_known(x) for x in online[name][:3]] if name in online else [None] * 3
+        use = "yes" if high - low <= 2 * WIDE * abs(value) else UNKNOWN
+        rows.append((boat, name, unit, *map(_known, (value, low, high)), *beside, use, truth.get(name)))
+    return rows
+
+
+def _known(x: float) -> float | None:
+    """None for NaN; a whole number as such."""
+    return None if math.isnan(x) else int(x) if x == int(x) and abs(x) >= 1 else x
+
+
+def _findings(season: Season, fit: SavedFit, online: Mapping[str, Quantity]) -> list[str]:
+    """Sentences about one boat."""
+    boat, used = season.boat, fit.sets.get(fit.terms)
+    here = [f"{boat}: fitted to {_count(fit.missions, 'mission')} with the terms “{fit.terms}”."]
+    if used is not None and used.mae == used.mae:
+        here.append(
+            f"{boat}: its simulation of these missions errs by {used.mae:.3f} m/s. It follows from the commands; the "
+            "current of a mission is estimated along the way."
+        )
+    if fit.terms.endswith(WEAR):
+        here.append(
+            f"{boat}: the parameters are those of its last mission. The boat wears, so that earlier ones err more."
+        )
+    if (which := fit.simulation) is not None and math.isfinite(which.fit + which.ensemble):
+        here.append(
+            f"{boat}: for a simulation in open loop use the {which.used}. On {_count(int(which.missions), 'mission')} "
+            f"that neither had learned, the fit errs by {which.fit:.3f} m/s, the ensemble by {which.ensemble:.3f}."
+        )
+    elif which is not None:
+        here.append(
+            f"{boat}: for a simulation in open loop use the ensemble: too few missions compare it with the fit."
+        )
+    if fit.missions > len(season.runs):
+        here.append(
+            f"{boat}: the report has {_count(len(season.runs), 'run')}, less than the fit: run usvlearn fit again."
+        )
+    here += [f"{boat}: {each}" for each in fit.lacks]
+    apart = [
+        name for name, each in fit.quantities.items()
+        if name in online and (online[name].low > each.high or online[name].high < each.low)
+    ]  # fmt: skip
+    if apart:
+        here.append(f"{boat}: the intervals of fit and online estimate do not meet for {', '.join(apart)}.")
+    if fit.diagnostics is None:
+        return [*here, f"{boat}: this fit is of an older version without diagnostics: run usvlearn fit again."]
+    return here + [f"{boat}: {each}" for each in _diagnosed(fit.diagnostics)]
+
+
+def _diagnosed(found: Diagnostics) -> list[str]:
+    """Sentences about the diagnostics of one boat."""
+    here = []
+    fits = sorted((each.fit, each.name) for each in found.missions if each.fit == each.fit)
+    if fits:
+        median = float(np.median([fit for fit, _ in fits]))
+        least = f", least {_signed(fits[0][0])} % in {fits[0][1]}" if len(fits) > 1 else ""
+        here.append(f"fit of a mission, 100 (1 − NRMSE): median {_signed(median)} %{least}.")
+    strong = sum(each.current > STRONG for each in found.missions)
+    if strong:
+        here.append(
+            f"in {_count(strong, 'mission')} the current is above {STRONG:g} m/s. If it was weaker, the missions are "
+            "too short, or turn too little, to separate a current from thrust."
+        )
+    ranges = [f"{side} commands from {_range(found.sailed[side])}" for side in SIDES if _partly(found.sailed[side])]
+    if ranges:
+        here.append(f"it sailed with {' and '.join(ranges)}: what is beyond is an extrapolation.")
+    lags = found.autocorrelation
+    inside = np.flatnonzero(np.abs(lags.values) <= lags.bounds)
+    if np.isfinite(lags.values).any():
+        memory = f"until {lags.lags[inside[0]]:g} s" if len(inside) else f"beyond {lags.lags[-1]:g} s"
+        here.append(f"errors are alike {memory} (autocorrelation outside its bounds), {lags.values[0]:.2f} at first.")
+    for name, what in (("mean", "the mean command"), ("difference", "the difference of the commands")):
+        here.append(_driven(found.cross_correlation[name], what))
+    return here
+
+
+def _driven(found: Lags, what: str) -> str:
+    """Whether errors follow a command."""
+    after = found.lags >= 0
+    values, bounds, lags = found.values[after], found.bounds[after], found.lags[after]
+    if not np.isfinite(values).any():
+        return f"{what} never changed, so that nothing is known of errors that follow it."
+    beyond = np.abs(values) > bounds
+    if not beyond.any():
+        return f"errors do not follow {what}: all lags are within their bounds."
+    most = int(np.argmax(np.where(beyond, np.abs(values) / np.maximum(bounds, TINY), 0.0)))
+    return (
+        f"errors follow {what}: {int(beyond.sum())} of {len(values)} lags are beyond their bounds, most at "
+        f"{lags[most]:g} s ({values[most]:+.2f}).".replace("(-", "(−")
+    )
+
+
+def _partly(where: Sailed) -> bool:
+    """Whether the boat sailed at some of the commands, and not at the least or not at the largest."""
+    sailed = sailed_at(where)
+    return bool(sailed.any() and not (sailed[0] and sailed[-1]))
+
+
+def _range(where: Sailed) -> str:
+    places = np.flatnonzero(sailed_at(where))
+    return f"{where.edges[places[0]]:.2f} to {where.edges[places[-1] + 1]:.2f}".replace("-", "−")
+
+
+def _signed(x: float) -> str:
+    return f"{x:.0f}".replace("-", "−")
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _figures(boat: str, found: Diagnostics, truth: Mapping[str, float]) -> list[Drawn]:
+    drawn = [
+        Drawn(f"fit_curves_{boat}", curves_figure(found, boat, truth), CURVES + (" Crosses: truth." if truth else "")),
+        Drawn(f"fit_residuals_{boat}", residuals_figure(found, boat), RESIDUALS),
+    ]
+    if found.worst:
+        drawn.append(Drawn(f"fit_worst_{boat}", worst_figure(found.worst, boat), WORST))
+    return drawn
