@@ -196,7 +196,7 @@ def _simulation(folder: Path, found: Fitted, fine: Fleet, coarse: Fleet) -> Free
         for each in errors
         if each.boat == found.boat and each.ahead == FREE and ENSEMBLE in each.mae
     }
-    return decide(found.boat, found.fit.terms, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
+    return decide(found.boat, found.chosen, found.fit.top, fine, coarse, middle(coarse.runs), ensemble)
 
 
 def _write(folder: Path, found: Fitted, last: Last | None, settings: dict[str, Any]) -> list[Path]:

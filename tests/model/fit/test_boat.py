@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.fitted_boats import MASS, TOP, boat, mission, simulated
 from usvlearn import JointEKF
-from usvlearn.core.rows import LEARN, LEFT, MODE, RIGHT, SURGE
+from usvlearn.core.rows import COS, LEARN, LEFT, MODE, RIGHT, SIN, SURGE
 from usvlearn.core.samples import named_leaves
 from usvlearn.errors import CheckpointError, ConfigError
 from usvlearn.estimators.joint.reading import covariance_of, identify
@@ -64,20 +64,29 @@ def test_a_damaged_one_is_refused_in_one_sentence(fitted, change):
 
 def test_what_the_commands_do_not_show_is_said():
     rows = rows_of_boat()
-    assert lacking([rows]) == ()
+    assert lacking("heron", [rows]) == ()
 
     def changed(left=None, right=None):
         new = rows.copy()
         new[:, LEFT] = new[:, LEFT] if left is None else left(new[:, LEFT])
         new[:, RIGHT] = new[:, RIGHT] if right is None else right(new[:, RIGHT])
-        return lacking([new])
+        return lacking("heron", [new])
 
     assert changed(right=lambda x: rows[:, LEFT])[0].startswith("Both thrusters always had the same command")
     assert changed(np.abs)[0].startswith("The thrusters hardly ever pushed astern")
     (slow,) = changed(lambda x: x / 2, lambda x: x / 2)
     assert slow == "Commands were hardly ever above 50 %: what is beyond is an extrapolation."
     assert "a dead band would not show" in changed(*[lambda x: x + np.sign(x) * 0.2] * 2)[0]
-    with pytest.raises(ConfigError, match="found commands of 60 to 60 % that hardly ever changed while the boat moved"):
+    straight = rows.copy()
+    straight[:, [COS, SIN]] = 0.6, 0.8
+    assert lacking("heron", [straight])[-1].startswith("The boat kept one heading, or its opposite")
+    moored = rows.copy()
+    moored[:, SURGE] = 0.02 * np.random.default_rng(0).standard_normal(len(rows))
+    with pytest.raises(ConfigError, match=r"heron: found speeds of -0.0\d to 0.0\d m/s that hardly ever changed"):
+        lacking("heron", [moored])
+    with pytest.raises(
+        ConfigError, match="heron: found commands of 60 to 60 % that hardly ever changed while the boat moved"
+    ):
         changed(*[lambda x: 0.6 + 0 * x] * 2)
 
 

@@ -125,7 +125,7 @@ def fit_boat(
         ConfigError: there is no such set, or the commands never changed.
     """
     check_terms(terms)
-    lacks = lacking(list(rows.values()))
+    lacks = lacking(boat, list(rows.values()))
     missions, fits, before = Missions(list(rows.values()), top, list(rows)), {}, None
     try:
         for name in SETS:

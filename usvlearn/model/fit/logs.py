@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.signal import savgol_filter
 
-from usvlearn.core.rows import LEFT, MODE, PREDICT, RIGHT, YAW_RATE
+from usvlearn.core.rows import COS, LEFT, MODE, PREDICT, RIGHT, SIN, SURGE, YAW_RATE
 from usvlearn.core.samples import Fleet, tree_map
 from usvlearn.errors import ConfigError
 from usvlearn.model.fit.gauss_newton import rows_of, scored
@@ -25,6 +25,7 @@ WINDOW = 3.0  # s, of the parabola
 FEWEST = 600  # measured steps, below which nothing is fitted
 CHANGE = 0.02  # standard deviation of the mean command, below which nothing tells thrust from drag
 APART = 0.02  # likewise of the difference of the sides
+MOVES, TURNS = 0.15, 0.02  # m/s; mean square of the sine to the main heading
 ASTERN, SMALL, LARGE, SOME = -0.1, 0.15, 0.85, 0.01  # commands; share of the steps
 
 
@@ -73,18 +74,25 @@ def smoothed(rows: np.ndarray, dt: float) -> np.ndarray:
     return rows
 
 
-def lacking(missions: Sequence[np.ndarray]) -> tuple[str, ...]:
-    """What the commands of some missions do not show, one sentence each.
+def lacking(boat: str, missions: Sequence[np.ndarray]) -> tuple[str, ...]:
+    """What the commands and headings of some missions do not show, one sentence each.
 
     Raises:
-        ConfigError: the commands never changed, so that thrust and drag have no sizes of their own.
+        ConfigError: the speed or the commands hardly ever changed, so that thrust and drag have no sizes.
     """
-    commands = np.concatenate([rows[scored(rows)][:, [LEFT, RIGHT]] for rows in missions])
+    rows = np.concatenate([each[scored(each)] for each in missions])
+    commands, speed = rows[:, [LEFT, RIGHT]], rows[:, SURGE]
     mean = commands.mean(1)
     if mean.std() < CHANGE:
         raise ConfigError(
-            f"found commands of {100 * mean.min():.0f} to {100 * mean.max():.0f} % that hardly ever changed while the "
-            "boat moved, expected steps between low and high ones: thrust and drag show where the commands change"
+            f"{boat}: found commands of {100 * mean.min():.0f} to {100 * mean.max():.0f} % that hardly ever changed "
+            "while the boat moved, expected steps between low and high ones: thrust and drag show where they change"
+        )
+    slow, fast = np.quantile(speed, [SOME, 1 - SOME])
+    if fast - slow < MOVES:
+        raise ConfigError(
+            f"{boat}: found speeds of {slow:.2f} to {fast:.2f} m/s that hardly ever changed, expected a boat that "
+            "speeds up and slows down: check the speed channel"
         )
     found = []
     if np.std(commands[:, 0] - commands[:, 1]) < APART:
@@ -100,4 +108,9 @@ def lacking(missions: Sequence[np.ndarray]) -> tuple[str, ...]:
         found.append(f"Commands were hardly ever above {most:.0f} %: what is beyond is an extrapolation.")
     if ((size > SOME) & (size < SMALL)).any(1).mean() < SOME:
         found.append(f"Commands were hardly ever below {100 * SMALL:.0f} %: a dead band would not show.")
+    axes = rows[:, [COS, SIN]]
+    if np.linalg.eigvalsh(axes.T @ axes / len(axes))[0] < TURNS:
+        found.append(
+            "The boat kept one heading, or its opposite: the current cannot be separated from the boat's own speed."
+        )
     return tuple(found)

@@ -17,9 +17,10 @@ import numpy as np
 from usvlearn.core.rows import COS, MODE, PREDICT, SIN, START, SURGE
 from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.errors import ConfigError
-from usvlearn.model.fit.choice import compared
+from usvlearn.model.fit.choice import FEWEST, WEAR, compared
 from usvlearn.model.fit.gauss_newton import Fit, Missions, rows_of
 from usvlearn.model.fit.logs import DT, missions_of, smoothed
+from usvlearn.model.fit.wear import worn
 
 ENSEMBLE, FIT = "ensemble", "fit"
 
@@ -77,7 +78,7 @@ def decide(
 
     Args:
         boat: its name in the fleets.
-        terms: the set to fit.
+        terms: the set to fit, perhaps with wear.
         top: top speed, m/s.
         fine: the logs on the grid of the fit.
         coarse: the same on the grid of the run.
@@ -90,8 +91,10 @@ def decide(
     except ConfigError:
         return NOTHING
     learned = Missions(list(rows.values()), top)
-    fit = learned.fit(terms)
+    fit = learned.fit(terms.removesuffix(WEAR))
     current = np.mean([end for _, end in learned.simulate(fit)], 0)
+    if terms.endswith(WEAR) and len(rows) >= FEWEST:
+        fit, _ = worn(learned, fit, fit.deviation)
     found = []
     for small, run in zip(fine.runs[first:], coarse.runs[first:], strict=True):
         name, n, m = run.names[element], small.lengths[element], run.lengths[element]
