@@ -18,7 +18,7 @@ from usvlearn.logs.recordings import align_fleet
 from usvlearn.model.fit.gauss_newton import Fit, Missions, rows_of, scored
 from usvlearn.model.fit.logs import DT as FINE
 from usvlearn.model.fit.logs import smoothed
-from usvlearn.model.fit.open_loop import open_loop
+from usvlearn.model.fit.open_loop import open_loop, usual_current
 from usvlearn.simulate.fleet import fleet
 
 
@@ -102,6 +102,6 @@ def _flat(run: Run) -> Sample:
 
 def free_mae(fit: Fit, runs: Halves) -> float:
     """MAE, m/s, of the open-loop simulations of the later runs, as of `truths.free_run_mae`."""
-    current = np.mean([end for _, end in Missions(list(runs.rows.values()), fit.top).simulate(fit)], 0)
+    current = usual_current(np.array([end for _, end in Missions(list(runs.rows.values()), fit.top).simulate(fit)]))
     found = [open_loop(fit, each.rows, current)[each.places] for each in runs.ahead]
     return free_run_mae(found, runs.later)

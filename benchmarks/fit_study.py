@@ -6,7 +6,7 @@ Of simulated boats the truth is known: `study`. Recorded boats have later runs: 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 

@@ -131,7 +131,7 @@ def fit_boat(
         for name in SETS:
             advance(name)
             fits[name] = missions.fit(name, before)
-            before = fits[name].theta
+            before = fits[name]
     except stop:  # the sets that are done are there
         if not fits or terms not in (None, *fits):
             raise

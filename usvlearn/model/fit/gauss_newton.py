@@ -6,8 +6,9 @@ With the prior mean θ₀ and its information I₀, the fit minimises
 
 by the steps −(Σ H + I₀)⁻¹ (Σ g + I₀ (θ − θ₀)), each shortened until (1) falls. Drag that pushes and
 thrust that grows with speed have no boat: after each step the parameters go to the nearest with q, l, c, γ ≤ 0,
-q ± e₀ ≤ 0 and γ + e₃ ≤ 0, in the metric of Σ H + I₀. The variance of a
-speed comes from the errors of the simulation itself, between rounds: the square of 1.4826 times their median size.
+q ± e₀ ≤ 0 and γ + e₃ ≤ 0, in the metric of Σ H + I₀. The variance of a speed comes from the errors of the simulation
+itself, between rounds (`scale_of`). The median of their sizes would be too small where a boat lies still for long: its
+moving hours would count as outliers.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ ROBUST = 4.0  # deviations from which on an error counts less
 CURRENT = 0.3  # m/s, prior deviation of a component of the current
 NOISE, NOISE_LEAST = 0.1, 0.01  # m/s, the first deviation of a speed, and the least
 ROUNDS, STEPS = 3, 5  # of the variance, each with as many steps of Gauss-Newton
+PASSES = 20  # of the iteration for the variance
 SHRINK, SHORTEST = 0.35, 6  # of a step that makes (1) larger, so often
 TOLERANCE = 1e-2  # of (1): a smaller gain ends a round
 NEGATIVE = tuple(name for name, sign in SURGE.items() if sign < 0)  # drag, and the thrust that is lost with speed
@@ -163,23 +165,22 @@ class Missions:
         simulated = zip(self.rows, self.simulate(fit), strict=True)
         return np.concatenate([(speed - rows[:, SPEED])[scored(rows)] for rows, (speed, _) in simulated])
 
-    def fit(self, terms: str, start: np.ndarray | None = None) -> Fit:
+    def fit(self, terms: str, start: Fit | None = None) -> Fit:
         """The best parameters of a set of terms.
 
         Args:
             terms: a name of `terms.SETS`.
-            start: parameters by `terms.NAMES` to begin with, per unit mass; the prior's by default.
+            start: of another set, to begin with its parameters; by default those of the prior.
         """
         known = prior(terms, self.top)
-        theta = known.mean.copy()
+        theta, deviation, rounds = known.mean.copy(), NOISE, ROUNDS
         if start is not None:
-            theta[known.active] = start[known.active]
-            theta[PLACE_TIME] = known.mean[PLACE_TIME]
-        now = self.evaluate(terms, _bounded(theta), NOISE)
-        for _ in range(ROUNDS):
+            theta[known.active] = start.theta[known.active]
+            theta[PLACE_TIME], deviation, rounds = known.mean[PLACE_TIME], start.deviation, ROUNDS - 1
+        now = self.evaluate(terms, _bounded(theta), deviation)
+        for _ in range(rounds):
             now = self._settled(now)
-            deviation = max(1.4826 * float(np.median(np.abs(self.errors(now)))), NOISE_LEAST)
-            now = self.evaluate(terms, now.theta, deviation)
+            now = self.evaluate(terms, now.theta, max(scale_of(self.errors(now)), NOISE_LEAST))
         return self._settled(now)
 
     def _settled(self, now: Fit) -> Fit:
@@ -189,20 +190,35 @@ class Missions:
             covariance = now.covariance
             away = (now.theta - known.mean)[known.active]
             step, share = -covariance @ (now.score.sum(0) + known.information @ away), 1.0
-            for _ in range(SHORTEST):
+            for shorter in range(SHORTEST):
                 theta = now.theta.copy()
                 theta[known.active] += share * step
                 theta = legal(theta, known, covariance)
-                gain = now.total - self.loss(theta, now.deviation) - known.penalty(theta)
-                if gain >= 0:
+                new = None if shorter else self.evaluate(now.terms, theta, now.deviation)  # most often the last trial
+                total = self.loss(theta, now.deviation) + known.penalty(theta) if new is None else new.total
+                if total <= now.total:
                     break
                 share *= SHRINK
             else:
                 return now
-            now = self.evaluate(now.terms, theta, now.deviation)
+            gain, now = now.total - total, new or self.evaluate(now.terms, theta, now.deviation)
             if gain < TOLERANCE * len(known.active):
                 break
         return now
+
+
+def scale_of(errors: np.ndarray) -> float:
+    """The standard deviation of errors of which some are outliers: the root mean square with each error cut at `ROBUST`
+    times the result (Huber 1964, proposal 2).
+
+    >>> round(scale_of(np.array([1.0, -1.0] * 50 + [100.0])), 2)
+    1.08
+    """
+    square = errors * errors
+    found = 1.4826 * float(np.median(np.abs(errors)))
+    for _ in range(PASSES):
+        found = float(np.sqrt(np.minimum(square, (ROBUST * found) ** 2).mean()))
+    return found
 
 
 def legal(theta: np.ndarray, known: Prior, covariance: np.ndarray) -> np.ndarray:

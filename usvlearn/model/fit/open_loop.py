@@ -4,7 +4,7 @@ Which of them to use is decided on missions that neither has learned: the second
 fitted to the first half alone, and the ensemble is frozen where it was after that half (`free` in `results.json`). The
 fit is used if its errors are smaller by more than their standard error over the missions; with fewer than three of
 them the ensemble stays. Both know the speed with which each segment starts, the commands and the headings, and nothing
-else; the current is the mean one of the learned missions.
+else; the current is that to expect after the learned missions.
 """
 
 from __future__ import annotations
@@ -71,6 +71,19 @@ def open_loop(fit: Fit, rows: np.ndarray, current: np.ndarray) -> np.ndarray:
     return np.nan_to_num(speeds[known])  # where no step is made, the speed is held
 
 
+def usual_current(found: np.ndarray) -> np.ndarray:
+    """The current to expect, m/s, `(2,)`, from those of some missions, `(missions, 2)`: their mean, which is smaller the
+    less they agree (James & Stein 1961).
+
+    >>> usual_current(np.array([[0.2, 0.0], [0.2, 0.0]])), usual_current(np.array([[0.2, 0.0], [-0.2, 0.0]]))
+    (array([0.2, 0. ]), array([0., 0.]))
+    """
+    mean: np.ndarray = found.mean(0)
+    if len(found) < 2 or not mean.any():
+        return mean
+    return mean * max(1 - float(found.var(0, ddof=1).sum() / len(found) / (mean @ mean)), 0.0)
+
+
 def decide(
     boat: str, terms: str, top: float, fine: Fleet, coarse: Fleet, first: int, ensemble: Mapping[str, float]
 ) -> FreeMode:
@@ -92,7 +105,7 @@ def decide(
         return NOTHING
     learned = Missions(list(rows.values()), top)
     fit = learned.fit(terms.removesuffix(WEAR))
-    current = np.mean([end for _, end in learned.simulate(fit)], 0)
+    current = usual_current(np.array([end for _, end in learned.simulate(fit)]))
     if terms.endswith(WEAR) and len(rows) >= FEWEST:
         fit, _ = worn(learned, fit, fit.deviation)
     found = []
