@@ -26,7 +26,7 @@ from usvlearn.model.fit.choice import Score
 from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.quantities import quantities
 
-SCATTER = 4.0
+SCATTER = 2.0
 STEP = 0.1  # deviations: the step of a central difference
 OWN_ERROR = 0.015  # of a value
 OWN = dict.fromkeys(QUANTITIES, OWN_ERROR) | {"stopping_distance": 0.03, "drag_cross": 0.3}
