@@ -86,6 +86,11 @@ def test_the_recordings_have_the_simulated_values(tmp_path):
     assert np.abs(np.sin(turned)).max() < 1e-6
 
 
+def is_trap(name: str, seed: int, **options) -> bool:
+    """Whether the log differs from a plain one: gradians look like degrees until a heading passes 360 of 400."""
+    return name != "gradians" or bool((voyage(seed, **options).heading[1] > 0.902 * 2 * np.pi).any())
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["patrol", "station_keeping", "convoy"])
 def test_short_logs(tmp_path, kind):
@@ -93,7 +98,8 @@ def test_short_logs(tmp_path, kind):
     for name, shape in (SHAPES | TRAPS).items():
         folder = tmp_path / name
         folder.mkdir()
-        assert inspected(folder, shape, 5, kind=kind, minutes=2.0)[1].wrong == [], name
+        if is_trap(name, 5, kind=kind, minutes=2.0):
+            assert inspected(folder, shape, 5, kind=kind, minutes=2.0)[1].wrong == [], name
 
 
 @pytest.mark.slow
@@ -106,7 +112,7 @@ def test_other_boats_and_missions(tmp_path, kind, plant):
             folder = tmp_path / f"{name}{seed}"
             folder.mkdir()
             _, result = inspected(folder, shape, seed, kind=kind, plant=plant)
-            assert result.wrong == [], name
+            assert result.wrong == [] or not is_trap(name, seed, kind=kind, plant=plant), name
             if name in SHAPES:
                 results.append(result)
     right = sum(len(each.right) for each in results)
