@@ -65,7 +65,7 @@ mission. Least squares fits nine terms to the increments between measured speeds
 ERRORS = """\
 Median over the boats of the error relative to the truth. Open-loop simulation: median ratio of the MAE to that of the
 batch output error, parameters frozen, over the fourth hour. All but least squares take the mean of their currents over
-the missions that they have learned."""
+the missions that they have learned; that of the fit is smaller the less the missions agree."""
 INTERVALS = f"""\
 Share of the truths that the intervals hold, over all boats; medians of the half-widths relative to the truth, and of
 their ratio to those of the averaged joint EKF, online. Aims: {EACH[0]:.0%} to {EACH[1]:.0%} of the truths of a

@@ -2,7 +2,7 @@
 
 The batch fit learns on a grid of its own (`usvlearn.model.fit.logs`), and simulates on it. It is judged where all
 others are: at the steps of the coarser grid whose speed was measured. As those of the other methods, its simulations
-are told the speed with which each segment starts, and the mean current of the missions that it has learned.
+are told the speed with which each segment starts, and the current to expect after the missions that it has learned.
 """
 
 from __future__ import annotations
