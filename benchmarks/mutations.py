@@ -82,7 +82,7 @@ GROUPS = {
         ),
     ),
     "live": Group(
-        ("usvlearn/live/*.py", "usvlearn/live/ros2/*.py", "usvlearn/live/status/*.py"),
+        ("usvlearn/live/*.py", "usvlearn/live/ros2/*.py", "usvlearn/live/status/*.py", "usvlearn/core/json_values.py"),
         10,
         (
             *named("live", "arguments prior systemd"),
