@@ -199,7 +199,8 @@ class Learned:
         """The best parameters that the logs can give, of each boat by name; `print` shows one as a table.
 
         The physical model, with curves of thrust and drag, is fitted to all missions at once, in open loop
-        (`usvlearn.model.fit.gauss_newton`).
+        (`usvlearn.model.fit.gauss_newton`). `usvlearn fit RUN` also says whether the fit or the ensemble simulates a
+        boat better, which needs what the ensemble was after half of a run.
 
         Args:
             terms: a name of `usvlearn.model.fit.terms.SETS`, in place of the set that does best on missions which it
@@ -249,6 +250,12 @@ class Learned:
         if fit is not None:
             from usvlearn.model.fit.hand_over import handed_over
 
+            own = float(self.logs.settings["vehicle"]["mass"])
+            if fit.boat != self.boats[element] or fit.found.mass != own:
+                raise ConfigError(
+                    f"fit: found that of {fit.boat}, {fit.found.mass:g} kg, expected one of {self.boats[element]}, "
+                    f"{own:g} kg"
+                )
             leaves = {name: leaf.numpy() for name, leaf in named_leaves(state)}
             state, fitted = handed_over(leaves, kernel, fit, float(self.logs.settings["align"]["dt"]))
         return checkpoint.save(

@@ -104,7 +104,7 @@ def test_sentences_say_what_the_figures_show(season, folder):
     here = section_of(season, folder).here
     assert any("its simulation of these missions errs by 0.040 m/s." in each for each in here)
     assert any("the parameters are those of its last mission" in each for each in here)
-    assert any("for a simulation in open loop use the fit. On 3 missions" in each for each in here)
+    assert any("Open-loop simulation: use the fit's: the fit errs by 0.0500 m/s" in each for each in here)
     assert "heron1: The thrusters hardly ever pushed astern." in here
     assert "heron1: it sailed with left commands from −0.05 to 1.00: what is beyond is an extrapolation." in here
     said = "errors follow the mean command: 1 of 121 lags are beyond their bounds, most at 4 s (+0.50)."
@@ -159,8 +159,8 @@ SAILED, WHITE = ("diagnostics", "sailed", "left"), ("diagnostics", "autocorrelat
         changed("quantities", "drag_linear", value=3),
         changed("quantities", "drag_linear", "low", value=1e300), changed("terms", value="x" * 10_000),
         changed("terms", value=["nine"]), changed("lacks", value=["x"] * (FEW + 1)), changed("lacks", value="x"),
-        changed("simulation", "used", value="mine"), changed("simulation", "used", value=[]),
-        changed("simulation", value=1), changed("simulation", "missions", value=None), changed("diagnostics", value=[]),
+        changed("simulation", "sentence", value=3), changed("simulation", "sentence", value=[]),
+        changed("simulation", value=1), changed("simulation", "sentence", value=None), changed("diagnostics", value=[]),
         changed(*MISSIONS, value={}), changed(*MISSIONS, 0, "worst", value=5),
         changed(*MISSIONS, value=[{}] * 10_001), changed("diagnostics", "worst", 0, "time", value=[1.0]),
         changed(*DRAG, "value", value=[1.0]), changed(*DRAG, "at", 3, value=9e8), changed(*DRAG, value=None),

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+import signal
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from usvlearn.cli.forgiving import without_key
-from usvlearn.cli.stopping import Stopped
+from usvlearn.cli.stopping import Stopped, was_stopped
 from usvlearn.cli.without_hydra import out_folder, run_command
 from usvlearn.errors import CheckpointError, ConfigError, UsvlearnError, complain, did_you_mean
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 USAGE = (
     "usage: usvlearn fit RUN [--boat NAME] [--terms SET] [--out FOLDER] [data.KEY=VALUE …]; more: usvlearn fit --help"
 )
+SHOWN = 4  # names in a warning
 
 
 def parser() -> argparse.ArgumentParser:
@@ -62,47 +64,68 @@ def work(arguments: Sequence[str]) -> None:
         from usvlearn.runs.saved import configuration
 
         check_terms(given.terms)
+        _check_run(folder)
         settings = configuration(folder)
-        coarse, fine = _logs(settings, given.data)
+        data = _changed_data(settings["data"], given.data)
+        coarse, fine = _logs(folder, settings, data)
         changed = _changed(folder, coarse)
     if given.boat is not None and given.boat not in fine.boats:
         hint = did_you_mean(given.boat, fine.boats)
         raise ConfigError(f"--boat: found {given.boat!r}, expected one of {', '.join(fine.boats)}{hint}")
     mass, top = float(settings["vehicle"]["mass"]), float(settings["vehicle"]["surge_max"])
-    boats = [boat for boat in fine.boats if given.boat in (None, boat)]
-    missions, fitted, stopped = [missions_of(fine, boat) for boat in boats], [], False
-    for sentence in changed:
+    missions = {boat: missions_of(fine, boat) for boat in fine.boats if given.boat in (None, boat)}
+    for sentence in changed.values():
         complain(f"warning: {sentence}")
+    found: Fitted | None = None
+    done: list[tuple[Fitted, Last | None, list[Path]]] = []
+    stopped: Stopped | None = None
     with Activity(console) as activity:
-        activity.begin("fitting", total=len(boats) * (len(SETS) + 2))
-        for boat, rows in zip(boats, missions, strict=True):
+        activity.begin("fitting", total=len(missions) * (len(SETS) + 2))
+        for boat, rows in missions.items():
 
             def advance(name: str, boat: str = boat) -> None:
                 activity.tell(f"fitting {boat}: {name}")
                 activity.advance(1)
 
-            found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped)
-            stopped = not set(SETS) <= set(found.fits)
-            if not stopped and not changed:
-                advance("on half of the missions")
-                found = replace(found, simulation=_simulation(folder, found, fine, coarse))
-            fitted.append(found)
-            if stopped:
+            try:
+                found = fit_boat(boat, rows, mass, top, given.terms, advance, Stopped)
+                stopped = None if set(SETS) <= set(found.fits) else was_stopped() or Stopped(signal.SIGINT)
+                if stopped is None and boat not in changed:
+                    advance("on half of the missions")
+                    found = replace(found, simulation=_simulation(folder, found, fine, coarse))
+            except Stopped as received:
+                stopped = received
+                if found is None or found.boat != boat:
+                    break
+            last = _last(folder, boat)
+            done.append((found, last, _write(out, found, last, settings)))
+            if stopped is not None:
                 break
-    for number, each in enumerate(fitted):
+    if stopped is not None and not done:
+        raise stopped
+    for number, (found, last, files) in enumerate(done):
         if number:
             console.print()
-        last = _last(folder, each.boat)
-        console.print(*tables(each, None if last is None else last.online), sep="\n")
-        terminal.show(f"Written to {', '.join(map(str, _write(out, each, last, settings)))}")
-    if out == folder / "fit" and not stopped:
-        _add_to_results(folder, fitted)
-        if (folder / REPORT).exists() and not changed:
-            renew_report(folder, console)
-        else:
+        console.print(*tables(found, None if last is None else last.online), sep="\n")
+        terminal.show(f"Written to {', '.join(map(str, files))}")
+    if out == folder / "fit":
+        _add_to_results(folder, [found for found, _, _ in done])
+        if stopped is None and (folder / REPORT).exists():
+            renew_report(folder, console, data)
+        elif not given.data:
             terminal.show(f"report: usvlearn evaluate runs={folder}")
-    if stopped:
-        raise SystemExit(130)
+    if stopped is not None:
+        raise SystemExit(stopped.code)
+
+
+def _check_run(folder: Path) -> None:
+    """Raise a ConfigError if there is no folder, or that of a fit."""
+    from usvlearn.runs.layout import RUNS
+
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: there is no such folder: give that of a run, which train has written")
+    if folder.name == "fit" and not (folder / RUNS).exists() and (folder.resolve().parent / RUNS).exists():
+        raise ConfigError(f"{folder}: is the folder of a fit: give that of its run, {folder.parent}")
 
 
 class Last(NamedTuple):
@@ -131,15 +154,11 @@ def _last(folder: Path, boat: str) -> Last | None:
     return Last(leaves, facts, online)
 
 
-def _logs(settings: dict[str, Any], changed: Sequence[str]) -> tuple[Fleet, Fleet]:
-    """The run's logs, on its own grid and on that of the fit."""
+def _changed_data(settings: Mapping[str, Any], changed: Sequence[str]) -> dict[str, Any]:
+    """The settings of the logs, with what the user gives in their place."""
     import yaml
 
-    from usvlearn.cli.settings import instantiate
-    from usvlearn.logs.recordings import align_fleet
-    from usvlearn.model.fit.logs import fine
-
-    data = dict(settings["data"])
+    data = dict(settings)
     for each in changed:
         key, equals, value = each.partition("=")
         name = key.removeprefix("data.")
@@ -151,32 +170,64 @@ def _logs(settings: dict[str, Any], changed: Sequence[str]) -> tuple[Fleet, Flee
             data[name] = yaml.safe_load(value)
         except yaml.YAMLError as error:
             raise ConfigError(f"{key}: found {value!r}, expected a value as YAML has them") from error
+    return data
+
+
+def _logs(folder: Path, settings: Mapping[str, Any], data: Mapping[str, Any]) -> tuple[Fleet, Fleet]:
+    """The run's logs, on its own grid and on that of the fit."""
+    from usvlearn.cli.settings import instantiate
+    from usvlearn.logs.recordings import align_fleet
+    from usvlearn.model.fit.logs import fine
+
+    path = data.get("path")
     try:
-        recordings = list(instantiate(data))
+        recordings = list(instantiate(dict(data)))
     except UsvlearnError as error:
-        hint = "" if "path" not in data else f"; if the logs have moved, give data.path=FOLDER (found {data['path']!r})"
+        gone = isinstance(path, str) and not Path(path).expanduser().exists()
+        hint = f". If the logs have moved, give data.path=FOLDER (found {path!r})" if gone else ""
         raise type(error)(f"{error}{hint}") from error
-    options = settings["align"]
-    coarse = align_fleet(recordings, **options)
-    return coarse, align_fleet(recordings, **fine(options))
+    learned, found = list(_runs(folder)), list(dict.fromkeys(each.boat for each in recordings))
+    if learned and not set(found) <= set(learned):
+        if len(learned) > 1 or len(found) > 1:
+            raise ConfigError(
+                f"the logs are of {', '.join(found)}, and the run has learned {', '.join(learned)}: give its logs by "
+                "data.path"
+            )
+        recordings = [
+            each._replace(boat=learned[0]) for each in recordings
+        ]  # named after their folder, which has moved
+    return align_fleet(recordings, **settings["align"]), align_fleet(recordings, **fine(settings["align"]))
 
 
-def _changed(folder: Path, fleet: Fleet) -> list[str]:
-    """A sentence for each boat whose logs are not those of which the run has learned."""
-    from usvlearn.runs.index import digest, runs_file
+def _runs(folder: Path) -> dict[str, Any]:
+    """Name, length and digest of each run that was learned, by boat; {} of a run of an old version."""
+    from usvlearn.runs.index import runs_file
 
     try:
-        learned = runs_file(folder)["boats"]
+        found: dict[str, Any] = runs_file(folder)["boats"]
+        return found
     except CheckpointError:
-        return []
-    found = []
-    for element, boat in enumerate(fleet.boats):
+        return {}
+
+
+def _changed(folder: Path, fleet: Fleet) -> dict[str, str]:
+    """A sentence for each boat whose logs are not those of which the run has learned."""
+    from usvlearn.runs.index import digest
+
+    found = {}
+    for boat, runs in _runs(folder).items():
+        if boat not in fleet.boats:
+            continue
+        element = fleet.boats.index(boat)
         now = {digest(run, element): run.names[element] for run in fleet.runs if run.lengths[element]}
-        then = {key: name for name, length, key in learned.get(boat, []) if length}
+        then = {key: name for name, length, key in runs if length}
         other, gone = ([a[key] for key in a if key not in b] for a, b in ((now, then), (then, now)))
-        if other or gone:
-            names = ", ".join(map(repr, dict.fromkeys([*other, *gone])))
-            found.append(f"{boat}: {names} is not as the run has learned it: the fit takes the logs as they are now")
+        if differ := list(dict.fromkeys([*other, *gone])):
+            more = f" and {len(differ) - SHOWN} more" if len(differ) > SHOWN else ""
+            found[boat] = (
+                f"{boat}: the run has not learned these logs as they are now: {', '.join(differ[:SHOWN])}{more}. "
+                "The fit takes them as they are"
+            )
     return found
 
 
@@ -226,7 +277,7 @@ def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
         return
     new = {
         each.boat: {"terms": each.chosen}
-        | ({} if (mode := each.simulation) is None else {"simulation": mode._asdict()})
+        | ({} if (mode := each.simulation) is None else {"simulation": mode.json()})
         for each in fitted
     }
     save_results(folder, known | {"fit": known.get("fit", {}) | new})

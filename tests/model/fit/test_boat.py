@@ -84,9 +84,7 @@ def test_what_the_commands_do_not_show_is_said():
     moored[:, SURGE] = 0.02 * np.random.default_rng(0).standard_normal(len(rows))
     with pytest.raises(ConfigError, match=r"heron: found speeds of -0.0\d to 0.0\d m/s that hardly ever changed"):
         lacking("heron", [moored])
-    with pytest.raises(
-        ConfigError, match="heron: found commands of 60 to 60 % that hardly ever changed while the boat moved"
-    ):
+    with pytest.raises(ConfigError, match=r"heron: found commands that hardly ever changed while the boat moved .60 %"):
         changed(*[lambda x: 0.6 + 0 * x] * 2)
 
 

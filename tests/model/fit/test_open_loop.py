@@ -52,12 +52,14 @@ def test_the_fit_is_used_where_it_errs_less_on_missions_that_it_has_not_learned(
     theirs = {f"{k}.csv": 0.2 for k in range(5, 10)}
     mode = decide("heron", "cubic", TOP, fleet, fleet, 5, theirs)
     assert mode.used == FIT and mode.missions == 5 and mode.fit < 0.1 and mode.ensemble == pytest.approx(0.2)
-    assert "use the fit's. On 5 missions that neither had learned" in mode.sentence
+    assert (
+        "use the fit's: the fit errs by" in mode.sentence and "on 5 missions that neither had learned" in mode.sentence
+    )
     better = decide("heron", "cubic", TOP, fleet, fleet, 5, {name: mode.fit / 2 for name in theirs})
     assert better.used == ENSEMBLE and better.gain < 0
     assert decide("heron", "cubic", TOP, fleet, fleet, 8, theirs).used == ENSEMBLE  # two missions decide nothing
     assert decide("heron", "cubic", TOP, fleet, fleet, 0, theirs) == NOTHING  # nothing to learn from
-    assert decide("heron", "cubic", TOP, fleet, fleet, 5, {}) == NOTHING and "too few missions" in NOTHING.sentence
+    assert decide("heron", "cubic", TOP, fleet, fleet, 5, {}) == NOTHING and "no mission was left" in NOTHING.sentence
 
 
 def test_currents_that_do_not_agree_are_not_expected():

@@ -22,6 +22,7 @@ import numpy as np
 from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
 
 FEWEST = 3  # missions, of which one can be left out
+FEWEST_WORN = 6  # of which wear can be seen: three of them may rise by chance
 WEAR = ", wear"  # what the name of a set with wear ends with
 Wear = Callable[[Missions, Fit, float], tuple[Fit, np.ndarray]]
 
@@ -68,7 +69,7 @@ def choose(
         chosen = terms or max(fits, key=lambda name: fits[name].evidence)
     else:
         chosen = terms or _smallest(losses, steps)
-        if wear is not None:
+        if wear is not None and len(missions.rows) >= FEWEST_WORN:
             worn = {name: wear(missions, fits[name], deviation) for name in ([terms] if terms else list(fits))}
             of = _smallest({name: each[1] for name, each in worn.items()}, steps)
             fits[f"{of}{WEAR}"], losses[f"{of}{WEAR}"] = worn[of]

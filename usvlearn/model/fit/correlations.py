@@ -18,7 +18,7 @@ Lags with few pairs, as those near the length of short missions, are left out: r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -113,8 +113,9 @@ def _sums(first: Sequence[np.ndarray], second: Sequence[np.ndarray], reach: int)
         count = min(reach + 1, len(x))
         length = next_fast_len(len(x) + count, real=True)
 
-        def lagged(a: np.ndarray, b: np.ndarray, length: int = length, count: int = count) -> np.ndarray:
-            found: np.ndarray = irfft(np.conj(rfft(a, length)) * rfft(b, length), length)[:count]
+        def lagged(a: np.ndarray, b: np.ndarray, length: Any = length, count: int = count) -> np.ndarray:
+            left, right = (np.asarray(rfft(x, length)) for x in (a, b))
+            found: np.ndarray = np.asarray(irfft(np.conj(left) * right, length))[:count]
             return found
 
         sums[:count] += lagged(np.nan_to_num(x), np.nan_to_num(y))

@@ -13,7 +13,7 @@ from usvlearn.errors import ConfigError, did_you_mean
 from usvlearn.estimators.joint.lacking import Quantity
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FittedBoat
-from usvlearn.model.fit.choice import Score, choose
+from usvlearn.model.fit.choice import WEAR, Score, choose
 from usvlearn.model.fit.diagnostics import diagnostics
 from usvlearn.model.fit.gauss_newton import Fit, Missions
 from usvlearn.model.fit.intervals import alike
@@ -81,7 +81,7 @@ class Fitted:
             "parameters": {name: forces[name] * float(theta[AT[name]]) for name in self.found.names},
             "quantities": {name: each._asdict() for name, each in self.found.items()},
             "lacks": list(self.found.lacks),
-            "simulation": None if self.simulation is None else self.simulation._asdict(),
+            "simulation": None if self.simulation is None else self.simulation.json(),
             "diagnostics": diagnostics(self.missions, self.fit, mass, [self.fits[name] for name in self.alike]),
             "sets": {
                 name: {
@@ -97,8 +97,10 @@ class Fitted:
 
 def check_terms(terms: str | None) -> None:
     """Raise a ConfigError if this is no set of terms; None is one that is chosen later."""
-    if terms is not None and terms not in SETS:
-        raise ConfigError(f"--terms: found {terms!r}, expected one of {', '.join(SETS)}{did_you_mean(terms, SETS)}")
+    if terms is not None and terms.removesuffix(WEAR) not in SETS:
+        raise ConfigError(
+            f"--terms: found {terms!r}, expected one of {', '.join(map(repr, SETS))}{did_you_mean(terms, SETS)}"
+        )
 
 
 def fit_boat(
@@ -125,18 +127,24 @@ def fit_boat(
         ConfigError: there is no such set, or the commands never changed.
     """
     check_terms(terms)
+    terms = None if terms is None else terms.removesuffix(WEAR)
     lacks = lacking(boat, list(rows.values()))
-    missions, fits, before = Missions(list(rows.values()), top, list(rows)), {}, None
+    missions, fits = Missions(list(rows.values()), top, list(rows)), dict[str, Fit]()
+
+    def chosen() -> Fitted:
+        name, scores = choose(missions, fits, terms, worn)
+        errors = {each: float(np.mean(np.abs(missions.errors(fit)))) for each, fit in fits.items()}
+        return Fitted(boat, missions, fits, scores, name, FittedBoat.of(fits, scores, name, mass, lacks), errors)
+
     try:
         for name in SETS:
             advance(name)
-            fits[name] = missions.fit(name, before)
-            before = fits[name]
-    except stop:  # the sets that are done are there
+            fits[name] = missions.fit(name, list(fits.values())[-1] if fits else None)
+        advance("wear")
+        return chosen()
+    except stop:  # the sets that are done are there; the choice among them takes a moment
         if not fits or terms not in (None, *fits):
             raise
-        lacks = (f"Stopped after {len(fits)} of {len(SETS)} sets of terms.", *lacks)
-    advance("wear")
-    chosen, scores = choose(missions, fits, terms, worn)
-    errors = {name: float(np.mean(np.abs(missions.errors(fit)))) for name, fit in fits.items()}
-    return Fitted(boat, missions, fits, scores, chosen, FittedBoat.of(fits, scores, chosen, mass, lacks), errors)
+        done = len(set(SETS) & set(fits))
+        lacks = (f"Stopped after {done} of {len(SETS)} sets of terms.", *lacks) if done < len(SETS) else lacks
+        return chosen()

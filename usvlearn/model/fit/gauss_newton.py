@@ -54,6 +54,7 @@ class Fit:
         score: g of each mission, `(missions, m)`.
         information: H of each mission, `(missions, m, m)`.
         deviation: σ of a speed, m/s.
+        by_mission: parameters of each mission, `(missions, parameters)`, of a boat that wears; None: they are `theta`.
     """
 
     terms: str
@@ -65,6 +66,7 @@ class Fit:
     score: np.ndarray
     information: np.ndarray
     deviation: float
+    by_mission: np.ndarray | None = None
 
     @property
     def covariance(self) -> np.ndarray:
@@ -145,7 +147,8 @@ class Missions:
         east, m/s, `(2,)`.
         """
         for k in range(len(self.rows)):
-            yield self._one(k, fit.theta, fit.deviation)[2:]
+            theta = fit.theta if fit.by_mission is None else fit.by_mission[k]
+            yield self._one(k, theta, fit.deviation)[2:]
 
     def _one(
         self, k: int, theta: np.ndarray, deviation: float, active: np.ndarray = NO_PLACES,

@@ -17,11 +17,12 @@ from usvlearn.estimators.joint.reading import covariance_of
 from usvlearn.estimators.joint.state import DROPPED, LAG_LEAST, LAG_MOST, THETA, names
 from usvlearn.estimators.regressors.terms import LAG
 from usvlearn.model.fit.boat import FITTED
+from usvlearn.model.fit.choice import WEAR
 from usvlearn.model.fit.fitted import Fitted
-from usvlearn.model.fit.gauss_newton import Fit
 from usvlearn.model.fit.intervals import spread
 from usvlearn.model.fit.logs import DT
 from usvlearn.model.fit.terms import AT
+from usvlearn.model.fit.wear import worn
 
 POLYNOMIAL = ("even", "cubic", "nine")  # sets whose terms a joint EKF has, from the largest
 
@@ -43,7 +44,7 @@ def handed_over(
             prefix = f"members.{name}." if name else ""
             own = {key: prefix + key for key in ("mean", "factor", "reading", "spread", "readings", "weight")}
             m = len(found[own["mean"]]) - THETA
-            theta, covariance = _parameters(fitted.fits, m == len(names(even=True)), dt, member)
+            theta, covariance = _parameters(fitted, m == len(names(even=True)), dt, member)
             mean, P = found[own["mean"]].copy(), covariance_of(found[own["factor"]])
             mean[THETA:] = theta
             P[THETA:], P[:, THETA:] = 0.0, 0.0
@@ -63,11 +64,11 @@ def handed_over(
     return found, {FITTED: fitted.found.facts()}
 
 
-def _parameters(
-    fits: Mapping[str, Fit], even: bool, dt: float, member: Mapping[str, Any]
-) -> tuple[np.ndarray, np.ndarray]:
+def _parameters(fitted: Fitted, even: bool, dt: float, member: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     """θ and its covariance as a joint EKF has them; what no fitted set has is as the prior."""
-    fit = next(fits[name] for name in POLYNOMIAL if name in fits and (even or name != "even"))
+    fit = next(fitted.fits[name] for name in POLYNOMIAL if name in fitted.fits and (even or name != "even"))
+    if fitted.chosen.endswith(WEAR):  # the boat of the last mission, with these terms
+        fit, _ = worn(fitted.missions, fit, fit.deviation)
     own, places = names(even), {int(place): k for k, place in enumerate(fit.known.active)}
     scale = np.array([DT / dt if name == LAG else 1.0 for name in own])
     theta = np.array([fit.theta[AT[name]] for name in own]) * scale

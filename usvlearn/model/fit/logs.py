@@ -85,8 +85,8 @@ def lacking(boat: str, missions: Sequence[np.ndarray]) -> tuple[str, ...]:
     mean = commands.mean(1)
     if mean.std() < CHANGE:
         raise ConfigError(
-            f"{boat}: found commands of {100 * mean.min():.0f} to {100 * mean.max():.0f} % that hardly ever changed "
-            "while the boat moved, expected steps between low and high ones: thrust and drag show where they change"
+            f"{boat}: found commands that hardly ever changed while the boat moved ({100 * np.median(mean):.0f} %), "
+            "expected steps between low and high ones: thrust and drag show where they change"
         )
     slow, fast = np.quantile(speed, [SOME, 1 - SOME])
     if fast - slow < MOVES:
@@ -108,6 +108,9 @@ def lacking(boat: str, missions: Sequence[np.ndarray]) -> tuple[str, ...]:
         found.append(f"Commands were hardly ever above {most:.0f} %: what is beyond is an extrapolation.")
     if ((size > SOME) & (size < SMALL)).any(1).mean() < SOME:
         found.append(f"Commands were hardly ever below {100 * SMALL:.0f} %: a dead band would not show.")
+    bins = np.histogram(size, np.arange(0.0, 1.1, 0.05))[0] > SOME * size.size
+    if (levels := int((np.diff(np.append(0, bins.astype(int))) > 0).sum())) <= 2 and bins.sum() <= 3:
+        found.append(f"Only {levels} levels of the command were used: the thrust between them is an assumption.")
     axes = rows[:, [COS, SIN]]
     if np.linalg.eigvalsh(axes.T @ axes / len(axes))[0] < TURNS:
         found.append(

@@ -10,14 +10,15 @@ else; the current is that to expect after the learned missions.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from usvlearn.core.rows import COS, MODE, PREDICT, SIN, START, SURGE
 from usvlearn.core.samples import Fleet, masks, tree_map
 from usvlearn.errors import ConfigError
-from usvlearn.model.fit.choice import FEWEST, WEAR, compared
+from usvlearn.model.fit.choice import FEWEST_WORN, WEAR, compared
 from usvlearn.model.fit.gauss_newton import Fit, Missions, rows_of
 from usvlearn.model.fit.logs import DT, missions_of, smoothed
 from usvlearn.model.fit.wear import worn
@@ -38,12 +39,18 @@ class FreeMode(NamedTuple):
     @property
     def sentence(self) -> str:
         """What was decided, for a person."""
-        if self.fit is None or self.ensemble is None:
-            return "Open-loop simulation: the ensemble's, as there were too few missions to compare it with the fit's."
-        return (
-            f"Open-loop simulation: use the {self.used}'s. On {self.missions} missions that neither had learned, the "
-            f"fit errs by {self.fit:.4f} m/s, the ensemble by {self.ensemble:.4f}."
-        )
+        if self.fit is None or self.ensemble is None or self.gain is None:
+            return "Open-loop simulation: the ensemble's, as no mission was left to compare it with the fit's."
+        many = "1 mission" if self.missions == 1 else f"{self.missions} missions"
+        found = f"the fit errs by {self.fit:.4f} m/s, the ensemble by {self.ensemble:.4f}, on {many} that neither had"
+        if self.error is None:
+            return f"Open-loop simulation: the ensemble's, as too few missions decide nothing: {found} learned."
+        away = f"a difference of {self.gain:.4f} ± {self.error:.4f}"
+        return f"Open-loop simulation: use the {self.used}'s: {found} learned, {away}."
+
+    def json(self) -> dict[str, Any]:
+        """As JSON values, with the sentence."""
+        return self._asdict() | {"sentence": self.sentence}
 
 
 NOTHING = FreeMode(ENSEMBLE, 0, None, None, None, None)
@@ -57,6 +64,7 @@ def open_loop(fit: Fit, rows: np.ndarray, current: np.ndarray) -> np.ndarray:
         rows: prepared samples of a mission on the grid of the fit, `(time, ROW)`.
         current: towards north and east, m/s.
     """
+    fit = replace(fit, by_mission=None)  # the boat of the last mission
     rows, steps = rows.copy(), rows[:, MODE] >= PREDICT
     along = rows[:, [COS, SIN]] @ current
     rows[steps, MODE] = PREDICT
@@ -99,19 +107,23 @@ def decide(
         ensemble: MAE of the ensemble's simulation, m/s, by the name of a run of the second half.
     """
     element = fine.boats.index(boat)
+    later = {run.names[element]: run for run in coarse.runs[first:] if run.lengths[element]}
+    again = {run.names[element]: run for run in fine.runs if run.names[element] in later}
     try:
-        rows = missions_of(fine._replace(runs=fine.runs[:first]), boat)
+        before = tuple(run for run in fine.runs if run.names[element] not in later)
+        rows = missions_of(fine._replace(runs=before), boat)
     except ConfigError:
         return NOTHING
     learned = Missions(list(rows.values()), top)
     fit = learned.fit(terms.removesuffix(WEAR))
     current = usual_current(np.array([end for _, end in learned.simulate(fit)]))
-    if terms.endswith(WEAR) and len(rows) >= FEWEST:
+    if terms.endswith(WEAR) and len(rows) >= FEWEST_WORN:
         fit, _ = worn(learned, fit, fit.deviation)
     found = []
-    for small, run in zip(fine.runs[first:], coarse.runs[first:], strict=True):
-        name, n, m = run.names[element], small.lengths[element], run.lengths[element]
-        if n and m and name in ensemble:
+    for name in sorted(later.keys() & again.keys() & ensemble.keys()):
+        run, small = later[name], again[name]
+        m, n = run.lengths[element], small.lengths[element]
+        if n:
             speeds = open_loop(
                 fit, smoothed(rows_of(tree_map(lambda x, n=n: x[:n, element], small.samples)), DT), current
             )

@@ -15,7 +15,7 @@ from usvlearn.model.fit.fitted import Fitted
 
 def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
     """The quantities beside those learned online, the sets of terms, and what they mean."""
-    heads = ["fit", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
+    heads = ["fit (use)", "from", "to", *(["online", "from", "to"] if online is not None else []), "unit"]
     table = Blocks(f"{found.boat}: fitted to all missions, with 90 % intervals", ["quantity"], heads)
     for name, each in found.quantities.items():
         beside = [shown(x) for x in online.told(name)[:3]] if online is not None and name in online else []
@@ -25,13 +25,15 @@ def tables(found: Fitted, online: Identified | None) -> list[RenderableType]:
         "Terms, by their loss on missions that they have not learned", ["set"], ["parameters", "worse by", "±", "MAE"]
     )
     for name, score in found.scores.items():
-        worse, error = (f"{x:.4f}" if math.isfinite(x) else "–" for x in (-score.gain, score.error))
+        worse, error = (f"{x:.4f}" if math.isfinite(x) else "–" for x in (0.0 - score.gain, score.error))
         used = f"{name} (used)" if name == found.chosen else name
+        worse, error = ("–", "–") if name == found.chosen else (worse, error)
         sets.add(used, str(len(found.fits[name].known.active)), worse, error, f"{found.errors[name]:.4f}")
-    fit = found.fit
+    many = "1 mission errs" if len(found.fit.count) == 1 else f"{len(found.fit.count)} missions err"
     lines = [
         MEANING,
-        f"Simulated in open loop, {len(fit.count)} missions err by {found.errors[found.chosen]:.4f} m/s in the mean.",
+        "Use the values of the fit: it has learned from all missions at once, online each sample is seen once.",
+        f"Simulated in open loop, {many} by {found.errors[found.chosen]:.4f} m/s in the mean.",
         *([] if found.simulation is None else [found.simulation.sentence]),
         found.found.scale,
         *found.found.lacks,

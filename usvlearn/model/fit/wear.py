@@ -47,7 +47,7 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
         right[part] -= B.T @ fit.score[k]
     C = np.linalg.inv(K)
     z, covariance = C @ right, C[:m, :m]
-    losses, score = np.zeros(count), np.zeros_like(fit.score)
+    losses, score, each = np.zeros(count), np.zeros_like(fit.score), np.tile(fit.theta, (count, 1))
     for k in range(count):
         away, spread = z[:m].copy(), covariance.copy()  # e_k of (1), and its covariance
         if k < count - 1:
@@ -55,6 +55,8 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
             away += B @ z[parts[k]]
             spread += across + across.T + B @ C[parts[k], parts[k]] @ B.T
         score[k] = fit.score[k] + fit.information[k] @ away
+        each[k, known.active] += away
+        each[k] = legal(each[k], known, covariance)
         unseen = np.eye(m) - spread @ fit.information[k]  # what is left without mission k, (1) solved again
         theta = fit.theta.copy()
         theta[known.active] += np.linalg.solve(unseen, away + spread @ fit.score[k])
@@ -62,7 +64,13 @@ def worn(missions: Missions, fit: Fit, deviation: float) -> tuple[Fit, np.ndarra
     theta = fit.theta.copy()
     theta[known.active] += z[:m]
     said = (np.linalg.inv(covariance) - known.information) / count  # by all missions, of the last one's boat
-    found = replace(fit, theta=legal(theta, known, covariance), score=score, information=np.tile(said, (count, 1, 1)))
+    found = replace(
+        fit,
+        theta=legal(theta, known, covariance),
+        score=score,
+        information=np.tile(said, (count, 1, 1)),
+        by_mission=each,
+    )
     return found, losses / np.maximum(missions.steps, 1)
 
 

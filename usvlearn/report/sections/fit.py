@@ -124,17 +124,11 @@ def _findings(season: Season, fit: SavedFit, online: Mapping[str, Quantity]) -> 
         )
     if fit.terms.endswith(WEAR):
         here.append(
-            f"{boat}: the parameters are those of its last mission. The boat wears, so that earlier ones err more."
+            f"{boat}: the boat wears: the parameters are those of its last mission, and each mission is simulated with "
+            "its own."
         )
-    if (which := fit.simulation) is not None and math.isfinite(which.fit + which.ensemble):
-        here.append(
-            f"{boat}: for a simulation in open loop use the {which.used}. On {_count(int(which.missions), 'mission')} "
-            f"that neither had learned, the fit errs by {which.fit:.3f} m/s, the ensemble by {which.ensemble:.3f}."
-        )
-    elif which is not None:
-        here.append(
-            f"{boat}: for a simulation in open loop use the ensemble: too few missions compare it with the fit."
-        )
+    if fit.simulation:
+        here.append(f"{boat}: {fit.simulation}")
     if fit.missions > len(season.runs):
         here.append(
             f"{boat}: the report has {_count(len(season.runs), 'run')}, less than the fit: run usvlearn fit again."

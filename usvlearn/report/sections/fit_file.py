@@ -18,7 +18,6 @@ FOLDER, ENDING = "fit", ".fit.json"  # of a run, and of the name of a boat's fil
 LARGEST, LONGEST, LETTERS = 30_000_000, 10_000, 300  # bytes of a file, numbers in a list, letters in a text
 FEW = 30  # most sentences, sets of terms and courses
 ABSURD = 1e9  # no number of a boat is as large
-USED = ("fit", "ensemble")  # as a simulation in open loop
 PUSHES = ("mean", "difference")  # of the commands of both sides
 
 
@@ -29,15 +28,6 @@ class SetOfTerms(NamedTuple):
     gain: float  # loss a step of the used set minus that of this one
     error: float  # its standard error
     mae: float  # m/s
-
-
-class Simulation(NamedTuple):
-    """Which open-loop simulation to use, decided on missions that neither had learned; NaN where there were too few."""
-
-    used: str  # of USED
-    missions: float
-    fit: float  # m/s, MAE there
-    ensemble: float
 
 
 class Mission(NamedTuple):
@@ -110,7 +100,7 @@ class SavedFit(NamedTuple):
     quantities: Mapping[str, Quantity]
     lacks: Sequence[str]  # what the logs lack, one sentence each
     sets: Mapping[str, SetOfTerms]
-    simulation: Simulation | None  # None where that was not compared
+    simulation: str  # which open-loop simulation to use, a sentence; "" where that was not compared
     diagnostics: Diagnostics | None  # None in files of before
 
 
@@ -161,15 +151,9 @@ def read_fit(path: Path) -> SavedFit:
             _text(name): SetOfTerms(*(_number(each.get(key), True) for key in SetOfTerms._fields))
             for name, each in list(facts["sets"].items())[:FEW]
         },
-        _simulation(facts["simulation"]) if facts.get("simulation") is not None else None,
+        _text(facts["simulation"]["sentence"]) if facts.get("simulation") is not None else "",
         _diagnostics(facts["diagnostics"]) if facts.get("diagnostics") is not None else None,
     )
-
-
-def _simulation(facts: Mapping[str, Any]) -> Simulation:
-    if (used := facts["used"]) not in USED:
-        raise ValueError(f"found {_head(used)}, expected {' or '.join(USED)}")
-    return Simulation(used, *(_number(facts[key], key != "missions") for key in ("missions", "fit", "ensemble")))
 
 
 def _diagnostics(facts: Mapping[str, Any]) -> Diagnostics:
