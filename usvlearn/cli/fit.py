@@ -276,8 +276,7 @@ def _add_to_results(folder: Path, fitted: Sequence[Fitted]) -> None:
     if not (folder / RESULTS).exists() or not (known := results(folder)):
         return
     new = {
-        each.boat: {"terms": each.chosen}
-        | ({} if (mode := each.simulation) is None else {"simulation": mode.json()})
+        each.boat: {"terms": each.chosen} | ({} if (mode := each.simulation) is None else {"simulation": mode.json()})
         for each in fitted
     }
     save_results(folder, known | {"fit": known.get("fit", {}) | new})

@@ -6,9 +6,10 @@ step leads to
     θ₋ₘ = θ + (Σ H − H_m + I₀)⁻¹ g_m                                                                   (1)
 
 and the loss of mission m is then that of a mission which nothing has learned. So a set costs one pass more over the
-missions, not one fit for each. Missions, never single steps, are left out: errors of neighbouring steps are alike. A
-larger set is taken only if its losses are lower than those of the smaller one by more than their standard error over
-the missions. Of one or two missions the set with the largest evidence is taken, which is a weaker reason.
+missions, not one fit for each. Where missions are few, one step would be too far, and a fit is made. Missions, never
+single steps, are left out: errors of neighbouring steps are alike. A larger set is taken only if its losses are lower
+than those of the smaller one by more than their standard error over the missions. Of one or two missions the set with
+the largest evidence is taken, which is a weaker reason.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 from usvlearn.model.fit.gauss_newton import Fit, Missions, legal
 
 FEWEST = 3  # missions, of which one can be left out
+FEW = 10  # missions, up to which each is left out by a fit of its own: one step of so many is too far
 FEWEST_WORN = 6  # of which wear can be seen: three of them may rise by chance
 WEAR = ", wear"  # what the name of a set with wear ends with
 Wear = Callable[[Missions, Fit, float], tuple[Fit, np.ndarray]]
@@ -46,6 +48,9 @@ def left_out(missions: Missions, fit: Fit, deviation: float) -> np.ndarray:
     known, total = fit.known, fit.information.sum(0) + fit.known.information
     found = np.zeros(len(missions.rows))
     for k in range(len(found)):
+        if FEWEST <= len(found) <= FEW:
+            found[k] = missions.loss(missions.without(k).settled(fit).theta, deviation, k)
+            continue
         theta, covariance = fit.theta.copy(), np.linalg.inv(total - fit.information[k])
         theta[known.active] += covariance @ fit.score[k]  # (1)
         found[k] = missions.loss(legal(theta, known, covariance), deviation, k)

@@ -182,11 +182,24 @@ class Missions:
             theta[PLACE_TIME], deviation, rounds = known.mean[PLACE_TIME], start.deviation, ROUNDS - 1
         now = self.evaluate(terms, _bounded(theta), deviation)
         for _ in range(rounds):
-            now = self._settled(now)
+            now = self._steps(now)
             now = self.evaluate(terms, now.theta, max(scale_of(self.errors(now)), NOISE_LEAST))
-        return self._settled(now)
+        return self._steps(now)
 
-    def _settled(self, now: Fit) -> Fit:
+    def without(self, k: int) -> Missions:
+        """All missions but one."""
+        some = [j for j in range(len(self.rows)) if j != k]
+        return Missions([self.rows[j] for j in some], self.top, [self.names[j] for j in some])
+
+    def settled(self, start: Fit) -> Fit:
+        """The best parameters of the same terms at the same deviation of a speed: some Gauss-Newton steps.
+
+        Args:
+            start: of any missions.
+        """
+        return self._steps(self.evaluate(start.terms, start.theta, start.deviation))
+
+    def _steps(self, now: Fit) -> Fit:
         """After some Gauss-Newton steps."""
         known = now.known
         for _ in range(STEPS):
